@@ -1,0 +1,44 @@
+"""What is known of the target: the one value that planning reads."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+
+class TrackQuality(StrEnum):
+    """How far the estimate can be trusted."""
+
+    GOOD = "good"  # fed by fresh, consistent sightings
+    COASTING = "coasting"  # predicted through a drop-out
+    LOST = "lost"  # too old or too uncertain to plan by
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetEstimate:
+    """The target's state at ``time_s``: state = (east, north, velocity east, velocity north), m and m/s.
+
+    covariance is (4, 4) in the same order. reason tells in words why the quality is not good.
+    """
+
+    time_s: float
+    east_m: float
+    north_m: float
+    velocity_east_m_s: float
+    velocity_north_m_s: float
+    covariance: npt.NDArray[np.float64]
+    quality: TrackQuality
+    last_sighting_s: float
+    reason: str = ""
+
+    @property
+    def speed_m_s(self) -> float:
+        return math.hypot(self.velocity_east_m_s, self.velocity_north_m_s)
+
+    @property
+    def course_rad(self) -> float:
+        return math.atan2(self.velocity_east_m_s, self.velocity_north_m_s)
