@@ -32,9 +32,7 @@ class Circle:
         return outward_rad + (math.pi / 2 if self.clockwise else -math.pi / 2)
 
     @staticmethod
-    def tangent_to(
-        east_m: float, north_m: float, course_rad: float, radius_m: float, clockwise: bool
-    ) -> Circle:
+    def tangent_to(east_m: float, north_m: float, course_rad: float, radius_m: float, clockwise: bool) -> Circle:
         """Return the circle that touches the ray from (east, north) along ``course_rad``."""
         signed_radius_m = radius_m if clockwise else -radius_m
         return Circle(

@@ -34,9 +34,7 @@ class Requirement:
     range_max_m: float
     side: Side
     target_speed_max_m_s: float
-    threshold: float = (
-        0.9  # C of the paper: a lap is refused when it would end beyond threshold * range_max_m
-    )
+    threshold: float = 0.9  # C of the paper: a lap is refused when it would end beyond threshold * range_max_m
 
 
 @dataclass(frozen=True, slots=True)
