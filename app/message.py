@@ -1,0 +1,22 @@
+"""One MAVLink message as plain values: the same from a live link, a tlog or another log format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """fields: by their MAVLink names, in MAVLink units; arrays are lists, text is str, NaN may come as None.
+
+    received_s: when it arrived, seconds since 1970 by the receiver's clock; for records and displays only, the
+    estimation goes by the vehicle's own time stamps inside ``fields``.
+    """
+
+    name: str
+    system_id: int
+    component_id: int
+    fields: Mapping[str, Any]
+    received_s: float
