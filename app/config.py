@@ -1,0 +1,208 @@
+"""The configuration file: every field with its unit, its limits and what it is for."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from app.errors import InputError
+from mission.requirement import Aircraft, Requirement, Side
+
+LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
+Polygon = Annotated[list[LatLon], Field(min_length=3)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class AircraftSection(_Section):
+    """The aircraft as it is flown for this mission."""
+
+    airspeed_m_s: float = Field(15.0, gt=3, le=80)
+    """Airspeed while circling, m/s."""
+    radius_m: float = Field(60.0, ge=10, le=2000)
+    """Radius of the circle flown beside the target, m."""
+    bank_max_deg: float = Field(45.0, ge=10, le=70)
+    """Bank limit of the autopilot (ArduPlane ROLL_LIMIT_DEG, PX4 FW_R_LIM), degrees."""
+    roll_rate_max_deg_s: float = Field(30.0, ge=2, le=180)
+    """Roll rate the aircraft reaches in its ordinary turns, degrees/s."""
+    height_m: float = Field(100.0, ge=20, le=3000)
+    """Height above home at which it circles, m."""
+
+    def aircraft(self) -> Aircraft:
+        """Return the planner's view of it."""
+        return Aircraft(
+            self.airspeed_m_s,
+            self.radius_m,
+            math.radians(self.bank_max_deg),
+            math.radians(self.roll_rate_max_deg_s),
+        )
+
+
+class RequirementSection(_Section):
+    """What is asked for: the range band and the side."""
+
+    range_min_m: float = Field(100.0, ge=20, le=5000)
+    """Least allowed horizontal range to the target (Dmin), m."""
+    range_max_m: float = Field(500.0, ge=50, le=20000)
+    """Greatest allowed horizontal range to the target (Dmax), m."""
+    side: Side = Side.LEFT
+    """Side of the target's direction of motion from which it is watched."""
+    target_speed_max_m_s: float = Field(3.0, ge=0, le=50)
+    """Highest speed expected of the target, m/s."""
+    threshold: float = Field(0.9, gt=0, le=2)
+    """Factor C on range_max_m at which the paper's planner moves the circle."""
+
+    def requirement(self) -> Requirement:
+        """Return the planner's view of it."""
+        return Requirement(self.range_min_m, self.range_max_m, self.side, self.target_speed_max_m_s, self.threshold)
+
+
+class PlannerSection(_Section):
+    """How the next circle is chosen."""
+
+    name: Literal["predictive", "paper"] = "predictive"
+    """predictive: decides every second by looking ahead; paper: the published method, once a lap."""
+    lost_after_s: float = Field(60.0, ge=1, le=3600)
+    """The circle is held when the target has been unseen for this long, s."""
+    give_up_after_s: float = Field(300.0, ge=5, le=36000)
+    """The mission ends when the target has been unseen for this long, s."""
+    at_end: Literal["hold", "return"] = "return"
+    """What to do then: hold the circle or fly home."""
+
+
+class SensorsSection(_Section):
+    """Laser and gimbal."""
+
+    range_sigma_m: float = Field(1.0, gt=0, le=100)
+    """Standard deviation of the slant range where the sensor does not tell, m."""
+    angle_sigma_deg: float = Field(0.5, gt=0, le=20)
+    """Standard deviation of the gimbal's yaw and pitch, degrees."""
+    latency_s: float = Field(0.0, ge=0, le=5)
+    """How much later than the truth the payload stamps its messages, s."""
+    range_component: int | None = Field(None, ge=0, le=255)
+    """MAVLink component of the laser; found by itself when not given."""
+    gimbal_component: int | None = Field(None, ge=0, le=255)
+    """MAVLink component of the gimbal; found by itself when not given."""
+    filter: Literal["imm", "ekf", "ukf"] = "imm"
+    """Motion model of the target filter."""
+
+
+class LinkSection(_Section):
+    """The link to the autopilot."""
+
+    url: str | None = None
+    """MAVSDK URL (udpin://0.0.0.0:14540, tcpout://host:port, serial:///dev/ttyUSB0:57600); none: simulate."""
+    heartbeat_timeout_s: float = Field(10.0, ge=1, le=600)
+    """How long to wait for the autopilot's first heartbeat, s."""
+
+
+class FencesSection(_Section):
+    """Where the aircraft may fly: polygons of [latitude, longitude] in degrees, heights above home in m."""
+
+    keep_in: list[Polygon] = Field(default_factory=list)
+    """The aircraft stays inside the union of these."""
+    keep_out: list[Polygon] = Field(default_factory=list)
+    """The aircraft stays outside each of these."""
+    floor_m: float | None = Field(None, ge=0)
+    """Least height above home, m."""
+    ceiling_m: float | None = Field(None, ge=0)
+    """Greatest height above home, m."""
+    margin_m: float = Field(20.0, ge=0, le=500)
+    """Kept from every fence, for the error of the flown line, m."""
+
+
+class SimulationSection(_Section):
+    """The simulated vehicle that is flown when no link is given."""
+
+    autopilot: Literal["arduplane", "px4"] = "arduplane"
+    """Which autopilot it behaves like."""
+    target: str = "walk"
+    """A built-in motion, or a .gpx or .csv track."""
+    speed: float = Field(10.0, gt=0, le=100)
+    """Simulated time over wall time."""
+    seed: int = Field(1, ge=0)
+    """Of all its noise."""
+    wind_speed_m_s: float = Field(0.0, ge=0, le=30)
+    """Steady wind, m/s."""
+    wind_from_deg: float = Field(270.0, ge=0, le=360)
+    """Where the wind comes from, degrees clockwise from north."""
+
+
+class Config(_Section):
+    """Everything a mission needs; every key may be left out."""
+
+    aircraft: AircraftSection = AircraftSection()  # type: ignore[call-arg]  # every field has a default
+    requirement: RequirementSection = RequirementSection()  # type: ignore[call-arg]
+    planner: PlannerSection = PlannerSection()  # type: ignore[call-arg]
+    sensors: SensorsSection = SensorsSection()  # type: ignore[call-arg]
+    link: LinkSection = LinkSection()  # type: ignore[call-arg]
+    fences: FencesSection = FencesSection()  # type: ignore[call-arg]
+    simulation: SimulationSection = SimulationSection()  # type: ignore[call-arg]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        aircraft, requirement = self.aircraft.aircraft(), self.requirement
+        if aircraft.radius_m < aircraft.least_radius_m:
+            raise ValueError(
+                f"aircraft.radius_m = {aircraft.radius_m:g} is tighter than the aircraft flies: "
+                f"{aircraft.least_radius_m:.1f} m at {aircraft.airspeed_m_s:g} m/s and "
+                f"{self.aircraft.bank_max_deg:g} degrees of bank; set at least {math.ceil(aircraft.least_radius_m)}"
+            )
+        least_max_m = requirement.range_min_m + 2.0 * aircraft.radius_m
+        if requirement.range_max_m < least_max_m:
+            raise ValueError(
+                f"requirement.range_max_m = {requirement.range_max_m:g} leaves no room for a circle of "
+                f"{aircraft.radius_m:g} m beside range_min_m; set at least {least_max_m:g}"
+            )
+        return self
+
+
+def load_config(path: Path | None, overrides: dict[str, dict[str, Any]] | None = None) -> Config:
+    """Return the configuration of a TOML file (or the defaults), with ``overrides`` by section and key on top.
+
+    Overrides of None are ignored, so that command-line options can be passed as they are.
+    Raises InputError naming the file and the field.
+    """
+    values: dict[str, Any] = {}
+    name = "command line"
+    if path is not None:
+        name = str(path)
+        try:
+            values = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a TOML file.") from error
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"{path}: is not valid TOML: {error}.") from error
+    for section, keys in (overrides or {}).items():
+        given = {key: value for key, value in keys.items() if value is not None}
+        if given and isinstance(values.setdefault(section, {}), dict):
+            values[section] |= given
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        raise InputError(f"{name}: {_sentence(error)}") from error
+
+
+def _sentence(error: ValidationError) -> str:
+    """Return the first problem as one sentence that names the field and what would be right."""
+    problem = error.errors()[0]
+    where = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        return f"unknown key {where}; known there: {', '.join(_known_keys(problem['loc']))}."
+    if problem["type"] == "value_error":
+        return f"{problem['ctx']['error']}."
+    message = problem["msg"][0].lower() + problem["msg"][1:]
+    return f"{where} = {problem['input']!r}: {message}."
+
+
+def _known_keys(location: tuple[int | str, ...]) -> list[str]:
+    model: Any = Config
+    for part in location[:-1]:
+        model = model.model_fields[part].annotation
+    return list(model.model_fields)
