@@ -1,0 +1,41 @@
+"""Where a new line goes in the vehicle's mission, so that an upload never disturbs the one being flown.
+
+An upload replaces the whole list, and ArduPlane stores items as they arrive. So the items of the present line keep
+their places in every upload, and the new line goes where it cannot be reached from there: the present line ends in
+a circle that never completes. Wherever the upload is cut, the vehicle flies on as before::
+
+    [head] [present line ...circle] [new line ...circle]      after it, or
+    [head] [new line ...circle] [present line ...circle]      before it, if it fits into the room there
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from app.link import RawItem
+
+
+@dataclass(frozen=True, slots=True)
+class Slots:
+    """The vehicle's mission: ``items`` with the present line at [first, end). ``head`` items stay in front."""
+
+    items: tuple[RawItem, ...]
+    head: int
+    first: int
+    end: int
+
+    def with_line(self, line: Sequence[RawItem]) -> Slots:
+        """Return the mission that holds the present line where it is and ``line`` as the next; first is its start."""
+        present = self.items[self.first : self.end]
+        room = self.first - self.head
+        if len(line) <= room:
+            padding = (line[-1],) * (room - len(line))
+            items = (*self.items[: self.head], *line, *padding, *present)
+            return Slots(items, self.head, self.head, self.head + len(line))
+        items = (*self.items[: self.end], *line)
+        return Slots(items, self.head, self.end, self.end + len(line))
+
+    def closed_by(self, tail: Sequence[RawItem]) -> Slots:
+        """Return the mission with items after it that are never reached (PX4 wants a landing)."""
+        return replace(self, items=(*self.items, *tail))
