@@ -1,0 +1,33 @@
+"""The ellipse that holds the truth with a stated probability."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+
+@dataclass(frozen=True, slots=True)
+class Ellipse:
+    """semi_major_m points along the compass angle ``orientation_rad``, in [0, pi)."""
+
+    semi_major_m: float
+    semi_minor_m: float
+    orientation_rad: float
+
+
+def confidence_ellipse(covariance: npt.NDArray[np.float64], probability: float = 0.95) -> Ellipse:
+    """Return the ellipse of a (2, 2) position covariance, east and north, m^2.
+
+    Two Gaussian coordinates lie within k sigma with probability 1 - exp(-k^2 / 2).
+    """
+    k = math.sqrt(-2.0 * math.log(1.0 - probability))
+    variance_e, variance_n, cross = float(covariance[0, 0]), float(covariance[1, 1]), float(covariance[0, 1])
+    middle = (variance_e + variance_n) / 2
+    half_spread = math.hypot((variance_e - variance_n) / 2, cross)
+    orientation_rad = math.atan2(2 * cross, variance_n - variance_e) / 2
+    return Ellipse(
+        k * math.sqrt(middle + half_spread), k * math.sqrt(max(middle - half_spread, 0.0)), orientation_rad % math.pi
+    )

@@ -1,0 +1,78 @@
+"""What the estimation is told: the sensors' errors, where they sit, which of them to use, and when to give up."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from estimators.readings import Source
+
+
+@dataclass(frozen=True, slots=True)
+class SourceChoice:
+    """Which device to listen to; None matches any."""
+
+    message: str | None = None
+    component_id: int | None = None
+    sensor_id: int | None = None
+    orientation: int | None = None
+
+    def matches(self, source: Source) -> bool:
+        return all(
+            wanted is None or wanted == found
+            for wanted, found in (
+                (self.message, source.message),
+                (self.component_id, source.component_id),
+                (self.sensor_id, source.sensor_id),
+                (self.orientation, source.orientation),
+            )
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerSettings:
+    """Sigmas are one standard deviation. A calibration sigma of 0 switches its estimation off."""
+
+    filter: Literal["imm", "ekf", "ukf"] = "imm"
+
+    range_sigma_m: float = 0.8
+    """Slant range, where the sensor tells no sigma of its own."""
+    yaw_sigma_rad: float = math.radians(0.35)
+    pitch_sigma_rad: float = math.radians(0.35)
+    """Line of sight."""
+    attitude_sigma_rad: float = math.radians(0.3)
+    """Aircraft attitude: adds to the line of sight where the gimbal is measured against the aircraft."""
+    position_sigma_m: float = 0.3
+    """Aircraft position, each axis: what changes between sightings, not the common offset."""
+
+    latency_s: float = 0.0
+    """How much earlier than their stamps range and line of sight were measured."""
+    range_source: SourceChoice | None = None
+    gimbal_source: SourceChoice | None = None
+    """None chooses by itself."""
+    lever_arm_body_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """From the aircraft's position to the gimbal: forward, right, down."""
+    mount_roll_pitch_yaw_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """How the gimbal's base is turned against the airframe; of no effect on an earth-frame gimbal."""
+
+    quality_min: float = 0.5
+    """Ranges of a lower signal quality (0..1) are rejected."""
+    gate_nis: float = 16.0
+    """Sightings of a larger normalised innovation squared are rejected: 0.03 % of the good ones."""
+    reopen_after: int = 6
+    """So many rejected sightings in a row that agree with one another restart the track."""
+    coasting_after_s: float = 1.0
+    lost_after_s: float = 60.0
+    lost_sigma_m: float = 100.0
+    """A track is lost after so long without a sighting, or at so large a position sigma."""
+
+    yaw_bias_sigma_rad: float = math.radians(1.0)
+    pitch_bias_sigma_rad: float = math.radians(0.5)
+    range_bias_sigma_m: float = 0.0
+    """What is known beforehand of the constant errors of gimbal and laser."""
+
+    target_speed_sigma_m_s: float = 5.0
+    """Each axis, before the first sightings."""
+    acceleration_density_m2_s3: float = 0.03
+    """White acceleration of a target that holds its course."""
