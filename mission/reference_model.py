@@ -1,0 +1,42 @@
+"""Where a target that never moved would be seen, and what the difference tells (equations 1-8)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from estimators.frames import bearing_rad
+
+
+@dataclass(frozen=True, slots=True)
+class RelativePosition:
+    """The target as the aircraft sees it: horizontal range l and bearing theta."""
+
+    range_m: float
+    bearing_rad: float
+
+    @staticmethod
+    def of(east_m: float, north_m: float) -> RelativePosition:
+        """Return the polar form of target minus aircraft; the bearing of a target right below is 0."""
+        return RelativePosition(math.hypot(east_m, north_m), bearing_rad(east_m, north_m))
+
+    @property
+    def east_m(self) -> float:
+        return self.range_m * math.sin(self.bearing_rad)
+
+    @property
+    def north_m(self) -> float:
+        return self.range_m * math.cos(self.bearing_rad)
+
+    def after_flying(self, east_m: float, north_m: float) -> RelativePosition:
+        """Return where a stationary target is seen once the aircraft has flown (east, north).
+
+        This is the exact integral of l' = -v cos(theta - psi), theta' = (v / l) sin(theta - psi) (1-4) over any
+        course and speed, wind included, so it does not drift with the step.
+        """
+        return RelativePosition.of(self.east_m - east_m, self.north_m - north_m)
+
+
+def displacement_m(measured: RelativePosition, reference: RelativePosition) -> tuple[float, float]:
+    """Return the error vector e (east, north): how far the target is from where a stationary one would be (5-8)."""
+    return measured.east_m - reference.east_m, measured.north_m - reference.north_m

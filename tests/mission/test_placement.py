@@ -1,0 +1,40 @@
+import math
+
+import pytest
+
+from mission.circle import Circle
+from mission.placement import circle_beside, circle_towards, fits_band, shifted, stand_off_m
+from mission.requirement import Aircraft, Requirement, Side
+
+AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
+
+
+def requirement(side: Side = Side.LEFT, range_max_m: float = 500.0) -> Requirement:
+    return Requirement(100.0, range_max_m, side, 3.0)
+
+
+def test_left_of_a_target_that_drives_east_is_north_and_flown_clockwise() -> None:
+    assert circle_beside(10.0, 20.0, math.pi / 2, AIRCRAFT, requirement()) == Circle(
+        pytest.approx(10.0), pytest.approx(170.0), 50.0, True
+    )
+
+
+def test_right_of_a_target_that_drives_north_is_east_and_flown_counter_clockwise() -> None:
+    assert circle_beside(0.0, 0.0, 0.0, AIRCRAFT, requirement(Side.RIGHT)) == Circle(
+        pytest.approx(150.0), pytest.approx(0.0, abs=1e-9), 50.0, False
+    )
+
+
+def test_a_target_that_has_not_moved_is_watched_from_where_the_aircraft_is() -> None:
+    circle = circle_towards(0.0, 0.0, math.radians(225.0), AIRCRAFT, requirement())
+    assert (circle.east_m, circle.north_m) == pytest.approx((-150 * math.sqrt(0.5), -150 * math.sqrt(0.5)))
+
+
+def test_the_circle_touches_the_least_range_and_must_fit_the_greatest() -> None:
+    assert stand_off_m(AIRCRAFT, requirement()) == 150.0
+    assert fits_band(AIRCRAFT, requirement(range_max_m=200.0))
+    assert not fits_band(AIRCRAFT, requirement(range_max_m=199.9))
+
+
+def test_the_regular_step_moves_the_circle_as_the_target_moved() -> None:
+    assert shifted(Circle(1.0, 2.0, 50.0, True), 30.0, -4.0) == Circle(31.0, -2.0, 50.0, True)

@@ -1,0 +1,112 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mission.circle import Circle
+from mission.requirement import Wind
+from mission.transition import abcd
+from mission.wind import (
+    STILL_AIR,
+    LapClock,
+    WindError,
+    WindEstimate,
+    ground_speed_m_s,
+    heading_rad,
+    lap_s,
+    least_radius_m,
+    path_times_s,
+)
+
+
+@pytest.mark.parametrize(
+    ("course_deg", "speed_m_s"),
+    [(90.0, 13.0), (270.0, 7.0), (0.0, math.sqrt(91.0)), (180.0, math.sqrt(91.0))],
+)
+def test_ground_speed_in_a_wind_that_blows_east(course_deg: float, speed_m_s: float) -> None:
+    assert ground_speed_m_s(math.radians(course_deg), 10.0, Wind(3.0, 0.0)) == pytest.approx(speed_m_s)
+
+
+@given(course_rad=st.floats(-math.pi, math.pi), east_m_s=st.floats(-6, 6), north_m_s=st.floats(-6, 6))
+def test_the_wind_triangle_closes(course_rad: float, east_m_s: float, north_m_s: float) -> None:
+    wind = Wind(east_m_s, north_m_s)
+    speed_m_s = ground_speed_m_s(course_rad, 10.0, wind)
+    heading = heading_rad(course_rad, 10.0, wind)
+    assert 10.0 * math.sin(heading) + east_m_s == pytest.approx(speed_m_s * math.sin(course_rad), abs=1e-9)
+    assert 10.0 * math.cos(heading) + north_m_s == pytest.approx(speed_m_s * math.cos(course_rad), abs=1e-9)
+
+
+def test_a_wind_as_strong_as_the_aircraft_is_an_error() -> None:
+    with pytest.raises(WindError, match="too strong"):
+        lap_s(50.0, 10.0, Wind(0.0, 10.0))
+
+
+def test_a_lap_in_still_air_and_its_lengthening_in_wind() -> None:
+    assert lap_s(50.0, 10.0, STILL_AIR) == pytest.approx(2.0 * math.pi * 5.0)
+    assert lap_s(50.0, 10.0, Wind(1.0, 0.0)) == pytest.approx(2.0 * math.pi * 5.0 * 1.0075, rel=1e-3)
+
+
+@given(turn_rad=st.floats(-20.0, 20.0), clockwise=st.booleans())
+def test_the_lap_clock_reads_both_ways(turn_rad: float, clockwise: bool) -> None:
+    clock = LapClock(Circle(0.0, 0.0, 80.0, clockwise), 15.0, Wind(3.0, -2.0))
+    assert clock.turn_rad(clock.time_s(turn_rad)) == pytest.approx(turn_rad, abs=1e-9)
+
+
+@pytest.mark.parametrize("clockwise", [True, False])
+def test_the_lap_is_flown_faster_where_the_wind_is_astern(clockwise: bool) -> None:
+    clock = LapClock(Circle(0.0, 0.0, 80.0, clockwise), 15.0, Wind(4.0, 0.0))
+    to_east_rad = math.pi / 2 if clockwise else 3 * math.pi / 2  # of turn, from north
+    fast_s = clock.time_s(to_east_rad + 0.1) - clock.time_s(to_east_rad - 0.1)
+    assert fast_s == pytest.approx(0.2 * 80.0 / 19.0, rel=1e-2)
+
+
+def test_flight_time_of_a_path() -> None:
+    path = abcd(Circle(0.0, 0.0, 50.0, True), Circle(2000.0, 0.0, 50.0, True))
+    still_s = path_times_s(path, 10.0, STILL_AIR)
+    assert np.allclose(still_s, path.arc_m / 10.0)
+    assert path_times_s(path, 10.0, Wind(5.0, 0.0))[-1] < 0.75 * still_s[-1]
+
+
+def test_the_radius_allows_for_the_bank_where_the_wind_is_astern() -> None:
+    assert least_radius_m(10.0, Wind(3.0, 0.0), math.radians(45.0)) == pytest.approx(13.0**2 / 9.80665)
+
+
+def fly_circles(wind: Wind, airspeed_scale: float, seed: int, laps: float) -> WindEstimate:
+    """Two readings a second on a circle, with noise of 0.3 m/s on ground velocity and airspeed."""
+    rng = np.random.default_rng(seed)
+    clock = LapClock(Circle(0.0, 0.0, 80.0, True), 15.0, wind)
+    estimate = WindEstimate()
+    for time_s in np.arange(0.0, laps * clock.lap_s, 0.5):
+        course_rad = clock.turn_rad(float(time_s))
+        speed_m_s = ground_speed_m_s(course_rad, 15.0, wind)
+        estimate = estimate.updated(
+            speed_m_s * math.sin(course_rad) + rng.normal(0.0, 0.3),
+            speed_m_s * math.cos(course_rad) + rng.normal(0.0, 0.3),
+            15.0 * airspeed_scale + rng.normal(0.0, 0.3),
+            0.5,
+        )
+    return estimate
+
+
+@pytest.mark.parametrize("airspeed_scale", [1.0, 1.08])
+def test_circling_finds_the_wind_even_with_an_airspeed_that_reads_wrong(airspeed_scale: float) -> None:
+    for seed in range(5):
+        estimate = fly_circles(Wind(-2.0, 4.0), airspeed_scale, seed, laps=3.0)
+        assert math.hypot(estimate.wind.east_m_s + 2.0, estimate.wind.north_m_s - 4.0) < 0.3
+        assert estimate.sigma_m_s < 0.3
+
+
+def test_the_error_stays_within_three_sigma() -> None:
+    errors = [fly_circles(Wind(3.0, 1.0), 1.0, seed, laps=1.0) for seed in range(20)]
+    assert all(
+        math.hypot(e.wind.east_m_s - 3.0, e.wind.north_m_s - 1.0) < 3.0 * math.sqrt(2.0) * e.sigma_m_s for e in errors
+    )
+
+
+def test_straight_flight_leaves_the_wind_uncertain() -> None:
+    estimate = WindEstimate()
+    for _ in range(600):
+        estimate = estimate.updated(15.0, 0.0, 15.0, 1.0)
+    assert 5.0 < estimate.sigma_m_s < 40.0
