@@ -1,0 +1,73 @@
+"""ArduPlane: item 0 is home, arm before AUTO, whole metres of radius, a mission ends in a circle or goes home."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import ClassVar
+
+from pymavlink import mavutil
+
+from app.autopilot import Home, Limits, raw_item, select_by_message
+from app.link import RawItem
+from app.vehicle import Answer, Vehicle
+from mission.items import Item
+
+_mav = mavutil.mavlink
+_CUSTOM_MODE_ENABLED = 1
+_AUTO, _RTL = 10, 11
+
+
+class ArduPlane:
+    """``Autopilot`` for ArduPlane 4.x."""
+
+    name = "ArduPlane"
+    mission_mode = "AUTO"
+    meanings: ClassVar[Mapping[str, Mapping[float, str]]] = {
+        "WP_LOITER_RAD": {},
+        "WP_RADIUS": {},
+        "FS_GCS_ENABL": {0.0: "losing the link does nothing: it circles on for ever"},
+        "FS_LONG_ACTN": {},
+        "FENCE_ENABLE": {},
+    }
+
+    def head(self, home: Home) -> tuple[RawItem, ...]:
+        # Whatever is put at 0 is silently replaced by home: put home there.
+        return (
+            RawItem(
+                _mav.MAV_CMD_NAV_WAYPOINT,
+                _mav.MAV_FRAME_GLOBAL,
+                0.0,
+                0.0,
+                0.0,
+                0.0,
+                round(home.latitude_deg * 1e7),
+                round(home.longitude_deg * 1e7),
+                home.altitude_m,
+            ),
+        )
+
+    def tail(self, home: Home) -> tuple[RawItem, ...]:
+        return ()
+
+    def raw(self, item: Item) -> RawItem:
+        raw = raw_item(item)
+        if item.command == _mav.MAV_CMD_NAV_LOITER_UNLIM:
+            return replace(raw, param3=float(round(raw.param3)))
+        return raw
+
+    async def arm(self, vehicle: Vehicle) -> Answer:
+        return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+
+    async def start_mission(self, vehicle: Vehicle) -> Answer:
+        return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO)
+
+    async def select(self, vehicle: Vehicle, index: int) -> bool:
+        return await select_by_message(vehicle, index)
+
+    async def return_home(self, vehicle: Vehicle) -> Answer:
+        return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _RTL)
+
+    async def limits(self, vehicle: Vehicle) -> Limits:
+        names = ("ROLL_LIMIT_DEG", "AIRSPEED_MIN", "AIRSPEED_MAX", "AIRSPEED_CRUISE")
+        return Limits(*[await vehicle.link.parameter(name) for name in names])

@@ -1,0 +1,145 @@
+"""What differs between autopilots, as one Protocol; ``app.arduplane`` and ``app.px4`` fill it in.
+
+The rest of the program does not know which one it flies.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from app.link import RawItem
+from app.vehicle import Answer, Vehicle
+from mission.items import Item
+
+_COMPARED_METRES_AS_DEGREES_E7 = 3  # stored coordinates may lose the last digit on the way
+_COMPARED_PARAM = 0.6  # ArduPlane keeps whole metres of radius
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """Where heights count from."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the autopilot's parameters allow; None where it has no such parameter."""
+
+    bank_max_deg: float | None
+    airspeed_min_m_s: float | None
+    airspeed_max_m_s: float | None
+    airspeed_cruise_m_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterNote:
+    """A parameter that matters here, its value, and what it means for the mission ('' when all is well)."""
+
+    name: str
+    value: float | None
+    note: str = ""
+
+
+class Autopilot(Protocol):
+    """One kind of autopilot."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def mission_mode(self) -> str:
+        """The flight mode, by name, in which it flies a mission."""
+        ...
+
+    @property
+    def meanings(self) -> Mapping[str, Mapping[float, str]]:
+        """The parameters that matter for the mission, and which values deserve a word."""
+        ...
+
+    def head(self, home: Home) -> tuple[RawItem, ...]:
+        """Return the items that stand in front of every mission."""
+        ...
+
+    def tail(self, home: Home) -> tuple[RawItem, ...]:
+        """Return the items that close every mission without ever being reached."""
+        ...
+
+    def raw(self, item: Item) -> RawItem:
+        """Return the item as this autopilot stores it."""
+        ...
+
+    async def arm(self, vehicle: Vehicle) -> Answer: ...
+
+    async def start_mission(self, vehicle: Vehicle) -> Answer: ...
+
+    async def select(self, vehicle: Vehicle, index: int) -> bool:
+        """Fly mission item ``index`` from now on; True when the vehicle says that it does."""
+        ...
+
+    async def return_home(self, vehicle: Vehicle) -> Answer: ...
+
+    async def limits(self, vehicle: Vehicle) -> Limits: ...
+
+
+async def parameter_notes(vehicle: Vehicle, autopilot: Autopilot) -> tuple[ParameterNote, ...]:
+    """Return the parameters that matter, with what their values mean."""
+    notes = []
+    for name, meanings in autopilot.meanings.items():
+        value = await vehicle.link.parameter(name)
+        notes.append(ParameterNote(name, value, "" if value is None else meanings.get(value, "")))
+    return tuple(notes)
+
+
+def raw_item(item: Item) -> RawItem:
+    """Return the item in MISSION_ITEM_INT's units, without any autopilot's habits."""
+    return RawItem(
+        command=item.command,
+        frame=item.frame,
+        param1=item.param1,
+        param2=item.param2,
+        param3=item.param3,
+        param4=item.param4,
+        x=round(item.latitude_deg * 1e7),
+        y=round(item.longitude_deg * 1e7),
+        z=item.height_m,
+        autocontinue=int(item.autocontinue),
+    )
+
+
+def same_items(sent: Sequence[RawItem], held: Sequence[RawItem]) -> bool:
+    """Tell whether the vehicle holds what was sent, up to its own rounding."""
+    return len(sent) == len(held) and all(map(_same, sent, held))
+
+
+def _same(a: RawItem, b: RawItem) -> bool:
+    return (
+        a.command == b.command
+        and abs(a.x - b.x) <= _COMPARED_METRES_AS_DEGREES_E7
+        and abs(a.y - b.y) <= _COMPARED_METRES_AS_DEGREES_E7
+        and abs(a.z - b.z) <= _COMPARED_PARAM
+        and all(
+            math.isnan(x) or math.isnan(y) or abs(x - y) <= _COMPARED_PARAM
+            for x, y in ((a.param1, b.param1), (a.param3, b.param3))
+        )
+    )
+
+
+async def select_by_message(vehicle: Vehicle, index: int) -> bool:
+    """Send MISSION_SET_CURRENT until MISSION_CURRENT tells that the item, or a later one of its line, is flown."""
+    for _ in range(5):
+        await vehicle.link.send(
+            "MISSION_SET_CURRENT",
+            {"target_system": vehicle.system_id, "target_component": 1, "seq": index},
+        )
+        said = await vehicle.wait_for(
+            lambda message: message.name == "MISSION_CURRENT" and message.fields["seq"] >= index, 0.4
+        )
+        if said is not None:
+            return True
+    return False

@@ -1,0 +1,67 @@
+"""PX4: acknowledgements prove nothing, so look at the mode flown; a mission needs a landing at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+from pymavlink import mavutil
+
+from app.autopilot import Home, Limits, raw_item, select_by_message
+from app.link import RawItem
+from app.vehicle import Answer, Vehicle
+from mission.items import Item
+
+_mav = mavutil.mavlink
+_CUSTOM_MODE_ENABLED = 1
+_AUTO, _MISSION, _RTL = 4, 4, 5
+_LANDING_HEIGHT_M = 50.0
+
+
+class Px4:
+    """``Autopilot`` for PX4 1.15 and later."""
+
+    name = "PX4"
+    mission_mode = "MISSION"
+    meanings: ClassVar[Mapping[str, Mapping[float, str]]] = {
+        "NAV_LOITER_RAD": {},
+        "NAV_DLL_ACT": {
+            0.0: "losing the link does nothing: it circles on for ever",
+            5.0: "losing the link ends the flight: set 0 or 2",
+        },
+        "MIS_TKO_LAND_REQ": {},
+        "GF_ACTION": {},
+    }
+
+    def head(self, home: Home) -> tuple[RawItem, ...]:
+        return ()
+
+    def tail(self, home: Home) -> tuple[RawItem, ...]:
+        # MIS_TKO_LAND_REQ 2, the fixed-wing default, drops a mission without a landing to HOLD. The circle before
+        # it never completes, so these items are only reached when somebody asks for the landing.
+        x, y = round(home.latitude_deg * 1e7), round(home.longitude_deg * 1e7)
+        frame, nan = _mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, float("nan")
+        return (
+            RawItem(_mav.MAV_CMD_DO_LAND_START, _mav.MAV_FRAME_MISSION, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0),
+            RawItem(_mav.MAV_CMD_NAV_LOITER_TO_ALT, frame, 0.0, 80.0, 0.0, 1.0, x, y, _LANDING_HEIGHT_M),
+            RawItem(_mav.MAV_CMD_NAV_LAND, frame, 0.0, 0.0, 0.0, nan, x, y, 0.0),
+        )
+
+    def raw(self, item: Item) -> RawItem:
+        return raw_item(item)
+
+    async def arm(self, vehicle: Vehicle) -> Answer:
+        return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+
+    async def start_mission(self, vehicle: Vehicle) -> Answer:
+        return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO, _MISSION)
+
+    async def select(self, vehicle: Vehicle, index: int) -> bool:
+        return await select_by_message(vehicle, index)
+
+    async def return_home(self, vehicle: Vehicle) -> Answer:
+        return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO, _RTL)
+
+    async def limits(self, vehicle: Vehicle) -> Limits:
+        names = ("FW_R_LIM", "FW_AIRSPD_MIN", "FW_AIRSPD_MAX", "FW_AIRSPD_TRIM")
+        return Limits(*[await vehicle.link.parameter(name) for name in names])
