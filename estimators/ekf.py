@@ -1,4 +1,4 @@
-"""Extended Kalman filter of one constant-velocity target, on filterpy."""
+"""Extended Kalman filter of a target that holds its velocity, on filterpy."""
 
 from __future__ import annotations
 
@@ -8,80 +8,78 @@ from typing import Self
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
+from estimators.biases import Biases, measurement_by_biases
+from estimators.motion import HEIGHT_DENSITY_M2_S, add_white_acceleration, cruise
 from estimators.settings import TrackerSettings
-from estimators.sighting import Sighting
-from estimators.target_filter import Biases, FloatArray
-
-_UNKNOWN_PLACE_M = 1e4
-_BIAS_DRIFT_RAD2_S = 1e-11  # 0.006 degrees in 1,000 s: keeps the calibration from closing for good
+from estimators.sighting import AnySighting
+from estimators.target_filter import (
+    BIASES,
+    EAST,
+    HEIGHT,
+    NORTH,
+    PLACE,
+    VELOCITY_E,
+    VELOCITY_N,
+    FloatArray,
+    bias_drift,
+    starting_state,
+)
 
 
 class TargetEkf:
-    """State: position, velocity, then the calibrated biases.
+    """One constant-velocity model: cheap, and lags where the target turns or stops."""
 
-    The sighting, corrected by the biases known so far, is compared with the position: linear in the position, so
-    that a bad first guess does no harm, and linearised in the biases alone.
-    """
-
-    def __init__(self, settings: TrackerSettings, sighting: Sighting, biases: Biases) -> None:
+    def __init__(self, settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> None:
         self.time_s = sighting.time_s
-        self._density = settings.acceleration_density_m2_s3
-        self._calibrated = np.flatnonzero(np.diag(biases.covariance) > 0.0)
-        self._known = biases.mean.copy()
-        size = 4 + len(self._calibrated)
-        self._kf = ExtendedKalmanFilter(dim_x=size, dim_z=2)
-        self._kf.x = np.concatenate(((sighting.east_m, sighting.north_m, 0.0, 0.0), biases.mean[self._calibrated]))
-        self._kf.P = np.zeros((size, size))
-        self._kf.P[(0, 1), (0, 1)] = _UNKNOWN_PLACE_M**2
-        self._kf.P[(2, 3), (2, 3)] = settings.target_speed_sigma_m_s**2
-        self._kf.P[4:, 4:] = biases.covariance[np.ix_(self._calibrated, self._calibrated)]
-        self._kf.Q = np.zeros((size, size))
-        self._kf.F = np.eye(size)
-        self.update(sighting)
+        self._density_m2_s3 = settings.acceleration_density_m2_s3
+        self._prior = biases
+        self._estimated = biases.estimated
+        self._drift = bias_drift(self._estimated)
+        mean, covariance = starting_state(settings, sighting, biases)
+        self._kf = ExtendedKalmanFilter(dim_x=len(mean), dim_z=3)
+        self._kf.x, self._kf.P = mean, covariance
 
     def predict(self, time_s: float) -> None:
         step_s = time_s - self.time_s
+        self.time_s = time_s
         if step_s <= 0.0:
             return
-        f, q = self._kf.F, self._kf.Q
-        f[0, 2] = f[1, 3] = step_s
-        q[0, 0] = q[1, 1] = self._density * step_s**3 / 3
-        q[0, 2] = q[1, 3] = q[2, 0] = q[3, 1] = self._density * step_s**2 / 2
-        q[2, 2] = q[3, 3] = self._density * step_s
-        for i in range(4, len(f)):
-            q[i, i] = _BIAS_DRIFT_RAD2_S * step_s
-        self._kf.predict()
-        self.time_s = time_s
+        kf = self._kf
+        kf.F = cruise(kf.dim_x, step_s)
+        kf.Q = np.zeros((kf.dim_x, kf.dim_x))
+        add_white_acceleration(kf.Q, self._density_m2_s3, step_s)
+        kf.Q[HEIGHT, HEIGHT] = HEIGHT_DENSITY_M2_S * step_s
+        for i, drift in enumerate(self._drift, start=BIASES):
+            kf.Q[i, i] = drift * step_s
+        kf.predict()
 
-    def nis(self, sighting: Sighting) -> float:
-        residual, h = self._residual(sighting)
-        s = h @ self._kf.P @ h.T + sighting.covariance
-        return float(residual @ np.linalg.solve(s, residual))
-
-    def update(self, sighting: Sighting, noise_scale: float = 1.0) -> None:
-        residual, h = self._residual(sighting)
-        self._kf.update(residual, lambda _x: h, lambda _x: 0.0, R=noise_scale * sighting.covariance)
-
-    def _residual(self, sighting: Sighting) -> tuple[FloatArray, FloatArray]:
-        bias = self._known
-        bias[self._calibrated] = self._kf.x[4:]
-        east_m, north_m, jacobian = sighting.corrected(*bias)
-        h = np.hstack((np.eye(2, 4), jacobian[:, self._calibrated]))
-        return np.array((east_m - self._kf.x[0], north_m - self._kf.x[1])), h
+    def update(self, sighting: AnySighting, gate_nis: float) -> float:
+        kf = self._kf
+        east_m, north_m, height_m = float(kf.x[EAST]), float(kf.x[NORTH]), float(kf.x[HEIGHT])
+        by_place = np.array(sighting.measurement_by_place(east_m, north_m, height_m))
+        by_bias = measurement_by_biases(sighting, by_place, float(kf.x[VELOCITY_E]), float(kf.x[VELOCITY_N]))
+        jacobian = np.zeros((3, kf.dim_x))
+        jacobian[:, PLACE] = by_place
+        jacobian[:, BIASES:] = by_bias[:, self._estimated]
+        bias_mean = self._prior.mean.copy()
+        bias_mean[self._estimated] = kf.x[BIASES:]
+        # The residual is taken here, where bearings wrap; the filter is given it as a measurement of zero.
+        residual = np.array(sighting.residual(east_m, north_m, height_m)) - by_bias @ bias_mean
+        noise = np.diag(sighting.variances)
+        spread = jacobian @ kf.P @ jacobian.T + noise
+        nis = float(residual @ np.linalg.solve(spread, residual))
+        if nis <= gate_nis:
+            kf.update(residual, lambda _: jacobian, lambda _: 0.0, R=noise)
+        return nis
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
         return self._kf.x[:4], self._kf.P[:4, :4]
 
     def biases(self) -> Biases:
-        mean, covariance = self._known.copy(), np.zeros((3, 3))
-        mean[self._calibrated] = self._kf.x[4:]
-        covariance[np.ix_(self._calibrated, self._calibrated)] = self._kf.P[4:, 4:]
-        return Biases(mean, covariance)
+        return self._prior.updated(self._kf.x[BIASES:], self._kf.P[BIASES:, BIASES:])
 
     def copy(self) -> Self:
         other = copy.copy(self)
-        # filterpy puts new arrays in place of x and P, and never writes into the old ones.
+        # filterpy replaces its arrays and never writes into them.
         other._kf = copy.copy(self._kf)
-        other._kf.F, other._kf.Q = self._kf.F.copy(), self._kf.Q.copy()
-        other._known = self._known.copy()
         return other

@@ -45,7 +45,7 @@ def line_of_sight(
     return LineOfSight(math.atan2(east, north), math.atan2(down, math.hypot(north, east)))
 
 
-def lever_arm_plane_m(lever_arm_body_m: Vector, attitude: AttitudeReading) -> tuple[float, float]:
-    """Return (east, north) from the aircraft's position to its gimbal."""
-    north, east, _ = rotate(ned_from_body(attitude), lever_arm_body_m)
-    return east, north
+def lever_arm_plane_m(lever_arm_body_m: Vector, attitude: AttitudeReading) -> Vector:
+    """Return (east, north, up) from the aircraft's position to its gimbal."""
+    north, east, down = rotate(ned_from_body(attitude), lever_arm_body_m)
+    return east, north, -down

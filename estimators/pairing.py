@@ -6,6 +6,7 @@ up after ``_WAIT_S``.
 
 from __future__ import annotations
 
+import math
 from bisect import insort
 from operator import attrgetter
 
@@ -14,7 +15,7 @@ from estimators.pose import History, PoseHistory
 from estimators.readings import AttitudeReading, GimbalReading, RangeReading
 from estimators.rotations import from_roll_pitch_yaw, interpolated
 from estimators.settings import TrackerSettings
-from estimators.sighting import Sighting, sighting_from_angles
+from estimators.sighting import Sighting
 
 _WAIT_S = 1.5
 _GIMBAL_GAP_MAX_S = 1.0
@@ -64,21 +65,27 @@ class Pairing:
         sight = self._sight_at(reading.time_s, attitude)
         if position is None or sight is None:
             return None
-        east_m, north_m = position.east_m, position.north_m
+        east_m, north_m, height_m = position.east_m, position.north_m, position.height_m
         if attitude is not None and any(settings.lever_arm_body_m):
-            arm_east_m, arm_north_m = lever_arm_plane_m(settings.lever_arm_body_m, attitude)
-            east_m, north_m = east_m + arm_east_m, north_m + arm_north_m
-        return sighting_from_angles(
+            arm_east_m, arm_north_m, arm_up_m = lever_arm_plane_m(settings.lever_arm_body_m, attitude)
+            east_m, north_m, height_m = east_m + arm_east_m, north_m + arm_north_m, height_m + arm_up_m
+        range_m = reading.slant_range_m
+        return Sighting(
             time_s=reading.time_s,
-            slant_range_m=reading.slant_range_m,
+            slant_range_m=range_m,
             bearing_rad=sight.bearing_rad,
             depression_rad=sight.depression_rad,
+            # The same position error in all three axes adds to each measured number by itself.
+            range_sigma_m=math.hypot(reading.sigma_m or settings.range_sigma_m, settings.position_sigma_m),
+            bearing_sigma_rad=math.hypot(
+                settings.yaw_sigma_rad, settings.position_sigma_m / (range_m * math.cos(sight.depression_rad))
+            ),
+            depression_sigma_rad=math.hypot(settings.pitch_sigma_rad, settings.position_sigma_m / range_m),
             aircraft_east_m=east_m,
             aircraft_north_m=north_m,
-            range_sigma_m=reading.sigma_m or settings.range_sigma_m,
-            bearing_sigma_rad=settings.yaw_sigma_rad,
-            depression_sigma_rad=settings.pitch_sigma_rad,
-            position_sigma_m=settings.position_sigma_m,
+            aircraft_height_m=height_m,
+            aircraft_velocity_east_m_s=position.velocity_east_m_s,
+            aircraft_velocity_north_m_s=position.velocity_north_m_s,
             quality=reading.quality,
         )
 

@@ -58,8 +58,8 @@ class TrackerSettings:
 
     quality_min: float = 0.5
     """Ranges of a lower signal quality (0..1) are rejected."""
-    gate_nis: float = 16.0
-    """Sightings of a larger normalised innovation squared are rejected: 0.03 % of the good ones."""
+    gate_nis: float = 20.0
+    """Sightings of a larger normalised innovation squared are rejected: 0.02 % of the good ones."""
     reopen_after: int = 6
     """So many rejected sightings in a row that agree with one another restart the track."""
     coasting_after_s: float = 1.0
@@ -69,8 +69,9 @@ class TrackerSettings:
 
     yaw_bias_sigma_rad: float = math.radians(1.0)
     pitch_bias_sigma_rad: float = math.radians(0.5)
-    range_bias_sigma_m: float = 0.0
-    """What is known beforehand of the constant errors of gimbal and laser."""
+    range_bias_sigma_m: float = 0.5
+    latency_sigma_s: float = 0.0
+    """What is known beforehand of the constant errors of gimbal and laser, and of the latency."""
 
     target_speed_sigma_m_s: float = 5.0
     """Each axis, before the first sightings."""

@@ -1,4 +1,15 @@
-"""A sighting: one laser range and one line of sight, made at one instant, as a place in the local plane."""
+r"""A sighting: one laser range and one line of sight, made at one instant.
+
+The target stands on ground of unknown height; the aircraft's altitude may be off by any constant::
+
+    aircraft --- horizontal_m --->.
+             \ depression         | drop: aircraft height - target height
+              \                   v
+               `--slant range--> target
+
+Three numbers are measured (slant range, bearing, depression) and three are sought (east, north, height), so the
+height is told by the sightings themselves, and horizontal range is slant * cos(depression).
+"""
 
 from __future__ import annotations
 
@@ -8,111 +19,149 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from estimators.frames import wrap_rad
+
+FloatArray = npt.NDArray[np.float64]
+
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
-    """The constant errors of the payload: measured minus true."""
-
-    yaw_bias_rad: float = 0.0
-    pitch_bias_rad: float = 0.0
-    range_bias_m: float = 0.0
-    yaw_sigma_rad: float = 0.0
-    pitch_sigma_rad: float = 0.0
-    range_sigma_m: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """The target as seen from the aircraft at ``time_s``.
+    """The target as seen from the aircraft at ``time_s``. Sigmas are those of the three measured numbers.
 
-    The ground is flat at an unknown height, so the horizontal range is slant * cos(depression) and the aircraft's
-    altitude plays no part. covariance is (2, 2), east and north, m^2. A position from a camera's own tracker has
-    no angles: its ``slant_range_m`` is 0 and no calibration applies to it.
+    The aircraft's height has an arbitrary zero, the same for all sightings; its velocity matters only while the
+    payload's latency is being estimated.
+    """
+
+    time_s: float
+    slant_range_m: float
+    bearing_rad: float
+    depression_rad: float
+    range_sigma_m: float
+    bearing_sigma_rad: float
+    depression_sigma_rad: float
+    aircraft_east_m: float
+    aircraft_north_m: float
+    aircraft_height_m: float = 0.0
+    aircraft_velocity_east_m_s: float = 0.0
+    aircraft_velocity_north_m_s: float = 0.0
+    quality: float | None = None
+
+    @property
+    def horizontal_range_m(self) -> float:
+        return self.slant_range_m * math.cos(self.depression_rad)
+
+    @property
+    def east_m(self) -> float:
+        return self.aircraft_east_m + self.horizontal_range_m * math.sin(self.bearing_rad)
+
+    @property
+    def north_m(self) -> float:
+        return self.aircraft_north_m + self.horizontal_range_m * math.cos(self.bearing_rad)
+
+    @property
+    def height_m(self) -> float:
+        return self.aircraft_height_m - self.slant_range_m * math.sin(self.depression_rad)
+
+    @property
+    def place_by_measurement(self) -> FloatArray:
+        """Derivative (3, 3) of (east, north, height) by (slant range, bearing, depression)."""
+        sin_b, cos_b = math.sin(self.bearing_rad), math.cos(self.bearing_rad)
+        sin_d, cos_d = math.sin(self.depression_rad), math.cos(self.depression_rad)
+        slant_m = self.slant_range_m
+        return np.array(
+            [
+                [cos_d * sin_b, slant_m * cos_d * cos_b, -slant_m * sin_d * sin_b],
+                [cos_d * cos_b, -slant_m * cos_d * sin_b, -slant_m * sin_d * cos_b],
+                [-sin_d, 0.0, -slant_m * cos_d],
+            ]
+        )
+
+    @property
+    def variances(self) -> tuple[float, float, float]:
+        """Of (slant range, bearing, depression)."""
+        return self.range_sigma_m**2, self.bearing_sigma_rad**2, self.depression_sigma_rad**2
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of (east, north), (2, 2), m^2, to first order: at 0.35 degrees and 300 m the rest is 6 mm."""
+        jacobian = self.place_by_measurement[:2]
+        covariance: FloatArray = (jacobian * np.array(self.variances)) @ jacobian.T
+        return covariance
+
+    def residual(self, east_m: float, north_m: float, height_m: float) -> tuple[float, float, float]:
+        """Return measured minus expected (slant range, bearing, depression) of a target at this place."""
+        east, north = east_m - self.aircraft_east_m, north_m - self.aircraft_north_m
+        drop = self.aircraft_height_m - height_m
+        horizontal = math.hypot(east, north)
+        return (
+            self.slant_range_m - math.hypot(horizontal, drop),
+            wrap_rad(self.bearing_rad - math.atan2(east, north)),
+            self.depression_rad - math.atan2(drop, horizontal),
+        )
+
+    def measurement_by_place(self, east_m: float, north_m: float, height_m: float) -> tuple[tuple[float, ...], ...]:
+        """Return the derivative (3, 3) of (slant range, bearing, depression) by (east, north, height) there.
+
+        Within a metre of straight below the aircraft, where the bearing turns over, it is that of one metre off.
+        """
+        east, north = east_m - self.aircraft_east_m, north_m - self.aircraft_north_m
+        drop = self.aircraft_height_m - height_m
+        horizontal = max(math.hypot(east, north), 1.0)
+        slant = math.hypot(horizontal, drop)
+        per_horizontal_2, per_slant_2 = 1.0 / horizontal**2, 1.0 / slant**2
+        steepening = drop / horizontal * per_slant_2
+        return (
+            (east / slant, north / slant, -drop / slant),
+            (north * per_horizontal_2, -east * per_horizontal_2, 0.0),
+            (-east * steepening, -north * steepening, -horizontal * per_slant_2),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """The target's place as a camera's own tracker gives it: no calibration applies. It measures (east, north, -).
+
+    The third number measures nothing, so that both kinds of sighting have three.
     """
 
     time_s: float
     east_m: float
     north_m: float
-    covariance: npt.NDArray[np.float64]
-    slant_range_m: float
-    bearing_rad: float
-    depression_rad: float
-    aircraft_east_m: float
-    aircraft_north_m: float
+    sigma_m: float
+    height_m: float = 0.0
     quality: float | None = None
 
-    def corrected(
-        self, yaw_bias_rad: float, pitch_bias_rad: float, range_bias_m: float
-    ) -> tuple[float, float, npt.NDArray[np.float64]]:
-        """Return (east, north) without these biases, and its negative derivative by (yaw, pitch, range), (2, 3)."""
-        if self.slant_range_m == 0.0:
-            return self.east_m, self.north_m, np.zeros((2, 3))
-        # A positive pitch bias looks too high: the true depression is larger than the measured one.
-        slant_m = self.slant_range_m - range_bias_m
-        bearing_rad = self.bearing_rad - yaw_bias_rad
-        depression_rad = self.depression_rad + pitch_bias_rad
-        sin_b, cos_b = math.sin(bearing_rad), math.cos(bearing_rad)
-        cos_d = math.cos(depression_rad)
-        horizontal_m = slant_m * cos_d
-        drop_m = slant_m * math.sin(depression_rad)
-        jacobian = np.array(
-            [
-                [horizontal_m * cos_b, drop_m * sin_b, cos_d * sin_b],
-                [-horizontal_m * sin_b, drop_m * cos_b, cos_d * cos_b],
-            ]
-        )
-        return self.aircraft_east_m + horizontal_m * sin_b, self.aircraft_north_m + horizontal_m * cos_b, jacobian
+    @property
+    def place_by_measurement(self) -> FloatArray:
+        """Derivative (3, 3) of (east, north, height): the height is anything within 100 m."""
+        return np.diag((1.0, 1.0, 100.0))
+
+    @property
+    def variances(self) -> tuple[float, float, float]:
+        return self.sigma_m**2, self.sigma_m**2, 1.0
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of (east, north), (2, 2), m^2."""
+        return np.eye(2) * self.sigma_m**2
+
+    def residual(self, east_m: float, north_m: float, height_m: float) -> tuple[float, float, float]:
+        """Return measured minus expected."""
+        return self.east_m - east_m, self.north_m - north_m, 0.0
+
+    def measurement_by_place(self, east_m: float, north_m: float, height_m: float) -> tuple[tuple[float, ...], ...]:
+        """Return the derivative (3, 3) of the measurement by (east, north, height)."""
+        return (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+AnySighting = Sighting | Fix
+
+
+@dataclass(frozen=True, slots=True)
 class SightingOutcome:
     """What became of a sighting. nis is its normalised innovation squared, NaN where it was not compared."""
 
-    sighting: Sighting
+    sighting: AnySighting
     accepted: bool
     nis: float
     reason: str = ""
-
-
-def sighting_from_angles(
-    *,
-    time_s: float,
-    slant_range_m: float,
-    bearing_rad: float,
-    depression_rad: float,
-    aircraft_east_m: float,
-    aircraft_north_m: float,
-    range_sigma_m: float,
-    bearing_sigma_rad: float,
-    depression_sigma_rad: float,
-    position_sigma_m: float = 0.0,
-    quality: float | None = None,
-) -> Sighting:
-    """Return the sighting of a range and a direction, with the covariance of the conversion to first order.
-
-    At 0.35 degrees and 300 m the neglected second-order shift is 6 mm.
-    """
-    sin_b, cos_b = math.sin(bearing_rad), math.cos(bearing_rad)
-    cos_d, sin_d = math.cos(depression_rad), math.sin(depression_rad)
-    horizontal_m = slant_range_m * cos_d
-    position_m2 = position_sigma_m**2
-    along_m2 = (cos_d * range_sigma_m) ** 2 + (slant_range_m * sin_d * depression_sigma_rad) ** 2 + position_m2
-    across_m2 = (horizontal_m * bearing_sigma_rad) ** 2 + position_m2
-    cross_m2 = (along_m2 - across_m2) * sin_b * cos_b
-    return Sighting(
-        time_s=time_s,
-        east_m=aircraft_east_m + horizontal_m * sin_b,
-        north_m=aircraft_north_m + horizontal_m * cos_b,
-        covariance=np.array(
-            [
-                [along_m2 * sin_b * sin_b + across_m2 * cos_b * cos_b, cross_m2],
-                [cross_m2, along_m2 * cos_b * cos_b + across_m2 * sin_b * sin_b],
-            ]
-        ),
-        slant_range_m=slant_range_m,
-        bearing_rad=bearing_rad,
-        depression_rad=depression_rad,
-        aircraft_east_m=aircraft_east_m,
-        aircraft_north_m=aircraft_north_m,
-        quality=quality,
-    )

@@ -12,22 +12,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimators.biases import Biases, Calibration
 from estimators.ekf import TargetEkf
 from estimators.estimate import TargetEstimate, TrackQuality
+from estimators.imm import TargetImm
 from estimators.settings import TrackerSettings
-from estimators.sighting import Calibration, Sighting, SightingOutcome
-from estimators.target_filter import Biases, TargetFilter
+from estimators.sighting import AnySighting, SightingOutcome
+from estimators.target_filter import TargetFilter
 
 _HISTORY_S = 3.0
 _STEP_MAX_S = 1.0  # longer predictions go by steps, so that the motion models can mix on the way
 
-FilterStart = Callable[[TrackerSettings, Sighting, Biases], TargetFilter]
-_FILTERS: dict[str, FilterStart] = {"ekf": TargetEkf, "imm": TargetEkf, "ukf": TargetEkf}
+FilterStart = Callable[[TrackerSettings, AnySighting, Biases], TargetFilter]
+_FILTERS: dict[str, FilterStart] = {"ekf": TargetEkf, "imm": TargetImm, "ukf": TargetEkf}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Step:
-    sighting: Sighting
+    sighting: AnySighting
     before: TargetFilter
 
 
@@ -39,11 +41,11 @@ class Track:
         self._start = _FILTERS[settings.filter]
         self._filter: TargetFilter | None = None
         self._steps: list[_Step] = []
-        self._rejected_in_a_row: list[Sighting] = []
+        self._rejected_in_a_row: list[AnySighting] = []
         self._last_reason = ""
         self._last_sighting_s = float("-inf")
 
-    def add(self, sighting: Sighting) -> SightingOutcome:
+    def add(self, sighting: AnySighting) -> SightingOutcome:
         """Take a sighting in, or reject it with a reason."""
         settings = self._settings
         if sighting.quality is not None and sighting.quality < settings.quality_min:
@@ -58,7 +60,7 @@ class Track:
         before = self._filter
         ahead = before.copy()
         _predict(ahead, sighting.time_s)
-        nis = ahead.nis(sighting)
+        nis = ahead.update(sighting, settings.gate_nis)
         if nis > settings.gate_nis:
             self._rejected_in_a_row.append(sighting)
             if self._rejections_agree():
@@ -69,12 +71,11 @@ class Track:
             return self._reject(
                 sighting, nis, f"innovation squared {nis:.0f} is beyond the gate {settings.gate_nis:.0f}"
             )
-        ahead.update(sighting)
         self._filter = ahead
         self._accepted(_Step(sighting, before))
         return SightingOutcome(sighting, True, nis)
 
-    def _add_late(self, sighting: Sighting) -> SightingOutcome:
+    def _add_late(self, sighting: AnySighting) -> SightingOutcome:
         later: list[_Step] = []
         while self._steps and self._steps[-1].sighting.time_s > sighting.time_s:
             later.insert(0, self._steps.pop())
@@ -93,7 +94,7 @@ class Track:
             before = self._filter
             ahead = before.copy()
             _predict(ahead, step.sighting.time_s)
-            ahead.update(step.sighting)
+            ahead.update(step.sighting, math.inf)
             self._filter = ahead
             self._accepted(_Step(step.sighting, before))
         return outcome
@@ -106,11 +107,11 @@ class Track:
         while self._steps[0].sighting.time_s < self._last_sighting_s - _HISTORY_S:
             del self._steps[0]
 
-    def _reject(self, sighting: Sighting, nis: float, reason: str) -> SightingOutcome:
+    def _reject(self, sighting: AnySighting, nis: float, reason: str) -> SightingOutcome:
         self._last_reason = reason
         return SightingOutcome(sighting, False, nis, reason)
 
-    def _restart_at(self, sighting: Sighting, biases: Biases) -> None:
+    def _restart_at(self, sighting: AnySighting, biases: Biases) -> None:
         self._filter = self._start(self._settings, sighting, biases)
         self._steps.clear()
         self._rejected_in_a_row.clear()
@@ -168,8 +169,7 @@ class Track:
 
     @property
     def calibration(self) -> Calibration:
-        biases = self._filter.biases() if self._filter else Biases.prior(self._settings)
-        return Calibration(*biases.mean.tolist(), *np.sqrt(np.diag(biases.covariance)).tolist())
+        return (self._filter.biases() if self._filter else Biases.prior(self._settings)).calibration
 
 
 def _predict(target: TargetFilter, time_s: float) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from estimators.biases import Calibration
 from estimators.estimate import TargetEstimate
 from estimators.pairing import Pairing
 from estimators.pose import PoseHistory
@@ -17,7 +18,7 @@ from estimators.readings import (
     TargetFixReading,
 )
 from estimators.settings import SourceChoice, TrackerSettings
-from estimators.sighting import Calibration, Sighting, SightingOutcome
+from estimators.sighting import AnySighting, SightingOutcome
 from estimators.sources import SourceSelector
 from estimators.track import Track
 
@@ -59,7 +60,7 @@ class Tracker:
             return ()
         return tuple(self._take(sighting) for sighting in self._pairing.completed())
 
-    def _take(self, sighting: Sighting) -> SightingOutcome:
+    def _take(self, sighting: AnySighting) -> SightingOutcome:
         outcome = self._track.add(sighting)
         self.sightings += 1
         self.rejected += not outcome.accepted

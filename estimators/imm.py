@@ -1,0 +1,141 @@
+"""Interacting multiple model filter: a target that stands, holds its course, or manoeuvres.
+
+Blom and Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching coefficients",
+IEEE Transactions on Automatic Control 33(8), 1988; with the motions of :mod:`estimators.motion`.
+
+All models go through each step together, as one stack (models, n, n). They share the derivative of the measurement,
+taken at their common mean: they lie within metres of one another and some hundred metres from the aircraft.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Self
+
+import numpy as np
+
+from estimators.biases import Biases, measurement_by_biases
+from estimators.motion import MANOEUVRING, TURN, model_noises, model_transitions, switch_probabilities
+from estimators.settings import TrackerSettings
+from estimators.sighting import AnySighting
+from estimators.target_filter import (
+    BIASES,
+    EAST,
+    HEIGHT,
+    NORTH,
+    PLACE,
+    VELOCITY_E,
+    VELOCITY_N,
+    FloatArray,
+    bias_drift,
+    starting_state,
+)
+
+_START = np.array((0.3, 0.4, 0.3))  # standing, cruising, manoeuvring
+_START_TURN_SIGMA_RAD_S = 0.25
+
+
+class TargetImm:
+    """means (models, n), covariances (models, n, n), chances (models,).
+
+    None of them is ever changed in place, so that copies may share them.
+    """
+
+    def __init__(self, settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> None:
+        self.time_s = sighting.time_s
+        self._density_m2_s3 = settings.acceleration_density_m2_s3
+        self._prior = biases
+        self._estimated = biases.estimated
+        self._drift = tuple(bias_drift(self._estimated).tolist())
+        start_mean, start_covariance = starting_state(settings, sighting, biases)
+        mean = np.append(start_mean, 0.0)
+        covariance = np.zeros((len(mean), len(mean)))
+        covariance[:TURN, :TURN] = start_covariance
+        covariance[TURN, TURN] = _START_TURN_SIGMA_RAD_S**2
+        self._means = np.stack([mean] * 3)
+        self._covariances = np.stack([covariance] * 3)
+        self._chances = _START
+
+    def predict(self, time_s: float) -> None:
+        step_s = round(time_s - self.time_s, 6)
+        self.time_s = time_s
+        if step_s <= 0.0:
+            return
+        means, covariances = self._mixed(step_s)
+        size = means.shape[1]
+        manoeuvring = means[MANOEUVRING]
+        transitions, by_rate = model_transitions(
+            size, step_s, float(manoeuvring[TURN]), float(manoeuvring[VELOCITY_E]), float(manoeuvring[VELOCITY_N])
+        )
+        self._means = (transitions @ means[:, :, None])[:, :, 0]
+        transitions[MANOEUVRING, :4, TURN] = by_rate
+        self._covariances = transitions @ covariances @ transitions.transpose(0, 2, 1)
+        self._covariances += model_noises(size, step_s, self._density_m2_s3, self._drift)
+
+    def _mixed(self, step_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return the means and covariances that each model starts the step from, and move the chances on."""
+        switch = switch_probabilities(step_s)
+        chances = self._chances @ switch
+        weights = switch * self._chances[:, None] / chances  # (from, to)
+        size = self._means.shape[1]
+        means = weights.T @ self._means
+        apart = (self._means[:, None] - means) * np.sqrt(weights)[:, :, None]  # (from, to, n)
+        covariances = (weights.T @ self._covariances.reshape(3, -1)).reshape(3, size, size)
+        covariances += apart.transpose(1, 2, 0) @ apart.transpose(1, 0, 2)
+        self._chances = chances
+        return means, covariances
+
+    def update(self, sighting: AnySighting, gate_nis: float) -> float:
+        means, covariances = self._means, self._covariances
+        middle = self._chances @ means
+        east_m, north_m, height_m = float(middle[EAST]), float(middle[NORTH]), float(middle[HEIGHT])
+        by_place = np.array(sighting.measurement_by_place(east_m, north_m, height_m))
+        by_bias = measurement_by_biases(sighting, by_place, float(middle[VELOCITY_E]), float(middle[VELOCITY_N]))
+        jacobian = np.zeros((3, len(middle)))
+        jacobian[:, PLACE] = by_place
+        jacobian[:, BIASES:TURN] = by_bias[:, self._estimated]
+        bias_mean = self._prior.mean.copy()
+        bias_mean[self._estimated] = middle[BIASES:TURN]
+        residual = np.array(sighting.residual(east_m, north_m, height_m)) - by_bias @ bias_mean
+
+        residuals = residual - (means - middle) @ jacobian.T  # (models, 3)
+        cross = covariances @ jacobian.T  # (models, n, 3)
+        spreads = jacobian @ cross
+        spreads[:, (0, 1, 2), (0, 1, 2)] += sighting.variances
+        apart = residuals - residual
+        common = np.tensordot(self._chances, spreads, 1) + (apart.T * self._chances) @ apart
+        nis = float(residual @ np.linalg.solve(common, residual))
+        if nis > gate_nis:
+            return nis
+
+        inverses = np.linalg.inv(spreads)
+        gains = cross @ inverses
+        self._means = means + (gains @ residuals[:, :, None])[:, :, 0]
+        updated = covariances - gains @ cross.transpose(0, 2, 1)
+        self._covariances = 0.5 * (updated + updated.transpose(0, 2, 1))
+        distances = np.einsum("mi,mij,mj->m", residuals, inverses, residuals)
+        likelihoods = np.exp(-0.5 * (distances - distances.min())) * np.sqrt(np.linalg.det(inverses))
+        chances = self._chances * likelihoods
+        self._chances = chances / chances.sum()
+        return nis
+
+    def _combined(self) -> tuple[FloatArray, FloatArray]:
+        mean = self._chances @ self._means
+        apart = self._means - mean
+        return mean, np.tensordot(self._chances, self._covariances, 1) + (apart.T * self._chances) @ apart
+
+    def moments(self) -> tuple[FloatArray, FloatArray]:
+        mean, covariance = self._combined()
+        return mean[:4], covariance[:4, :4]
+
+    def biases(self) -> Biases:
+        mean, covariance = self._combined()
+        return self._prior.updated(mean[BIASES:TURN], covariance[BIASES:TURN, BIASES:TURN])
+
+    @property
+    def chances(self) -> FloatArray:
+        """How likely each motion is: standing, cruising, manoeuvring."""
+        return self._chances
+
+    def copy(self) -> Self:
+        return copy.copy(self)
