@@ -1,0 +1,1 @@
+"""What is kept of a flight and read again: telemetry logs, the journal, truth tracks, run folders, exports."""

@@ -1,0 +1,167 @@
+"""The journal of a run: everything that went into the control step and came out of it, one JSON line each.
+
+A line names the type of a frozen dataclass and gives its fields; floats are written so that they come back bit for
+bit, NaN and the infinities as Python's json spells them. It ends in its own checksum: a line that was cut or
+damaged is recognised, and every whole line is read, whatever happened to its neighbours. The first line is the
+header. The journal knows no event types of its own; the reader is told which there are.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zlib
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, get_origin
+
+import cattrs
+import numpy as np
+
+from app.errors import InputError
+from app.records.appender import Appender
+from app.records.progress import Progress
+from estimators.frames import LocalPlane
+
+FORMAT = 1
+
+_OPENING = b'{"event":"'
+_CHECKSUM = b',"crc32":"%08x"}\n'
+_CHECKSUM_BYTES = len(_CHECKSUM % 0)
+_PROGRESS_LINES = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What a replay needs before the first event. plane is None when the run began before it was known."""
+
+    program: str
+    config: Mapping[str, Any]
+    plane: LocalPlane | None
+    seeds: Mapping[str, int]
+    format: int = FORMAT
+
+
+def _is_array(kind: object) -> bool:
+    return get_origin(kind) is np.ndarray
+
+
+def _converter() -> cattrs.Converter:
+    converter = cattrs.Converter(detailed_validation=False)
+    converter.register_structure_hook_func(
+        _is_array,
+        lambda values, _: np.array(values, dtype=np.float64),
+    )
+    return converter
+
+
+def _plain(value: Any) -> Any:
+    """Return what json cannot write itself as it can: arrays and scalars of numpy."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"a journal holds no {type(value).__name__}")
+
+
+_CONVERTER = _converter()
+_ENCODE = json.JSONEncoder(separators=(",", ":"), default=_plain).encode
+
+
+def encode(event: Any) -> bytes:
+    """Return the line for a frozen dataclass."""
+    body = f'{{"event":"{type(event).__name__}","fields":{_ENCODE(_CONVERTER.unstructure(event))}'.encode()
+    return body + _CHECKSUM % zlib.crc32(body)
+
+
+class JournalWriter:
+    """Writes a new journal; lines are on their way to the disk 0.25 s later. Use as ``with``.
+
+    on_trouble gets one sentence when the recording has ended early (full disk). Raises OSError when the file exists
+    or cannot be made.
+    """
+
+    def __init__(self, path: Path, header: Header, on_trouble: Callable[[str], None]) -> None:
+        self._appender = Appender(path, on_trouble)
+        self.write(header)
+
+    def write(self, event: Any) -> None:
+        """Append a frozen dataclass."""
+        self._appender.append(encode(event))
+
+    def close(self) -> None:
+        self._appender.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class JournalReader:
+    """Reads a journal of the given event types. Iterating yields the events, each time from the first.
+
+    damaged_lines counts what the last iteration had to pass over; a cut last line, as a kill leaves it, is not
+    damage. Raises InputError when the header cannot be read or is of another format; iterating does when an event
+    is of no known type.
+    """
+
+    def __init__(self, path: Path, types: Collection[type], progress: Progress | None = None) -> None:
+        self._path, self._progress = path, progress
+        self._types = {kind.__name__: kind for kind in (Header, *types)}
+        self.damaged_lines = 0
+        first = next(self._records(), None)
+        if first is None or first[0] != Header.__name__:
+            raise InputError(f"{path} has no journal header: it is no journal, or its beginning is damaged.")
+        if first[1].get("format") != FORMAT:
+            raise InputError(f"{path} is a journal of format {first[1].get('format')}; this program reads {FORMAT}.")
+        self.header: Header = self._structured(*first)
+
+    def __iter__(self) -> Iterator[Any]:
+        records = self._records()
+        next(records)
+        for name, fields in records:
+            yield self._structured(name, fields)
+
+    def _structured(self, name: str, fields: dict[str, Any]) -> Any:
+        try:
+            return _CONVERTER.structure(fields, self._types[name])
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{self._path} has an event {name} that this program does not know.") from error
+
+    def _records(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield type name and fields of every whole line."""
+        self.damaged_lines = 0
+        try:
+            with self._path.open("rb") as file:
+                size = max(1, file.seek(0, io.SEEK_END))
+                file.seek(0)
+                for number, line in enumerate(file):
+                    body = _whole_body(line)
+                    if body is not None:
+                        record = json.loads(body + b"}")
+                        yield record["event"], record["fields"]
+                    self.damaged_lines += line.endswith(b"\n") and (
+                        body is None or len(body) + _CHECKSUM_BYTES < len(line)
+                    )
+                    if self._progress and number % _PROGRESS_LINES == 0:
+                        self._progress(file.tell() / size)
+        except OSError as error:
+            raise InputError(f"{self._path} cannot be read: {error.strerror}.") from error
+
+
+def _whole_body(line: bytes) -> bytes | None:
+    """Return what stands before the checksum if it holds, else None.
+
+    A line whose end was damaged runs on into the next one, which is whole: so every opening is tried.
+    """
+    start = line.find(_OPENING)
+    while start >= 0:
+        body = line[start:-_CHECKSUM_BYTES]
+        if line[-_CHECKSUM_BYTES:] == _CHECKSUM % zlib.crc32(body):
+            return body
+        start = line.find(_OPENING, start + 1)
+    return None

@@ -1,0 +1,93 @@
+"""The folder that a run leaves behind."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from app.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class RunFolder:
+    """Names of what is in a run's folder; which of them exist depends on the run and on how it ended."""
+
+    path: Path
+
+    @property
+    def journal(self) -> Path:
+        return self.path / "journal.jsonl"
+
+    @property
+    def tlog(self) -> Path:
+        return self.path / "flight.tlog"
+
+    @property
+    def truth(self) -> Path:
+        return self.path / "truth.csv"
+
+    @property
+    def summary(self) -> Path:
+        return self.path / "summary.json"
+
+    @property
+    def config(self) -> Path:
+        return self.path / "config.toml"
+
+    @property
+    def plans(self) -> Path:
+        return self.path / "plans"
+
+    @staticmethod
+    def create(parent: Path, now: datetime) -> RunFolder:
+        """Make a new folder in ``parent`` (made if missing), named by the time in UTC and never one that exists.
+
+        Raises InputError when it cannot be made.
+        """
+        stamp = now.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
+        try:
+            parent.mkdir(parents=True, exist_ok=True)
+            for attempt in count(1):
+                path = parent / (stamp if attempt == 1 else f"{stamp}-{attempt}")
+                try:
+                    path.mkdir()
+                except FileExistsError:
+                    continue
+                run = RunFolder(path)
+                run.plans.mkdir()
+                return run
+        except OSError as error:
+            raise InputError(f"no run folder can be made in {parent}: {error.strerror}.") from error
+        raise AssertionError("unreachable: counting does not end")
+
+    @staticmethod
+    def open(path: Path) -> RunFolder:
+        """Return the run folder at ``path``; raises InputError when there is none."""
+        run = RunFolder(path)
+        if not run.journal.is_file():
+            raise InputError(f"{path} is no run folder: it has no {run.journal.name}.")
+        return run
+
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Write the summary whole or not at all."""
+        partial = self.summary.with_suffix(".partial")
+        with partial.open("w", encoding="utf-8") as file:
+            json.dump(summary, file, indent=2)
+            file.write("\n")
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(self.summary)
+
+    def read_summary(self) -> dict[str, Any]:
+        """Return the summary; raises InputError when the run did not get as far as writing one."""
+        try:
+            summary: dict[str, Any] = json.loads(self.summary.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise InputError(f"{self.summary} cannot be read: the run has not ended in order.") from error
+        return summary

@@ -1,0 +1,91 @@
+"""The true tracks of target and aircraft, as a simulation writes them beside its telemetry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from app.errors import InputError
+from app.score import Moment
+from estimators.frames import LocalPlane
+
+_POSITION_COLUMNS = ("target_lat_deg", "target_lon_deg", "uav_lat_deg", "uav_lon_deg")
+_COLUMNS = ("time_boot_s", *_POSITION_COLUMNS)
+_VELOCITY_SPAN_S = 1.0  # the file's millimetres are too coarse to difference neighbouring rows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """Rows in order of time.
+
+    time_s has shape (n,), n >= 2, on the vehicle's clock; positions_deg has shape (4, n): target latitude and
+    longitude, aircraft latitude and longitude.
+    """
+
+    time_s: npt.NDArray[np.float64]
+    positions_deg: npt.NDArray[np.float64]
+
+    def at(self, time_s: float, plane: LocalPlane) -> Moment | None:
+        """Return both at ``time_s``, interpolated between rows; None outside the file's time."""
+        if not self.time_s[0] <= time_s <= self.time_s[-1]:
+            return None
+        target_east_m, target_north_m, aircraft_east_m, aircraft_north_m = self._positions_m(time_s, plane)
+        before_s = max(time_s - _VELOCITY_SPAN_S / 2, float(self.time_s[0]))
+        after_s = min(time_s + _VELOCITY_SPAN_S / 2, float(self.time_s[-1]))
+        before, after = self._positions_m(before_s, plane), self._positions_m(after_s, plane)
+        return Moment(
+            time_s,
+            aircraft_east_m,
+            aircraft_north_m,
+            target_east_m,
+            target_north_m,
+            (after[0] - before[0]) / (after_s - before_s),
+            (after[1] - before[1]) / (after_s - before_s),
+        )
+
+    def moments(self, plane: LocalPlane, start_s: float, end_s: float, step_s: float) -> Iterator[Moment]:
+        """Yield both at every ``step_s`` from ``start_s`` to ``end_s``, as far as the file reaches."""
+        for time_s in np.arange(max(start_s, self.time_s[0]), min(end_s, self.time_s[-1]), step_s).tolist():
+            moment = self.at(time_s, plane)
+            if moment is not None:
+                yield moment
+
+    def _positions_m(self, time_s: float, plane: LocalPlane) -> tuple[float, float, float, float]:
+        target_latitude, target_longitude, latitude, longitude = (
+            float(np.interp(time_s, self.time_s, column)) for column in self.positions_deg
+        )
+        return *plane.east_north_m(target_latitude, target_longitude), *plane.east_north_m(latitude, longitude)
+
+
+def read_truth(path: Path) -> Truth:
+    """Read a truth file; rows that are cut or no numbers are passed over, further columns as well.
+
+    Raises InputError when it cannot be read, lacks a column or has fewer than two rows.
+    """
+    try:
+        names, *lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+    columns = names.strip().split(",")
+    missing = [name for name in _COLUMNS if name not in columns]
+    if missing:
+        raise InputError(f"{path} is no truth file: it lacks the column {missing[0]}.")
+    rows = dict(filter(None, (_row(dict(zip(columns, line.split(","), strict=False))) for line in lines)))
+    if len(rows) < 2:
+        raise InputError(f"{path} has fewer than two rows with times and positions.")
+    time_s = np.array(sorted(rows))
+    positions_deg = np.array([rows[time] for time in time_s]).T
+    positions_deg[1::2] = np.unwrap(positions_deg[1::2], period=360.0)
+    return Truth(time_s, positions_deg)
+
+
+def _row(fields: dict[str, str]) -> tuple[float, list[float]] | None:
+    try:
+        time_s, *positions = (float(fields[name]) for name in _COLUMNS)
+    except (KeyError, ValueError):
+        return None
+    return (time_s, positions) if np.isfinite([time_s, *positions]).all() else None
