@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from app.errors import InputError
+from mission.feasibility import feasibility
 from mission.requirement import Aircraft, Requirement, Side
 
 LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
@@ -68,6 +69,8 @@ class PlannerSection(_Section):
 
     name: Literal["predictive", "paper"] = "predictive"
     """predictive: decides every second by looking ahead; paper: the published method, once a lap."""
+    tolerance_m: float = Field(15.0, ge=1, le=200)
+    """How far the flown line of a transition may leave the planned one, m."""
     lost_after_s: float = Field(60.0, ge=1, le=3600)
     """The circle is held when the target has been unseen for this long, s."""
     give_up_after_s: float = Field(300.0, ge=5, le=36000)
@@ -145,22 +148,12 @@ class Config(_Section):
     fences: FencesSection = FencesSection()  # type: ignore[call-arg]
     simulation: SimulationSection = SimulationSection()  # type: ignore[call-arg]
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        aircraft, requirement = self.aircraft.aircraft(), self.requirement
-        if aircraft.radius_m < aircraft.least_radius_m:
-            raise ValueError(
-                f"aircraft.radius_m = {aircraft.radius_m:g} is tighter than the aircraft flies: "
-                f"{aircraft.least_radius_m:.1f} m at {aircraft.airspeed_m_s:g} m/s and "
-                f"{self.aircraft.bank_max_deg:g} degrees of bank; set at least {math.ceil(aircraft.least_radius_m)}"
-            )
-        least_max_m = requirement.range_min_m + 2.0 * aircraft.radius_m
-        if requirement.range_max_m < least_max_m:
-            raise ValueError(
-                f"requirement.range_max_m = {requirement.range_max_m:g} leaves no room for a circle of "
-                f"{aircraft.radius_m:g} m beside range_min_m; set at least {least_max_m:g}"
-            )
-        return self
+
+def check_flyable(config: Config) -> None:
+    """Raise InputError, naming the field and the way out, when the requirement cannot be flown at all."""
+    result = feasibility(config.aircraft.aircraft(), config.requirement.requirement())
+    if not result.feasible:
+        raise InputError("infeasible: " + "; ".join(str(reason) for reason in result.reasons) + ".")
 
 
 def load_config(path: Path | None, overrides: dict[str, dict[str, Any]] | None = None) -> Config:
@@ -195,8 +188,6 @@ def _sentence(error: ValidationError) -> str:
     where = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
         return f"unknown key {where}; known there: {', '.join(_known_keys(problem['loc']))}."
-    if problem["type"] == "value_error":
-        return f"{problem['ctx']['error']}."
     message = problem["msg"][0].lower() + problem["msg"][1:]
     return f"{where} = {problem['input']!r}: {message}."
 

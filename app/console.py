@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from types import TracebackType
 
 from rich.console import Console
@@ -67,14 +66,13 @@ class ConsoleDisplay:
         style = _STYLES.get(announcement.kind, "")
         self._console.print(Text(f"{clock(since_s):>7}  {announcement.text}", style=style))
 
-    def show(self, snapshot: Callable[[], Snapshot]) -> None:
+    def show(self, state: Snapshot) -> None:
         if self._quiet:
             return
         now_s = time.monotonic()
         if now_s - self._shown_s < _REFRESH_S:
             return
         self._shown_s = now_s
-        state = snapshot()
         if self._live is not None:
             self._live.update(Text(self.line(state), style="bold"))
         elif state.time_s - self._plain_s >= _PLAIN_LINE_EVERY_S:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
 from typing import Protocol
 
 from app.message import Message
@@ -31,20 +30,27 @@ class Display(Protocol):
 
     def say(self, announcement: Announce) -> None: ...
 
-    def show(self, snapshot: Callable[[], Snapshot]) -> None: ...
+    def show(self, snapshot: Snapshot) -> None: ...
 
 
 class ControlLoop:
-    """Runs the step on what the vehicle says, until ``stop`` or the end of the mission."""
+    """Runs the step on what the vehicle says and the performer reports, until ``stop`` or the end of the mission."""
 
     def __init__(
-        self, vehicle: Vehicle, telemetry: Telemetry, watch: Watch, performer: Performer, log: Log, display: Display
+        self,
+        queue: asyncio.Queue[Event | None],
+        vehicle: Vehicle,
+        telemetry: Telemetry,
+        watch: Watch,
+        performer: Performer,
+        log: Log,
+        display: Display,
     ) -> None:
         self.watch = watch
         self.outcome: str | None = None
         self._vehicle, self._telemetry, self._performer = vehicle, telemetry, performer
         self._log, self._display = log, display
-        self._queue: asyncio.Queue[Event | None] = asyncio.Queue()
+        self._queue = queue
         self._heard_s = time.monotonic()
         self._connected = True
 
@@ -73,7 +79,7 @@ class ControlLoop:
                 for command in self.watch.step(event):
                     self._log.command(command)
                     self._do(command)
-                self._display.show(self.watch.snapshot)
+                self._display.show(self.watch.snapshot())
         finally:
             watchdog.cancel()
             self._vehicle.listeners.remove(self.received)

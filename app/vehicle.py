@@ -16,7 +16,7 @@ _TRIES = 4
 _IN_PROGRESS = 5
 _ACCEPTED = 0
 
-Listener = Callable[[Message], None]
+Listener = Callable[[Message], object]
 _RESULTS = {
     0: "accepted",
     1: "temporarily rejected",

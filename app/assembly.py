@@ -1,0 +1,53 @@
+"""Puts the pure core together from a configuration."""
+
+from __future__ import annotations
+
+import math
+
+from app.config import Config
+from estimators.tracker import SourceChoice, Tracker, TrackerSettings
+from mission.paper_planner import PaperPlanner
+from mission.plan import Planner
+from mission.requirement import Requirement
+from mission.watch import Watch, WatchSettings
+
+
+def tracker_of(config: Config) -> Tracker:
+    """Return the target tracker for the configured sensors."""
+    sensors = config.sensors
+
+    def chosen(component_id: int | None) -> SourceChoice | None:
+        return None if component_id is None else SourceChoice(component_id=component_id)
+
+    return Tracker(
+        TrackerSettings(
+            filter=sensors.filter,
+            range_sigma_m=sensors.range_sigma_m,
+            yaw_sigma_rad=math.radians(sensors.angle_sigma_deg),
+            pitch_sigma_rad=math.radians(sensors.angle_sigma_deg),
+            latency_s=sensors.latency_s,
+            range_source=chosen(sensors.range_component),
+            gimbal_source=chosen(sensors.gimbal_component),
+            lost_after_s=config.planner.lost_after_s,
+        )
+    )
+
+
+def watch_of(config: Config) -> Watch:
+    """Return the control step for a configuration."""
+    aircraft = config.aircraft.aircraft()
+
+    def planner(requirement: Requirement) -> Planner:
+        return PaperPlanner(aircraft, requirement)
+
+    return Watch(
+        WatchSettings(
+            config.requirement.requirement(),
+            aircraft,
+            lost_after_s=config.planner.lost_after_s,
+            give_up_after_s=config.planner.give_up_after_s,
+            give_up_action=config.planner.at_end,
+        ),
+        tracker_of(config),
+        planner,
+    )

@@ -1,0 +1,48 @@
+"""The command line: one function a command, errors as one sentence."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from app.commands.check import check
+from app.commands.connect import connect
+from app.commands.launch import launch
+from app.commands.replay import replay
+from app.errors import FlightError, InputError
+from sitl.cli import run as sitl
+
+_HELP = """Watch a moving ground target from one side with a fixed-wing UAV.
+
+The aircraft (PX4 or ArduPlane) flies circles beside the target, reads laser and gimbal, and moves the circle as the
+target moves. It observes; it carries no other function.
+
+Begin with: sidelong launch
+"""
+
+app = typer.Typer(
+    name="sidelong", help=_HELP, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
+)
+for command in (launch, connect, replay, check):
+    app.command()(command)
+app.command(name="sitl")(sitl)
+
+
+def main() -> None:
+    """Run the command line. Exit codes: 0 done, 1 the flight failed, 2 wrong input, 130 interrupted."""
+    try:
+        app()
+    except InputError as error:
+        _complain(error, 2)
+    except FlightError as error:
+        _complain(error, 1)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.exit(0)
+
+
+def _complain(error: Exception, code: int) -> None:
+    print(f"sidelong: {error}", file=sys.stderr)
+    sys.exit(code)

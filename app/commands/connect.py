@@ -1,0 +1,71 @@
+"""``sidelong connect``: what is at the other end of a link, and whether it is ready."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from app.autopilot import parameter_notes
+from app.commands.output import JsonOption, checked_output, console, write_json
+from app.config import Config, load_config
+from app.flight import connected
+from app.modes import mode_name
+from app.preflight import ask_for_streams, checks, home_of, listen
+
+
+def connect(
+    url: Annotated[str, typer.Argument(help="MAVSDK URL of the vehicle.", show_default=False)],
+    config: Annotated[Path | None, typer.Option(help="Configuration (TOML) to check against.")] = None,
+    timeout: Annotated[float | None, typer.Option(help="Wait this long for a heartbeat, s.")] = None,
+    listen_s: Annotated[float, typer.Option("--listen", min=0.5, help="Listen to the sensors this long, s.")] = 3.0,
+    json: JsonOption = None,
+) -> None:
+    """Tell what is there: autopilot, mode, position, sensors, parameters, and what is not ready yet and why.
+
+    Nothing is armed or changed. Example: sidelong connect udpin://0.0.0.0:14540
+    """
+    checked_output(json)
+    settings = load_config(config, {"link": {"heartbeat_timeout_s": timeout}})
+    report = asyncio.run(_report(url, settings, listen_s))
+    write_json(json, report)
+
+
+async def _report(url: str, config: Config, listen_s: float) -> dict[str, Any]:
+    console.print(f"waiting for a heartbeat on {url}")
+    async with connected(url, config.link.heartbeat_timeout_s) as session:
+        vehicle, autopilot = session.vehicle, session.autopilot
+        await ask_for_streams(vehicle)
+        rates = await listen(vehicle, listen_s)
+        home = await home_of(vehicle)
+        limits = await autopilot.limits(vehicle)
+        notes = await parameter_notes(vehicle, autopilot)
+        heartbeat = vehicle.latest["HEARTBEAT"].fields
+        mode = mode_name(int(heartbeat["autopilot"]), int(heartbeat["base_mode"]), int(heartbeat["custom_mode"]))
+        found = checks(config, vehicle, limits, home, rates)
+        console.print(f"{autopilot.name}, system {vehicle.system_id}, mode {mode}")
+        table = Table("requirement", "", "found", box=None, pad_edge=False)
+        for check in found:
+            remedy = f"; {check.remedy}" if check.remedy and not check.ready else ""
+            table.add_row(check.name, "ready" if check.ready else "NOT READY", check.found + remedy)
+        console.print(table)
+        parameters = Table("parameter", "value", "", box=None, pad_edge=False)
+        for note in notes:
+            parameters.add_row(note.name, "-" if note.value is None else f"{note.value:g}", note.note)
+        console.print(parameters)
+        for rate in rates:
+            console.print(f"{rate.kind}: {rate}")
+        return {
+            "autopilot": autopilot.name,
+            "system_id": vehicle.system_id,
+            "mode": mode,
+            "ready": all(check.ready for check in found),
+            "checks": [asdict(check) for check in found],
+            "parameters": {note.name: note.value for note in notes},
+            "limits": asdict(limits),
+            "sources": [asdict(rate) for rate in rates],
+        }

@@ -1,0 +1,120 @@
+"""``sidelong launch``: fly."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import shutil
+import signal
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.commands.output import JsonOption, checked_output, console, write_json
+from app.config import Config, check_flyable, load_config
+from app.console import ConsoleDisplay
+from app.errors import InputError
+from app.flight import Flight, connected
+from app.recording import Recording
+from app.records.run_folder import RunFolder
+from app.simulated import SimulatedVehicle
+from app.summary import Summary
+from mission.requirement import Side
+
+_DURATION_S = 1200.0
+
+
+def launch(
+    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).", show_default=False)] = None,
+    connect: Annotated[
+        str | None, typer.Option(help="MAVSDK URL of a vehicle; without it one is simulated.", show_default=False)
+    ] = None,
+    target: Annotated[
+        str | None, typer.Option(help="Simulated target: a built-in motion, a .gpx or a .csv track.")
+    ] = None,
+    duration: Annotated[float, typer.Option(min=1.0, help="Watch this long, s of the vehicle's time.")] = _DURATION_S,
+    speed: Annotated[float | None, typer.Option(help="Simulated time over wall time.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of the simulation's noise.")] = None,
+    side: Annotated[Side | None, typer.Option(help="Side of the target's motion to watch from.")] = None,
+    autopilot: Annotated[
+        str | None, typer.Option(help="Simulated autopilot: arduplane or px4.", show_default=False)
+    ] = None,
+    planner: Annotated[str | None, typer.Option(help="predictive or paper.", show_default=False)] = None,
+    out: Annotated[Path, typer.Option(help="Where run folders are made.")] = Path("runs"),
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
+    json: JsonOption = None,
+) -> None:
+    """Fly: circle beside the target and move the circle as the target moves.
+
+    Without --connect this starts a simulated vehicle and target and flies them, about ten times faster than the
+    clock. Examples: sidelong launch; sidelong launch --autopilot px4 --target walk --side right;
+    sidelong launch mission.toml --connect udpin://0.0.0.0:14540
+    """
+    checked_output(json)
+    settings = load_config(
+        config,
+        {
+            "link": {"url": connect},
+            "simulation": {"target": target, "speed": speed, "seed": seed, "autopilot": autopilot},
+            "requirement": {"side": side},
+            "planner": {"name": planner},
+        },
+    )
+    check_flyable(settings)
+    folder, summary, stuck = asyncio.run(_launch(settings, duration, out, quiet))
+    console.print(summary.table())
+    console.print(f"run folder: {folder.path}")
+    write_json(json, summary.as_json())
+    if stuck:  # a MAVSDK call never came back; leaving the ordinary way would wait for it for ever
+        sys.stdout.flush()
+        os._exit(0)
+
+
+async def _launch(config: Config, duration_s: float, out: Path, quiet: bool) -> tuple[RunFolder, Summary, bool]:
+    stopped = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stopped.set)
+    folder = RunFolder.create(out, datetime.now(UTC))
+    display = ConsoleDisplay(console, quiet)
+    try:
+        with display:
+
+            def warn(text: str) -> None:
+                loop.call_soon_threadsafe(display.note, text)
+
+            recording = Recording(folder, config, warn)
+            try:
+                summary, stuck = await _fly(config, duration_s, folder, recording, display, stopped)
+            finally:
+                recording.close()
+    except InputError:
+        shutil.rmtree(folder.path, ignore_errors=True)  # nothing has flown: leave nothing half-written
+        raise
+    folder.write_summary(summary.as_json())
+    return folder, summary, stuck
+
+
+async def _fly(
+    config: Config,
+    duration_s: float,
+    folder: RunFolder,
+    recording: Recording,
+    display: ConsoleDisplay,
+    stopped: asyncio.Event,
+) -> tuple[Summary, bool]:
+    async with contextlib.AsyncExitStack() as stack:
+        url, truth = config.link.url, None
+        if url is None:
+            display.note(f"starting a simulated {config.simulation.autopilot} and its target")
+            vehicle = await stack.enter_async_context(SimulatedVehicle(config, folder.truth))
+            url, truth = vehicle.url, folder.truth
+        display.note(f"connecting to {url}")
+        session = await stack.enter_async_context(connected(url, config.link.heartbeat_timeout_s, recording.frame))
+        display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
+        summary = await Flight(session, config, recording, display, duration_s).fly(truth, stopped)
+    return summary, session.vehicle.link.stuck

@@ -1,0 +1,38 @@
+"""What the commands have in common: the JSON summary, and progress on the terminal."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from app.errors import InputError
+
+console = Console(highlight=False)
+
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", help="Write the summary to this file as JSON; - is standard output.")
+]
+
+
+def write_json(path: Path | None, values: dict[str, Any]) -> None:
+    """Write the summary where it was asked for. Raises InputError naming the file."""
+    if path is None:
+        return
+    text = json.dumps(values, indent=2, allow_nan=False) + "\n"
+    if str(path) == "-":
+        print(text, end="")
+        return
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); give another file to --json.") from error
+
+
+def checked_output(path: Path | None) -> None:
+    """Complain about an output file that cannot be written before the work begins, not after."""
+    if path is not None and str(path) != "-" and not path.parent.is_dir():
+        raise InputError(f"{path}: there is no folder {path.parent}; create it or give another file to --json.")

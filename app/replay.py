@@ -1,0 +1,93 @@
+"""A recorded log through the same telemetry, filter and planner as a live flight.
+
+The aircraft of a foreign log did not fly our plans. So each time the step decides, it starts from the circle that
+the aircraft is really on (``Engaged`` with the circle of its present bank), and a plan it proposes is answered with
+"failed: not flown in this log". The decisions then tell what would have been done from there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+from app.errors import InputError
+from app.message import Message
+from app.telemetry import Telemetry
+from estimators.frames import LocalPlane
+from estimators.readings import PositionReading
+from mission.circle import Circle
+from mission.events import Announce, Command, Engaged, Event, LinkReported, ModeReported, Prepare, SwapReported
+from mission.watch import Snapshot, Watch
+
+_MODE = "as recorded"
+_LEAST_BANKED_CURVATURE = 0.25  # of the circle's own; a straighter flight is taken as the circle
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """What one event of the log led to."""
+
+    event: Event
+    commands: tuple[Command, ...]
+    snapshot: Snapshot
+
+
+class LogReplay:
+    """Steps a watch through the messages of a log."""
+
+    def __init__(self, watch: Watch, telemetry: Telemetry) -> None:
+        self.watch = watch
+        self.sightings_possible = False
+        self._telemetry = telemetry
+        self._engaged_s = -math.inf
+
+    @property
+    def plane(self) -> LocalPlane | None:
+        return self._telemetry.plane
+
+    def run(self, messages: Iterable[Message]) -> Iterator[Replayed]:
+        """Yield every event of the log with what the step made of it."""
+        for message in messages:
+            event = self._telemetry.event(message)
+            # Nobody else flies here: a change of mode in the log is not one of ours to yield to.
+            if event is None or isinstance(event, ModeReported | LinkReported):
+                continue
+            commands = self.watch.step(event)
+            for command in commands:
+                if isinstance(command, Prepare):
+                    self.watch.step(SwapReported(command.time_s, command.number, "failed", "not flown in this log"))
+            snapshot = self.watch.snapshot()
+            if isinstance(event, PositionReading):
+                self._engage(snapshot)
+            yield Replayed(event, commands, snapshot)
+
+    def _engage(self, snapshot: Snapshot) -> None:
+        aircraft = snapshot.aircraft
+        if aircraft is None or snapshot.estimate is None or snapshot.time_s - self._engaged_s < 1.0:
+            return
+        self._engaged_s = snapshot.time_s
+        airframe = self.watch.settings.aircraft
+        curvature_1_m = aircraft.curvature_1_m
+        if abs(curvature_1_m) < _LEAST_BANKED_CURVATURE / airframe.radius_m:
+            curvature_1_m = math.copysign(1.0 / airframe.radius_m, 1.0 if snapshot.side.clockwise else -1.0)
+        circle = Circle.tangent_to(
+            aircraft.east_m, aircraft.north_m, aircraft.course_rad, 1.0 / abs(curvature_1_m), curvature_1_m > 0.0
+        )
+        self.watch.step(Engaged(snapshot.time_s, circle, _MODE))
+
+
+def require_sightings(sightings: int, name: str, found: Callable[[], str]) -> None:
+    """Raise InputError when a log held nothing to see a target by; ``found`` tells what it holds."""
+    if sightings == 0:
+        raise InputError(
+            f"{name}: no target sighting: needs a slant range (DISTANCE_SENSOR or RANGEFINDER) and a line of sight "
+            f"(GIMBAL_DEVICE_ATTITUDE_STATUS); the log has {found()}."
+        )
+
+
+def announcements(commands: Iterable[Command]) -> Iterator[Announce]:
+    """Yield what the commands tell a person."""
+    for command in commands:
+        if isinstance(command, Announce) and command.kind != "swap":
+            yield command
