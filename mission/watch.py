@@ -21,7 +21,7 @@ from enum import StrEnum
 from typing import Literal
 
 from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.readings import AttitudeReading, PositionReading
+from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
 from estimators.tracker import Tracker
 from mission.approach import approach
 from mission.events import (
@@ -161,7 +161,7 @@ class Watch:
                 self._wind = Wind(event.east_m_s, event.north_m_s)
             case ModeReported():
                 return self._mode_reported(event)
-            case Engaged():
+            case Engaged() if self.phase in (Phase.WAITING, Phase.WATCHING):
                 self.phase, self._engaged_mode = Phase.WATCHING, event.mode
                 self.present = Plan(event.circle, None, event.time_s)
             case SwapReported():
@@ -173,9 +173,10 @@ class Watch:
                 return self._yield(event.time_s, event.reason)
             case OperatorRequest():
                 return self._operator(event)
-            case _:
-                if isinstance(event, AttitudeReading):
-                    self._roll_rad = event.roll_rad
+            case AttitudeReading():
+                self._roll_rad = event.roll_rad
+                self.tracker.add(event)
+            case RangeReading() | GimbalReading() | TargetFixReading():
                 self.tracker.add(event)
         return ()
 
@@ -202,6 +203,8 @@ class Watch:
 
     def _position(self, reading: PositionReading) -> tuple[Command, ...]:
         self.tracker.add(reading)
+        if reading.time_s <= self.time_s:
+            return ()  # overtaken on the way: it has helped the tracker, the clock stays
         self.time_s = reading.time_s
         ground_speed_m_s = math.hypot(reading.velocity_east_m_s, reading.velocity_north_m_s)
         # A coordinated turn at this bank bends the flown line by g tan(bank) across it.

@@ -1,0 +1,240 @@
+"""The control step's rules, with the real tracker and a planner that says what it is told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import pytest
+
+from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from estimators.tracker import Tracker, TrackerSettings
+from mission.circle import Circle
+from mission.events import (
+    Announce,
+    Command,
+    Depart,
+    End,
+    Engaged,
+    LinkReported,
+    ModeReported,
+    OperatorRequest,
+    Prepare,
+    SwapReported,
+    Yield,
+    YieldRequested,
+)
+from mission.plan import Decision, Plan
+from mission.requirement import Aircraft, Requirement, Side
+from mission.watch import Phase, Watch, WatchSettings
+
+RADIUS_M, SPEED_M_S, HEIGHT_M = 60.0, 15.0, 100.0
+TARGET = (300.0, 0.0)
+HERE = Circle(0.0, 0.0, RADIUS_M, True)
+THERE = Circle(100.0, 50.0, RADIUS_M, True)
+LASER = Source("DISTANCE_SENSOR", 154, 1, 100)
+GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
+
+
+class Scripted:
+    """A planner that proposes its plans one after another, each departing ``ahead_s`` after the decision."""
+
+    def __init__(self, circles: Iterable[Circle] = (), ahead_s: float = 2.0) -> None:
+        self.circles, self.ahead_s = list(circles), ahead_s
+        self.latencies: list[float] = []
+
+    def decide(self, aircraft, target, present, wind, latency_s):
+        self.latencies.append(latency_s)
+        if not self.circles:
+            return Decision(aircraft.time_s, None, "staying")
+        plan = Plan(self.circles.pop(0), None, aircraft.time_s + self.ahead_s)
+        return Decision(aircraft.time_s, plan, "moving")
+
+
+def make(planner: Scripted, **settings) -> Watch:
+    requirement = Requirement(100.0, 500.0, Side.LEFT, 3.0)
+    check = settings.pop("check", lambda _plan: None)
+    return Watch(
+        WatchSettings(requirement, Aircraft(SPEED_M_S, RADIUS_M), **settings),
+        Tracker(TrackerSettings()),
+        lambda _requirement: planner,
+        check,
+    )
+
+
+def fly(watch: Watch, start_s: float, end_s: float, *, seen: bool = True) -> list[Command]:
+    """Fly round HERE at 10 Hz, looking at a standing target; return the commands."""
+    commands: list[Command] = []
+    for tick in range(round(start_s * 10), round(end_s * 10)):
+        time_s = tick / 10
+        turn_rad = time_s * SPEED_M_S / RADIUS_M
+        east_m, north_m = RADIUS_M * math.sin(turn_rad), RADIUS_M * math.cos(turn_rad)
+        course_rad = turn_rad + math.pi / 2
+        bank_rad = math.atan(SPEED_M_S**2 / (9.80665 * RADIUS_M))
+        velocity = SPEED_M_S * math.sin(course_rad), SPEED_M_S * math.cos(course_rad)
+        commands += watch.step(AttitudeReading(time_s, bank_rad, 0.0, course_rad))
+        commands += watch.step(PositionReading(time_s, east_m, north_m, HEIGHT_M, *velocity, 0.0))
+        if seen:
+            away_m = math.hypot(TARGET[0] - east_m, TARGET[1] - north_m)
+            yaw_rad = math.atan2(TARGET[0] - east_m, TARGET[1] - north_m)
+            pitch_rad = -math.atan2(HEIGHT_M, away_m)
+            quaternion = (
+                math.cos(pitch_rad / 2) * math.cos(yaw_rad / 2),
+                -math.sin(pitch_rad / 2) * math.sin(yaw_rad / 2),
+                math.sin(pitch_rad / 2) * math.cos(yaw_rad / 2),
+                math.cos(pitch_rad / 2) * math.sin(yaw_rad / 2),
+            )
+            commands += watch.step(GimbalReading(time_s, quaternion, "earth", GIMBAL))
+            commands += watch.step(RangeReading(time_s, math.hypot(away_m, HEIGHT_M), LASER, quality=0.9))
+    return commands
+
+
+def kinds(commands: Iterable[Command], *wanted: type) -> list[Command]:
+    return [command for command in commands if isinstance(command, wanted)]
+
+
+def engaged(watch: Watch, until_s: float = 10.0) -> list[Command]:
+    watch.step(ModeReported(0.0, "AUTO", True))
+    watch.step(Engaged(0.0, HERE, "AUTO"))
+    return fly(watch, 0.0, until_s)
+
+
+def test_nothing_is_commanded_before_engagement():
+    watch = make(Scripted([THERE]))
+    assert not kinds(fly(watch, 0.0, 20.0), Prepare, Depart, End)
+    assert watch.phase is Phase.WAITING
+    assert watch.snapshot().estimate is not None
+
+
+def test_the_estimate_finds_the_target():
+    watch = make(Scripted())
+    engaged(watch, 30.0)
+    estimate = watch.snapshot().estimate
+    assert math.hypot(estimate.east_m - TARGET[0], estimate.north_m - TARGET[1]) < 2.0
+
+
+def test_a_plan_is_prepared_then_departs_at_its_time():
+    watch = make(Scripted([THERE], ahead_s=3.0))
+    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
+    ready_s = prepare.time_s + 0.5
+    assert not watch.step(SwapReported(ready_s, prepare.number, "ready"))
+    (depart,) = kinds(fly(watch, 3.0, 12.0), Depart)
+    assert depart.time_s == pytest.approx(prepare.plan.departure_s, abs=0.11)
+    watch.step(SwapReported(depart.time_s + 0.1, depart.number, "departed"))
+    assert watch.snapshot().present.circle == THERE
+    assert watch.snapshot().moves == 1
+
+
+def test_only_one_plan_is_under_way():
+    watch = make(Scripted([THERE, HERE, THERE]))
+    assert len(kinds(engaged(watch, 30.0), Prepare)) == 1
+
+
+def test_a_plan_ready_too_late_is_dropped_and_decided_anew():
+    watch = make(Scripted([THERE, THERE], ahead_s=1.0))
+    (prepare,) = kinds(engaged(watch, 5.0), Prepare)
+    commands = watch.step(SwapReported(prepare.plan.departure_s + 5.0, prepare.number, "ready"))
+    assert not kinds(commands, Depart)
+    (again,) = kinds(fly(watch, 5.0, 8.0), Prepare)
+    assert again.number == prepare.number + 1
+    assert watch.snapshot().latency_s > 1.0
+
+
+def test_planning_looks_ahead_by_the_measured_latency():
+    planner = Scripted([THERE] * 30, ahead_s=20.0)
+    watch = make(planner, latency_s=8.0)
+    commands = engaged(watch, 2.0)
+    for tick in range(20, 600, 10):
+        for prepare in kinds(commands, Prepare):
+            watch.step(SwapReported(prepare.time_s + 0.2, prepare.number, "ready"))
+            watch.step(SwapReported(prepare.time_s + 0.3, prepare.number, "failed", "try the next"))
+        commands = fly(watch, tick / 10, tick / 10 + 1.0)
+    assert planner.latencies[0] == 8.0
+    assert planner.latencies[-1] < 1.0
+
+
+def test_a_failed_plan_leaves_the_present_one():
+    watch = make(Scripted([THERE]))
+    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
+    watch.step(SwapReported(3.0, prepare.number, "failed", "timeout"))
+    state = watch.snapshot()
+    assert state.present.circle == HERE
+    assert (state.moves, state.upload_failures) == (0, 1)
+
+
+def test_a_report_about_another_plan_is_ignored():
+    watch = make(Scripted([THERE]))
+    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
+    assert watch.step(SwapReported(3.0, prepare.number + 7, "departed")) == ()
+    assert watch.snapshot().present.circle == HERE
+
+
+def test_a_plan_that_breaks_a_fence_is_not_sent():
+    watch = make(Scripted([THERE]), check=lambda plan: "the circle leaves keep_in" if plan.circle == THERE else None)
+    commands = engaged(watch, 3.0)
+    assert not kinds(commands, Prepare)
+    assert any("keep_in" in command.text for command in kinds(commands, Announce))
+
+
+def test_a_changed_mode_yields_at_once_and_for_good():
+    watch = make(Scripted([THERE] * 5))
+    engaged(watch, 3.0)
+    (yielded,) = watch.step(ModeReported(3.0, "FBWA", True))
+    assert isinstance(yielded, Yield)
+    assert "FBWA" in yielded.reason
+    assert watch.step(ModeReported(4.0, "AUTO", True)) == ()
+    assert watch.step(Engaged(4.5, HERE, "AUTO")) == ()
+    assert not kinds(fly(watch, 5.0, 20.0), Prepare, Depart)
+    assert watch.phase is Phase.YIELDED
+
+
+def test_a_ready_plan_does_not_depart_after_a_yield():
+    watch = make(Scripted([THERE], ahead_s=5.0))
+    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
+    watch.step(SwapReported(3.0, prepare.number, "ready"))
+    watch.step(YieldRequested(3.5, "RC takeover"))
+    assert not kinds(fly(watch, 4.0, 15.0), Depart)
+
+
+def test_a_target_unseen_for_long_holds_the_circle_then_ends():
+    planner = Scripted()
+    watch = make(planner, lost_after_s=10.0, give_up_after_s=40.0, give_up_action="hold")
+    engaged(watch, 10.0)
+    asked = len(planner.latencies)
+    fly(watch, 10.0, 25.0, seen=False)
+    assert "unseen" in watch.snapshot().decision.reason
+    assert len(planner.latencies) <= asked + 11
+    (end,) = kinds(fly(watch, 25.0, 60.0, seen=False), End)
+    assert end.action == "hold"
+    assert end.time_s == pytest.approx(50.0, abs=1.5)
+    assert watch.phase is Phase.ENDED
+
+
+def test_an_operator_holds_resumes_changes_side_and_ends():
+    sides: list[Side] = []
+    watch = make(Scripted([THERE] * 9))
+    watch.make_planner = lambda requirement: sides.append(requirement.side) or Scripted()
+    engaged(watch, 0.5)
+    watch.step(OperatorRequest(0.5, "hold"))
+    assert not kinds(fly(watch, 0.5, 5.0), Prepare)
+    watch.step(OperatorRequest(5.0, "side", Side.RIGHT))
+    assert sides == [Side.RIGHT]
+    assert watch.snapshot().side is Side.RIGHT
+    watch.step(OperatorRequest(6.0, "resume"))
+    assert watch.phase is Phase.WATCHING
+    assert kinds(watch.step(OperatorRequest(7.0, "end")), End)
+    (refused,) = watch.step(OperatorRequest(8.0, "resume"))
+    assert "refused" in refused.text
+
+
+def test_a_late_position_does_not_turn_back_the_clock():
+    watch = make(Scripted())
+    engaged(watch, 5.0)
+    watch.step(PositionReading(2.0, 0.0, 0.0, HEIGHT_M, 0.0, SPEED_M_S, 0.0))
+    assert watch.snapshot().time_s == pytest.approx(4.9)
+
+
+def test_the_link_is_told_of():
+    watch = make(Scripted())
+    assert "lost" in watch.step(LinkReported(1.0, False))[0].text
+    assert "back" in watch.step(LinkReported(2.0, True))[0].text
