@@ -26,6 +26,7 @@ from mavsdk.asyncio.enums import ForwardingOption
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkDirectError, MavlinkMessage
 from mavsdk.asyncio.plugins.mission_raw import MissionItem, MissionRawAsync, MissionRawError, MissionRawResult
 from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
+from pymavlink.dialects.v20 import common as mavlink
 
 from app.errors import InputError
 from app.link import LinkError, RawItem, UploadResult
@@ -120,7 +121,14 @@ class MavsdkLink:
             raise InputError(
                 f"{url!r}: no autopilot was heard within {timeout_s:g} s; check that it runs and sends MAVLink there."
             )
-        return cls(instance, system, await system.get_system_id())
+        link = cls(instance, system, await system.get_system_id())
+        if on_frame is not None:
+            # MAVSDK sends a message for a system only where it has heard that system: let it be heard on the
+            # recording connection too. The answer to a command that nobody sent is addressed to us, so it stays here.
+            answer = mavlink.MAVLink_command_ack_message(0, 0, 0, 0, own_system_id, own_component_id)
+            heard = answer.pack(mavlink.MAVLink(None, srcSystem=link.system_id, srcComponent=1))
+            instance._mavsdk.pass_received_raw_bytes(heard)
+        return link
 
     # -- messages ------------------------------------------------------------------------------------------
 
