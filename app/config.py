@@ -26,7 +26,7 @@ class AircraftSection(_Section):
 
     airspeed_m_s: float = Field(15.0, gt=3, le=80)
     """Airspeed while circling, m/s."""
-    radius_m: float = Field(60.0, ge=10, le=2000)
+    radius_m: float = Field(50.0, ge=10, le=2000)
     """Radius of the circle flown beside the target, m."""
     bank_max_deg: float = Field(45.0, ge=10, le=70)
     """Bank limit of the autopilot (ArduPlane ROLL_LIMIT_DEG, PX4 FW_R_LIM), degrees."""

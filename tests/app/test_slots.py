@@ -1,0 +1,68 @@
+"""A mission layout in which no upload, cut anywhere, changes what is flown."""
+
+from __future__ import annotations
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.link import RawItem
+from app.slots import Slots
+
+WAYPOINT, LOITER, HOME = 16, 17, 99
+
+
+def item(command: int, tag: int) -> RawItem:
+    return RawItem(command, 3, 0.0, 0.0, 60.0, 0.0, tag, tag, 100.0)
+
+
+def line(tag: int, waypoints: int) -> tuple[RawItem, ...]:
+    return (*(item(WAYPOINT, 1000 * tag + k) for k in range(waypoints)), item(LOITER, 1000 * tag + 500))
+
+
+def flown_from(stored: list[RawItem], index: int) -> list[RawItem]:
+    """What a vehicle flies that starts at an index: on through the list until a circle that never completes."""
+    flown = []
+    for one in stored[index:]:
+        flown.append(one)
+        if one.command == LOITER:
+            return flown
+    raise AssertionError("the mission ends in a waypoint: the vehicle would go home")
+
+
+def start(waypoints: int = 0) -> Slots:
+    first = line(1, waypoints)
+    return Slots((item(HOME, 0), *first), 1, 1, 1 + len(first))
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.integers(0, 6), min_size=1, max_size=12), st.data())
+def test_every_prefix_of_every_upload_leaves_the_present_line_whole(lengths, data):
+    slots = start()
+    stored = list(slots.items)
+    for tag, waypoints in enumerate(lengths, 2):
+        present = slots.items[slots.first : slots.end]
+        following = slots.with_line(line(tag, waypoints))
+        cut = data.draw(st.integers(0, len(following.items)))
+        # ArduPlane: items are overwritten as they arrive; what lies beyond a shorter new list is cut off first.
+        mixture = stored[: len(following.items)]
+        mixture[:cut] = following.items[:cut]
+        for step in range(len(present)):
+            assert flown_from(mixture, slots.first + step) == list(present[step:])
+        stored = list(following.items)
+        assert flown_from(stored, following.first) == list(line(tag, waypoints))
+        slots = following
+
+
+@given(st.lists(st.integers(0, 6), min_size=1, max_size=60))
+def test_the_mission_does_not_grow_with_the_number_of_moves(lengths):
+    slots = start()
+    for tag, waypoints in enumerate(lengths, 2):
+        slots = slots.with_line(line(tag, waypoints))
+        assert len(slots.items) <= 1 + 3 * 7
+        assert slots.items[0].command == HOME
+
+
+def test_items_that_close_the_mission_come_last():
+    closed = start(2).closed_by((item(21, 1),))
+    assert closed.items[-1].command == 21
+    assert (closed.first, closed.end) == (1, 4)

@@ -1,0 +1,146 @@
+"""MAVLink fields into readings: units, signs, frames, and what is passed over."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from app.message import Message
+from app.telemetry import Telemetry
+from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
+from mission.events import ModeReported, WindReported, YieldRequested
+
+
+def message(name: str, component: int = 1, system: int = 1, **fields) -> Message:
+    return Message(name, system, component, fields, 0.0)
+
+
+def heartbeat(autopilot: int, custom_mode: int, base_mode: int = 129, **kw) -> Message:
+    return message("HEARTBEAT", autopilot=autopilot, type=1, base_mode=base_mode, custom_mode=custom_mode, **kw)
+
+
+def position(time_ms: int = 10_000, lat: int = 474_000_000, lon: int = 85_000_000, **kw) -> Message:
+    fields = {"relative_alt": 120_000, "vx": 300, "vy": -400, "vz": 50} | kw
+    return message("GLOBAL_POSITION_INT", time_boot_ms=time_ms, lat=lat, lon=lon, **fields)
+
+
+def laser(**kw) -> Message:
+    fields = {
+        "time_boot_ms": 10_000,
+        "min_distance": 100,
+        "max_distance": 65_500,
+        "current_distance": 23_462,
+        "id": 1,
+        "orientation": 100,
+        "covariance": 255,
+        "signal_quality": 90,
+        "quaternion": [0.0, 0.0, 0.0, 0.0],
+    } | kw
+    return message("DISTANCE_SENSOR", 154, **fields)
+
+
+def gimbal(flags: int, **kw) -> Message:
+    fields = {"time_boot_ms": 10_000, "q": [1.0, 0.0, 0.0, 0.0], "flags": flags, "gimbal_device_id": 0} | kw
+    return message("GIMBAL_DEVICE_ATTITUDE_STATUS", 154, **fields)
+
+
+@pytest.fixture
+def telemetry() -> Telemetry:
+    decoder = Telemetry(1)
+    decoder.event(position())
+    return decoder
+
+
+def test_the_first_fix_is_the_origin_and_north_is_north():
+    decoder = Telemetry()
+    origin = decoder.event(position())
+    assert isinstance(origin, PositionReading)
+    assert (origin.east_m, origin.north_m, origin.height_m) == (0.0, 0.0, 120.0)
+    assert (origin.velocity_east_m_s, origin.velocity_north_m_s, origin.velocity_up_m_s) == (-4.0, 3.0, -0.5)
+    moved = decoder.event(position(10_100, lat=474_000_000 + 8_993))
+    assert moved.north_m == pytest.approx(100.0, abs=0.1)
+    assert moved.east_m == 0.0
+
+
+def test_no_fix_is_no_position():
+    assert Telemetry().event(position(lat=0, lon=0)) is None
+
+
+def test_another_vehicle_is_not_ours(telemetry):
+    assert telemetry.event(position()._replace(system_id=2)) is None
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "custom_mode", "name"),
+    [(3, 10, "AUTO"), (3, 11, "RTL"), (12, 0x04040000, "MISSION"), (3, 99, "mode 99")],
+)
+def test_modes_have_their_autopilots_names(telemetry, autopilot, custom_mode, name):
+    assert telemetry.event(heartbeat(autopilot, custom_mode)) == ModeReported(10.0, name, True)
+
+
+def test_a_payloads_heartbeat_is_no_mode(telemetry):
+    assert telemetry.event(heartbeat(8, 0, component=154)) is None
+
+
+def test_a_slant_range_comes_in_metres_with_its_source(telemetry):
+    reading = telemetry.event(laser())
+    assert isinstance(reading, RangeReading)
+    assert reading.slant_range_m == pytest.approx(234.62)
+    assert reading.quality == pytest.approx(0.9)
+    assert reading.sigma_m is None
+    assert (reading.source.component_id, reading.source.sensor_id, reading.source.orientation) == (154, 1, 100)
+
+
+@pytest.mark.parametrize(
+    "nothing",
+    [{"current_distance": 0}, {"current_distance": 65_501}, {"current_distance": 50}, {"signal_quality": 1}],
+)
+def test_a_laser_without_an_echo_is_no_range(telemetry, nothing):
+    assert telemetry.event(laser(**nothing)) is None
+
+
+def test_a_told_covariance_is_a_sigma(telemetry):
+    assert telemetry.event(laser(covariance=25)).sigma_m == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("flags", "frame"),
+    [(92, "earth"), (16 | 12, "earth"), (32 | 12, "vehicle"), (12, "vehicle"), (32, "body"), (0, "body")],
+)
+def test_the_gimbals_frame_follows_its_flags(telemetry, flags, frame):
+    reading = telemetry.event(gimbal(flags))
+    assert isinstance(reading, GimbalReading)
+    assert reading.frame == frame
+
+
+@pytest.mark.parametrize("q", [[math.nan] * 4, [None] * 4, [0.0] * 4])
+def test_an_unknown_line_of_sight_is_none(telemetry, q):
+    assert telemetry.event(gimbal(92, q=q)) is None
+
+
+def test_winds_blow_where_they_go(telemetry):
+    arduplane = telemetry.event(message("WIND", direction=270.0, speed=5.0, speed_z=0.0))
+    assert isinstance(arduplane, WindReported)
+    assert (arduplane.east_m_s, arduplane.north_m_s) == (pytest.approx(5.0), pytest.approx(0.0, abs=1e-9))
+    px4 = telemetry.event(message("WIND_COV", wind_x=2.0, wind_y=-1.0))
+    assert (px4.east_m_s, px4.north_m_s) == (-1.0, 2.0)
+
+
+def test_an_attitude_with_nan_is_none(telemetry):
+    good = message("ATTITUDE", time_boot_ms=10_100, roll=0.1, pitch=0.2, yaw=0.3)
+    assert telemetry.event(good) == AttitudeReading(10.1, 0.1, 0.2, 0.3)
+    assert telemetry.event(message("ATTITUDE", time_boot_ms=10_100, roll=None, pitch=0.2, yaw=0.3)) is None
+
+
+def test_a_clock_that_starts_anew_is_a_reboot(telemetry):
+    assert isinstance(telemetry.event(position(200)), YieldRequested)
+    assert isinstance(telemetry.event(position(300)), PositionReading)
+
+
+def test_a_cameras_own_fix_is_used_while_it_tracks(telemetry):
+    fields = {"lat": 474_000_000, "lon": 85_000_000, "h_acc": 4.0}
+    active = telemetry.event(message("CAMERA_TRACKING_GEO_STATUS", 100, tracking_status=1, **fields))
+    assert isinstance(active, TargetFixReading)
+    assert active.sigma_m == 4.0
+    assert telemetry.event(message("CAMERA_TRACKING_GEO_STATUS", 100, tracking_status=0, **fields)) is None
