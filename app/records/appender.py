@@ -18,15 +18,17 @@ _CLOSE_TIMEOUT_S = 5.0
 
 
 class Appender:
-    """Appends to ``path``, which must not exist yet. What was appended is with the kernel 0.25 s later.
+    """Appends to ``path``, which must not exist yet. Use as ``with``.
 
-    on_trouble gets one sentence when the recording has ended early; it is called from the writing thread.
-    Raises OSError when the file cannot be made.
+    The kernel has ``opening`` at once and what is appended 0.25 s later: so much a killed process loses.
+    on_trouble gets one sentence when the recording has ended early, from the thread that found out. Raises OSError
+    when the file exists or cannot be made; after that nothing raises.
     """
 
-    def __init__(self, path: Path, on_trouble: Callable[[str], None]) -> None:
+    def __init__(self, path: Path, on_trouble: Callable[[str], None], opening: bytes = b"") -> None:
         self._path, self._on_trouble = path, on_trouble
         self._file = path.open("xb", buffering=0)
+        self._file.write(opening)
         self._lock = threading.Lock()
         self._backlog: list[bytes] = []
         self._backlog_bytes = 0

@@ -14,8 +14,7 @@ import zlib
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, get_origin
+from typing import Any, get_origin
 
 import cattrs
 import numpy as np
@@ -74,31 +73,15 @@ def encode(event: Any) -> bytes:
     return body + _CHECKSUM % zlib.crc32(body)
 
 
-class JournalWriter:
-    """Writes a new journal; lines are on their way to the disk 0.25 s later. Use as ``with``.
-
-    on_trouble gets one sentence when the recording has ended early (full disk). Raises OSError when the file exists
-    or cannot be made.
-    """
+class JournalWriter(Appender):
+    """Writes a new journal, from any thread."""
 
     def __init__(self, path: Path, header: Header, on_trouble: Callable[[str], None]) -> None:
-        self._appender = Appender(path, on_trouble)
-        self.write(header)
+        super().__init__(path, on_trouble, opening=encode(header))
 
     def write(self, event: Any) -> None:
         """Append a frozen dataclass."""
-        self._appender.append(encode(event))
-
-    def close(self) -> None:
-        self._appender.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+        self.append(encode(event))
 
 
 class JournalReader:

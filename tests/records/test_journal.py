@@ -1,0 +1,180 @@
+"""The journal gives back what was written, bit for bit, and every whole line of a damaged one."""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+from dataclasses import dataclass, fields, is_dataclass
+from enum import StrEnum
+from itertools import accumulate
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.errors import InputError
+from app.records.journal import Header, JournalReader, JournalWriter, encode
+from estimators.frames import LocalPlane
+
+HEADER = Header("sidelong 0", {"aircraft": {"radius_m": 80.0}}, LocalPlane(47.4, 8.5), {"target": 3})
+
+
+class Colour(StrEnum):
+    RED = "red"
+    GREEN = "green"
+
+
+@dataclass(frozen=True, slots=True)
+class Inner:
+    x_m: float
+    count: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Everything:
+    time_s: float
+    name: str
+    flag: bool
+    kind: Literal["one", "two"]
+    colour: Colour
+    inner: Inner
+    maybe: Inner | None
+    pair: tuple[float, float]
+    several: tuple[Inner, ...]
+    samples: npt.NDArray[np.float64]
+    values: dict[str, float]
+    limit_m: float | None = None
+
+
+def bits(value: Any) -> Any:
+    """Return the value so that equal means the same to the last bit, NaN and signs of zero included."""
+    if is_dataclass(value):
+        return type(value), [bits(getattr(value, field.name)) for field in fields(value)]
+    if isinstance(value, np.ndarray):
+        return value.shape, [bits(one) for one in value.ravel().tolist()]
+    if isinstance(value, float):
+        return "nan" if math.isnan(value) else struct.pack("<d", value)
+    if isinstance(value, tuple):
+        return tuple(map(bits, value))
+    if isinstance(value, dict):
+        return {key: bits(item) for key, item in value.items()}
+    return type(value), value
+
+
+inners = st.builds(Inner, st.floats(), st.integers())
+events = st.builds(
+    Everything,
+    time_s=st.floats(),
+    name=st.text(),
+    flag=st.booleans(),
+    kind=st.sampled_from(["one", "two"]),
+    colour=st.sampled_from(Colour),
+    inner=inners,
+    maybe=st.none() | inners,
+    pair=st.tuples(st.floats(), st.floats()),
+    several=st.lists(inners, max_size=3).map(tuple),
+    samples=st.lists(st.tuples(st.floats(), st.floats()), min_size=1, max_size=4).map(
+        lambda rows: np.array(rows, np.float64)
+    ),
+    values=st.dictionaries(st.text(), st.floats(), max_size=3),
+    limit_m=st.none() | st.floats(),
+)
+
+
+def written(path: Path, several: list[Any]) -> Path:
+    path.write_bytes(encode(HEADER) + b"".join(map(encode, several)))
+    return path
+
+
+@settings(max_examples=60, deadline=None)
+@given(several=st.lists(events, max_size=3))
+def test_events_come_back_bit_for_bit(tmp_path_factory, several):
+    path = written(tmp_path_factory.mktemp("journal") / "j.jsonl", several)
+    reader = JournalReader(path, [Everything])
+    assert reader.header == HEADER
+    assert list(map(bits, reader)) == list(map(bits, several))
+    assert reader.damaged_lines == 0
+
+
+def test_the_writer_writes_what_the_reader_reads(tmp_path):
+    several = [Inner(0.1 * i, i) for i in range(1000)]
+    with JournalWriter(tmp_path / "j.jsonl", HEADER, pytest.fail) as journal:
+        for event in several:
+            journal.write(event)
+    reader = JournalReader(tmp_path / "j.jsonl", [Inner])
+    assert list(reader) == several
+    assert list(reader) == several  # from the first again
+
+
+def test_scalars_of_numpy_are_written_as_plain_numbers(tmp_path):
+    event = Inner(np.float64(0.1), np.int64(3))  # type: ignore[arg-type]  # what a careless caller passes
+    (read,) = JournalReader(written(tmp_path / "j.jsonl", [event]), [Inner])
+    assert read == Inner(0.1, 3)
+
+
+def test_cut_at_any_byte_all_whole_lines_are_read(tmp_path):
+    rng = random.Random(1)
+    several = [Inner(rng.random(), i) for i in range(100)]
+    path = written(tmp_path / "j.jsonl", several)
+    whole = path.read_bytes()
+    ends = list(accumulate(map(len, map(encode, [HEADER, *several]))))
+    for cut in rng.sample(range(ends[0], len(whole)), 200):
+        path.write_bytes(whole[:cut])
+        reader = JournalReader(path, [Inner])
+        assert list(reader) == several[: sum(end <= cut for end in ends) - 1]
+        assert reader.damaged_lines == 0
+
+
+def test_damage_costs_only_the_lines_it_hits_and_is_counted(tmp_path):
+    rng = random.Random(2)
+    several = [Inner(rng.random(), i) for i in range(100)]
+    path = written(tmp_path / "j.jsonl", several)
+    whole = path.read_bytes()
+    ends = list(accumulate(map(len, map(encode, [HEADER, *several]))))
+    for _ in range(200):
+        begin, length = rng.randrange(ends[0], len(whole) - 100), rng.choice([1, 1, 2, 100])
+        damage = rng.randbytes(length)
+        path.write_bytes(whole[:begin] + damage + whole[begin + length :])
+        changed = whole[begin : begin + length] != damage
+        untouched = [
+            event
+            for event, first, end in zip(several, ends, ends[1:], strict=False)
+            if not changed or end <= begin or begin + length <= first
+        ]
+        reader = JournalReader(path, [Inner])
+        found = list(reader)
+        assert [event for event in found if event in untouched] == untouched
+        assert all(event in several for event in found)
+        assert (reader.damaged_lines > 0) == (len(found) < len(several))
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"no journal\n", b"\x00" * 1000, encode(HEADER)[:-5], encode(Inner(1.0, 1))]
+)
+def test_a_file_without_a_header_is_an_input_error(tmp_path, content):
+    (tmp_path / "j.jsonl").write_bytes(content)
+    with pytest.raises(InputError, match="no journal header"):
+        JournalReader(tmp_path / "j.jsonl", [Inner])
+
+
+def test_a_journal_of_another_format_is_an_input_error(tmp_path):
+    newer = Header("sidelong 9", {}, None, {}, format=9)
+    (tmp_path / "j.jsonl").write_bytes(encode(newer))
+    with pytest.raises(InputError, match=r"format 9; this program reads 1\."):
+        JournalReader(tmp_path / "j.jsonl", [Inner])
+
+
+def test_an_event_of_an_unknown_type_is_an_input_error(tmp_path):
+    path = written(tmp_path / "j.jsonl", [Inner(1.0, 1)])
+    with pytest.raises(InputError, match="an event Inner that this program does not know"):
+        list(JournalReader(path, []))
+
+
+def test_a_missing_journal_is_an_input_error(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        JournalReader(tmp_path / "j.jsonl", [])
