@@ -172,7 +172,16 @@ def load_config(path: Path | None, overrides: dict[str, dict[str, Any]] | None =
             raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a TOML file.") from error
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError(f"{path}: is not valid TOML: {error}.") from error
-    for section, keys in (overrides or {}).items():
+    return _validated(values, overrides or {}, name)
+
+
+def with_values(config: Config, overrides: dict[str, dict[str, Any]], name: str) -> Config:
+    """Return the configuration with other values. Raises InputError that begins with ``name``."""
+    return _validated(config.model_dump(), overrides, name)
+
+
+def _validated(values: dict[str, Any], overrides: dict[str, dict[str, Any]], name: str) -> Config:
+    for section, keys in overrides.items():
         given = {key: value for key, value in keys.items() if value is not None}
         if given and isinstance(values.setdefault(section, {}), dict):
             values[section] |= given

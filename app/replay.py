@@ -8,11 +8,13 @@ the aircraft is really on (``Engaged`` with the circle of its present bank), and
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from app.errors import InputError
 from app.message import Message
+from app.records.journal import encode
 from app.telemetry import Telemetry
 from estimators.frames import LocalPlane
 from estimators.readings import PositionReading
@@ -91,3 +93,53 @@ def announcements(commands: Iterable[Command]) -> Iterator[Announce]:
     for command in commands:
         if isinstance(command, Announce) and command.kind != "swap":
             yield command
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Where a replay first decided otherwise than the flight did."""
+
+    event: Event
+    flown: Command | None
+    replayed: Command | None
+
+    def __str__(self) -> str:
+        return f"after {self.event}\n  flown:    {self.flown}\n  replayed: {self.replayed}"
+
+
+class JournalReplay:
+    """Steps a watch through the journal of one of our own runs: the very events of the flight, in order.
+
+    After ``run``, ``compared`` counts the commands that were compared, and ``difference`` is the first that was not
+    the same to the last bit, or None.
+    """
+
+    def __init__(self, watch: Watch) -> None:
+        self.watch = watch
+        self.compared = 0
+        self.difference: Difference | None = None
+        self._cause: Event | None = None
+        self._expected: deque[Command] = deque()
+
+    def run(self, records: Iterable[Event | Command]) -> Iterator[Replayed]:
+        """Yield every event of the journal with what the step made of it now."""
+        for record in records:
+            if isinstance(record, Command):
+                self._compare(record)
+                continue
+            if self._expected:
+                self._compare(None)
+            commands = self.watch.step(record)
+            self._cause = record
+            self._expected.extend(commands)
+            yield Replayed(record, commands, self.watch.snapshot())
+        # A flight that was cut off may lack the commands of its last event: those are not held against it.
+
+    def _compare(self, flown: Command | None) -> None:
+        replayed = self._expected.popleft() if self._expected else None
+        self.compared += 1
+        same = flown is not None and replayed is not None and encode(flown) == encode(replayed)
+        if not same and self.difference is None and self._cause is not None:
+            self.difference = Difference(self._cause, flown, replayed)
+        if flown is None:
+            self._expected.clear()

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.progress import Progress
@@ -12,65 +13,148 @@ from rich.text import Text
 
 from app.assembly import watch_of
 from app.commands.output import JsonOption, checked_output, console, write_json
-from app.config import load_config
+from app.config import Config, load_config, with_values
 from app.console import clock
-from app.errors import InputError
+from app.errors import FlightError, InputError
+from app.recording import JOURNAL_TYPES
+from app.records.journal import JournalReader
+from app.records.run_folder import RunFolder
 from app.records.tlog import is_tlog, read_tlog, summary
-from app.records.truth import read_truth
-from app.replay import LogReplay, announcements, require_sightings
-from app.summary import Gatherer, summarise
+from app.records.truth import Truth, read_truth
+from app.replay import JournalReplay, LogReplay, Replayed, announcements, require_sightings
+from app.summary import Gatherer, Summary, summarise
 from app.telemetry import Telemetry
+from estimators.frames import LocalPlane
+from mission.events import Engaged
+from mission.watch import Watch
 
 _MOST_LISTED = 12
 
 
 def replay(
-    log: Annotated[Path, typer.Argument(help="A recorded tlog.", show_default=False)],
-    truth: Annotated[Path | None, typer.Option(help="CSV with the true track, to measure errors by.")] = None,
-    config: Annotated[Path | None, typer.Option(help="Configuration (TOML).")] = None,
-    planner: Annotated[str | None, typer.Option(help="predictive or paper.")] = None,
+    log: Annotated[Path, typer.Argument(help="A run folder of ours, or a recorded tlog.", show_default=False)],
+    truth: Annotated[
+        Path | None, typer.Option(help="CSV with the true track; a simulated run folder has its own.")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="Configuration (TOML); a run folder has its own.")] = None,
+    planner: Annotated[
+        str | None, typer.Option(help="Another planner: predictive or paper.")
+    ] = None,
+    change: Annotated[
+        list[str] | None, typer.Option("--set", help="Replay with another value: SECTION.KEY=VALUE (repeatable).")
+    ] = None,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Compare every decision with the run's own; exit 1 at a difference.")
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
 ) -> None:
     """Run the filter and the planner over a recorded flight: what was decided, and how far off the estimate was.
 
-    Example: sidelong replay flight.tlog --truth flight.truth.csv
+    Examples: sidelong replay flight.tlog --truth flight.truth.csv; sidelong replay runs/20261121T100000Z --verify;
+    sidelong replay flight.tlog --set requirement.side=right
     """
     checked_output(json)
-    settings = load_config(config, {"planner": {"name": planner}})
-    if not log.is_file():
-        raise InputError(f"{log}: there is no such file; give the path of a recorded log.")
-    if not is_tlog(log):
-        raise InputError(f"{log}: holds no whole MAVLink frame; give a tlog.")
-    true_track = read_truth(truth) if truth is not None else None
-    watch = watch_of(settings)
-    telemetry = Telemetry()
-    steps = LogReplay(watch, telemetry)
-    gatherer = Gatherer(settings.requirement.requirement())
-    start_s: float | None = None
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(log.name, total=1.0)
-        messages = read_tlog(log, telemetry.wanted, lambda share: progress.update(task, completed=share))
-        for step in steps.run(messages):
-            gatherer.observe(step.snapshot)
-            if start_s is None and step.snapshot.estimate is not None:
-                start_s = step.snapshot.time_s
-            if not quiet:
-                for said in announcements(step.commands):
-                    progress.console.print(Text(f"{clock(said.time_s):>7}  {said.text}"))
-    require_sightings(watch.tracker.sightings, str(log), lambda: _listed(log))
-    result = summarise(
-        gatherer,
-        watch.snapshot(),
-        truth=true_track,
-        plane=steps.plane,
-        start_s=start_s if start_s is not None else -math.inf,
-        sightings=watch.tracker.sightings,
-        rejected=watch.tracker.rejected,
-        outcome="replayed",
-    )
+    changes = _changes(change or [], planner)
+    if not log.exists():
+        raise InputError(f"{log}: there is no such file; give the path of a run folder or a recorded log.")
+    if log.is_dir() or log.suffix == ".jsonl":
+        result = _replay_run(log, truth, config, changes, verify, quiet)
+    elif verify:
+        raise InputError(f"{log}: --verify needs a run folder of ours; a log holds no decisions to compare.")
+    else:
+        result = _replay_log(log, truth, load_config(config, changes), quiet)
     console.print(result.table())
     write_json(json, result.as_json())
+
+
+def _changes(given: list[str], planner: str | None) -> dict[str, dict[str, Any]]:
+    changes: dict[str, dict[str, Any]] = {"planner": {"name": planner}}
+    for one in given:
+        key, equals, value = one.partition("=")
+        section, dot, name = key.partition(".")
+        if not (equals and dot and name):
+            raise InputError(f"--set {one}: write it as SECTION.KEY=VALUE, for example requirement.side=right.")
+        changes.setdefault(section, {})[name] = value
+    return changes
+
+
+def _replay_log(log: Path, truth: Path | None, settings: Config, quiet: bool) -> Summary:
+    if not is_tlog(log):
+        raise InputError(f"{log}: holds no whole MAVLink frame; give a tlog.")
+    telemetry = Telemetry()
+    steps = LogReplay(watch_of(settings), telemetry)
+    with _progress() as progress:
+        task = progress.add_task(log.name, total=1.0)
+        messages = read_tlog(log, telemetry.wanted, lambda share: progress.update(task, completed=share))
+        judged = _Judged(settings, steps.watch, progress, quiet)
+        judged.follow(steps.run(messages))
+    require_sightings(steps.watch.tracker.sightings, str(log), lambda: _listed(log))
+    return judged.summary(read_truth(truth) if truth is not None else None, steps.plane, judged.first_estimate_s)
+
+
+def _replay_run(
+    path: Path, truth: Path | None, config: Path | None, changes: dict[str, dict[str, Any]], verify: bool, quiet: bool
+) -> Summary:
+    folder = RunFolder.open(path if path.is_dir() else path.parent)
+    with _progress() as progress:
+        task = progress.add_task(folder.path.name, total=1.0)
+        journal = JournalReader(folder.journal, JOURNAL_TYPES, lambda share: progress.update(task, completed=share))
+        flown = load_config(config) if config is not None else Config.model_validate(dict(journal.header.config))
+        settings = with_values(flown, changes, "--set")
+        if verify and settings != flown:
+            raise InputError("--verify compares like with like; leave out --planner, --set and --config.")
+        steps = JournalReplay(watch_of(settings))
+        judged = _Judged(settings, steps.watch, progress, quiet or verify)
+        judged.follow(steps.run(journal))
+    if verify:
+        if steps.difference is not None:
+            raise FlightError(f"{folder.path}: the replay differs from the flight {steps.difference}")
+        console.print(f"{steps.compared} decisions and commands compared: all the same to the last bit")
+    elif steps.difference is not None and not quiet:
+        console.print(Text(f"first difference from the flight {steps.difference}"))
+    if truth is None and folder.truth.is_file():
+        truth = folder.truth
+    start_s = judged.engaged_s if judged.engaged_s is not None else judged.first_estimate_s
+    return judged.summary(read_truth(truth) if truth is not None else None, journal.header.plane, start_s)
+
+
+class _Judged:
+    """Follows a replay: prints what is said, and gathers what the summary needs."""
+
+    def __init__(self, settings: Config, watch: Watch, progress: Progress, quiet: bool) -> None:
+        self.first_estimate_s: float | None = None
+        self.engaged_s: float | None = None
+        self._watch, self._progress, self._quiet = watch, progress, quiet
+        self._gatherer = Gatherer(settings.requirement.requirement())
+
+    def follow(self, steps: Iterator[Replayed] | Iterable[Replayed]) -> None:
+        for step in steps:
+            self._gatherer.observe(step.snapshot)
+            if self.first_estimate_s is None and step.snapshot.estimate is not None:
+                self.first_estimate_s = step.snapshot.time_s
+            if self.engaged_s is None and isinstance(step.event, Engaged):
+                self.engaged_s = step.event.time_s
+            if not self._quiet:
+                for said in announcements(step.commands):
+                    self._progress.console.print(Text(f"{clock(said.time_s):>7}  {said.text}"))
+
+    def summary(self, truth: Truth | None, plane: LocalPlane | None, start_s: float | None) -> Summary:
+        tracker = self._watch.tracker
+        return summarise(
+            self._gatherer,
+            self._watch.snapshot(),
+            truth=truth,
+            plane=plane,
+            start_s=start_s if start_s is not None else -math.inf,
+            sightings=tracker.sightings,
+            rejected=tracker.rejected,
+            outcome="replayed",
+        )
+
+
+def _progress() -> Progress:
+    return Progress(console=console, transient=True, disable=not console.is_terminal)
 
 
 def _listed(log: Path) -> str:
