@@ -12,8 +12,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from scipy.optimize import brentq
+
 from mission.placement import stand_off_m
-from mission.requirement import Aircraft, Requirement
+from mission.requirement import GRAVITY_M_S2, Aircraft, Requirement
 from mission.transition import least_move_m, transition_length_m
 
 
@@ -60,3 +62,26 @@ def scope(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.
         straight_left_m=shortest_m - least_m,
         least_threshold=math.hypot(least_m + ahead_m + lap_travel_m, beside_m) / requirement.range_max_m,
     )
+
+
+def least_psi_c_rad(aircraft: Aircraft) -> float:
+    """Return the least psi_c, at most pi/2: the roll begins at v^3 / (g R^2 psi_c), and the aircraft's is limited."""
+    rolling_m_s3 = GRAVITY_M_S2 * aircraft.radius_m**2 * aircraft.roll_rate_max_rad_s
+    return min(aircraft.airspeed_m_s**3 / rolling_m_s3, math.pi / 2)
+
+
+def largest_psi_c_rad(aircraft: Aircraft, requirement: Requirement) -> float:
+    """Return the paper's psi_c = pi/2 where the requirement is feasible with it, else the largest that is.
+
+    A smaller one shortens the transition. Where none is feasible, the least one comes nearest.
+    """
+
+    def straight_left_m(psi_c_rad: float) -> float:
+        return scope(aircraft, requirement, psi_c_rad).straight_left_m
+
+    least_rad = least_psi_c_rad(aircraft)
+    if straight_left_m(math.pi / 2) >= 0.0:
+        return math.pi / 2
+    if straight_left_m(least_rad) <= 0.0:
+        return least_rad
+    return float(brentq(straight_left_m, least_rad, math.pi / 2))
