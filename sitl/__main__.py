@@ -1,0 +1,8 @@
+"""``python -m sitl``."""
+
+import typer
+
+from sitl.cli import run
+
+if __name__ == "__main__":
+    typer.run(run)

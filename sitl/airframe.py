@@ -1,0 +1,135 @@
+"""A fixed wing as a point mass that turns by banking."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+GRAVITY_M_S2 = 9.80665
+
+
+def true_over_equivalent_airspeed(altitude_m: float) -> float:
+    """Return the factor by which air is passed faster than its pressure tells, in the standard troposphere."""
+    return float((1.0 - 2.25577e-5 * altitude_m) ** -2.128)
+
+
+@dataclass(frozen=True, slots=True)
+class Wind:
+    """The air's motion over the ground (where it blows *to*)."""
+
+    east_m_s: float = 0.0
+    north_m_s: float = 0.0
+
+    @staticmethod
+    def blowing_from(speed_m_s: float, from_rad: float) -> Wind:
+        return Wind(-speed_m_s * math.sin(from_rad), -speed_m_s * math.cos(from_rad))
+
+
+@dataclass(frozen=True, slots=True)
+class Build:
+    """What the airframe can do. turn_efficiency: turn achieved over the turn a coordinated bank would give."""
+
+    roll_time_constant_s: float = 0.4
+    roll_rate_max_rad_s: float = math.radians(70.0)
+    climb_max_m_s: float = 6.0
+    sink_max_m_s: float = 4.0
+    climb_time_constant_s: float = 1.0
+    acceleration_max_m_s2: float = 3.0
+    run_acceleration_m_s2: float = 6.0
+    turn_efficiency: float = 1.0
+
+
+class Airframe:
+    """State and motion. airspeed_m_s is true airspeed; heading_rad is where the nose points, without sideslip."""
+
+    __slots__ = (
+        "airspeed_m_s",
+        "build",
+        "climb_m_s",
+        "east_m",
+        "flying",
+        "heading_rad",
+        "height_m",
+        "north_m",
+        "roll_rad",
+        "roll_rate_rad_s",
+        "velocity_east_m_s",
+        "velocity_north_m_s",
+        "wind",
+        "yaw_rate_rad_s",
+    )
+
+    def __init__(self, build: Build, wind: Wind, heading_rad: float = 0.0) -> None:
+        self.build = build
+        self.wind = wind
+        self.east_m = self.north_m = self.height_m = 0.0
+        self.heading_rad = heading_rad
+        self.airspeed_m_s = self.climb_m_s = 0.0
+        self.velocity_east_m_s = self.velocity_north_m_s = 0.0
+        self.roll_rad = self.roll_rate_rad_s = self.yaw_rate_rad_s = 0.0
+        self.flying = False
+
+    @property
+    def ground_speed_m_s(self) -> float:
+        return math.hypot(self.velocity_east_m_s, self.velocity_north_m_s)
+
+    @property
+    def course_rad(self) -> float:
+        """The direction of motion over the ground; the nose while it stands still."""
+        if self.velocity_east_m_s == 0.0 and self.velocity_north_m_s == 0.0:
+            return self.heading_rad
+        return math.atan2(self.velocity_east_m_s, self.velocity_north_m_s)
+
+    @property
+    def pitch_rad(self) -> float:
+        return math.asin(max(-1.0, min(1.0, self.climb_m_s / self.airspeed_m_s))) if self.flying else 0.0
+
+    def fly(self, dt_s: float, roll_rad: float, airspeed_m_s: float, climb_m_s: float) -> None:
+        """Step with commanded roll, true airspeed and climb rate; touches the ground at height 0."""
+        build = self.build
+        rate_rad_s = (roll_rad - self.roll_rad) / build.roll_time_constant_s
+        limit_rad_s = build.roll_rate_max_rad_s
+        self.roll_rate_rad_s = rate_rad_s = max(-limit_rad_s, min(limit_rad_s, rate_rad_s))
+        self.roll_rad += rate_rad_s * dt_s
+        climb_m_s = max(-build.sink_max_m_s, min(build.climb_max_m_s, climb_m_s))
+        self.climb_m_s += (climb_m_s - self.climb_m_s) * dt_s / build.climb_time_constant_s
+        step_m_s = build.acceleration_max_m_s2 * dt_s
+        self.airspeed_m_s += max(-step_m_s, min(step_m_s, (airspeed_m_s - self.airspeed_m_s) * dt_s))
+        lateral_m_s2 = build.turn_efficiency * GRAVITY_M_S2 * math.tan(self.roll_rad)
+        self.yaw_rate_rad_s = lateral_m_s2 / self.airspeed_m_s
+        # The middle of the turn made in this step keeps a circle closed.
+        middle_rad = self.heading_rad + 0.5 * self.yaw_rate_rad_s * dt_s
+        self.heading_rad = (self.heading_rad + self.yaw_rate_rad_s * dt_s) % math.tau
+        level_m_s = math.sqrt(max(1.0, self.airspeed_m_s**2 - self.climb_m_s**2))
+        self.velocity_east_m_s = level_m_s * math.sin(middle_rad) + self.wind.east_m_s
+        self.velocity_north_m_s = level_m_s * math.cos(middle_rad) + self.wind.north_m_s
+        self._move(dt_s)
+        self.height_m += self.climb_m_s * dt_s
+        if self.height_m <= 0.0:
+            self._touch_down()
+
+    def roll_on_ground(self, dt_s: float, lift_off_m_s: float | None) -> None:
+        """Run along the nose: up to the airspeed of lift-off, or (None) down to a stop."""
+        speed_m_s = self.ground_speed_m_s
+        step_m_s = self.build.run_acceleration_m_s2 * dt_s
+        speed_m_s = max(0.0, speed_m_s - step_m_s) if lift_off_m_s is None else speed_m_s + step_m_s
+        self.velocity_east_m_s = speed_m_s * math.sin(self.heading_rad)
+        self.velocity_north_m_s = speed_m_s * math.cos(self.heading_rad)
+        self._move(dt_s)
+        if lift_off_m_s is None:
+            self.airspeed_m_s = speed_m_s
+            return
+        through_air_east_m_s = self.velocity_east_m_s - self.wind.east_m_s
+        through_air_north_m_s = self.velocity_north_m_s - self.wind.north_m_s
+        self.airspeed_m_s = math.hypot(through_air_east_m_s, through_air_north_m_s)
+        if speed_m_s > 0.5 * lift_off_m_s and self.airspeed_m_s >= lift_off_m_s:
+            self.heading_rad = math.atan2(through_air_east_m_s, through_air_north_m_s) % math.tau
+            self.flying = True
+
+    def _move(self, dt_s: float) -> None:
+        self.east_m += self.velocity_east_m_s * dt_s
+        self.north_m += self.velocity_north_m_s * dt_s
+
+    def _touch_down(self) -> None:
+        self.flying = False
+        self.height_m = self.climb_m_s = self.roll_rad = self.roll_rate_rad_s = self.yaw_rate_rad_s = 0.0

@@ -1,0 +1,338 @@
+"""What both autopilots have in common: modes, arming, the conversation with stations, and stepping the airframe."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from sitl.airframe import GRAVITY_M_S2, Airframe, Build, true_over_equivalent_airspeed
+from sitl.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command, Handler
+from sitl.geodesy import HomePlane
+from sitl.items import RELATIVE_FRAMES, Item
+from sitl.parameters import Parameters
+from sitl.radio import Radio, Station
+from sitl.settings import Settings
+from sitl.transfer import Transfer
+
+_ALTITUDE_GAIN_1_S = 0.4
+_LIFT_OFF_FRACTION = 0.85  # of the cruise airspeed
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A point of the plane with a height above home."""
+
+    east_m: float
+    north_m: float
+    height_m: float
+
+    @property
+    def ground_m(self) -> tuple[float, float]:
+        return self.east_m, self.north_m
+
+    def distance_m(self, craft: Airframe) -> float:
+        return math.hypot(self.east_m - craft.east_m, self.north_m - craft.north_m)
+
+
+class Autopilot(ABC):
+    """One vehicle: airframe, modes, missions, parameters and links."""
+
+    autopilot_id: ClassVar[int]
+    first_mode: ClassVar[int]
+    navigation_period_s: ClassVar[float]
+    ready_s: ClassVar[float]  # after boot the vehicle can be armed
+    default_interval_s: ClassVar[Mapping[int, float]]
+    mission_types: ClassVar[tuple[int, ...]] = (
+        mavlink.MAV_MISSION_TYPE_MISSION,
+        mavlink.MAV_MISSION_TYPE_FENCE,
+        mavlink.MAV_MISSION_TYPE_RALLY,
+    )
+
+    def __init__(self, settings: Settings, build: Build, heading_rad: float, parameters: Parameters) -> None:
+        home = settings.home_or_default
+        self.settings = settings
+        self.home = home
+        self.plane = HomePlane(home.latitude_deg, home.longitude_deg)
+        self.craft = Airframe(build, settings.wind, heading_rad)
+        self.parameters = parameters
+        self.radio = Radio(settings.system_id, self.default_interval_s)
+        self.system_id = settings.system_id
+        self.now_s = 0.0
+        self.mode = int(self.first_mode)
+        self.silenced: set[int] = set()  # messages withheld, as if the sender of them had died
+        self.armed = False
+        self.lifting_off = False
+        self.height_goal_m = 0.0
+        self.airspeed_goal_m_s = settings.airspeed_m_s
+        self.roll_goal_rad = 0.0
+        self.gcs_heard_s: float | None = None
+        self.transfers: dict[int, Transfer] = {}
+        self._navigate_s = 0.0
+        self._text_id = 0
+        self._builders: dict[int, Callable[[], Any]] = {}
+        self._handlers: dict[int, Handler] = {
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._on_arm,
+            mavlink.MAV_CMD_DO_SET_MODE: self._on_set_mode,
+        }
+
+    # What a flavour adds.
+
+    @abstractmethod
+    def set_mode(self, mode: int) -> bool:
+        """Change the flight mode; False if that cannot be."""
+
+    @abstractmethod
+    def mode_of_command(self, base_mode: int, main: int, sub: int) -> int | None:
+        """Return the custom mode that a DO_SET_MODE asks for, None if there is no such mode."""
+
+    @abstractmethod
+    def navigate(self, dt_s: float) -> float:
+        """Fly the mode: set height_goal_m and airspeed_goal_m_s, return the lateral acceleration wanted."""
+
+    @abstractmethod
+    def watch_links(self) -> None:
+        """Act when the ground has fallen silent."""
+
+    @abstractmethod
+    def on_armed(self) -> None: ...
+
+    @abstractmethod
+    def on_landed(self) -> None: ...
+
+    @abstractmethod
+    def set_current_item(self, index: int) -> bool: ...
+
+    @property
+    @abstractmethod
+    def roll_limit_rad(self) -> float: ...
+
+    @property
+    @abstractmethod
+    def base_mode(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def arming_refusal(self) -> tuple[int, str]:
+        """Return the result and the text of an arming that comes too early."""
+
+    # Time.
+
+    @property
+    def ready(self) -> bool:
+        return self.now_s >= self.ready_s
+
+    @property
+    def boot_ms(self) -> int:
+        return int(self.now_s * 1000.0 + 0.5)
+
+    @property
+    def boot_us(self) -> int:
+        return int(self.now_s * 1e6 + 0.5)
+
+    def step(self, now_s: float, dt_s: float) -> None:
+        self.now_s = now_s
+        for transfer in self.transfers.values():
+            transfer.step(now_s)
+        if now_s >= self._navigate_s:
+            self._navigate_s += self.navigation_period_s
+            self.watch_links()
+            lateral_m_s2 = self.navigate(self.navigation_period_s)
+            limit_rad = self.roll_limit_rad
+            self.roll_goal_rad = max(-limit_rad, min(limit_rad, math.atan(lateral_m_s2 / GRAVITY_M_S2)))
+        craft = self.craft
+        if craft.flying:
+            climb_m_s = _ALTITUDE_GAIN_1_S * (self.height_goal_m - craft.height_m)
+            craft.fly(dt_s, self.roll_goal_rad, self.airspeed_goal_m_s * self.true_airspeed_ratio, climb_m_s)
+            self.lifting_off = False
+            if not craft.flying:
+                self.on_landed()
+        elif self.lifting_off and self.armed:
+            lift_off_m_s = _LIFT_OFF_FRACTION * self.settings.airspeed_m_s * self.true_airspeed_ratio
+            craft.roll_on_ground(dt_s, lift_off_m_s)
+        elif craft.ground_speed_m_s > 0.0:
+            craft.roll_on_ground(dt_s, None)
+
+    def coast(self, dt_s: float) -> None:
+        """Fly on without guidance, as while the autopilot restarts."""
+        if self.craft.flying:
+            self.craft.fly(dt_s, 0.0, self.craft.airspeed_m_s, 0.0)
+
+    def reboot(self) -> None:
+        """Start again from the first mode, with missions, parameters and arming kept."""
+        self.now_s = self._navigate_s = 0.0
+        self.gcs_heard_s = None
+        self.set_mode(self.first_mode)
+        self.radio.restart(self.default_interval_s)
+
+    @property
+    def true_airspeed_ratio(self) -> float:
+        return true_over_equivalent_airspeed(self.home.altitude_m + self.craft.height_m)
+
+    @property
+    def landed_state(self) -> int:
+        if not self.craft.flying:
+            rolling = self.armed and self.lifting_off
+            return int(mavlink.MAV_LANDED_STATE_TAKEOFF if rolling else mavlink.MAV_LANDED_STATE_ON_GROUND)
+        return int(mavlink.MAV_LANDED_STATE_IN_AIR)
+
+    # Places.
+
+    def place_of(self, item: Item) -> Place:
+        """Return where an item is; one at latitude and longitude 0 is here."""
+        if item.latitude_e7 == 0 and item.longitude_e7 == 0:
+            east_m, north_m = self.craft.east_m, self.craft.north_m
+        else:
+            east_m, north_m = self.plane.east_north_m(item.latitude_deg, item.longitude_deg)
+        height_m = item.altitude_m if item.frame in RELATIVE_FRAMES else item.altitude_m - self.home.altitude_m
+        return Place(east_m, north_m, height_m)
+
+    @property
+    def here(self) -> Place:
+        return Place(self.craft.east_m, self.craft.north_m, self.craft.height_m)
+
+    # Talking.
+
+    def say(self, severity: int, text: str) -> None:
+        self.radio.broadcast(mavlink.MAVLink_statustext_message(severity, text.encode()[:50], 0, 0))
+
+    def messages(self, message_id: int) -> list[Any]:
+        """Build the telemetry of an id; empty if there is none or nothing to tell now."""
+        if message_id in self.silenced:
+            return []
+        builder = self._builders.get(message_id)
+        built = builder() if builder is not None else None
+        return built if isinstance(built, list) else [] if built is None else [built]
+
+    def stream(self) -> None:
+        self.radio.stream(self.now_s, self.messages)
+
+    def handle(self, station: Station, message: Any) -> None:
+        kind = message.get_type()
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        if kind == "BAD_DATA" or source == (self.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1):
+            return
+        station.heard_s = self.now_s
+        station.sources.add(source)
+        target = (getattr(message, "target_system", 0), getattr(message, "target_component", 0))
+        if target[0] != self.system_id and kind != "RADIO_STATUS":
+            self.radio.forward(message, station)
+        if target[0] in (0, self.system_id) and target[1] in (0, mavlink.MAV_COMP_ID_AUTOPILOT1):
+            self.handle_own(station, message, kind)
+
+    def handle_own(self, station: Station, message: Any, kind: str) -> None:
+        """Take a message that is meant for this autopilot or for everyone."""
+        if kind in ("COMMAND_LONG", "COMMAND_INT"):
+            self.on_command(station, Command.from_message(message))
+        elif kind == "HEARTBEAT":
+            if self.is_ground_station(message):
+                self.gcs_heard_s = self.now_s
+        elif kind == "MISSION_SET_CURRENT":
+            if self.set_current_item(message.seq):
+                self.broadcast_now(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
+        elif kind.startswith("MISSION_"):
+            self._on_mission(station, message)
+        elif kind.startswith("PARAM_"):
+            self.parameters.handle(station, message, self.radio)
+        elif kind == "SET_MODE":
+            self._on_set_mode_message(message)
+        elif kind == "TIMESYNC" and message.tc1 == 0:
+            self.radio.send(station, mavlink.MAVLink_timesync_message(self.boot_us * 1000, message.ts1))
+        elif kind == "PING" and message.target_system == 0:
+            source = (message.get_srcSystem(), message.get_srcComponent())
+            self.radio.send(station, mavlink.MAVLink_ping_message(message.time_usec, message.seq, *source))
+
+    def is_ground_station(self, heartbeat: Any) -> bool:
+        return bool(heartbeat.type == mavlink.MAV_TYPE_GCS)
+
+    def broadcast_now(self, message_id: int) -> None:
+        for message in self.messages(message_id):
+            self.radio.broadcast(message)
+
+    def _on_mission(self, station: Station, message: Any) -> None:
+        transfer = self.transfers.get(getattr(message, "mission_type", mavlink.MAV_MISSION_TYPE_MISSION))
+        if transfer is not None:
+            transfer.handle(station, message, self.now_s)
+        elif message.get_type() == "MISSION_CLEAR_ALL" and message.mission_type == mavlink.MAV_MISSION_TYPE_ALL:
+            for each in self.transfers.values():
+                each.handle(station, message, self.now_s)
+
+    # Commands.
+
+    def on_command(self, station: Station, command: Command) -> None:
+        match command.id:
+            case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
+                result = self._on_message_interval(station, command)
+            case mavlink.MAV_CMD_REQUEST_MESSAGE:
+                result = self._on_request_message(station, int(command.param(1)))
+            case mavlink.MAV_CMD_GET_HOME_POSITION:
+                result = self._on_request_message(station, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
+            case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
+                result = self._on_request_message(station, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+            case mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
+                message_id = int(command.param(1))
+                interval_us = int(1e6 * station.interval_s.get(message_id, 0.0))
+                self.radio.send(station, mavlink.MAVLink_message_interval_message(message_id, interval_us))
+                result = ACCEPTED
+            case _:
+                handler = self._handlers.get(command.id)
+                result = handler(command) if handler is not None else UNSUPPORTED
+        self.radio.send(station, command.acknowledgement(result))
+
+    def _on_message_interval(self, station: Station, command: Command) -> int:
+        message_id, interval_us = int(command.param(1)), command.param(2)
+        if message_id not in self._builders:
+            return self.unknown_message_result
+        if interval_us == 0:
+            interval_s = self.default_interval_s.get(message_id, 0.0)
+        else:
+            interval_s = max(0.0, interval_us / 1e6)
+        station.stream(message_id, interval_s, self.now_s)
+        return ACCEPTED
+
+    unknown_message_result: ClassVar[int] = DENIED
+
+    def _on_request_message(self, station: Station, message_id: int) -> int:
+        messages = self.messages(message_id)
+        for message in messages:
+            self.radio.send(station, message)
+        return ACCEPTED if messages else self.unknown_message_result
+
+    def _on_arm(self, command: Command) -> int:
+        if command.param(1) not in (0.0, 1.0):
+            return UNSUPPORTED
+        if command.param(1) == 1.0:
+            if self.armed:
+                return ACCEPTED
+            if not self.ready:
+                result, text = self.arming_refusal
+                self.say(mavlink.MAV_SEVERITY_CRITICAL, text)
+                return result
+            self.armed = True
+            self.on_armed()
+            return ACCEPTED
+        forced = command.param(2) == 21196.0
+        if self.craft.flying and not forced:
+            return FAILED
+        self.disarm()
+        return ACCEPTED
+
+    def disarm(self) -> None:
+        self.armed = False
+        self.lifting_off = False
+        self.craft.flying = False
+
+    def _on_set_mode(self, command: Command) -> int:
+        parts = [0 if math.isnan(value) else int(value) for value in command.params[:3]]
+        mode = self.mode_of_command(*parts)
+        if mode is None:
+            return UNSUPPORTED
+        return ACCEPTED if self.set_mode(mode) else FAILED
+
+    def _on_set_mode_message(self, message: Any) -> None:
+        if message.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+            self.set_mode(message.custom_mode)

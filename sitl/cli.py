@@ -1,0 +1,195 @@
+"""The command ``sitl``: the simulated vehicle alone, until interrupted."""
+
+from __future__ import annotations
+
+import math
+import signal
+import socket
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+
+from sitl.airframe import Wind
+from sitl.link import LinkFaults
+from sitl.motion import MOTIONS
+from sitl.server import Address, serve
+from sitl.settings import Flavour, GimbalFrame, Home, PayloadSettings, RangeMessage, Settings, TargetSettings
+from sitl.simulation import Simulation
+from sitl.track import TrackError
+from sitl.truth import TruthFile
+
+_DEFAULT_STATIONS = ("127.0.0.1:14540", "127.0.0.1:14550")
+
+
+def run(
+    autopilot: Annotated[Flavour, typer.Option(help="Which autopilot it behaves like.")] = Flavour.ARDUPLANE,
+    to: Annotated[
+        list[str] | None,
+        typer.Option(metavar="HOST:PORT", help=f"Where to send to; repeatable [{' and '.join(_DEFAULT_STATIONS)}]"),
+    ] = None,
+    speed: Annotated[float, typer.Option(help="Simulated over wall time.")] = 1.0,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="Simulated seconds; endless if left out.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of all noise and of the target.")] = 0,
+    truth: Annotated[Path | None, typer.Option(metavar="FILE", help="Write what really happened as CSV.")] = None,
+    home: Annotated[str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Degrees and metres above sea.")] = None,
+    airspeed: Annotated[float, typer.Option(help="Cruise airspeed, m/s.")] = 15.0,
+    wind_speed: Annotated[float, typer.Option(help="m/s")] = 0.0,
+    wind_from_deg: Annotated[float, typer.Option(help="Where the wind comes from, degrees.")] = 0.0,
+    system_id: Annotated[int, typer.Option(min=1, max=250)] = 1,
+    target: Annotated[
+        str, typer.Option(metavar="SPEC", help=f"Motion: {', '.join(MOTIONS)}, or a .gpx or .csv track.")
+    ] = "walk",
+    target_speed: Annotated[float | None, typer.Option(help="Greatest speed, m/s [3; for tracks 6]")] = None,
+    target_start: Annotated[str, typer.Option(metavar="EAST,NORTH", help="Metres from home.")] = "250,300",
+    target_skip: Annotated[
+        float | None, typer.Option(metavar="S", help="Begin a track here [where it becomes lively]")
+    ] = None,
+    payload: Annotated[bool, typer.Option(help="Laser and gimbal.")] = True,
+    range_sigma: Annotated[float, typer.Option(help="Laser noise, m.")] = 0.8,
+    range_outliers: Annotated[float, typer.Option(help="Fraction of wrong ranges.")] = 0.02,
+    range_message: Annotated[RangeMessage, typer.Option()] = RangeMessage.DISTANCE_SENSOR,
+    gimbal_sigma_deg: Annotated[float, typer.Option(help="Gimbal noise, degrees.")] = 0.35,
+    gimbal_yaw_bias_deg: Annotated[float, typer.Option(help="Constant gimbal error, degrees.")] = 0.4,
+    gimbal_frame: Annotated[GimbalFrame, typer.Option(help="What its yaw is relative to.")] = GimbalFrame.EARTH,
+    dropouts: Annotated[float, typer.Option(help="Fraction of the time without range.")] = 0.15,
+    payload_latency_ms: Annotated[float, typer.Option(help="From measuring to sending.")] = 50.0,
+    loss: Annotated[float, typer.Option(help="Fraction of packets lost, each way.")] = 0.0,
+    delay_ms: Annotated[float, typer.Option(help="Wall-clock delay, each way.")] = 0.0,
+    duplicate: Annotated[float, typer.Option(help="Fraction of packets doubled, each way.")] = 0.0,
+) -> None:
+    """Fly a simulated vehicle that speaks MAVLink over UDP, with a laser and a gimbal on a moving target.
+
+    Example: sidelong sitl --autopilot px4 --target walk --target-speed 4 --speed 10 --truth truth.csv
+    """
+    _check_ranges(
+        {
+            "--speed": (speed, 0.0, 1000.0, False),
+            "--duration": (math.inf if duration is None else duration, 0.0, math.inf, False),
+            "--airspeed": (airspeed, 5.0, 60.0, True),
+            "--wind-speed": (wind_speed, 0.0, 0.9 * airspeed, True),
+            "--wind-from-deg": (wind_from_deg, -360.0, 360.0, True),
+            "--target-speed": (0.0 if target_speed is None else target_speed, 0.0, 50.0, True),
+            "--target-skip": (0.0 if target_skip is None else target_skip, 0.0, math.inf, True),
+            "--range-sigma": (range_sigma, 0.0, 100.0, True),
+            "--range-outliers": (range_outliers, 0.0, 1.0, True),
+            "--gimbal-sigma-deg": (gimbal_sigma_deg, 0.0, 45.0, True),
+            "--gimbal-yaw-bias-deg": (gimbal_yaw_bias_deg, -180.0, 180.0, True),
+            "--dropouts": (dropouts, 0.0, 0.95, True),
+            "--payload-latency-ms": (payload_latency_ms, 0.0, 10_000.0, True),
+            "--loss": (loss, 0.0, 1.0, True),
+            "--delay-ms": (delay_ms, 0.0, 60_000.0, True),
+            "--duplicate": (duplicate, 0.0, 1.0, True),
+        }
+    )
+    settings = Settings(
+        flavour=autopilot,
+        system_id=system_id,
+        seed=seed,
+        airspeed_m_s=airspeed,
+        wind=Wind.blowing_from(wind_speed, math.radians(wind_from_deg)),
+        home=None if home is None else _home(home),
+        target=TargetSettings(_motion(target), target_speed, _east_north(target_start), target_skip),
+        payload=PayloadSettings(
+            range_sigma,
+            range_outliers,
+            math.radians(gimbal_sigma_deg),
+            math.radians(gimbal_yaw_bias_deg),
+            dropouts,
+            payload_latency_ms / 1000.0,
+            range_message,
+            gimbal_frame,
+        )
+        if payload
+        else None,
+        link_rate=speed,
+        boot_unix_s=time.time(),
+    )
+    stations = [_address(text) for text in to or _DEFAULT_STATIONS]
+    try:
+        simulation = Simulation(settings)
+    except TrackError as error:
+        _refuse("--target", str(error))
+    with ExitStack() as stack:
+        if truth is not None:
+            try:
+                simulation.on_truth = TruthFile(stack.enter_context(truth.open("w", encoding="utf-8"))).write
+            except OSError as error:
+                _refuse("--truth", f"{truth} cannot be written: {error.strerror}")
+        where = ", ".join(f"{host}:{port}" for host, port in stations)
+        serve(
+            simulation,
+            stations,
+            speed=speed,
+            duration_s=math.inf if duration is None else duration,
+            faults=LinkFaults(loss, duplicate, delay_ms / 1000.0),
+            on_ready=lambda: print(f"ready system {system_id} component 1 {autopilot} -> {where}", flush=True),
+            stopped=_stop_signal(),
+        )
+
+
+def _stop_signal() -> Callable[[], bool]:
+    """Return whether SIGINT or SIGTERM has come since now."""
+    received: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda caught, _frame: received.append(caught))
+    return lambda: bool(received)
+
+
+def _check_ranges(values: dict[str, tuple[float, float, float, bool]]) -> None:
+    for option, (value, least, greatest, least_included) in values.items():
+        if not (least <= value <= greatest) or (value == least and not least_included):
+            at_least = "at least" if least_included else "more than"
+            most = "" if greatest == math.inf else f" and at most {greatest:g}"
+            _refuse(option, f"must be {at_least} {least:g}{most}, not {value:g}")
+
+
+def _motion(spec: str) -> str | Path:
+    if spec in MOTIONS:
+        return spec
+    if Path(spec).suffix.lower() in (".gpx", ".csv"):
+        return Path(spec)
+    _refuse("--target", f"is one of {', '.join(MOTIONS)} or a .gpx or .csv file, not {spec!r}")
+
+
+def _home(text: str) -> Home:
+    values = _numbers("--home", text, (2, 3), "LAT,LON[,ALT]")
+    if not (abs(values[0]) < 89.0 and abs(values[1]) <= 180.0):
+        _refuse("--home", f"needs a latitude within 89 and a longitude within 180 degrees, not {text!r}")
+    return Home(values[0], values[1], values[2] if len(values) == 3 else 0.0)
+
+
+def _east_north(text: str) -> tuple[float, float]:
+    east_m, north_m = _numbers("--target-start", text, (2,), "EAST,NORTH")
+    return east_m, north_m
+
+
+def _numbers(option: str, text: str, counts: tuple[int, ...], form: str) -> list[float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in counts or not all(math.isfinite(value) for value in values):
+        _refuse(option, f"must look like {form} in numbers, not {text!r}")
+    return values
+
+
+def _address(text: str) -> Address:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        _refuse("--to", f"must look like HOST:PORT, not {text!r}")
+    try:
+        return socket.gethostbyname(host), int(port)
+    except OSError:
+        return _refuse("--to", f"names the unknown host {host!r}")
+
+
+def _refuse(option: str, reason: str) -> NoReturn:
+    print(f"{option} {reason}", file=sys.stderr)
+    raise typer.Exit(2)

@@ -1,0 +1,47 @@
+"""A bad radio link: it loses, delays and doubles datagrams."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class LinkFaults:
+    loss: float = 0.0  # fraction, each direction
+    duplicate: float = 0.0  # fraction of what is not lost
+    delay_s: float = 0.0  # of the stations' clock, each direction
+
+
+class FaultyLink(Generic[T]):
+    """One direction. What is put in comes out when its time has come, in order."""
+
+    def __init__(self, faults: LinkFaults, rng: np.random.Generator) -> None:
+        self._faults = faults
+        self._rng = rng
+        self._waiting: list[tuple[float, int, T]] = []
+        self._count = 0
+
+    def put(self, datagram: T, now_s: float) -> None:
+        lost, doubled = self._rng.random(2)
+        if lost < self._faults.loss:
+            return
+        for _ in range(2 if doubled < self._faults.duplicate else 1):
+            self._count += 1
+            heapq.heappush(self._waiting, (now_s + self._faults.delay_s, self._count, datagram))
+
+    def take(self, now_s: float) -> list[T]:
+        taken = []
+        while self._waiting and self._waiting[0][0] <= now_s:
+            taken.append(heapq.heappop(self._waiting)[2])
+        return taken
+
+    @property
+    def next_s(self) -> float:
+        """When the next one comes out; infinity if none waits."""
+        return self._waiting[0][0] if self._waiting else float("inf")

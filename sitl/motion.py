@@ -1,0 +1,118 @@
+"""How the target moves: legs of constant speed and turn rate, drawn or laid down."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+# Heading changes of the random walk and their chances: a target that mostly goes on, sometimes turns back.
+_WALK_TURNS_RAD = np.radians([-90, -45, -20, 0, 20, 45, 90, 180])
+_WALK_CHANCES = (0.12, 0.15, 0.15, 0.10, 0.15, 0.15, 0.12, 0.06)
+
+
+class Motion(Protocol):
+    """Where the target is (east, north); asked with times that never fall."""
+
+    def at(self, time_s: float) -> tuple[float, float]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    duration_s: float
+    speed_m_s: float
+    turn_rate_rad_s: float = 0.0
+    turn_before_rad: float = 0.0
+
+
+class LegMotion:
+    """Flies legs one after the other, exactly: each is a straight line or an arc."""
+
+    __slots__ = ("_begin_s", "_course_rad", "_east_m", "_leg", "_legs", "_north_m")
+
+    def __init__(self, start_m: tuple[float, float], course_rad: float, legs: Iterator[Leg]) -> None:
+        self._east_m, self._north_m = start_m
+        self._course_rad = course_rad
+        self._legs = legs
+        self._begin_s = 0.0
+        self._leg = self._take_leg()
+
+    def at(self, time_s: float) -> tuple[float, float]:
+        while time_s - self._begin_s > self._leg.duration_s:
+            leg = self._leg
+            self._east_m, self._north_m = self._after(leg.duration_s)
+            self._course_rad += leg.turn_rate_rad_s * leg.duration_s
+            self._begin_s += leg.duration_s
+            self._leg = self._take_leg()
+        return self._after(time_s - self._begin_s)
+
+    def _take_leg(self) -> Leg:
+        leg = next(self._legs)
+        self._course_rad += leg.turn_before_rad
+        return leg
+
+    def _after(self, elapsed_s: float) -> tuple[float, float]:
+        half_turn_rad = 0.5 * self._leg.turn_rate_rad_s * elapsed_s
+        chord_m = self._leg.speed_m_s * elapsed_s * float(np.sinc(half_turn_rad / math.pi))
+        chord_rad = self._course_rad + half_turn_rad
+        return self._east_m + chord_m * math.sin(chord_rad), self._north_m + chord_m * math.cos(chord_rad)
+
+
+def _still(_speed_m_s: float, _rng: np.random.Generator) -> Iterator[Leg]:
+    return itertools.repeat(Leg(math.inf, 0.0))
+
+
+def _straight(speed_m_s: float, _rng: np.random.Generator) -> Iterator[Leg]:
+    return itertools.repeat(Leg(math.inf, speed_m_s))
+
+
+def _turning(speed_m_s: float, rng: np.random.Generator) -> Iterator[Leg]:
+    """Bends of 20-60 s, to either side, with radii of 40 m and more."""
+    while True:
+        rate_rad_s = speed_m_s / float(rng.uniform(40.0, 200.0)) * float(rng.choice((-1.0, 1.0)))
+        yield Leg(float(rng.uniform(20.0, 60.0)), speed_m_s, rate_rad_s)
+
+
+def _stop_and_go(speed_m_s: float, rng: np.random.Generator) -> Iterator[Leg]:
+    while True:
+        yield Leg(float(rng.uniform(30.0, 60.0)), speed_m_s, turn_before_rad=float(rng.normal(0.0, 0.4)))
+        yield Leg(float(rng.uniform(15.0, 45.0)), 0.0)
+
+
+def _walk(speed_m_s: float, rng: np.random.Generator) -> Iterator[Leg]:
+    while True:
+        duration_s = float(rng.uniform(40.0, 200.0))
+        some_m_s = float(rng.uniform(min(1.0, speed_m_s), speed_m_s))
+        chosen_m_s = float(rng.choice((0.0, some_m_s, speed_m_s)))
+        yield Leg(duration_s, chosen_m_s, turn_before_rad=float(rng.choice(_WALK_TURNS_RAD, p=_WALK_CHANCES)))
+
+
+def _u_turn(speed_m_s: float, _rng: np.random.Generator) -> Iterator[Leg]:
+    """Two minutes one way, round a half circle of 8 m, and back."""
+    half_turn_s = math.pi * 8.0 / speed_m_s if speed_m_s > 0 else math.inf
+    return itertools.cycle((Leg(120.0, speed_m_s), Leg(half_turn_s, speed_m_s, math.pi / half_turn_s)))
+
+
+def _circle(speed_m_s: float, _rng: np.random.Generator) -> Iterator[Leg]:
+    return itertools.repeat(Leg(math.inf, speed_m_s, speed_m_s / 60.0))
+
+
+MOTIONS: dict[str, Callable[[float, np.random.Generator], Iterator[Leg]]] = {
+    "still": _still,
+    "straight": _straight,
+    "turning": _turning,
+    "stop-and-go": _stop_and_go,
+    "walk": _walk,
+    "u-turn": _u_turn,
+    "circle": _circle,
+}
+
+
+def built_in_motion(name: str, start_m: tuple[float, float], speed_m_s: float, rng: np.random.Generator) -> LegMotion:
+    """Return a motion of :data:`MOTIONS`; its first course is drawn."""
+    course_rad = float(rng.uniform(0.0, math.tau))
+    return LegMotion(start_m, course_rad, MOTIONS[name](speed_m_s, rng))

@@ -1,0 +1,78 @@
+"""The parameter protocol, with each autopilot's way of packing integers."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from sitl.radio import Radio, Station
+
+INT8 = mavlink.MAV_PARAM_TYPE_INT8
+INT16 = mavlink.MAV_PARAM_TYPE_INT16
+INT32 = mavlink.MAV_PARAM_TYPE_INT32
+REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
+_NO_INDEX = 65535
+
+
+class Parameters:
+    """Values by name, each with the MAVLink type the real autopilot gives it.
+
+    bytewise: PX4 sends an integer's bytes in the float field, ArduPilot its value as a float.
+    """
+
+    def __init__(self, table: dict[str, tuple[int, float]], bytewise: bool) -> None:
+        self._kinds = {name: kind for name, (kind, _) in table.items()}
+        self._values = {name: value for name, (_, value) in table.items()}
+        self._names = sorted(table)
+        self._bytewise = bytewise
+        self.on_change: Callable[[str, float], None] = lambda _name, _value: None
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._values
+
+    def set(self, name: str, value: float) -> None:
+        """Set a known parameter; KeyError if there is none of that name."""
+        if name not in self._values:
+            raise KeyError(name)
+        self._values[name] = value if self._kinds[name] == REAL32 else float(round(value))
+        self.on_change(name, self._values[name])
+
+    def handle(self, station: Station, message: Any, radio: Radio) -> None:
+        match message.get_type():
+            case "PARAM_REQUEST_LIST":
+                for index in range(len(self._names)):
+                    radio.send(station, self._value_message(self._names[index], index))
+            case "PARAM_REQUEST_READ":
+                if message.param_index >= 0:
+                    if message.param_index < len(self._names):
+                        name = self._names[message.param_index]
+                        radio.send(station, self._value_message(name, message.param_index))
+                elif message.param_id in self._values:
+                    radio.send(station, self._value_message(message.param_id, self._index(message.param_id)))
+            case "PARAM_SET":
+                name = message.param_id
+                value = self._decode(message.param_value, message.param_type)
+                if name in self._values and math.isfinite(value):
+                    self.set(name, value)
+                    radio.broadcast(self._value_message(name, self._index(name)))
+
+    def _index(self, name: str) -> int:
+        return self._names.index(name) if self._bytewise else _NO_INDEX
+
+    def _value_message(self, name: str, index: int) -> Any:
+        kind, value = self._kinds[name], self._values[name]
+        if self._bytewise and kind != REAL32:
+            value = struct.unpack("<f", struct.pack("<i", int(value)))[0]
+        return mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self._names), index)
+
+    def _decode(self, value: float, kind: int) -> float:
+        if self._bytewise and kind != REAL32:
+            return float(struct.unpack("<i", struct.pack("<f", value))[0])
+        return float(value)

@@ -1,0 +1,86 @@
+"""What a simulation is made of, as plain values."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+
+from sitl.airframe import Wind
+
+
+class Flavour(StrEnum):
+    ARDUPLANE = "arduplane"
+    PX4 = "px4"
+
+
+class RangeMessage(StrEnum):
+    DISTANCE_SENSOR = "distance_sensor"
+    RANGEFINDER = "rangefinder"
+
+
+class GimbalFrame(StrEnum):
+    EARTH = "earth"
+    VEHICLE = "vehicle"
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+
+
+# Where the stock simulators of the two projects stand.
+DEFAULT_HOMES = {
+    Flavour.ARDUPLANE: Home(-35.3632621, 149.1652370, 584.09),
+    Flavour.PX4: Home(47.3977419, 8.5455938, 489.2),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadSettings:
+    """Laser and gimbal. dropout_fraction: part of the time without range, in pieces of 0.5 to 8 s."""
+
+    range_sigma_m: float = 0.8
+    outlier_fraction: float = 0.02
+    gimbal_sigma_rad: float = math.radians(0.35)
+    gimbal_yaw_bias_rad: float = math.radians(0.4)
+    dropout_fraction: float = 0.15
+    latency_s: float = 0.05
+    range_message: RangeMessage = RangeMessage.DISTANCE_SENSOR
+    gimbal_frame: GimbalFrame = GimbalFrame.EARTH
+
+
+@dataclass(frozen=True, slots=True)
+class TargetSettings:
+    """motion: a name of sitl.motion.MOTIONS or a track file. speed_max_m_s None: 3, for tracks 6.
+
+    skip_s None: a track starts where it becomes lively.
+    """
+
+    motion: str | Path = "walk"
+    speed_max_m_s: float | None = None
+    start_m: tuple[float, float] = (250.0, 300.0)
+    skip_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """airspeed_m_s is the equivalent airspeed the autopilot holds, as its parameter says it."""
+
+    flavour: Flavour = Flavour.ARDUPLANE
+    system_id: int = 1
+    seed: int = 0
+    airspeed_m_s: float = 15.0
+    wind: Wind = field(default_factory=Wind)
+    home: Home | None = None
+    target: TargetSettings = field(default_factory=TargetSettings)
+    payload: PayloadSettings | None = field(default_factory=PayloadSettings)
+    link_rate: float = 1.0  # seconds of the vehicle in one of the stations'
+    boot_unix_s: float = 1.7e9
+
+    @property
+    def home_or_default(self) -> Home:
+        return self.home or DEFAULT_HOMES[self.flavour]

@@ -1,0 +1,139 @@
+"""The simulation: vehicle, target and payload on one clock that only moves when it is told to."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import numpy as np
+
+from sitl.arduplane import ArduPlane
+from sitl.autopilot import Autopilot
+from sitl.motion import Motion, built_in_motion
+from sitl.payload import PERIOD_S, Payload, Sight
+from sitl.px4 import Px4
+from sitl.radio import PAYLOAD, Datagram
+from sitl.settings import Flavour, Settings, TargetSettings
+from sitl.track import TrackMotion, read_track
+from sitl.truth import TruthRow
+
+STEP_S = 0.02
+_OBSERVE_EVERY = round(PERIOD_S / STEP_S)
+_HEARTBEAT_EVERY = round(1.0 / STEP_S)
+_REBOOT_S = 2.0
+_WALK_SPEED_M_S = 3.0
+_TRACK_SPEED_M_S = 6.0
+
+
+class Simulation:
+    """Datagrams in by :meth:`receive`, time by :meth:`advance`, datagrams out by :meth:`take`.
+
+    A station is any hashable address; :meth:`connect` makes one that is sent to before it has spoken.
+    ``time_s`` runs from 0; the vehicle's own clock does too until a reboot.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        target_seed, sensor_seed = np.random.SeedSequence(settings.seed).spawn(2)
+        self.settings = settings
+        self.vehicle: Autopilot = Px4(settings) if settings.flavour is Flavour.PX4 else ArduPlane(settings)
+        self.motion = target_motion(settings.target, np.random.default_rng(target_seed))
+        self.payload = Payload(settings.payload, sensor_seed) if settings.payload is not None else None
+        self.payload_muted = False
+        self.on_truth: Callable[[TruthRow], None] = lambda _row: None
+        self._latency_s = settings.payload.latency_s if settings.payload is not None else 0.0
+        self._in_flight: deque[tuple[float, list[Any]]] = deque()
+        self._steps = 0
+        self._boot_step = 0
+
+    @property
+    def time_s(self) -> float:
+        return self._steps * STEP_S
+
+    def connect(self, address: Hashable) -> None:
+        self.vehicle.radio.connect(address, self.vehicle.now_s)
+
+    def receive(self, address: Hashable, data: bytes) -> None:
+        """Take a datagram from a station, known or new."""
+        if self._steps < self._boot_step:
+            return
+        station = self.vehicle.radio.connect(address, self.vehicle.now_s)
+        for message in station.parser.parse_buffer(data) or ():
+            self.vehicle.handle(station, message)
+
+    def take(self) -> list[Datagram]:
+        """Return what the vehicle has sent since the last call, in order."""
+        radio = self.vehicle.radio
+        taken, radio.outbox = radio.outbox, []
+        return taken
+
+    def advance(self, to_s: float) -> None:
+        """Step until ``time_s`` has reached to_s."""
+        while self.time_s < to_s - 1e-9:
+            self._step()
+
+    def reboot(self) -> None:
+        """Restart the autopilot in flight: two silent seconds, clock at zero, default mode and rates.
+
+        It keeps its missions and parameters, and its arming, as after a watchdog reset.
+        """
+        self._boot_step = self._steps + round(_REBOOT_S / STEP_S)
+        self.vehicle.reboot()
+
+    def _step(self) -> None:
+        self._steps += 1
+        since_boot = self._steps - self._boot_step
+        vehicle = self.vehicle
+        if since_boot <= 0:
+            vehicle.coast(STEP_S)
+            return
+        vehicle.step(since_boot * STEP_S, STEP_S)
+        if self._steps % _OBSERVE_EVERY == 0:
+            self._observe()
+        if self._in_flight and self._in_flight[0][0] <= self.time_s:
+            self._deliver(self._in_flight.popleft()[1])
+        vehicle.stream()
+
+    def _observe(self) -> None:
+        vehicle, craft = self.vehicle, self.vehicle.craft
+        aircraft_m = (craft.east_m, craft.north_m, craft.height_m)
+        target_m = self.motion.at(self.time_s)
+        sight = Sight.between(aircraft_m, target_m)
+        valid = outlier = False
+        if self.payload is not None:
+            measured = self.payload.measure(self.time_s, vehicle.boot_ms, sight, craft.heading_rad)
+            if not self.payload_muted:
+                valid, outlier = measured.laser_valid, measured.laser_outlier
+                messages = measured.messages
+                if self._steps % _HEARTBEAT_EVERY == 0:
+                    messages.append(self.payload.heartbeat())
+                self._in_flight.append((self.time_s + self._latency_s - 1e-9, messages))
+        row = TruthRow(
+            vehicle.now_s,
+            target_m,
+            vehicle.plane.latitude_longitude_deg(*target_m),
+            aircraft_m,
+            vehicle.plane.latitude_longitude_deg(*aircraft_m[:2]),
+            sight.slant_range_m,
+            sight.bearing_rad,
+            valid,
+            outlier,
+        )
+        self.on_truth(row)
+
+    def _deliver(self, messages: list[Any]) -> None:
+        for message in messages:
+            self.vehicle.radio.broadcast(message, PAYLOAD)
+            if message.get_type() == "DISTANCE_SENSOR" and isinstance(self.vehicle, Px4):
+                self.vehicle.take_range(message)
+
+
+def target_motion(settings: TargetSettings, rng: np.random.Generator) -> Motion:
+    """Return the target's motion. Raises TrackError for a file that is no track."""
+    speed_m_s = settings.speed_max_m_s
+    if isinstance(settings.motion, str):
+        speed_m_s = _WALK_SPEED_M_S if speed_m_s is None else speed_m_s
+        return built_in_motion(settings.motion, settings.start_m, speed_m_s, rng)
+    track = read_track(settings.motion)
+    skip_s = track.lively_start_s() if settings.skip_s is None else settings.skip_s
+    return TrackMotion(track, settings.start_m, _TRACK_SPEED_M_S if speed_m_s is None else speed_m_s, skip_s)

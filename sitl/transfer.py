@@ -1,0 +1,246 @@
+"""The mission protocol, as the vehicle's side of it: upload, download, clear, set current.
+
+One upload at a time for each mission type. The vehicle asks for one item after the other and asks again when
+nothing comes; an upload without a word from its sender is given up. What a vehicle does with the items (keep each
+as it arrives, or swap the whole list at the end) is its :class:`Store`'s business.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from sitl.items import Item, ItemRefused
+from sitl.radio import Radio, Station
+from sitl.wire import mission_ack
+
+
+class Store(Protocol):
+    """Keeps the items of one mission type. All results are MAV_MISSION_RESULT."""
+
+    def items(self) -> list[Item]: ...
+
+    def current_index(self) -> int: ...
+
+    def opaque_id(self) -> int | None:
+        """Return a checksum to acknowledge uploads with, None where the autopilot has none."""
+        ...
+
+    def begin(self, count: int) -> int:
+        """Prepare for an upload of ``count`` items."""
+        ...
+
+    def put(self, index: int, item: Item, current: bool) -> None:
+        """Take an item. Raises ItemRefused."""
+        ...
+
+    def finish(self) -> int:
+        """Take over the upload: all items have come."""
+        ...
+
+    def abandon(self) -> None:
+        """Forget the upload: it was cut."""
+        ...
+
+    def clear(self) -> int: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Manners:
+    """How this autopilot behaves in the protocol; times in seconds of the stations' clock."""
+
+    asks_with_int: bool  # MISSION_REQUEST_INT, or the older MISSION_REQUEST
+    retry_s: float
+    timeout_s: float
+    max_items: int
+    partial_writes: bool
+    busy_result: int  # the answer to anyone else while an upload runs
+    restarts: bool  # a new count from the sender starts over at any time, or only while item 0 is awaited
+    wrong_sequence_result: int | None  # None: the item is ignored
+    repeats_final_ack: bool  # a second copy of the last item is acknowledged again
+    timeout_result: int | None
+    timeout_severity: int
+    timeout_text: str
+
+
+@dataclass(slots=True)
+class _Upload:
+    station: Station
+    sender: tuple[int, int]
+    next_index: int
+    last_index: int
+    asked_s: float
+    heard_s: float
+
+
+class Transfer:
+    """Serves one mission type."""
+
+    def __init__(
+        self,
+        mission_type: int,
+        store: Store,
+        radio: Radio,
+        manners: Manners,
+        link_rate: float,
+        tell: Callable[[int, str], None],
+    ) -> None:
+        self.mission_type = mission_type
+        self.store = store
+        self._radio = radio
+        self._manners = manners
+        self._retry_s = manners.retry_s * link_rate
+        self._timeout_s = manners.timeout_s * link_rate
+        self._tell = tell
+        self._upload: _Upload | None = None
+        self._completed: tuple[tuple[int, int], int] | None = None
+
+    @property
+    def receiving(self) -> bool:
+        return self._upload is not None
+
+    def step(self, now_s: float) -> None:
+        upload = self._upload
+        if upload is None:
+            return
+        if now_s - upload.heard_s > self._timeout_s:
+            self._upload = None
+            self.store.abandon()
+            self._tell(self._manners.timeout_severity, self._manners.timeout_text)
+            if self._manners.timeout_result is not None:
+                self._acknowledge(upload.station, upload.sender, self._manners.timeout_result)
+        elif now_s - upload.asked_s > self._retry_s:
+            self._ask(upload, now_s)
+
+    def handle(self, station: Station, message: Any, now_s: float) -> None:
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        match message.get_type():
+            case "MISSION_COUNT":
+                self._on_count(station, sender, message, now_s)
+            case "MISSION_WRITE_PARTIAL_LIST":
+                self._on_partial(station, sender, message, now_s)
+            case "MISSION_ITEM_INT" | "MISSION_ITEM":
+                self._on_item(station, sender, message, now_s)
+            case "MISSION_REQUEST_LIST":
+                if self._upload is not None:
+                    self._acknowledge(station, sender, self._manners.busy_result)
+                else:
+                    self._send_count(station, sender)
+            case "MISSION_REQUEST_INT" | "MISSION_REQUEST":
+                self._on_request(station, sender, message)
+            case "MISSION_CLEAR_ALL":
+                self._on_clear(station, sender)
+            case "MISSION_ACK":
+                upload = self._upload
+                if upload is not None and upload.sender == sender:  # the sender breaks off
+                    self._upload = None
+                    self.store.abandon()
+
+    def _on_count(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
+        if not self._may_start(station, sender):
+            return
+        if message.count > self._manners.max_items:
+            self._acknowledge(station, sender, mavlink.MAV_MISSION_NO_SPACE)
+            return
+        result = self.store.begin(message.count)
+        if result != mavlink.MAV_MISSION_ACCEPTED or message.count == 0:
+            self._acknowledge(station, sender, result)
+            return
+        self._start(_Upload(station, sender, 0, message.count - 1, now_s, now_s), now_s)
+
+    def _on_partial(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
+        if not self._manners.partial_writes:
+            return
+        if self._upload is not None:
+            self._acknowledge(station, sender, self._manners.busy_result)
+            return
+        first, last, count = message.start_index, message.end_index, len(self.store.items())
+        if not 0 <= first <= last <= count:
+            self._acknowledge(station, sender, mavlink.MAV_MISSION_ERROR)
+            return
+        self._start(_Upload(station, sender, first, last, now_s, now_s), now_s)
+
+    def _may_start(self, station: Station, sender: tuple[int, int]) -> bool:
+        upload = self._upload
+        if upload is None:
+            return True
+        if upload.sender != sender or not (self._manners.restarts or upload.next_index == 0):
+            self._acknowledge(station, sender, self._manners.busy_result)
+            return False
+        self._upload = None
+        self.store.abandon()
+        return True
+
+    def _start(self, upload: _Upload, now_s: float) -> None:
+        self._upload = upload
+        self._ask(upload, now_s)
+
+    def _ask(self, upload: _Upload, now_s: float) -> None:
+        kind = (
+            mavlink.MAVLink_mission_request_int_message
+            if self._manners.asks_with_int
+            else mavlink.MAVLink_mission_request_message
+        )
+        self._radio.send(upload.station, kind(*upload.sender, upload.next_index, self.mission_type))
+        upload.asked_s = now_s
+
+    def _on_item(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
+        upload, manners = self._upload, self._manners
+        if upload is None:
+            repeated = manners.repeats_final_ack and self._completed == (sender, message.seq)
+            result = mavlink.MAV_MISSION_ACCEPTED if repeated else mavlink.MAV_MISSION_ERROR
+            self._acknowledge(station, sender, result)
+            return
+        if message.seq != upload.next_index:
+            if manners.wrong_sequence_result is not None:
+                self._acknowledge(station, sender, manners.wrong_sequence_result)
+            return
+        if upload.sender != sender:
+            self._acknowledge(station, sender, manners.busy_result)
+            return
+        upload.heard_s = now_s
+        try:
+            self.store.put(message.seq, Item.from_message(message), bool(message.current))
+        except ItemRefused as refusal:
+            self._upload = None
+            self.store.abandon()
+            self._acknowledge(station, sender, refusal.result)
+            return
+        upload.next_index += 1
+        if upload.next_index <= upload.last_index:
+            self._ask(upload, now_s)
+            return
+        self._upload = None
+        self._completed = (sender, upload.last_index)
+        self._acknowledge(station, sender, self.store.finish())
+
+    def _send_count(self, station: Station, sender: tuple[int, int]) -> None:
+        count = len(self.store.items())
+        self._radio.send(station, mavlink.MAVLink_mission_count_message(*sender, count, self.mission_type))
+
+    def _on_request(self, station: Station, sender: tuple[int, int], message: Any) -> None:
+        if self._upload is not None:
+            self._acknowledge(station, sender, self._manners.busy_result)
+            return
+        items = self.store.items()
+        if not 0 <= message.seq < len(items):
+            self._acknowledge(station, sender, mavlink.MAV_MISSION_INVALID_SEQUENCE)
+            return
+        current = message.seq == self.store.current_index()
+        as_int = message.get_type() == "MISSION_REQUEST_INT"
+        item = items[message.seq].message(message.seq, self.mission_type, current, sender, as_int)
+        self._radio.send(station, item)
+
+    def _on_clear(self, station: Station, sender: tuple[int, int]) -> None:
+        if self._may_start(station, sender):
+            self._acknowledge(station, sender, self.store.clear())
+
+    def _acknowledge(self, station: Station, sender: tuple[int, int], result: int) -> None:
+        opaque_id = self.store.opaque_id()
+        if opaque_id is None:
+            self._radio.send(station, mavlink.MAVLink_mission_ack_message(*sender, result, self.mission_type))
+        else:
+            self._radio.send(station, mission_ack(sender, result, self.mission_type, opaque_id))

@@ -1,0 +1,40 @@
+"""MAVLink fields that the message definitions of pymavlink do not have yet."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+from pymavlink.dialects.v20 import all as mavlink
+from pymavlink.generator.mavcrc import x25crc
+
+_HEADER_BYTES = 10
+
+
+class Extended:
+    """A message with further extension fields at its end, already packed; can be sent like any message."""
+
+    __slots__ = ("_extension", "_message", "crc_extra")
+
+    def __init__(self, message: Any, extension: bytes) -> None:
+        self._message = message
+        self._extension = extension
+        self.crc_extra = message.crc_extra
+
+    def pack(self, packer: Any) -> bytes:
+        frame = bytearray(self._message.pack(packer))
+        base_length = self._message.unpacker.size
+        payload = bytes(frame[_HEADER_BYTES:-2]).ljust(base_length, b"\0") + self._extension
+        payload = payload.rstrip(b"\0") or b"\0"
+        frame[_HEADER_BYTES:] = payload
+        frame[1] = len(payload)
+        crc: int = x25crc(bytes(frame[1:]) + bytes((self.crc_extra,))).crc
+        return bytes(frame) + crc.to_bytes(2, "little")
+
+
+def mission_ack(to: tuple[int, int], result: int, mission_type: int, opaque_id: int) -> Extended:
+    return Extended(mavlink.MAVLink_mission_ack_message(*to, result, mission_type), struct.pack("<I", opaque_id))
+
+
+def mission_current(base: Any, mission_id: int, fence_id: int, rally_id: int) -> Extended:
+    return Extended(base, struct.pack("<III", mission_id, fence_id, rally_id))
