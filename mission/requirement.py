@@ -27,14 +27,37 @@ class Side(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Sector:
+    """Bearings from the target where the aircraft is to stay, clockwise from ``from_rad`` to ``to_rad``."""
+
+    from_rad: float
+    to_rad: float
+
+    @property
+    def half_width_rad(self) -> float:
+        """Half the angle covered, in (0, pi]."""
+        return 0.5 * ((self.to_rad - self.from_rad) % (2.0 * math.pi) or 2.0 * math.pi)
+
+    @property
+    def middle_rad(self) -> float:
+        return self.from_rad + self.half_width_rad
+
+
+@dataclass(frozen=True, slots=True)
 class Requirement:
-    """The allowed horizontal range, the side, and how fast the target may be."""
+    """The allowed horizontal range, the side, and how fast the target may be.
+
+    either_side: ``side`` is only the one to begin with; the nearer one is taken. sector: watch from these bearings,
+    whichever way the target moves; ``side`` then only tells which way round the circles are flown.
+    """
 
     range_min_m: float
     range_max_m: float
     side: Side
     target_speed_max_m_s: float
     threshold: float = 0.9  # C of the paper: a lap is refused when it would end beyond threshold * range_max_m
+    either_side: bool = False
+    sector: Sector | None = None
 
 
 @dataclass(frozen=True, slots=True)

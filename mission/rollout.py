@@ -1,0 +1,122 @@
+"""What would come of flying a line: its cost against the target as it is known, and the worth of where it ends."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mission.cost import WatchCost
+from mission.path import FloatArray
+from mission.requirement import Wind
+from mission.trapezoid import Trapezoids
+from mission.value_table import MotionTable
+from mission.wind import ground_speeds_m_s
+
+# The target turns at random, so what it does at a certain moment of the roll-out matters only in the mean: every
+# third sample is enough.
+_TURN_STRIDE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class WatchFrame:
+    """The frame of :mod:`mission.cost` at a moment: origin, course, and -1 where left and right are swapped."""
+
+    east_m: float
+    north_m: float
+    course_rad: float
+    mirror: float
+
+    def heading_rad(self, course_rad: float) -> float:
+        """Return a course of the plane as a heading of this frame."""
+        return self.mirror * (course_rad - self.course_rad)
+
+    def vector(self, east: float, north: float) -> tuple[float, float]:
+        """Return a vector of the plane as (x, y)."""
+        sin_c, cos_c = math.sin(self.course_rad), math.cos(self.course_rad)
+        return self.mirror * (east * cos_c - north * sin_c), east * sin_c + north * cos_c
+
+    def place(self, east_m: float, north_m: float) -> tuple[float, float]:
+        """Return a place of the plane as (x, y)."""
+        return self.vector(east_m - self.east_m, north_m - self.north_m)
+
+    def places(self, east_m: FloatArray, north_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return many places, arrays of any one shape."""
+        sin_c, cos_c = math.sin(self.course_rad), math.cos(self.course_rad)
+        east_m, north_m = east_m - self.east_m, north_m - self.north_m
+        return self.mirror * (east_m * cos_c - north_m * sin_c), east_m * sin_c + north_m * cos_c
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Situation:
+    """All in the watch frame at the departure: the target's and the air's motion, and how far both are known.
+
+    sigma_position_m and sigma_velocity_m_s are one standard deviation along the worst direction; the course's is
+    zero for a sector, which does not turn with the target.
+    """
+
+    velocity_m_s: tuple[float, float]
+    wind: Wind  # east_m_s and north_m_s stand for x and y
+    airspeed_m_s: float
+    sigma_position_m: float
+    sigma_velocity_m_s: float
+    sigma_course_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlook:
+    """Places relative to the target, headings and times since departure along n lines: arrays (n, k)."""
+
+    x_m: FloatArray
+    y_m: FloatArray
+    heading_rad: FloatArray
+    time_s: FloatArray
+
+
+def outlook(
+    x_m: FloatArray, y_m: FloatArray, heading_rad: FloatArray, arc_m: FloatArray, situation: Situation
+) -> Outlook:
+    """Return the outlook of lines over the ground (n, k), given in the frame at departure.
+
+    The aircraft holds its line; the wind only makes it faster or slower along it. Rows may end in repeated samples.
+    """
+    if situation.wind.speed_m_s == 0.0:
+        time = arc_m / situation.airspeed_m_s
+    else:
+        slowness = 1.0 / ground_speeds_m_s(heading_rad, situation.airspeed_m_s, situation.wind)
+        time = np.zeros_like(arc_m)
+        np.cumsum(np.diff(arc_m, axis=1) * 0.5 * (slowness[:, 1:] + slowness[:, :-1]), axis=1, out=time[:, 1:])
+    velocity_x, velocity_y = situation.velocity_m_s
+    return Outlook(x_m - velocity_x * time, y_m - velocity_y * time, heading_rad, time)
+
+
+def outlook_of_trapezoids(
+    trapezoids: Trapezoids, x_m: float, y_m: float, heading_rad: float, step_m: float, situation: Situation
+) -> Outlook:
+    """Return the outlook of trapezoids that all start at one place and heading."""
+    arc = trapezoids.coarse_arcs_m(step_m)
+    east, north = trapezoids.displaced_m(arc, heading_rad)
+    return outlook(x_m + east, y_m + north, heading_rad + trapezoids.turned_rad(arc), arc, situation)
+
+
+def scores(seen: Outlook, situation: Situation, cost: WatchCost, table: MotionTable) -> FloatArray:
+    """Return the expected discounted cost (n,) of flying each line and going on from its end as well as can be."""
+    habits_rate_1_s = 1.0 / table.mean_leg_s
+    weight = np.exp(-(table.discount_1_s + habits_rate_1_s) * seen.time_s)
+    step = np.zeros_like(seen.time_s)
+    half = 0.5 * np.diff(seen.time_s, axis=1)
+    step[:, 1:] += half
+    step[:, :-1] += half
+    sigma = np.hypot(situation.sigma_position_m, situation.sigma_velocity_m_s * seen.time_s)
+    blur = 1.0 + np.hypot(sigma, situation.sigma_course_rad * seen.y_m)
+    total: FloatArray = np.sum(cost.rate(seen.x_m, seen.y_m, sigma, blur) * weight * step, axis=1)
+    # A sample stands for its stride; the last of a row may stand for less, which the hazard's smallness forgives.
+    every = slice(0, None, _TURN_STRIDE)
+    turned = table.expected_after_turn(seen.x_m[:, every], seen.y_m[:, every], seen.heading_rad[:, every])
+    time = seen.time_s[:, every]
+    held = np.diff(time, axis=1, append=seen.time_s[:, -1:])
+    total += habits_rate_1_s * np.sum(turned * weight[:, every] * held, axis=1)
+    end = table.value(seen.x_m[:, -1], seen.y_m[:, -1], seen.heading_rad[:, -1])
+    total += weight[:, -1] * end
+    return total

@@ -1,0 +1,180 @@
+r"""Curvature trapezoids: the transition that can begin anywhere, at any moment, and ends on a circle.
+
+::
+
+    curvature
+      start ----.                      .---- final: the circle
+                 \                    /
+                  '---- hold --------'
+              ramp      hold_length    ramp          arc length ->
+
+Curvature is continuous and its rate along the line never exceeds ``ramp_1_m2``; where start, hold and final are
+within +-1/R, so is every point between. A transition under way is retargeted by starting another trapezoid from
+the curvature it has there. Course is a piecewise quadratic of arc length (exact); position is its Gauss quadrature.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from mission.circle import Circle
+from mission.path import FloatArray, Path
+from mission.requirement import GRAVITY_M_S2, Aircraft
+
+# Planned lines use this share of the aircraft's roll rate: the rest is left to the autopilot for gusts and
+# corrections. At 30 deg/s a transition rolls at 5 deg/s.
+_ROLL_RATE_SHARE = 1.0 / 6.0
+_FINE_STEP_M = 2.0
+# Gauss-Legendre on [0, 1]: three nodes make steps of 2 m exact to 1e-12 m, two make steps of 10 m exact to 1 mm.
+_NODES_3, _WEIGHTS_3 = np.array([0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)]), np.array([5.0, 8.0, 5.0]) / 18.0
+_NODES_2, _WEIGHTS_2 = 0.5 + np.array([-0.5, 0.5]) / math.sqrt(3.0), np.array([0.5, 0.5])
+
+
+def ramp_1_m2(aircraft: Aircraft, ground_speed_max_m_s: float) -> float:
+    """Return the change of curvature per metre that keeps the roll rate within its share at that ground speed.
+
+    tan(bank) = v^2 curvature / g, so the roll rate is greatest at wings level: v^3 ramp / g.
+    """
+    return _ROLL_RATE_SHARE * aircraft.roll_rate_max_rad_s * GRAVITY_M_S2 / ground_speed_max_m_s**3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trapezoids:
+    """n trapezoids, arrays of shape (n,): curvature(s) = start + first ramp + last ramp."""
+
+    start_1_m: float
+    first_rate_1_m2: FloatArray
+    first_end_m: FloatArray  # where the first ramp ends
+    last_rate_1_m2: FloatArray
+    last_start_m: FloatArray
+    last_end_m: FloatArray  # where the circle begins
+
+    @staticmethod
+    def between(
+        start_1_m: float,
+        hold_1_m: npt.ArrayLike,
+        hold_length_m: npt.ArrayLike,
+        final_1_m: npt.ArrayLike,
+        ramp: float,
+    ) -> Trapezoids:
+        """Build one trapezoid for each element; hold, hold length and final broadcast against each other."""
+        hold, length, final = (
+            np.asarray(a, dtype=np.float64) for a in np.broadcast_arrays(hold_1_m, hold_length_m, final_1_m)
+        )
+        first_end = np.abs(hold - start_1_m) / ramp
+        last_start = first_end + length
+        return Trapezoids(
+            start_1_m,
+            np.sign(hold - start_1_m) * ramp,
+            first_end,
+            np.sign(final - hold) * ramp,
+            last_start,
+            last_start + np.abs(final - hold) / ramp,
+        )
+
+    def curvature_1_m(self, arc_m: FloatArray) -> FloatArray:
+        """Return the curvature at arc lengths of shape (n, k)."""
+        return (
+            self.start_1_m
+            + self.first_rate_1_m2[:, None] * np.minimum(arc_m, self.first_end_m[:, None])
+            + self.last_rate_1_m2[:, None] * self._into_last_m(arc_m)
+        )
+
+    def turned_rad(self, arc_m: FloatArray) -> FloatArray:
+        """Return the change of course since the start, exactly, at arc lengths of shape (n, k)."""
+        first = np.minimum(arc_m, self.first_end_m[:, None])
+        last = self._into_last_m(arc_m)
+        after = np.maximum(arc_m - self.last_end_m[:, None], 0.0)
+        last_length = (self.last_end_m - self.last_start_m)[:, None]
+        return (
+            self.start_1_m * arc_m
+            + self.first_rate_1_m2[:, None] * first * (arc_m - 0.5 * first)
+            + self.last_rate_1_m2[:, None] * (0.5 * last * last + last_length * after)
+        )
+
+    def _into_last_m(self, arc_m: FloatArray) -> FloatArray:
+        return np.clip(arc_m - self.last_start_m[:, None], 0.0, (self.last_end_m - self.last_start_m)[:, None])
+
+    def coarse_arcs_m(self, step_m: float) -> FloatArray:
+        """Return arc lengths (n, k) at ``step_m``, each row repeating its end once it is reached."""
+        steps = math.ceil(float(self.last_end_m.max()) / step_m) + 1
+        arcs: FloatArray = np.minimum(step_m * np.arange(steps + 1), self.last_end_m[:, None])
+        return arcs
+
+    def displaced_m(self, arc_m: FloatArray, course_rad: float) -> tuple[FloatArray, FloatArray]:
+        """Return (east, north) from the start at ascending arcs (n, k), for steps of up to about 10 m."""
+        return _integrate(self, arc_m, course_rad, _NODES_2, _WEIGHTS_2)
+
+    def path(self, index: int, east_m: float, north_m: float, course_rad: float) -> Path:
+        """Return trapezoid ``index`` from that place, densely sampled, with samples at every corner of curvature.
+
+        It ends where the circle begins; a trapezoid of no length gets one fine step of its circle.
+        """
+        one = self.subset(slice(index, index + 1))
+        corners = [0.0, float(one.first_end_m[0]), float(one.last_start_m[0]), float(one.last_end_m[0])]
+        if corners[-1] < 1e-6:
+            corners.append(_FINE_STEP_M)
+        pieces = [
+            np.linspace(a, b, max(1, math.ceil((b - a) / _FINE_STEP_M)), endpoint=False)
+            for a, b in pairwise(corners)
+            if b - a > 1e-9
+        ]
+        arc = np.append(np.concatenate(pieces), corners[-1])[None, :]
+        east, north = _integrate(one, arc, course_rad, _NODES_3, _WEIGHTS_3)
+        return Path(
+            arc[0],
+            east_m + east[0],
+            north_m + north[0],
+            course_rad + one.turned_rad(arc)[0],
+            one.curvature_1_m(arc)[0],
+        )
+
+    def subset(self, chosen: slice) -> Trapezoids:
+        """Return some of the trapezoids."""
+        return Trapezoids(
+            self.start_1_m,
+            self.first_rate_1_m2[chosen],
+            self.first_end_m[chosen],
+            self.last_rate_1_m2[chosen],
+            self.last_start_m[chosen],
+            self.last_end_m[chosen],
+        )
+
+    def mirrored(self) -> Trapezoids:
+        """Return the trapezoids with left and right swapped."""
+        return Trapezoids(
+            -self.start_1_m,
+            -self.first_rate_1_m2,
+            self.first_end_m,
+            -self.last_rate_1_m2,
+            self.last_start_m,
+            self.last_end_m,
+        )
+
+
+def _integrate(
+    trapezoids: Trapezoids, arc_m: FloatArray, course_rad: float, nodes: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    step = np.diff(arc_m, axis=1)
+    east, north = np.zeros_like(arc_m), np.zeros_like(arc_m)
+    for node, weight in zip(nodes, weights, strict=True):
+        course = course_rad + trapezoids.turned_rad(arc_m[:, :-1] + node * step)
+        east[:, 1:] += weight * step * np.sin(course)
+        north[:, 1:] += weight * step * np.cos(course)
+    return np.cumsum(east, axis=1), np.cumsum(north, axis=1)
+
+
+def end_circle(path: Path, radius_m: float) -> Circle:
+    """Return the circle that continues a trapezoid's path with the sign of its last curvature."""
+    return Circle.tangent_to(
+        float(path.east_m[-1]),
+        float(path.north_m[-1]),
+        float(path.course_rad[-1]),
+        radius_m,
+        clockwise=bool(path.curvature_1_m[-1] > 0.0),
+    )
