@@ -11,6 +11,9 @@ from mission.plan import Planner
 from mission.requirement import Requirement
 from mission.watch import Watch, WatchSettings
 
+# Lasers miss for a second or two all the time; that is nothing to tell anybody.
+_COASTING_AFTER_S = 3.0
+
 
 def tracker_of(config: Config) -> Tracker:
     """Return the target tracker for the configured sensors."""
@@ -28,6 +31,7 @@ def tracker_of(config: Config) -> Tracker:
             latency_s=sensors.latency_s,
             range_source=chosen(sensors.range_component),
             gimbal_source=chosen(sensors.gimbal_component),
+            coasting_after_s=_COASTING_AFTER_S,
             lost_after_s=config.planner.lost_after_s,
         )
     )

@@ -34,11 +34,11 @@ from mission.plan import Plan
 from mission.watch import Snapshot, Watch
 
 _mav = mavutil.mavlink
-_LISTEN_S = 2.0
+_LISTEN_S = 1.0
 _FLYING_HEIGHT_M = 25.0
 _ARM_EVERY_S = 1.0
 _POLL_S = 0.1
-_ARM_WITHIN_S, _TAKE_OFF_WITHIN_S = 120.0, 240.0  # of the vehicle's time
+_READY_WITHIN_S, _ARM_WITHIN_S, _TAKE_OFF_WITHIN_S = 60.0, 120.0, 240.0  # of the vehicle's time
 _HIGH_ENOUGH = 0.7  # of the height wanted, to begin watching
 
 
@@ -137,14 +137,17 @@ class Flight:
 
     async def _check(self) -> Home:
         self._display.note("checking the vehicle and its sensors")
-        rates = await listen(self._vehicle, _LISTEN_S)
-        home = await home_of(self._vehicle)
         limits = await self._autopilot.limits(self._vehicle)
-        for check in checks(self._config, self._vehicle, limits, home, rates):
-            if not check.ready:
-                raise InputError(f"not ready, {check}.")
-        assert home is not None
-        return home
+        deadline_s, wall_s = self._telemetry.now_s + _READY_WITHIN_S, time.monotonic() + _READY_WITHIN_S
+        while True:
+            rates = await listen(self._vehicle, _LISTEN_S)
+            home = await home_of(self._vehicle)
+            missing = [check for check in checks(self._config, self._vehicle, limits, home, rates) if not check.ready]
+            if not missing:
+                assert home is not None
+                return home
+            if self._telemetry.now_s > deadline_s or time.monotonic() > wall_s:
+                raise InputError("not ready, " + "; ".join(map(str, missing)) + ".")
 
     async def _engage(self, loop: ControlLoop, performer: Performer, plane: LocalPlane, home: Home) -> None:
         """Bring the aircraft onto a circle of ours, and engage."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import replace
 
 from app.autopilot import Autopilot, Home, same_items
 from app.link import LinkError, RawItem, UploadResult
@@ -99,7 +100,7 @@ class Performer:
     async def _prepare(self, command: Prepare) -> None:
         assert self._slots is not None
         try:
-            slots = self._slots.with_line(self.line(command.plan))
+            slots = self._slots.with_line(self.line(replace(command.plan, circle=command.commanded)))
             result = await self._upload(slots, current=self._flown_index())
         except LinkError as error:
             self._say(command.number, "failed", str(error))

@@ -76,7 +76,7 @@ async def ask_for_streams(vehicle: Vehicle) -> None:
         await vehicle.set_rate(message_id, rate_hz)
 
 
-async def home_of(vehicle: Vehicle, timeout_s: float = 3.0) -> Home | None:
+async def home_of(vehicle: Vehicle, timeout_s: float = 1.0) -> Home | None:
     """Return the vehicle's home, asking for it if it has not been told."""
     if "HOME_POSITION" not in vehicle.latest:
         await vehicle.command(512, _HOME_POSITION_ID)

@@ -105,11 +105,15 @@ Event = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prepare:
-    """Bring plan ``number`` to the autopilot without flying it yet; report ready or failed."""
+    """Bring plan ``number`` to the autopilot without flying it yet; report ready or failed.
+
+    commanded is the plan's circle as the autopilot has to be told, so that the wanted one is flown.
+    """
 
     time_s: float
     number: int
     plan: Plan
+    commanded: Circle
     present: Plan
     reason: str
 

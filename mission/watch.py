@@ -6,8 +6,10 @@ Rules
 2. At most one plan is under way to the autopilot. It is Prepared (the autopilot holds it, still flying the line
    before), then Departed at its planned time; a plan that got ready too late is dropped and decided anew.
 3. A plan that breaks a fence is not sent; the present circle goes on.
-4. Any flight mode but the one engaged in means that somebody else flies: Yield, latched.
-5. A target lost for ``give_up_after_s`` ends the mission.
+4. What is sent is the wanted circle with the radius that makes the autopilot fly it; when the measured ratio of
+   flown to commanded radius changes, the present circle is sent again.
+5. Any flight mode but the one engaged in means that somebody else flies: Yield, latched.
+6. A target lost for ``give_up_after_s`` ends the mission.
 
 The clock is the vehicle's: the latest time of a position reading.
 """
@@ -24,6 +26,7 @@ from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
 from estimators.tracker import Tracker
 from mission.approach import approach
+from mission.circle import Circle
 from mission.events import (
     Announce,
     Command,
@@ -40,11 +43,14 @@ from mission.events import (
     Yield,
     YieldRequested,
 )
+from mission.flown_radius import FlownRadius
 from mission.plan import AircraftState, Decision, Plan, Planner
 from mission.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 
 # A plan may depart this much after its time: at 15 m/s it then starts 8 m beside its line.
 _LATE_S = 0.5
+# The present circle is sent again when its flown radius is off by more than this share.
+_RADIUS_TOLERANCE = 0.03
 # Weight of the newest upload in the expected latency, and the margin kept above it.
 _LATENCY_WEIGHT, _LATENCY_MARGIN = 0.3, 1.5
 
@@ -98,6 +104,7 @@ class _Swap:
 
     number: int
     plan: Plan
+    commanded: Circle
     since_s: float
     stage: Literal["preparing", "ready", "departing"] = "preparing"
 
@@ -145,6 +152,8 @@ class Watch:
     _latency_s: float = field(init=False)
     _next_decision_s: float = -math.inf
     _number: int = 0
+    _flown_radius: FlownRadius = field(default_factory=FlownRadius)
+    _commanded: Circle | None = None  # as the autopilot was told to fly the present circle
     _quality: TrackQuality | None = None
 
     def __post_init__(self) -> None:
@@ -163,7 +172,7 @@ class Watch:
                 return self._mode_reported(event)
             case Engaged() if self.phase in (Phase.WAITING, Phase.WATCHING):
                 self.phase, self._engaged_mode = Phase.WATCHING, event.mode
-                self.present = Plan(event.circle, None, event.time_s)
+                self.present, self._commanded = Plan(event.circle, None, event.time_s), event.circle
             case SwapReported():
                 return self._swap_reported(event)
             case LinkReported():
@@ -217,6 +226,8 @@ class Watch:
             ground_speed_m_s,
             curvature_1_m,
         )
+        if self._commanded is not None:
+            self._flown_radius.observe(self._aircraft, self._commanded)
         if self._swap is None and self.time_s < self._next_decision_s:
             return ()
         if self._swap is not None:
@@ -253,18 +264,29 @@ class Watch:
         self.decision = self._choose(self._aircraft, self.estimate, self.present)
         plan = self.decision.plan
         if plan is None:
-            return ()
+            return self._corrected_radius(self.present)
         broken = self.check(plan)
         if broken is not None:
             self.decision = replace(self.decision, plan=None, reason=f"staying: {broken}")
             return (Announce(self.time_s, "decision", self.decision.reason),)
+        prepare = self._prepared(plan, self.present, self.decision.reason)
+        return (Announce(self.time_s, "decision", self.decision.reason), prepare)
+
+    def _prepared(self, plan: Plan, present: Plan, reason: str) -> Prepare:
         self._number += 1
         self._counts.uploads += 1
-        self._swap = _Swap(self._number, plan, self.time_s)
-        return (
-            Announce(self.time_s, "decision", self.decision.reason),
-            Prepare(self.time_s, self._number, plan, self.present, self.decision.reason),
-        )
+        commanded = self._flown_radius.commanded(plan.circle)
+        self._swap = _Swap(self._number, plan, commanded, self.time_s)
+        return Prepare(self.time_s, self._number, plan, commanded, present, reason)
+
+    def _corrected_radius(self, present: Plan) -> tuple[Command, ...]:
+        assert self._commanded is not None
+        wanted_m = self._flown_radius.commanded(present.circle).radius_m
+        if abs(wanted_m / self._commanded.radius_m - 1.0) <= _RADIUS_TOLERANCE:
+            return ()
+        plan = Plan(present.circle, None, self.time_s + self._latency_s)
+        reason = f"asking for a radius of {wanted_m:.0f} m, so that {present.circle.radius_m:.0f} m is flown"
+        return (Announce(self.time_s, "decision", reason), self._prepared(plan, present, reason))
 
     def _choose(self, aircraft: AircraftState, estimate: TargetEstimate, present: Plan) -> Decision:
         range_m = math.hypot(aircraft.east_m - estimate.east_m, aircraft.north_m - estimate.north_m)
@@ -311,8 +333,9 @@ class Watch:
                 return (Announce(event.time_s, "swap", f"plan {event.number} was ready {late_s:.1f} s too late"),)
             swap.stage = "ready"
             return self._drive_swap(swap)
-        self.present, self._swap = swap.plan, None
-        self._counts.moves += 1
+        assert self.present is not None
+        self._counts.moves += swap.plan.circle != self.present.circle
+        self.present, self._commanded, self._swap = swap.plan, swap.commanded, None
         return (Announce(event.time_s, "swap", f"flying plan {event.number}"),)
 
     # -- other hands ---------------------------------------------------------------------------------------
