@@ -21,7 +21,7 @@ import numpy as np
 
 from app.errors import InputError
 from app.records.appender import Appender
-from app.records.progress import Progress
+from app.records.windows import Progress
 from estimators.frames import LocalPlane
 
 FORMAT = 1

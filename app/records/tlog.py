@@ -8,7 +8,6 @@ content and left alone. Only wanted frames are decoded; others are looked at onl
 
 from __future__ import annotations
 
-import mmap
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
@@ -21,7 +20,7 @@ import numpy.typing as npt
 from pymavlink.dialects.v20 import all as dialect
 
 from app.message import Message
-from app.records.progress import Progress
+from app.records.windows import Progress, Window, windows
 
 MessageSource = tuple[str, int, int]
 """Message name, system id, component id."""
@@ -30,7 +29,6 @@ _MARKER_V1, _MARKER_V2 = 0xFE, 0xFD
 _SIGNED = 0x01  # the one incompatibility flag that is defined
 _STAMP_BYTES = 8
 _FRAME_MAX_BYTES = 10 + 255 + 2 + 13
-_WINDOW_BYTES = 2 << 20
 _STAMP_MIN_US, _STAMP_MAX_US = 10**15, 4 * 10**15  # 2001 to 2096: anything else was not written as a stamp
 
 _Bytes = npt.NDArray[np.uint8]
@@ -178,17 +176,16 @@ def _whole_wanted(data: _Bytes, size: int, wanted: _Bools) -> _Frames:
     return frames.where(outermost)
 
 
-class _Window:
-    """A stretch of the file with the whole frames of wanted kinds that begin in it."""
+class _Reading:
+    """The whole frames of wanted kinds that begin in one window of the file."""
 
-    def __init__(self, file: mmap.mmap, begin: int, wanted: _Bools, last_received_s: float) -> None:
-        margin = _FRAME_MAX_BYTES + _STAMP_BYTES
-        before = min(begin, margin)
-        raw = file[begin - before : begin + _WINDOW_BYTES + margin]
-        self._data = np.zeros(len(raw) + _FRAME_MAX_BYTES, np.uint8)
-        self._data[: len(raw)] = np.frombuffer(raw, np.uint8)
-        frames = _whole_wanted(self._data, len(raw), wanted)
-        self._frames = frames.where((frames.marker >= before) & (frames.marker < before + _WINDOW_BYTES))
+    def __init__(self, window: Window, wanted: _Bools, last_received_s: float) -> None:
+        size = len(window.data)
+        self._data = np.zeros(size + _FRAME_MAX_BYTES, np.uint8)
+        self._data[:size] = np.frombuffer(window.data, np.uint8)
+        frames = _whole_wanted(self._data, size, wanted)
+        own = (frames.marker >= window.own_begin) & (frames.marker < window.own_end)
+        self._frames = frames.where(own)
         self._received_s = self._stamps_s(last_received_s)
         self.last_received_s = float(self._received_s[-1]) if len(self._received_s) else last_received_s
 
@@ -234,20 +231,12 @@ class _Window:
         return np.append(stamp_us * 1e-6, last_s)[latest]
 
 
-def _windows(path: Path, wanted: _Bools, progress: Progress | None) -> Iterator[_Window]:
-    """Yield the file window by window; memory does not grow with its length."""
-    if path.stat().st_size == 0:
-        return  # cannot be mapped
+def _readings(path: Path, wanted: _Bools, progress: Progress | None) -> Iterator[_Reading]:
     last_received_s = 0.0
-    with path.open("rb") as opened, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as file:
-        for begin in range(0, len(file), _WINDOW_BYTES):
-            window = _Window(file, begin, wanted, last_received_s)
-            last_received_s = window.last_received_s
-            yield window
-            if hasattr(file, "madvise"):
-                file.madvise(mmap.MADV_DONTNEED)
-            if progress:
-                progress(min(1.0, (begin + _WINDOW_BYTES) / len(file)))
+    for window in windows(path, _STAMP_BYTES + _FRAME_MAX_BYTES, progress):
+        reading = _Reading(window, wanted, last_received_s)
+        last_received_s = reading.last_received_s
+        yield reading
 
 
 def read_tlog(
@@ -258,18 +247,18 @@ def read_tlog(
     Damaged and cut frames are passed over, those of a definition that pymavlink does not know as well. Raises
     OSError when the file cannot be read.
     """
-    for window in _windows(path, _flags_by_number(wanted), progress):
-        yield from window.messages()
+    for reading in _readings(path, _flags_by_number(wanted), progress):
+        yield from reading.messages()
 
 
 def summary(path: Path, progress: Progress | None = None) -> Counter[MessageSource]:
     """Return how many whole frames each source has in the file."""
     counts: Counter[MessageSource] = Counter()
-    for window in _windows(path, _DEFINED, progress):
-        counts += window.sources
+    for reading in _readings(path, _DEFINED, progress):
+        counts += reading.sources
     return counts
 
 
 def is_tlog(path: Path) -> bool:
     """Return whether there is a whole frame in the file."""
-    return any(window.sources for window in _windows(path, _DEFINED, None))
+    return any(reading.sources for reading in _readings(path, _DEFINED, None))

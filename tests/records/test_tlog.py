@@ -10,10 +10,17 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as dialect
 
-from app.records import tlog
+from app.records import windows
 from app.records.tlog import is_tlog, read_tlog, summary
 
 WANTED = ("ATTITUDE", "DISTANCE_SENSOR", "STATUSTEXT")
+
+
+@pytest.fixture(autouse=True)
+def _mavlink_2(monkeypatch):
+    """Have pymavlink read MAVLink 1 by the definitions of MAVLink 2 as well, with the extensions zero."""
+    monkeypatch.setenv("MAVLINK20", "1")
+    mavutil.set_dialect("all")
 
 
 def messages(path: Path, wanted=WANTED) -> list[tuple]:
@@ -143,7 +150,7 @@ def test_frames_on_the_seams_of_the_windows_are_read_once(tmp_path, sender, stam
     path = write(tmp_path / "a.tlog", stamped(sender().mixture(400)))
     at_once = messages(path)
     for window_bytes in (301, 1000, 4096):
-        monkeypatch.setattr(tlog, "_WINDOW_BYTES", window_bytes)
+        monkeypatch.setattr(windows, "WINDOW_BYTES", window_bytes)
         assert messages(path) == at_once
 
 
