@@ -14,16 +14,15 @@ from typing import Self
 
 import numpy as np
 
-from estimators.biases import Biases, measurement_by_biases
+from estimators.biases import Biases
+from estimators.comparison import compare, softening
 from estimators.motion import MANOEUVRING, TURN, model_noises, model_transitions, switch_probabilities
 from estimators.settings import TrackerSettings
 from estimators.sighting import AnySighting
 from estimators.target_filter import (
     BIASES,
     EAST,
-    HEIGHT,
     NORTH,
-    PLACE,
     VELOCITY_E,
     VELOCITY_N,
     FloatArray,
@@ -44,6 +43,7 @@ class TargetImm:
     def __init__(self, settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> None:
         self.time_s = sighting.time_s
         self._density_m2_s3 = settings.acceleration_density_m2_s3
+        self._soft_nis = settings.soft_nis
         self._prior = biases
         self._estimated = biases.estimated
         self._drift = tuple(bias_drift(self._estimated).tolist())
@@ -86,36 +86,30 @@ class TargetImm:
         return means, covariances
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
-        means, covariances = self._means, self._covariances
-        middle = self._chances @ means
-        east_m, north_m, height_m = float(middle[EAST]), float(middle[NORTH]), float(middle[HEIGHT])
-        by_place = np.array(sighting.measurement_by_place(east_m, north_m, height_m))
-        by_bias = measurement_by_biases(sighting, by_place, float(middle[VELOCITY_E]), float(middle[VELOCITY_N]))
-        jacobian = np.zeros((3, len(middle)))
-        jacobian[:, PLACE] = by_place
-        jacobian[:, BIASES:TURN] = by_bias[:, self._estimated]
-        bias_mean = self._prior.mean.copy()
-        bias_mean[self._estimated] = middle[BIASES:TURN]
-        residual = np.array(sighting.residual(east_m, north_m, height_m)) - by_bias @ bias_mean
+        means, covariances, chances = self._means, self._covariances, self._chances
+        middle = chances @ means
+        place_variance_m2 = float(chances @ (covariances[:, EAST, EAST] + covariances[:, NORTH, NORTH]))
+        comparison = compare(sighting, middle, place_variance_m2, self._prior, len(middle))
+        residual, jacobian = comparison.residual, comparison.jacobian
 
         residuals = residual - (means - middle) @ jacobian.T  # (models, 3)
         cross = covariances @ jacobian.T  # (models, n, 3)
-        spreads = jacobian @ cross
-        spreads[:, (0, 1, 2), (0, 1, 2)] += sighting.variances
+        expected = jacobian @ cross
+        noise = np.diag(sighting.variances)
         apart = residuals - residual
-        common = np.tensordot(self._chances, spreads, 1) + (apart.T * self._chances) @ apart
-        nis = float(residual @ np.linalg.solve(common, residual))
+        spread = (chances @ expected.reshape(3, 9)).reshape(3, 3) + (apart.T * chances) @ apart + noise
+        nis = float(residual @ np.linalg.solve(spread, residual))
         if nis > gate_nis:
             return nis
 
-        inverses = np.linalg.inv(spreads)
+        inverses = np.linalg.inv(expected + softening(nis, self._soft_nis) * noise)
         gains = cross @ inverses
         self._means = means + (gains @ residuals[:, :, None])[:, :, 0]
         updated = covariances - gains @ cross.transpose(0, 2, 1)
         self._covariances = 0.5 * (updated + updated.transpose(0, 2, 1))
-        distances = np.einsum("mi,mij,mj->m", residuals, inverses, residuals)
+        distances = (residuals[:, None, :] @ inverses @ residuals[:, :, None])[:, 0, 0]
         likelihoods = np.exp(-0.5 * (distances - distances.min())) * np.sqrt(np.linalg.det(inverses))
-        chances = self._chances * likelihoods
+        chances = chances * likelihoods
         self._chances = chances / chances.sum()
         return nis
 

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimators.target_filter import EAST, HEIGHT, NORTH, VELOCITY_E, VELOCITY_N, FloatArray
+from estimators.target_filter import BIASES, EAST, HEIGHT, NORTH, VELOCITY_E, VELOCITY_N, FloatArray
 
 STANDING, CRUISING, MANOEUVRING = MODELS = range(3)
 TURN = -1  # the turn rate is the last of the state
@@ -22,16 +22,16 @@ HEIGHT_DENSITY_M2_S = 0.02  # the ground under a target that drives up and down 
 
 _SHUFFLE_SIGMA_M_S = 0.05
 _SHUFFLE_DENSITY_M2_S = 1e-4
-_MANOEUVRE_DENSITY_M2_S3 = 1.0
+_MANOEUVRE_DENSITY_M2_S3 = 0.5
 _TURN_SIGMA_RAD_S = 0.25
-_TURN_DRIFT_RAD2_S3 = 0.01
+_TURN_DRIFT_RAD2_S3 = 0.002
 
 # How often one kind of motion gives way to another, 1/s, from row to column.
 _SWITCH_RATES_1_S = np.array(
     [
         [0.0, 0.005, 0.03],
         [0.002, 0.0, 0.02],
-        [0.08, 0.15, 0.0],
+        [0.06, 0.08, 0.0],
     ]
 )
 _GENERATOR = _SWITCH_RATES_1_S - np.diag(_SWITCH_RATES_1_S.sum(axis=1))
@@ -44,20 +44,33 @@ def switch_probabilities(step_s: float) -> FloatArray:
     return probabilities
 
 
-def add_white_acceleration(noise: FloatArray, density_m2_s3: float, step_s: float) -> None:
-    """Add to a covariance (n, n) what a white acceleration does to position and velocity in ``step_s``."""
+@lru_cache(maxsize=256)
+def cruise(size: int, step_s: float) -> FloatArray:
+    """Return the transition (n, n) of a target that holds its velocity; read only."""
+    transition = np.eye(size)
+    transition[EAST, VELOCITY_E] = transition[NORTH, VELOCITY_N] = step_s
+    transition.setflags(write=False)
+    return transition
+
+
+@lru_cache(maxsize=256)
+def cruise_noise(size: int, step_s: float, density_m2_s3: float, bias_drift: tuple[float, ...]) -> FloatArray:
+    """Return the process noise (n, n) of white acceleration, uneven ground and drifting biases; read only."""
+    noise = np.zeros((size, size))
+    _add_white_acceleration(noise, density_m2_s3, step_s)
+    noise[HEIGHT, HEIGHT] = HEIGHT_DENSITY_M2_S * step_s
+    for i, drift in enumerate(bias_drift, start=BIASES):
+        noise[i, i] = drift * step_s
+    noise.setflags(write=False)
+    return noise
+
+
+def _add_white_acceleration(noise: FloatArray, density_m2_s3: float, step_s: float) -> None:
     for place, velocity in ((EAST, VELOCITY_E), (NORTH, VELOCITY_N)):
         noise[place, place] += density_m2_s3 * step_s**3 / 3
         noise[place, velocity] += density_m2_s3 * step_s**2 / 2
         noise[velocity, place] += density_m2_s3 * step_s**2 / 2
         noise[velocity, velocity] += density_m2_s3 * step_s
-
-
-def cruise(size: int, step_s: float) -> FloatArray:
-    """Return the transition (n, n) of a target that holds its velocity."""
-    transition = np.eye(size)
-    transition[EAST, VELOCITY_E] = transition[NORTH, VELOCITY_N] = step_s
-    return transition
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,17 +111,13 @@ def turn(rate_rad_s: float, velocity_east_m_s: float, velocity_north_m_s: float,
 @lru_cache(maxsize=256)
 def model_noises(size: int, step_s: float, cruise_density_m2_s3: float, bias_drift: tuple[float, ...]) -> FloatArray:
     """Return the process noise (models, n, n) of the three motions; read only."""
-    noises = np.zeros((len(MODELS), size, size))
-    noises[:, HEIGHT, HEIGHT] = HEIGHT_DENSITY_M2_S * step_s
-    first = HEIGHT + 1
-    for i, drift in enumerate(bias_drift, start=first):
-        noises[:, i, i] = drift * step_s
+    noises = np.stack([cruise_noise(size, step_s, 0.0, bias_drift)] * len(MODELS))
     for axis in (EAST, NORTH):
         noises[STANDING, axis, axis] = _SHUFFLE_DENSITY_M2_S * step_s
     for axis in (VELOCITY_E, VELOCITY_N):
         noises[STANDING, axis, axis] = _SHUFFLE_SIGMA_M_S**2
-    add_white_acceleration(noises[CRUISING], cruise_density_m2_s3, step_s)
-    add_white_acceleration(noises[MANOEUVRING], _MANOEUVRE_DENSITY_M2_S3, step_s)
+    _add_white_acceleration(noises[CRUISING], cruise_density_m2_s3, step_s)
+    _add_white_acceleration(noises[MANOEUVRING], _MANOEUVRE_DENSITY_M2_S3, step_s)
     # Who does not turn forgets the rate: a turn begins with nothing known of it.
     noises[STANDING, TURN, TURN] = noises[CRUISING, TURN, TURN] = _TURN_SIGMA_RAD_S**2
     noises[MANOEUVRING, TURN, TURN] = _TURN_DRIFT_RAD2_S3 * step_s

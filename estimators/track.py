@@ -19,12 +19,13 @@ from estimators.imm import TargetImm
 from estimators.settings import TrackerSettings
 from estimators.sighting import AnySighting, SightingOutcome
 from estimators.target_filter import TargetFilter
+from estimators.ukf import TargetUkf
 
 _HISTORY_S = 3.0
 _STEP_MAX_S = 1.0  # longer predictions go by steps, so that the motion models can mix on the way
 
 FilterStart = Callable[[TrackerSettings, AnySighting, Biases], TargetFilter]
-_FILTERS: dict[str, FilterStart] = {"ekf": TargetEkf, "imm": TargetImm, "ukf": TargetEkf}
+_FILTERS: dict[str, FilterStart] = {"ekf": TargetEkf, "imm": TargetImm, "ukf": TargetUkf}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

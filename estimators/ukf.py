@@ -1,0 +1,91 @@
+"""Unscented Kalman filter of a target that holds its velocity, on filterpy."""
+
+from __future__ import annotations
+
+import copy
+from typing import Self
+
+import numpy as np
+from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+
+from estimators.biases import Biases, measurement_by_biases
+from estimators.comparison import softening
+from estimators.motion import cruise, cruise_noise
+from estimators.settings import TrackerSettings
+from estimators.sighting import AnySighting
+from estimators.target_filter import (
+    BIASES,
+    EAST,
+    HEIGHT,
+    NORTH,
+    VELOCITY_E,
+    VELOCITY_N,
+    FloatArray,
+    bias_drift,
+    starting_state,
+)
+
+
+class TargetUkf:
+    """As the extended filter, but carries a cloud of states through the measurement instead of its derivative."""
+
+    def __init__(self, settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> None:
+        self.time_s = sighting.time_s
+        self._density_m2_s3 = settings.acceleration_density_m2_s3
+        self._soft_nis = settings.soft_nis
+        self._prior = biases
+        self._estimated = biases.estimated
+        self._drift = tuple(bias_drift(self._estimated).tolist())
+        mean, covariance = starting_state(settings, sighting, biases)
+        size = len(mean)
+        self._kf = UnscentedKalmanFilter(
+            dim_x=size,
+            dim_z=3,
+            dt=0.0,
+            hx=self._expected,
+            fx=lambda state, step_s: cruise(size, step_s) @ state,
+            points=MerweScaledSigmaPoints(size, alpha=0.5, beta=2.0, kappa=0.0),
+        )
+        self._kf.x, self._kf.P = mean, covariance
+
+    def predict(self, time_s: float) -> None:
+        step_s = max(round(time_s - self.time_s, 6), 0.0)
+        self.time_s = time_s
+        self._kf.Q = cruise_noise(self._kf.x.size, step_s, self._density_m2_s3, self._drift)
+        self._kf.predict(dt=step_s)
+
+    def update(self, sighting: AnySighting, gate_nis: float) -> float:
+        kf = self._kf
+        mean, covariance = kf.x, kf.P
+        # Everything is measured against the sighting, so that no bearing wraps within the cloud.
+        noise = np.diag(sighting.variances)
+        kf.update(np.zeros(3), R=noise, sighting=sighting)
+        nis = float(kf.y @ kf.SI @ kf.y)
+        if nis > self._soft_nis:
+            kf.x, kf.P = mean, covariance
+            if nis <= gate_nis:
+                kf.update(np.zeros(3), R=softening(nis, self._soft_nis) * noise, sighting=sighting)
+        return nis
+
+    def _expected(self, state: FloatArray, sighting: AnySighting) -> FloatArray:
+        """Return expected minus measured (slant range, bearing, depression), (3,)."""
+        place = (float(state[EAST]), float(state[NORTH]), float(state[HEIGHT]))
+        biases = self._prior.mean.copy()
+        biases[self._estimated] = state[BIASES:]
+        by_place = np.array(sighting.measurement_by_place(*place))
+        by_bias = measurement_by_biases(sighting, by_place, float(state[VELOCITY_E]), float(state[VELOCITY_N]))
+        return by_bias @ biases - sighting.residual(*place)
+
+    def moments(self) -> tuple[FloatArray, FloatArray]:
+        return self._kf.x[:4], self._kf.P[:4, :4]
+
+    def biases(self) -> Biases:
+        return self._prior.updated(self._kf.x[BIASES:], self._kf.P[BIASES:, BIASES:])
+
+    def copy(self) -> Self:
+        other = copy.copy(self)
+        other._kf = copy.copy(self._kf)
+        other._kf.hx = other._expected
+        # The one array that filterpy writes into.
+        other._kf.sigmas_f = self._kf.sigmas_f.copy()
+        return other
