@@ -23,7 +23,14 @@ from enum import StrEnum
 from typing import Literal
 
 from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
+from estimators.readings import (
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    Reading,
+    TargetFixReading,
+)
 from estimators.tracker import Tracker
 from mission.approach import approach
 from mission.circle import Circle
@@ -44,6 +51,7 @@ from mission.events import (
     YieldRequested,
 )
 from mission.flown_radius import FlownRadius
+from mission.gauges import Gauges
 from mission.plan import AircraftState, Decision, Plan, Planner
 from mission.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 
@@ -96,6 +104,7 @@ class Snapshot:
     upload_failures: int
     latency_s: float
     mode: str
+    gauges: Gauges
 
 
 @dataclass(slots=True)
@@ -143,7 +152,7 @@ class Watch:
     _requirement: Requirement = field(init=False)
     _planner: Planner = field(init=False)
     _aircraft: AircraftState | None = None
-    _roll_rad: float = 0.0
+    _gauges: Gauges = field(default_factory=Gauges)
     _wind: Wind = field(default_factory=Wind)
     _mode: str = ""
     _engaged_mode: str = ""
@@ -176,17 +185,15 @@ class Watch:
             case SwapReported():
                 return self._swap_reported(event)
             case LinkReported():
+                self._gauges.connected = event.connected
                 text = "the link is back" if event.connected else "link lost: the aircraft goes on circling"
                 return (Announce(event.time_s, "link", text),)
             case YieldRequested():
                 return self._yield(event.time_s, event.reason)
             case OperatorRequest():
                 return self._operator(event)
-            case AttitudeReading():
-                self._roll_rad = event.roll_rad
-                self.tracker.add(event)
-            case RangeReading() | GimbalReading() | TargetFixReading():
-                self.tracker.add(event)
+            case AttitudeReading() | RangeReading() | GimbalReading() | TargetFixReading():
+                self._read(event)
         return ()
 
     def snapshot(self) -> Snapshot:
@@ -206,18 +213,22 @@ class Watch:
             self._counts.upload_failures,
             self._latency_s,
             self._mode,
+            replace(self._gauges),
         )
+
+    def _read(self, reading: Reading) -> None:
+        self._gauges.note(reading, self.tracker.add(reading), self.tracker)
 
     # -- the aircraft's position is the tick ---------------------------------------------------------------
 
     def _position(self, reading: PositionReading) -> tuple[Command, ...]:
-        self.tracker.add(reading)
+        self._read(reading)
         if reading.time_s <= self.time_s:
             return ()  # overtaken on the way: it has helped the tracker, the clock stays
         self.time_s = reading.time_s
         ground_speed_m_s = math.hypot(reading.velocity_east_m_s, reading.velocity_north_m_s)
         # A coordinated turn at this bank bends the flown line by g tan(bank) across it.
-        curvature_1_m = GRAVITY_M_S2 * math.tan(self._roll_rad) / max(ground_speed_m_s, 5.0) ** 2
+        curvature_1_m = GRAVITY_M_S2 * math.tan(self._gauges.bank_rad) / max(ground_speed_m_s, 5.0) ** 2
         self._aircraft = AircraftState(
             reading.time_s,
             reading.east_m,

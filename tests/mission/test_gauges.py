@@ -1,0 +1,51 @@
+"""What a display is told of the vehicle and its payload."""
+
+from __future__ import annotations
+
+import math
+
+from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from estimators.tracker import Tracker, TrackerSettings
+from mission.gauges import Gauges
+
+LASER, DOWNWARD = Source("DISTANCE_SENSOR", 154, 1, 100), Source("DISTANCE_SENSOR", 1, 0, 25)
+GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
+NORTH_AND_DOWN = (math.cos(-0.2), 0.0, math.sin(-0.2), 0.0)  # pitched down by 0.4 rad
+
+
+def noted(gauges: Gauges, tracker: Tracker, *readings: object) -> None:
+    for reading in readings:
+        gauges.note(reading, tracker.add(reading), tracker)
+
+
+def second(time_s: float, slant_range_m: float) -> tuple[object, ...]:
+    return (
+        PositionReading(time_s, 0.0, 0.0, 120.0, 0.0, 15.0, 0.0),
+        AttitudeReading(time_s, 0.3, 0.0, 0.0),
+        GimbalReading(time_s, NORTH_AND_DOWN, "earth", GIMBAL),
+        RangeReading(time_s, slant_range_m, LASER),
+    )
+
+
+def test_gauges_begin_empty():
+    gauges = Gauges()
+    assert gauges.range_s == gauges.gimbal_s == -math.inf
+    assert math.isnan(gauges.nis)
+
+
+def test_gauges_follow_the_devices_in_use():
+    gauges, tracker = Gauges(), Tracker(TrackerSettings())
+    noted(gauges, tracker, *second(1.0, 308.0), *second(2.0, 308.0), RangeReading(5.0, 120.0, DOWNWARD))
+    assert (gauges.range_s, gauges.gimbal_s) == (2.0, 2.0)
+    assert (gauges.bank_rad, gauges.height_m) == (0.3, 120.0)
+
+
+def test_an_absurd_range_shows_as_a_rejected_sighting_of_large_innovation():
+    gauges, tracker = Gauges(), Tracker(TrackerSettings())
+    for tick in range(20):
+        noted(gauges, tracker, *second(0.1 * tick, 308.0))
+    accepted, calm = gauges.sightings - gauges.rejected, gauges.nis
+    noted(gauges, tracker, *second(2.0, 600.0), *second(2.1, 308.0)[:3])
+    assert accepted > 10
+    assert gauges.rejected == 1
+    assert calm < 20.0 < gauges.nis
