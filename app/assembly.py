@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from app.config import Config
+from app.value_cache import value_table
 from estimators.tracker import SourceChoice, Tracker, TrackerSettings
 from mission.paper_planner import PaperPlanner
 from mission.plan import Planner
+from mission.predictive_planner import PredictivePlanner, PredictiveSettings, table_configuration
 from mission.requirement import Requirement
 from mission.watch import Watch, WatchSettings
 
@@ -37,16 +40,24 @@ def tracker_of(config: Config) -> Tracker:
     )
 
 
-def watch_of(config: Config) -> Watch:
-    """Return the control step for a configuration."""
-    aircraft = config.aircraft.aircraft()
+def watch_of(config: Config, progress: Callable[[float], None] = lambda _share: None) -> Watch:
+    """Return the control step for a configuration.
 
-    def planner(requirement: Requirement) -> Planner:
-        return PaperPlanner(aircraft, requirement)
+    progress hears of the value table's computation, which takes some seconds once per configuration.
+    """
+    aircraft = config.aircraft.aircraft()
+    requirement = config.requirement.requirement()
+    settings = PredictiveSettings(lost_after_s=config.planner.lost_after_s)
+
+    def planner(wanted: Requirement) -> Planner:
+        if config.planner.name == "paper":
+            return PaperPlanner(aircraft, wanted)
+        table = value_table(table_configuration(aircraft, wanted), progress)
+        return PredictivePlanner(aircraft, wanted, table, settings)
 
     return Watch(
         WatchSettings(
-            config.requirement.requirement(),
+            requirement,
             aircraft,
             lost_after_s=config.planner.lost_after_s,
             give_up_after_s=config.planner.give_up_after_s,

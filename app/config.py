@@ -7,14 +7,20 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from app.errors import InputError
 from mission.feasibility import feasibility
 from mission.requirement import Aircraft, Requirement, Side
+from mission.side_policy import watching_from
 
 LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
 Polygon = Annotated[list[LatLon], Field(min_length=3)]
+
+
+def _known_side(words: str) -> str:
+    watching_from(Requirement(100.0, 500.0, Side.LEFT, 0.0), words)
+    return words
 
 
 class _Section(BaseModel):
@@ -52,8 +58,8 @@ class RequirementSection(_Section):
     """Least allowed horizontal range to the target (Dmin), m."""
     range_max_m: float = Field(500.0, ge=50, le=20000)
     """Greatest allowed horizontal range to the target (Dmax), m."""
-    side: Side = Side.LEFT
-    """Side of the target's direction of motion from which it is watched."""
+    side: Annotated[str, AfterValidator(_known_side)] = "left"
+    """Side of the target's motion to watch from: left, right, either, or compass bearings from it, like 120-200."""
     target_speed_max_m_s: float = Field(3.0, ge=0, le=50)
     """Highest speed expected of the target, m/s."""
     threshold: float = Field(0.9, gt=0, le=2)
@@ -61,7 +67,8 @@ class RequirementSection(_Section):
 
     def requirement(self) -> Requirement:
         """Return the planner's view of it."""
-        return Requirement(self.range_min_m, self.range_max_m, self.side, self.target_speed_max_m_s, self.threshold)
+        plain = Requirement(self.range_min_m, self.range_max_m, Side.LEFT, self.target_speed_max_m_s, self.threshold)
+        return watching_from(plain, self.side)
 
 
 class PlannerSection(_Section):
@@ -197,6 +204,8 @@ def _sentence(error: ValidationError) -> str:
     where = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
         return f"unknown key {where}; known there: {', '.join(_known_keys(problem['loc']))}."
+    if problem["type"] == "value_error":
+        return f"{where}: {problem['ctx']['error']}."
     message = problem["msg"][0].lower() + problem["msg"][1:]
     return f"{where} = {problem['input']!r}: {message}."
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from pymavlink import mavutil
 
-from app.assembly import watch_of
 from app.autopilot import Autopilot, Home
 from app.config import Config
 from app.console import ConsoleDisplay
@@ -39,6 +38,7 @@ _FLYING_HEIGHT_M = 25.0
 _ARM_EVERY_S = 1.0
 _POLL_S = 0.1
 _READY_WITHIN_S, _ARM_WITHIN_S, _TAKE_OFF_WITHIN_S = 60.0, 120.0, 240.0  # of the vehicle's time
+_READY_WALL_S = 20.0  # a fast simulation's minute is over before every question is answered
 _HIGH_ENOUGH = 0.7  # of the height wanted, to begin watching
 
 
@@ -74,6 +74,7 @@ class Flight:
         self,
         session: Session,
         config: Config,
+        watch: Watch,
         recording: Recording,
         display: ConsoleDisplay,
         duration_s: float | None,
@@ -81,7 +82,7 @@ class Flight:
         self._vehicle, self._autopilot, self._telemetry = session.vehicle, session.autopilot, session.telemetry
         self._config, self._recording, self._display = config, recording, display
         self._duration_s = duration_s
-        self._watch: Watch = watch_of(config)
+        self._watch = watch
         self._gatherer = Gatherer(config.requirement.requirement())
         self._start_s = math.inf
 
@@ -138,7 +139,7 @@ class Flight:
     async def _check(self) -> Home:
         self._display.note("checking the vehicle and its sensors")
         limits = await self._autopilot.limits(self._vehicle)
-        deadline_s, wall_s = self._telemetry.now_s + _READY_WITHIN_S, time.monotonic() + _READY_WITHIN_S
+        deadline_s, wall_s = self._telemetry.now_s + _READY_WITHIN_S, time.monotonic() + _READY_WALL_S
         while True:
             rates = await listen(self._vehicle, _LISTEN_S)
             home = await home_of(self._vehicle)
@@ -146,7 +147,7 @@ class Flight:
             if not missing:
                 assert home is not None
                 return home
-            if self._telemetry.now_s > deadline_s or time.monotonic() > wall_s:
+            if self._telemetry.now_s > deadline_s and time.monotonic() > wall_s:
                 raise InputError("not ready, " + "; ".join(map(str, missing)) + ".")
 
     async def _engage(self, loop: ControlLoop, performer: Performer, plane: LocalPlane, home: Home) -> None:
@@ -175,7 +176,7 @@ class Flight:
 
     def _first_circle(self, plane: LocalPlane, home: Home, flying: bool) -> Circle:
         radius_m = self._config.aircraft.radius_m
-        clockwise = self._config.requirement.side.clockwise
+        clockwise = self._config.requirement.requirement().side.clockwise
         if not flying:
             return Circle(*plane.east_north_m(home.latitude_deg, home.longitude_deg), radius_m, clockwise)
         fields = self._vehicle.latest["GLOBAL_POSITION_INT"].fields

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from estimators.frames import wrap_rad
 from mission.requirement import Requirement, Side
 
 # Below this speed the target keeps its last course (the definition of the requirement).
@@ -46,7 +47,7 @@ def score(
 ) -> Score:
     """Score the moments, each weighted by the time until the next.
 
-    sides: (since, side) in order of time. Before the target has a course every place is on the side.
+    sides: (since, side) in order of time, at least one. Before the target has a course every place is on the side.
     """
     in_band_s = on_side_s = total_s = 0.0
     least_m, greatest_m = math.inf, -math.inf
@@ -65,13 +66,22 @@ def score(
         velocity = (moment.target_velocity_east_m_s, moment.target_velocity_north_m_s)
         if math.hypot(*velocity) >= _STANDING_M_S:
             course_rad = math.atan2(*velocity)
-        side = next((side for since_s, side in reversed(sides) if since_s <= moment.time_s), requirement.side)
-        on_side = course_rad is None or _towards(east_m, north_m, course_rad + side.normal_turn_rad) >= 0.0
+        if requirement.sector is not None:
+            off_rad = wrap_rad(math.atan2(east_m, north_m) - requirement.sector.middle_rad)
+            on_side = abs(off_rad) <= requirement.sector.half_width_rad
+        elif requirement.either_side:
+            on_side = True  # one of the two sides is always the nearer one
+        else:
+            on_side = course_rad is None or _beside(east_m, north_m, course_rad, sides, moment.time_s)
         last = (moment, requirement.range_min_m <= range_m <= requirement.range_max_m, on_side)
     if total_s <= 0.0:
         return Score(0.0, None, None, None, None, source)
     return Score(total_s, in_band_s / total_s, on_side_s / total_s, least_m, greatest_m, source)
 
 
-def _towards(east: float, north: float, direction_rad: float) -> float:
-    return east * math.sin(direction_rad) + north * math.cos(direction_rad)
+def _beside(
+    east_m: float, north_m: float, course_rad: float, sides: Sequence[tuple[float, Side]], time_s: float
+) -> bool:
+    side = next((side for since_s, side in reversed(sides) if since_s <= time_s), sides[0][1])
+    normal_rad = course_rad + side.normal_turn_rad
+    return east_m * math.sin(normal_rad) + north_m * math.cos(normal_rad) >= 0.0

@@ -14,7 +14,8 @@ from typing import Annotated
 
 import typer
 
-from app.commands.output import JsonOption, checked_output, console, write_json
+from app.assembly import watch_of
+from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
 from app.config import Config, check_flyable, load_config
 from app.console import ConsoleDisplay
 from app.errors import InputError
@@ -23,7 +24,6 @@ from app.recording import Recording
 from app.records.run_folder import RunFolder
 from app.simulated import SimulatedVehicle
 from app.summary import Summary
-from mission.requirement import Side
 
 _DURATION_S = 1200.0
 
@@ -39,7 +39,9 @@ def launch(
     duration: Annotated[float, typer.Option(min=1.0, help="Watch this long, s of the vehicle's time.")] = _DURATION_S,
     speed: Annotated[float | None, typer.Option(help="Simulated time over wall time.")] = None,
     seed: Annotated[int | None, typer.Option(help="Of the simulation's noise.")] = None,
-    side: Annotated[Side | None, typer.Option(help="Side of the target's motion to watch from.")] = None,
+    side: Annotated[
+        str | None, typer.Option(help="Watch from left or right of its motion, either, or bearings like 120-200.")
+    ] = None,
     autopilot: Annotated[
         str | None, typer.Option(help="Simulated autopilot: arduplane or px4.", show_default=False)
     ] = None,
@@ -108,6 +110,7 @@ async def _fly(
     stopped: asyncio.Event,
 ) -> tuple[Summary, bool]:
     async with contextlib.AsyncExitStack() as stack:
+        watch = watch_of(config, table_progress(display.note))
         url, truth = config.link.url, None
         if url is None:
             display.note(f"starting a simulated {config.simulation.autopilot} and its target")
@@ -116,5 +119,5 @@ async def _fly(
         display.note(f"connecting to {url}")
         session = await stack.enter_async_context(connected(url, config.link.heartbeat_timeout_s, recording.frame))
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
-        summary = await Flight(session, config, recording, display, duration_s).fly(truth, stopped)
+        summary = await Flight(session, config, watch, recording, display, duration_s).fly(truth, stopped)
     return summary, session.vehicle.link.stuck

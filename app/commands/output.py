@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,3 +37,16 @@ def checked_output(path: Path | None) -> None:
     """Complain about an output file that cannot be written before the work begins, not after."""
     if path is not None and str(path) != "-" and not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}; create it or give another file to --json.")
+
+
+def table_progress(tell: Callable[[str], None]) -> Callable[[float], None]:
+    """Return what tells, now and then, how far the computation of the value table is."""
+    told = -1.0
+
+    def progress(share: float) -> None:
+        nonlocal told
+        if told < 0.0 or share - told >= 0.25:
+            told = share
+            tell(f"computing the planner's value table, once for this configuration: {100.0 * share:.0f} %")
+
+    return progress

@@ -12,7 +12,7 @@ from rich.progress import Progress
 from rich.text import Text
 
 from app.assembly import watch_of
-from app.commands.output import JsonOption, checked_output, console, write_json
+from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
 from app.config import Config, load_config, with_values
 from app.console import clock
 from app.errors import FlightError, InputError
@@ -37,9 +37,7 @@ def replay(
         Path | None, typer.Option(help="CSV with the true track; a simulated run folder has its own.")
     ] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML); a run folder has its own.")] = None,
-    planner: Annotated[
-        str | None, typer.Option(help="Another planner: predictive or paper.")
-    ] = None,
+    planner: Annotated[str | None, typer.Option(help="Another planner: predictive or paper.")] = None,
     change: Annotated[
         list[str] | None, typer.Option("--set", help="Replay with another value: SECTION.KEY=VALUE (repeatable).")
     ] = None,
@@ -83,7 +81,7 @@ def _replay_log(log: Path, truth: Path | None, settings: Config, quiet: bool) ->
     if not is_tlog(log):
         raise InputError(f"{log}: holds no whole MAVLink frame; give a tlog.")
     telemetry = Telemetry()
-    steps = LogReplay(watch_of(settings), telemetry)
+    steps = LogReplay(watch_of(settings, table_progress(console.print)), telemetry)
     with _progress() as progress:
         task = progress.add_task(log.name, total=1.0)
         messages = read_tlog(log, telemetry.wanted, lambda share: progress.update(task, completed=share))
@@ -104,7 +102,7 @@ def _replay_run(
         settings = with_values(flown, changes, "--set")
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")
-        steps = JournalReplay(watch_of(settings))
+        steps = JournalReplay(watch_of(settings, table_progress(console.print)))
         judged = _Judged(settings, steps.watch, progress, quiet or verify)
         judged.follow(steps.run(journal))
     if verify:

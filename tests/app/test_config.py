@@ -21,8 +21,8 @@ def test_the_defaults_are_flyable():
 
 def test_the_command_line_wins_over_the_file_and_none_says_nothing(tmp_path):
     path = write(tmp_path, '[requirement]\nside = "left"\nrange_min_m = 120\n[aircraft]\nradius_m = 70\n')
-    config = load_config(path, {"requirement": {"side": Side.RIGHT, "range_min_m": None}, "simulation": {"seed": 4}})
-    assert config.requirement.side is Side.RIGHT
+    config = load_config(path, {"requirement": {"side": "right", "range_min_m": None}, "simulation": {"seed": 4}})
+    assert config.requirement.requirement().side is Side.RIGHT
     assert config.requirement.range_min_m == 120
     assert config.aircraft.radius_m == 70
     assert config.simulation.seed == 4
