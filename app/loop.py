@@ -10,7 +10,7 @@ from app.message import Message
 from app.performer import Performer
 from app.telemetry import Telemetry
 from app.vehicle import Vehicle
-from mission.events import Announce, Command, End, Event, LinkReported, Yield
+from mission.events import Announce, Command, Decided, End, Event, LinkReported, Yield
 from mission.watch import Snapshot, Watch
 
 _LINK_SILENCE_S = 3.0
@@ -85,6 +85,8 @@ class ControlLoop:
             self._vehicle.listeners.remove(self.received)
 
     def _do(self, command: Command) -> None:
+        if isinstance(command, Decided):
+            return
         if isinstance(command, Announce):
             self._display.say(command)
             return

@@ -6,6 +6,7 @@ and must get the same commands.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -126,6 +127,16 @@ class Depart:
     number: int
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Decided:
+    """Nothing to do: what the planner thought at this moment, for the journal and for whoever compares."""
+
+    time_s: float
+    moves: bool
+    reason: str
+    values: Mapping[str, float]
+
+
 @dataclass(frozen=True, slots=True)
 class Announce:
     """Tell the person in plain words; ``kind`` lets a display colour or filter it."""
@@ -152,4 +163,4 @@ class End:
     reason: str
 
 
-Command = Prepare | Depart | Announce | Yield | End
+Command = Decided | Prepare | Depart | Announce | Yield | End

@@ -37,6 +37,7 @@ from mission.circle import Circle
 from mission.events import (
     Announce,
     Command,
+    Decided,
     Depart,
     End,
     Engaged,
@@ -272,16 +273,18 @@ class Watch:
         if unseen_s > self.settings.lost_after_s or self.estimate.quality is TrackQuality.LOST:
             self.decision = Decision(self.time_s, None, f"holding the circle: target unseen for {unseen_s:.0f} s")
             return ()
-        self.decision = self._choose(self._aircraft, self.estimate, self.present)
-        plan = self.decision.plan
-        if plan is None:
-            return self._corrected_radius(self.present)
-        broken = self.check(plan)
+        decision = self._choose(self._aircraft, self.estimate, self.present)
+        broken = self.check(decision.plan) if decision.plan is not None else None
         if broken is not None:
-            self.decision = replace(self.decision, plan=None, reason=f"staying: {broken}")
-            return (Announce(self.time_s, "decision", self.decision.reason),)
-        prepare = self._prepared(plan, self.present, self.decision.reason)
-        return (Announce(self.time_s, "decision", self.decision.reason), prepare)
+            decision = replace(decision, plan=None, reason=f"staying: {broken}")
+        self.decision = decision
+        decided = Decided(self.time_s, decision.plan is not None, decision.reason, decision.values)
+        if decision.plan is not None:
+            prepare = self._prepared(decision.plan, self.present, decision.reason)
+            return (decided, Announce(self.time_s, "decision", decision.reason), prepare)
+        if broken is not None:
+            return (decided, Announce(self.time_s, "decision", decision.reason))
+        return (decided, *self._corrected_radius(self.present))
 
     def _prepared(self, plan: Plan, present: Plan, reason: str) -> Prepare:
         self._number += 1
