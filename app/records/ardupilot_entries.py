@@ -1,0 +1,160 @@
+"""ArduPilot's log entries as the MAVLink messages it would send of them, so that one decoder serves every log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from typing import Any
+
+from app.message import Message
+from app.records.entry import Entry
+
+Made = Iterator[tuple[str, dict[str, Any]]]
+"""Message names with their fields."""
+
+_GPS_EPOCH_S = 315_964_800  # 1980-01-06
+_LEAP_S = 18  # GPS is ahead of UTC by this since 2017
+_WEEK_S = 604_800
+_GPS_FIX_3D = 3
+_RANGE_GOOD = 4  # of RFND.Stat
+_SIGNAL_UNKNOWN, _SIGNAL_INVALID = 0, 1  # of DISTANCE_SENSOR.signal_quality
+_COVARIANCE_UNKNOWN = 255
+_ORIENTATION_CUSTOM = 100
+_MOUNT_RANGE_ID = 100  # apart from the ids of RFND
+_LOCKED_YAW_IN_EARTH_FRAME = 4 | 8 | 16 | 64
+
+
+class ArdupilotMessages:
+    """Turns entries in order of time into messages.
+
+    A position takes its velocity from the first core of the EKF, else from GPS. The range of a mount's own
+    rangefinder becomes a DISTANCE_SENSOR of custom orientation. Until GPS has told the time, received_s counts from
+    boot.
+    """
+
+    def __init__(self) -> None:
+        self._makers: dict[str, Callable[[Entry], Made]] = {
+            "GPS": self._gps,
+            "XKF1": self._ekf,
+            "NKF1": self._ekf,
+            "POS": self._position,
+            "ATT": self._attitude,
+            "RFND": self._rangefinder,
+            "MNT": self._mount,
+            "XKF2": self._wind,
+            "NKF2": self._wind,
+        }
+        self._velocity_ned_m_s: tuple[float, float, float] | None = None
+        self._has_ekf = False
+        self._boot_s = 0.0
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """Names of the entries that are looked at."""
+        return frozenset(self._makers)
+
+    def messages(self, entries: Iterable[Entry]) -> Iterator[Message]:
+        """Yield the messages; entries that lack a field (another version of ArduPilot) are passed over."""
+        for entry in entries:
+            with suppress(KeyError):
+                for name, fields in self._makers[entry.name](entry):
+                    yield Message(name, 1, 1, fields, self._boot_s + entry.time_us * 1e-6)
+
+    def _gps(self, entry: Entry) -> Made:
+        fields = entry.fields
+        if entry.instance == 0 and fields["Status"] >= _GPS_FIX_3D:
+            utc_s = _GPS_EPOCH_S + fields["GWk"] * _WEEK_S + fields["GMS"] * 1e-3 - _LEAP_S
+            self._boot_s = utc_s - entry.time_us * 1e-6
+            if not self._has_ekf:
+                course_rad = math.radians(fields["GCrs"])
+                north_m_s, east_m_s = fields["Spd"] * math.cos(course_rad), fields["Spd"] * math.sin(course_rad)
+                self._velocity_ned_m_s = north_m_s, east_m_s, fields["VZ"]
+        yield from ()
+
+    def _ekf(self, entry: Entry) -> Made:
+        if entry.instance == 0:
+            self._has_ekf = True
+            self._velocity_ned_m_s = entry.fields["VN"], entry.fields["VE"], entry.fields["VD"]
+        yield from ()
+
+    def _position(self, entry: Entry) -> Made:
+        fields = entry.fields
+        if self._velocity_ned_m_s is None:
+            return
+        vx, vy, vz = (100.0 * component_m_s for component_m_s in self._velocity_ned_m_s)
+        if all(map(math.isfinite, (fields["Alt"], fields["RelHomeAlt"], vx, vy, vz))):
+            yield (
+                "GLOBAL_POSITION_INT",
+                {
+                    "time_boot_ms": entry.time_us * 1e-3,
+                    "lat": round(fields["Lat"] * 1e7),
+                    "lon": round(fields["Lng"] * 1e7),
+                    "alt": 1e3 * fields["Alt"],
+                    "relative_alt": 1e3 * fields["RelHomeAlt"],
+                    "vx": vx,
+                    "vy": vy,
+                    "vz": vz,
+                },
+            )
+
+    def _attitude(self, entry: Entry) -> Made:
+        roll, pitch, yaw = (math.radians(entry.fields[name]) for name in ("Roll", "Pitch", "Yaw"))
+        yield "ATTITUDE", {"time_boot_ms": entry.time_us * 1e-3, "roll": roll, "pitch": pitch, "yaw": yaw}
+
+    def _rangefinder(self, entry: Entry) -> Made:
+        fields = entry.fields
+        quality = fields.get("Quality", -1)  # per cent, -1 unknown; in MAVLink 0 is unknown and 1 invalid
+        signal = _SIGNAL_UNKNOWN if quality < 0 else max(_SIGNAL_INVALID, quality)
+        yield self._range(
+            entry,
+            fields["Dist"],
+            entry.instance,
+            fields["Orient"],
+            signal if fields["Stat"] == _RANGE_GOOD else _SIGNAL_INVALID,
+        )
+
+    def _mount(self, entry: Entry) -> Made:
+        fields = entry.fields
+        roll, pitch, yaw = (math.radians(fields[name]) / 2 for name in ("Roll", "Pitch", "YawE"))
+        if all(map(math.isfinite, (roll, pitch, yaw))):
+            cr, sr, cp, sp, cy, sy = (f(half) for half in (roll, pitch, yaw) for f in (math.cos, math.sin))
+            yield (
+                "GIMBAL_DEVICE_ATTITUDE_STATUS",
+                {
+                    "time_boot_ms": entry.time_us * 1e-3,
+                    "flags": _LOCKED_YAW_IN_EARTH_FRAME,
+                    "q": [
+                        cr * cp * cy + sr * sp * sy,
+                        sr * cp * cy - cr * sp * sy,
+                        cr * sp * cy + sr * cp * sy,
+                        cr * cp * sy - sr * sp * cy,
+                    ],
+                    "gimbal_device_id": entry.instance + 1,
+                },
+            )
+        if math.isfinite(fields.get("Dist", math.nan)):
+            sensor_id = _MOUNT_RANGE_ID + entry.instance
+            yield self._range(entry, fields["Dist"], sensor_id, _ORIENTATION_CUSTOM, _SIGNAL_UNKNOWN)
+
+    def _range(
+        self, entry: Entry, distance_m: float, sensor_id: int, orientation: int, signal: int
+    ) -> tuple[str, dict[str, Any]]:
+        return (
+            "DISTANCE_SENSOR",
+            {
+                "time_boot_ms": entry.time_us * 1e-3,
+                "min_distance": 0.0,
+                "max_distance": math.inf,
+                "current_distance": 100.0 * distance_m,
+                "id": sensor_id,
+                "orientation": orientation,
+                "covariance": _COVARIANCE_UNKNOWN,
+                "signal_quality": signal,
+            },
+        )
+
+    def _wind(self, entry: Entry) -> Made:
+        if entry.instance == 0:
+            north_m_s, east_m_s = entry.fields["VWN"], entry.fields["VWE"]
+            yield "WIND_COV", {"time_usec": entry.time_us, "wind_x": north_m_s, "wind_y": east_m_s}

@@ -1,0 +1,122 @@
+"""One way to read every kind of log: as the MAVLink messages that the vehicle sent, or would have sent."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.errors import InputError
+from app.message import Message
+from app.records.ardupilot_entries import ArdupilotMessages
+from app.records.dataflash import MAGIC as DATAFLASH_MAGIC
+from app.records.dataflash import dataflash_contents, read_dataflash
+from app.records.px4_entries import Px4Messages
+from app.records.tlog import is_tlog, read_tlog, summary
+from app.records.ulog import MAGIC as ULOG_MAGIC
+from app.records.ulog import read_ulog, ulog_contents
+from app.records.windows import Progress
+
+_NAMED_AT_MOST = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """A log of some kind. range_names and gimbal_names: what the kind calls a slant range and a line of sight."""
+
+    path: Path
+    kind: str
+    range_names: tuple[str, ...]
+    gimbal_names: tuple[str, ...]
+    _messages: Callable[[Path, Collection[str], Progress | None], Iterator[Message]]
+    _contents: Callable[[Path, Progress | None], Counter[str]]
+
+    def messages(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[Message]:
+        """Yield the messages of the ``wanted`` names in order; raises InputError when the file cannot be read."""
+        try:
+            yield from self._messages(self.path, wanted, progress)
+        except OSError as error:
+            raise _unreadable(self.path, error) from error
+
+    def contents(self, progress: Progress | None = None) -> Counter[str]:
+        """Return how often the log has what, in the words of its kind."""
+        try:
+            return self._contents(self.path, progress)
+        except OSError as error:
+            raise _unreadable(self.path, error) from error
+
+    def looked_for(self, progress: Progress | None = None) -> str:
+        """Return what a sighting of the target needs and what the log has instead, as an end of a sentence."""
+        counts = self.contents(progress).most_common()
+        named = ", ".join(f"{name} ({count})" for name, count in counts[:_NAMED_AT_MOST])
+        others = f" and {len(counts) - _NAMED_AT_MOST} others" if len(counts) > _NAMED_AT_MOST else ""
+        return (
+            f"looked for a slant range ({' or '.join(self.range_names)}) and a line of sight "
+            f"({' or '.join(self.gimbal_names)}); the {self.kind} has {named or 'nothing'}{others}"
+        )
+
+
+def open_log(path: Path) -> Log:
+    """Return the log at ``path``, of the kind that its content shows.
+
+    Raises InputError when it cannot be read or is no log.
+    """
+    try:
+        with path.open("rb") as file:
+            opening = file.read(len(ULOG_MAGIC))
+        if not opening:
+            raise InputError(f"{path} is empty.")
+        if opening == ULOG_MAGIC:
+            return _ulog(path)
+        if opening.startswith(DATAFLASH_MAGIC):
+            return _dataflash(path)
+        if is_tlog(path):
+            return _tlog(path)
+        # The first bytes may be damaged.
+        for log in (_ulog(path), _dataflash(path)):
+            if log.contents():
+                return log
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    raise InputError(f"{path} is no log: expected a tlog, a PX4 ULog (.ulg) or an ArduPilot DataFlash log (.bin).")
+
+
+def _unreadable(path: Path, error: OSError) -> InputError:
+    return InputError(f"{path} cannot be read: {error.strerror}.")
+
+
+def _tlog(path: Path) -> Log:
+    return Log(
+        path,
+        "tlog",
+        ("DISTANCE_SENSOR", "RANGEFINDER"),
+        ("GIMBAL_DEVICE_ATTITUDE_STATUS",),
+        read_tlog,
+        _tlog_contents,
+    )
+
+
+def _tlog_contents(path: Path, progress: Progress | None) -> Counter[str]:
+    counts: Counter[str] = Counter()
+    for (name, _, _), count in summary(path, progress).items():
+        counts[name] += count
+    return counts
+
+
+def _ulog(path: Path) -> Log:
+    def messages(path: Path, wanted: Collection[str], progress: Progress | None) -> Iterator[Message]:
+        made = Px4Messages()
+        every = made.messages(read_ulog(path, made.topics, progress))
+        return (message for message in every if message.name in wanted)
+
+    return Log(path, "ULog", ("distance_sensor",), ("gimbal_device_attitude_status",), messages, ulog_contents)
+
+
+def _dataflash(path: Path) -> Log:
+    def messages(path: Path, wanted: Collection[str], progress: Progress | None) -> Iterator[Message]:
+        made = ArdupilotMessages()
+        every = made.messages(read_dataflash(path, made.topics, progress))
+        return (message for message in every if message.name in wanted)
+
+    return Log(path, "DataFlash log", ("RFND", "MNT.Dist"), ("MNT",), messages, dataflash_contents)

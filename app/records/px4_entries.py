@@ -1,0 +1,149 @@
+"""PX4's logged topics as the MAVLink messages PX4 would send of them, so that one decoder serves every log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from typing import Any
+
+from app.message import Message
+from app.records.entry import Entry
+from estimators.frames import LocalPlane
+
+Made = Iterator[tuple[str, dict[str, Any]]]
+"""Message names with their fields."""
+
+_GLOBAL_POSITION_SILENCE_US = 1_000_000
+
+
+class Px4Messages:
+    """Turns entries in order of time into messages.
+
+    A position takes its velocity from the latest vehicle_local_position; where vehicle_global_position is not logged
+    (older PX4) it is made of vehicle_local_position alone. Heights above home go by home_position, else by the origin
+    of the local position. Until GPS has told the time, received_s counts from boot.
+    """
+
+    def __init__(self) -> None:
+        self._makers: dict[str, Callable[[Entry], Made]] = {
+            "home_position": self._home,
+            "vehicle_gps_position": self._gps,
+            "vehicle_global_position": self._global_position,
+            "vehicle_local_position": self._local_position,
+            "vehicle_attitude": self._attitude,
+            "distance_sensor": self._distance_sensor,
+            "gimbal_device_attitude_status": self._gimbal,
+            "wind": self._wind,
+            "wind_estimate": self._wind,
+        }
+        self._home_altitude_m = math.nan
+        self._local: Mapping[str, Any] = {}
+        self._global_us = -math.inf
+        self._boot_s = 0.0
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """Names of the entries that are looked at."""
+        return frozenset(self._makers)
+
+    def messages(self, entries: Iterable[Entry]) -> Iterator[Message]:
+        """Yield the messages; entries that lack a field (another version of the topic) are passed over."""
+        for entry in entries:
+            with suppress(KeyError):
+                for name, fields in self._makers[entry.name](entry):
+                    yield Message(name, 1, 1, fields, self._boot_s + entry.time_us * 1e-6)
+
+    def _home(self, entry: Entry) -> Made:
+        self._home_altitude_m = entry.fields["alt"]
+        yield from ()
+
+    def _gps(self, entry: Entry) -> Made:
+        utc_us = entry.fields["time_utc_usec"]
+        self._boot_s = (utc_us - entry.time_us) * 1e-6 if utc_us else self._boot_s
+        yield from ()
+
+    def _global_position(self, entry: Entry) -> Made:
+        self._global_us = entry.time_us
+        fields = entry.fields
+        yield from self._position(entry.time_us, fields["lat"], fields["lon"], fields["alt"])
+
+    def _local_position(self, entry: Entry) -> Made:
+        self._local = fields = entry.fields
+        if math.isnan(self._home_altitude_m) and fields["z_global"]:
+            self._home_altitude_m = fields["ref_alt"]
+        if fields["xy_global"] and entry.time_us - self._global_us > _GLOBAL_POSITION_SILENCE_US:
+            plane = LocalPlane(fields["ref_lat"], fields["ref_lon"])
+            latitude_deg, longitude_deg = plane.latitude_longitude_deg(fields["y"], fields["x"])
+            yield from self._position(entry.time_us, latitude_deg, longitude_deg, fields["ref_alt"] - fields["z"])
+
+    def _position(self, time_us: int, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Made:
+        vx, vy, vz = (100.0 * self._local.get(name, math.nan) for name in ("vx", "vy", "vz"))
+        height_m = altitude_m - self._home_altitude_m
+        if all(map(math.isfinite, (latitude_deg, longitude_deg, height_m, vx, vy, vz))):
+            yield (
+                "GLOBAL_POSITION_INT",
+                {
+                    "time_boot_ms": time_us * 1e-3,
+                    "lat": round(latitude_deg * 1e7),
+                    "lon": round(longitude_deg * 1e7),
+                    "alt": 1e3 * altitude_m,
+                    "relative_alt": 1e3 * height_m,
+                    "vx": vx,
+                    "vy": vy,
+                    "vz": vz,
+                },
+            )
+
+    def _attitude(self, entry: Entry) -> Made:
+        w, x, y, z = _quaternion(entry.fields)
+        yield (
+            "ATTITUDE",
+            {
+                "time_boot_ms": entry.time_us * 1e-3,
+                "roll": math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+                "pitch": math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),
+                "yaw": math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+            },
+        )
+
+    def _distance_sensor(self, entry: Entry) -> Made:
+        fields = entry.fields
+        quality = fields["signal_quality"]  # -1 unknown, 0 invalid; in MAVLink 0 and 1
+        variance_cm2 = 1e4 * fields["variance"]
+        if math.isfinite(fields["current_distance"]):
+            yield (
+                "DISTANCE_SENSOR",
+                {
+                    "time_boot_ms": entry.time_us * 1e-3,
+                    "min_distance": 100.0 * fields["min_distance"],
+                    "max_distance": 100.0 * fields["max_distance"],
+                    "current_distance": 100.0 * fields["current_distance"],
+                    "type": fields["type"],
+                    "id": entry.instance,
+                    "orientation": fields["orientation"],
+                    "covariance": variance_cm2 if math.isfinite(variance_cm2) else 255,
+                    "quaternion": list(_quaternion(fields)),
+                    "signal_quality": 0 if quality < 0 else max(1, quality),
+                },
+            )
+
+    def _gimbal(self, entry: Entry) -> Made:
+        fields = entry.fields
+        yield (
+            "GIMBAL_DEVICE_ATTITUDE_STATUS",
+            {
+                "time_boot_ms": entry.time_us * 1e-3,
+                "flags": fields["device_flags"],
+                "q": list(_quaternion(fields)),
+                "gimbal_device_id": fields.get("gimbal_device_id", 0),
+            },
+        )
+
+    def _wind(self, entry: Entry) -> Made:
+        north_m_s, east_m_s = entry.fields["windspeed_north"], entry.fields["windspeed_east"]
+        yield "WIND_COV", {"time_usec": entry.time_us, "wind_x": north_m_s, "wind_y": east_m_s}
+
+
+def _quaternion(fields: Mapping[str, Any]) -> tuple[float, float, float, float]:
+    return fields["q[0]"], fields["q[1]"], fields["q[2]"], fields["q[3]"]
