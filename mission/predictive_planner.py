@@ -33,6 +33,8 @@ from mission.wording import move_words
 
 _STEP_S = 1.0
 _NO_BREACH = "a better place should the target turn"
+# The table's classes need some speed, even for a target that is said to stand.
+_LEAST_TARGET_SPEED_M_S = 0.5
 # A transition within this of its end counts as flown.
 _NEARLY_FLOWN_S = 0.2
 
@@ -53,7 +55,7 @@ def table_configuration(aircraft: Aircraft, requirement: Requirement) -> TableCo
         aircraft.airspeed_m_s,
         aircraft.radius_m,
         ramp_1_m2(aircraft, aircraft.airspeed_m_s),
-        requirement.target_speed_max_m_s,
+        max(requirement.target_speed_max_m_s, _LEAST_TARGET_SPEED_M_S),
         WatchCost.inside(requirement.range_min_m, requirement.range_max_m, half_width_rad),
         follows_course=sector is None,
         # A sector needs classes for every direction of motion; fewer cells keep the table's cost in bounds.

@@ -33,11 +33,12 @@ class SidePolicy:
         self._requirement, self._hysteresis_m = requirement, hysteresis_m
         self._side = requirement.side
         self._course = CourseHold()
+        self._presumed_rad: float | None = None
 
     def viewpoint(self, east_m: float, north_m: float, target: TargetEstimate) -> Viewpoint:
         """Return the viewpoint for an aircraft at a place of the plane.
 
-        While the target has not moved yet, its motion is taken to be such that the aircraft is right beside it.
+        While the target has not moved yet, its course is presumed to be such that the aircraft began right beside it.
         """
         sector = self._requirement.sector
         if sector is not None:
@@ -45,7 +46,9 @@ class SidePolicy:
         course_rad = self._course.update(target)
         away_rad = math.atan2(east_m - target.east_m, north_m - target.north_m)
         if course_rad is None:
-            return Viewpoint(away_rad - self._side.normal_turn_rad, self._side, 0.0)
+            if self._presumed_rad is None:
+                self._presumed_rad = away_rad - self._side.normal_turn_rad
+            return Viewpoint(self._presumed_rad, self._side, 0.0)
         if self._requirement.either_side:
             range_m = math.hypot(east_m - target.east_m, north_m - target.north_m)
             aside_m = range_m * math.cos(away_rad - course_rad - self._side.normal_turn_rad)

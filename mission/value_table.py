@@ -99,15 +99,12 @@ class ValueTable:
     def for_velocity(self, velocity_x_m_s: float, velocity_y_m_s: float) -> MotionTable:
         """Return the table of a target's velocity in the watch frame, interpolated between the classes."""
         c = self.configuration
-        weights = self._class_weights(velocity_x_m_s, velocity_y_m_s)
-        classes, shares = list(weights), np.array(list(weights.values()), np.float32)
-        return MotionTable(
-            2.0 * c.half_width_m / (self.values.shape[-1] - 1),
-            np.tensordot(shares, self.values[classes], axes=1),
-            np.tensordot(shares, self.after_turn[classes], axes=1),
-            c.discount_1_s,
-            c.habits.mean_leg_s,
-        )
+        values, after_turn = np.zeros_like(self.values[0]), np.zeros_like(self.values[0])
+        for which, weight in self._class_weights(velocity_x_m_s, velocity_y_m_s).items():
+            values += np.float32(weight) * self.values[which]
+            after_turn += np.float32(weight) * self.after_turn[which]
+        cell_m = 2.0 * c.half_width_m / (self.values.shape[-1] - 1)
+        return MotionTable(cell_m, values, after_turn, c.discount_1_s, c.habits.mean_leg_s)
 
     def _class_weights(self, velocity_x_m_s: float, velocity_y_m_s: float) -> dict[int, float]:
         share = min(math.hypot(velocity_x_m_s, velocity_y_m_s) / self.configuration.target_speed_max_m_s, 1.0)

@@ -1,0 +1,86 @@
+"""The study's figure: path, range, observation angle and its histogram, like the paper's figures 16, 20, 22, 23."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from app.study.study import StudyResult
+
+_TICK_S = 50.0
+
+
+def write_figure(result: StudyResult, file: Path) -> None:
+    """Draw the first run of each planner and the histogram of all runs. Raises OSError; ValueError for its format."""
+    figure = Figure(figsize=(14.0, 10.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, 2)
+    _path(axes[0, 0], result)
+    _range(axes[0, 1], result)
+    _angle(axes[1, 0], result)
+    _histogram(axes[1, 1], result)
+    figure.savefig(file, dpi=110)
+
+
+def _path(axes: Axes, result: StudyResult) -> None:
+    for k, (name, planner) in enumerate(result.planners.items()):
+        track = planner.first_track
+        axes.plot(track.east_m, track.north_m, linewidth=0.8, label=name, zorder=3 - 0.1 * k)
+    target = next(iter(result.planners.values())).first_track
+    axes.plot(target.target_east_m, target.target_north_m, "k", linewidth=2.0, label="target")
+    ticks = np.searchsorted(target.time_s, np.arange(0.0, result.settings.duration_s, _TICK_S))
+    axes.plot(target.target_east_m[ticks], target.target_north_m[ticks], "k.", markersize=6.0)
+    axes.set(title=f"first run, a dot every {_TICK_S:.0f} s", xlabel="east, m", ylabel="north, m")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.legend()
+    axes.grid(alpha=0.3)
+
+
+def _range(axes: Axes, result: StudyResult) -> None:
+    settings = result.settings
+    axes.axhspan(settings.range_min_m, settings.range_max_m, color="0.93")
+    for name, planner in result.planners.items():
+        axes.plot(planner.first_track.time_s, planner.first_track.range_m, linewidth=0.9, label=name)
+    axes.set(title="range to the target; grey: the band", xlabel="time, s", ylabel="range, m", ylim=(0.0, None))
+    axes.legend()
+    axes.grid(alpha=0.3)
+
+
+def _angle(axes: Axes, result: StudyResult) -> None:
+    axes.axhspan(-90.0, 90.0, color="0.93")
+    for name, planner in result.planners.items():
+        angle_deg = np.degrees(planner.first_track.observation_rad)
+        # No line across the jump from 180 to -180 degrees.
+        jump = np.flatnonzero(np.abs(np.diff(angle_deg)) > 180.0) + 1
+        time_s = np.insert(planner.first_track.time_s, jump, math.nan)
+        axes.plot(time_s, np.insert(angle_deg, jump, math.nan), linewidth=0.9, label=name)
+    axes.set(
+        title="observation angle, from the normal of the target's course; grey: the side",
+        xlabel="time, s",
+        ylabel="angle, °",
+        ylim=(-180.0, 180.0),
+        yticks=range(-180, 181, 45),
+    )
+    axes.legend()
+    axes.grid(alpha=0.3)
+
+
+def _histogram(axes: Axes, result: StudyResult) -> None:
+    axes.axvspan(-90.0, 90.0, color="0.93")
+    for name, planner in result.planners.items():
+        counts = planner.observation_histogram
+        axes.stairs(100.0 * counts / counts.sum(), np.linspace(-180.0, 180.0, counts.size + 1), label=name)
+    axes.set(
+        title=f"observation angle of all {result.settings.runs} runs",
+        xlabel="angle, °",
+        ylabel="share of the time in 5°, %",
+        xlim=(-180.0, 180.0),
+        xticks=range(-180, 181, 45),
+    )
+    axes.legend()
+    axes.grid(alpha=0.3)

@@ -1,0 +1,89 @@
+"""Who steers in a run: a planner whose plans are followed, or a guidance law that steers by itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from time import thread_time
+from typing import Protocol
+
+from estimators.estimate import TargetEstimate
+from mission.circle import Circle
+from mission.plan import AircraftState, Plan, Planner
+from mission.progress import nearest_arc_m, point_at
+from mission.requirement import Wind
+
+_LAW_PERIOD_S = 0.2
+_DECISION_PERIOD_S = 1.0
+# Following a line: curvature for each metre beside it and each radian off its course, critically damped.
+_BESIDE_GAIN_1_M2, _COURSE_GAIN_1_M = 1.0 / 20.0**2, 2.0 / 20.0
+
+GuidanceLaw = Callable[[AircraftState, TargetEstimate], float]
+EstimateAt = Callable[[float], TargetEstimate | None]
+
+
+class Pilot(Protocol):
+    """Steers one aircraft through one run. decision_s: what each decision took, of the processor's time."""
+
+    moves: int
+    decision_s: list[float]
+
+    def curvature_1_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
+        """Return the curvature to fly now."""
+        ...
+
+
+class LawPilot:
+    """Flies a guidance law; circles as it began until there is an estimate."""
+
+    def __init__(self, law: GuidanceLaw) -> None:
+        self._law = law
+        self.moves = 0
+        self.decision_s: list[float] = []
+        self._command_1_m: float | None = None
+        self._next_s = 0.0
+
+    def curvature_1_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
+        """See :class:`Pilot`."""
+        if aircraft.time_s >= self._next_s - 1e-6:
+            self._next_s = aircraft.time_s + _LAW_PERIOD_S
+            estimate = estimate_at(aircraft.time_s)
+            if estimate is not None:
+                begun_s = thread_time()
+                self._command_1_m = self._law(aircraft, estimate)
+                self.decision_s.append(thread_time() - begun_s)
+        return aircraft.curvature_1_m if self._command_1_m is None else self._command_1_m
+
+
+class PlanPilot:
+    """Follows a planner's plans: what the autopilot and the control loop do in flight."""
+
+    def __init__(self, planner: Planner, circle: Circle, wind: Wind, latency_s: float) -> None:
+        self._planner, self._wind, self._latency_s = planner, wind, latency_s
+        self._plan = Plan(circle)
+        self._coming: Plan | None = None
+        self.moves = 0
+        self.decision_s: list[float] = []
+        self._next_s = 0.0
+
+    def curvature_1_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
+        """See :class:`Pilot`."""
+        if self._coming is None and aircraft.time_s >= self._next_s - 1e-6:
+            self._next_s = aircraft.time_s + _DECISION_PERIOD_S
+            estimate = estimate_at(aircraft.time_s)
+            if estimate is not None:
+                begun_s = thread_time()
+                decision = self._planner.decide(aircraft, estimate, self._plan, self._wind, self._latency_s)
+                self.decision_s.append(thread_time() - begun_s)
+                self._coming = decision.plan
+        if self._coming is not None and aircraft.time_s >= self._coming.departure_s - 1e-6:
+            self._plan, self._coming = self._coming, None
+            self.moves += 1
+        return self._following(aircraft)
+
+    def _following(self, aircraft: AircraftState) -> float:
+        line = point_at(self._plan, nearest_arc_m(self._plan, aircraft), aircraft)
+        off_rad = math.remainder(line.course_rad - aircraft.course_rad, 2.0 * math.pi)
+        sin_c, cos_c = math.sin(line.course_rad), math.cos(line.course_rad)
+        beside_m = (aircraft.east_m - line.east_m) * cos_c - (aircraft.north_m - line.north_m) * sin_c
+        return line.curvature_1_m + _COURSE_GAIN_1_M * off_rad - _BESIDE_GAIN_1_M2 * beside_m

@@ -1,0 +1,107 @@
+"""What the tracker of a study is told: perfect knowledge, or laser, gimbal and autopilot with noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from app.study.target import TargetTruth
+from estimators.estimate import TargetEstimate, TrackQuality
+from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from estimators.tracker import Tracker, TrackerSettings
+from mission.plan import AircraftState
+
+_HEIGHT_M = 100.0
+_LASER = Source("DISTANCE_SENSOR", 154, 1, 100)
+_GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
+
+
+class Sensing(Protocol):
+    """Turns the truth into an estimate."""
+
+    def observe(self, aircraft: AircraftState, bank_rad: float, target: TargetTruth) -> None:
+        """Take one sighting's worth of truth."""
+        ...
+
+    def estimate(self, time_s: float) -> TargetEstimate | None:
+        """Return the estimate at a time no earlier than the last sighting."""
+        ...
+
+
+class PerfectSensing:
+    """Knows the truth."""
+
+    def __init__(self) -> None:
+        self._estimate: TargetEstimate | None = None
+
+    def observe(self, aircraft: AircraftState, bank_rad: float, target: TargetTruth) -> None:
+        """See :class:`Sensing`."""
+        self._estimate = TargetEstimate(
+            aircraft.time_s,
+            target.east_m,
+            target.north_m,
+            target.velocity_east_m_s,
+            target.velocity_north_m_s,
+            np.zeros((4, 4)),
+            TrackQuality.GOOD,
+            aircraft.time_s,
+        )
+
+    def estimate(self, time_s: float) -> TargetEstimate | None:
+        """See :class:`Sensing`."""
+        return self._estimate
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadErrors:
+    """One standard deviation of each reading; the yaw bias is constant."""
+
+    range_sigma_m: float = 0.8
+    angle_sigma_rad: float = math.radians(0.35)
+    yaw_bias_rad: float = math.radians(0.4)
+
+
+class PayloadSensing:
+    """Laser and gimbal with noise, through the real tracker."""
+
+    def __init__(self, rng: np.random.Generator, errors: PayloadErrors) -> None:
+        self._rng, self._errors = rng, errors
+        self._tracker = Tracker(
+            TrackerSettings(
+                range_sigma_m=errors.range_sigma_m,
+                yaw_sigma_rad=errors.angle_sigma_rad,
+                pitch_sigma_rad=errors.angle_sigma_rad,
+            )
+        )
+
+    def observe(self, aircraft: AircraftState, bank_rad: float, target: TargetTruth) -> None:
+        """See :class:`Sensing`."""
+        time_s = aircraft.time_s
+        velocity_east = aircraft.ground_speed_m_s * math.sin(aircraft.course_rad)
+        velocity_north = aircraft.ground_speed_m_s * math.cos(aircraft.course_rad)
+        self._tracker.add(
+            PositionReading(time_s, aircraft.east_m, aircraft.north_m, _HEIGHT_M, velocity_east, velocity_north, 0.0)
+        )
+        self._tracker.add(AttitudeReading(time_s, bank_rad, 0.0, aircraft.course_rad))
+        east_m, north_m = target.east_m - aircraft.east_m, target.north_m - aircraft.north_m
+        horizontal_m = math.hypot(east_m, north_m)
+        range_noise, yaw_noise, pitch_noise = self._rng.normal(size=3)
+        yaw_rad = math.atan2(east_m, north_m) + self._errors.yaw_bias_rad + self._errors.angle_sigma_rad * yaw_noise
+        pitch_rad = -math.atan2(_HEIGHT_M, horizontal_m) + self._errors.angle_sigma_rad * pitch_noise
+        self._tracker.add(GimbalReading(time_s, _quaternion(yaw_rad, pitch_rad), "earth", _GIMBAL))
+        slant_m = math.hypot(horizontal_m, _HEIGHT_M) + self._errors.range_sigma_m * range_noise
+        self._tracker.add(RangeReading(time_s, slant_m, _LASER, quality=0.9))
+
+    def estimate(self, time_s: float) -> TargetEstimate | None:
+        """See :class:`Sensing`."""
+        return self._tracker.estimate(time_s)
+
+
+def _quaternion(yaw_rad: float, pitch_rad: float) -> tuple[float, float, float, float]:
+    """Return ned_from_sight for a level line of sight's yaw, then pitch."""
+    cos_y, sin_y = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
+    cos_p, sin_p = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
+    return cos_y * cos_p, -sin_y * sin_p, cos_y * sin_p, sin_y * cos_p

@@ -1,0 +1,63 @@
+"""What a study is to compare."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from mission.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
+
+
+class PlannerName(StrEnum):
+    """What can be compared: this project's planners, and two laws of the literature."""
+
+    PREDICTIVE = "predictive"
+    PAPER = "paper"
+    LVFG = "lvfg"
+    PARK = "park"
+
+
+@dataclass(frozen=True, slots=True)
+class StudySettings:
+    """The paper's requirement. In wind the circle grows, so that its bank at the greatest ground speed stays.
+
+    latency_s: from a decision to the earliest departure.
+    """
+
+    planners: tuple[PlannerName, ...] = tuple(PlannerName)
+    runs: int = 20
+    seed: int = 1
+    target_speed_max_m_s: float = 5.0
+    wind_speed_m_s: float = 0.0
+    legs_s: tuple[float, float] = (40.0, 200.0)
+    perfect_sensors: bool = False
+    duration_s: float = 1200.0
+    airspeed_m_s: float = 10.0
+    still_air_radius_m: float = 50.0
+    range_min_m: float = 100.0
+    range_max_m: float = 500.0
+    latency_s: float = 0.2
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the circle flown beside the target."""
+        return self.still_air_radius_m * (1.0 + self.wind_speed_m_s / self.airspeed_m_s) ** 2
+
+    @property
+    def circle_bank_rad(self) -> float:
+        """Bank in the circle in still air."""
+        return math.atan(self.airspeed_m_s**2 / (GRAVITY_M_S2 * self.still_air_radius_m))
+
+    @property
+    def wind(self) -> Wind:
+        """The target's course is random, so one direction of the wind stands for all."""
+        return Wind(self.wind_speed_m_s, 0.0)
+
+    def aircraft(self) -> Aircraft:
+        """Return the planner's view of the aircraft."""
+        return Aircraft(self.airspeed_m_s, self.radius_m)
+
+    def requirement(self) -> Requirement:
+        """Return what is asked for: the left side."""
+        return Requirement(self.range_min_m, self.range_max_m, Side.LEFT, self.target_speed_max_m_s)

@@ -1,0 +1,78 @@
+"""The random target of the studies: straight legs, sudden turns, stops."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+
+import numpy as np
+
+# The heading change at each new leg, and its chance.
+_TURNS_DEG = (-90.0, -45.0, -20.0, 0.0, 20.0, 45.0, 90.0, 180.0)
+_CHANCES = (0.12, 0.15, 0.15, 0.10, 0.15, 0.15, 0.12, 0.06)
+_LEAST_SPEED_M_S = 1.0
+# Below this the last course goes on to count.
+_COURSE_SPEED_M_S = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class TargetTruth:
+    """The target at a moment. course_rad is its last course while it stands."""
+
+    east_m: float
+    north_m: float
+    velocity_east_m_s: float
+    velocity_north_m_s: float
+    course_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Leg:
+    start_s: float
+    east_m: float
+    north_m: float
+    heading_rad: float
+    speed_m_s: float
+    course_rad: float
+
+
+class RandomTarget:
+    """Legs of random length; at each one speed 0, uniform or greatest, with equal chances, and a random turn.
+
+    It starts at the origin.
+    """
+
+    def __init__(
+        self, rng: np.random.Generator, duration_s: float, speed_max_m_s: float, legs_s: tuple[float, float]
+    ) -> None:
+        self._legs: list[_Leg] = []
+        start_s, east_m, north_m = 0.0, 0.0, 0.0
+        heading_rad = course_rad = float(rng.uniform(-math.pi, math.pi))
+        while start_s < duration_s:
+            length_s = float(rng.uniform(*legs_s))
+            speed_m_s = float(
+                rng.choice([0.0, rng.uniform(min(_LEAST_SPEED_M_S, speed_max_m_s), speed_max_m_s), speed_max_m_s])
+            )
+            if speed_m_s >= _COURSE_SPEED_M_S:
+                course_rad = heading_rad
+            self._legs.append(_Leg(start_s, east_m, north_m, heading_rad, speed_m_s, course_rad))
+            start_s += length_s
+            east_m += length_s * speed_m_s * math.sin(heading_rad)
+            north_m += length_s * speed_m_s * math.cos(heading_rad)
+            heading_rad += math.radians(float(rng.choice(_TURNS_DEG, p=_CHANCES)))
+        self._starts_s = [leg.start_s for leg in self._legs]
+
+    def at(self, time_s: float) -> TargetTruth:
+        """Return the truth at a time from 0 to the duration."""
+        leg = self._legs[max(bisect_right(self._starts_s, time_s) - 1, 0)]
+        velocity_east = leg.speed_m_s * math.sin(leg.heading_rad)
+        velocity_north = leg.speed_m_s * math.cos(leg.heading_rad)
+        gone_s = time_s - leg.start_s
+        return TargetTruth(
+            leg.east_m + velocity_east * gone_s,
+            leg.north_m + velocity_north * gone_s,
+            velocity_east,
+            velocity_north,
+            leg.course_rad,
+        )
