@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from app.errors import InputError
-from mission.feasibility import feasibility
+from mission.feasibility import feasibility, unflyable
 from mission.requirement import Aircraft, Requirement, Side
 from mission.side_policy import watching_from
 
@@ -157,10 +157,14 @@ class Config(_Section):
 
 
 def check_flyable(config: Config) -> None:
-    """Raise InputError, naming the field and the way out, when the requirement cannot be flown at all."""
-    result = feasibility(config.aircraft.aircraft(), config.requirement.requirement())
-    if not result.feasible:
-        raise InputError("infeasible: " + "; ".join(str(reason) for reason in result.reasons) + ".")
+    """Raise InputError, naming the field and the way out, when the configured planner cannot keep the requirement."""
+    aircraft, requirement = config.aircraft.aircraft(), config.requirement.requirement()
+    if config.planner.name == "paper":
+        reasons = feasibility(aircraft, requirement).reasons
+    else:
+        reasons = unflyable(aircraft, requirement)
+    if reasons:
+        raise InputError("infeasible: " + "; ".join(map(str, reasons)) + ".")
 
 
 def load_config(path: Path | None, overrides: dict[str, dict[str, Any]] | None = None) -> Config:

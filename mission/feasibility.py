@@ -55,12 +55,7 @@ class Feasibility:
 
 def feasibility(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2) -> Feasibility:
     """Check that the circle can be flown, fits the band (19), and can always be moved in time (46-47)."""
-    reasons = (
-        *_circle_too_tight(aircraft),
-        *_target_too_fast(aircraft, requirement),
-        *_band_too_narrow(aircraft, requirement),
-        *_moves_too_short(aircraft, requirement, psi_c_rad),
-    )
+    reasons = (*unflyable(aircraft, requirement), *_moves_too_short(aircraft, requirement, psi_c_rad))
     of = scope(aircraft, requirement, psi_c_rad)
     return Feasibility(
         feasible=not reasons,
@@ -71,6 +66,15 @@ def feasibility(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float =
         straight_left_m=of.straight_left_m,
         least_threshold=of.least_threshold,
         reasons=reasons,
+    )
+
+
+def unflyable(aircraft: Aircraft, requirement: Requirement) -> tuple[Change, ...]:
+    """Return what no planner can help: a circle too tight, a target too fast, a band too narrow for the circle."""
+    return (
+        *_circle_too_tight(aircraft),
+        *_target_too_fast(aircraft, requirement),
+        *_band_too_narrow(aircraft, requirement),
     )
 
 

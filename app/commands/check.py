@@ -9,7 +9,8 @@ import typer
 from rich.table import Table
 
 from app.commands.output import JsonOption, checked_output, console, write_json
-from app.config import check_flyable, load_config
+from app.config import load_config
+from app.errors import InputError
 from mission.feasibility import Feasibility, feasibility
 
 _LABELS = {
@@ -53,7 +54,8 @@ def check(
     console.print(_table(result))
     values = {key: getattr(result, key) for key in ("feasible", *_LABELS)}
     write_json(json, values)
-    check_flyable(settings)
+    if not result.feasible:
+        raise InputError("infeasible: " + "; ".join(map(str, result.reasons)) + ".")
     console.print("feasible")
 
 

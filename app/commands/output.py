@@ -34,8 +34,13 @@ def write_json(path: Path | None, values: dict[str, Any]) -> None:
 
 
 def checked_output(path: Path | None) -> None:
-    """Complain about an output file that cannot be written before the work begins, not after."""
-    if path is not None and str(path) != "-" and not path.parent.is_dir():
+    """Complain about an output file that cannot be written before the work begins, not after.
+
+    When the summary goes to standard output, everything else goes to standard error.
+    """
+    if str(path) == "-":
+        console.stderr = True
+    elif path is not None and not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}; create it or give another file to --json.")
 
 

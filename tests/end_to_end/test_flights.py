@@ -1,0 +1,90 @@
+"""The command line as a person uses it, against the simulated vehicle over UDP on loopback."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.udp
+SIDELONG = Path(sys.executable).parent / "sidelong"
+
+
+def sidelong(*arguments: object, timeout_s: float = 150.0) -> subprocess.CompletedProcess[str]:
+    command = [str(SIDELONG), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)
+
+
+@pytest.fixture(scope="module", params=["arduplane", "px4"])
+def flown(request, tmp_path_factory) -> tuple[Path, dict]:
+    """A run folder and the summary of a short flight."""
+    folder = tmp_path_factory.mktemp(request.param)
+    summary = folder / "summary.json"
+    done = sidelong(
+        *("launch", "--autopilot", request.param, "--duration", 240, "--speed", 12, "--seed", 3),
+        *("--planner", "paper", "--out", folder / "runs", "--json", summary),
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    (run,) = (folder / "runs").iterdir()
+    return run, json.loads(summary.read_text())
+
+
+def test_a_flight_watches_the_target(flown):
+    _, summary = flown
+    assert summary["outcome"] == "completed"
+    assert summary["source"] == "truth"
+    assert summary["duration_s"] > 200.0
+    assert summary["time_in_band"] >= 0.9
+    assert summary["moves"] >= 1
+    assert summary["upload_failures"] == 0
+    assert summary["sightings"] > 1000
+    assert summary["estimate_rmse_m"] < 8.0
+    assert 0.0 <= summary["time_on_side"] <= 1.0
+    assert summary["min_range_m"] < summary["max_range_m"]
+
+
+def test_a_flight_leaves_its_records(flown):
+    run, summary = flown
+    assert json.loads((run / "summary.json").read_text()) == summary
+    for name in ("journal.jsonl", "flight.tlog", "truth.csv"):
+        assert (run / name).stat().st_size > 10_000
+
+
+def test_a_replay_decides_the_same_to_the_last_bit(flown, tmp_path):
+    run, summary = flown
+    done = sidelong("replay", run, "--verify", "--json", tmp_path / "replay.json")
+    assert done.returncode == 0, done.stderr
+    assert "same to the last bit" in done.stdout
+    replayed = json.loads((tmp_path / "replay.json").read_text())
+    for key in ("time_in_band", "time_on_side", "moves", "estimate_rmse_m"):
+        assert replayed[key] == pytest.approx(summary[key], abs=2e-3)
+
+
+def test_the_recorded_tlog_replays_like_a_foreign_one(flown, tmp_path):
+    run, _ = flown
+    done = sidelong(
+        *("replay", run / "flight.tlog", "--truth", run / "truth.csv", "--planner", "paper", "--quiet"),
+        *("--json", tmp_path / "tlog.json"),
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads((tmp_path / "tlog.json").read_text())["estimate_rmse_m"] < 8.0
+
+
+def test_an_interrupt_ends_in_order(tmp_path):
+    command = [str(SIDELONG), "launch", "--duration", "900", "--planner", "paper", "--out", str(tmp_path)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    for line in process.stdout:
+        if "watched from now on" in line:
+            break
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    assert "interrupted" in out
+    assert "Traceback" not in err
+    (run,) = tmp_path.iterdir()
+    assert json.loads((run / "summary.json").read_text())["outcome"] == "interrupted"
