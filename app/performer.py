@@ -12,7 +12,7 @@ from app.slots import Slots
 from app.vehicle import Vehicle
 from estimators.frames import LocalPlane
 from mission.events import Depart, End, Event, Prepare, SwapReported, Yield
-from mission.items import plan_items
+from mission.items import UnflyableError, plan_items
 from mission.plan import Plan
 
 _UPLOAD_S, _DOWNLOAD_S = 8.0, 5.0
@@ -102,7 +102,7 @@ class Performer:
         try:
             slots = self._slots.with_line(self.line(replace(command.plan, circle=command.commanded)))
             result = await self._upload(slots, current=self._flown_index())
-        except LinkError as error:
+        except (LinkError, UnflyableError) as error:
             self._say(command.number, "failed", str(error))
             return
         if result is UploadResult.ACCEPTED:
