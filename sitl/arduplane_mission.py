@@ -39,15 +39,21 @@ class MissionState(IntEnum):
 class ArduPlaneMission:
     """Storage and sequence. ``on_start`` is called with each item that begins, navigation or immediate."""
 
-    def __init__(self, home: Item, say: Callable[[int, str], None], on_start: Callable[[int, Item], None]) -> None:
+    def __init__(
+        self,
+        home: Item,
+        say: Callable[[int, str], None],
+        on_start: Callable[[int, Item], None],
+        armed: Callable[[], bool],
+    ) -> None:
         self._home = home
         self._say = say
         self._on_start = on_start
+        self._armed = armed
         self._items: list[Item] = []
         self.state = MissionState.STOPPED
         self.index = 0  # of the item that is flown, or would be; 0: none yet
         self.item: Item | None = None  # the copy that is flown
-        self.may_clear: Callable[[], bool] = lambda: True
 
     # Storage, as the protocol sees it.
 
@@ -82,7 +88,7 @@ class ArduPlaneMission:
         """Leave what has arrived where it is."""
 
     def clear(self) -> int:
-        if self.state == MissionState.RUNNING and not self.may_clear():
+        if self.state is MissionState.RUNNING and self._armed():
             return int(mavlink.MAV_MISSION_ERROR)
         self._items.clear()
         self.state, self.index, self.item = MissionState.STOPPED, 0, None

@@ -4,39 +4,24 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from sitl.airframe import GRAVITY_M_S2, Airframe, Build, true_over_equivalent_airspeed
-from sitl.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command, Handler
+from sitl.commands import ACCEPTED, FAILED, UNSUPPORTED, Command, Handler
 from sitl.geodesy import HomePlane
 from sitl.items import RELATIVE_FRAMES, Item
 from sitl.parameters import Parameters
+from sitl.place import Place
 from sitl.radio import Radio, Station
 from sitl.settings import Settings
-from sitl.transfer import Transfer
+from sitl.telemetry import Builder
+from sitl.transfer import Manners, Store, Transfer
 
 _ALTITUDE_GAIN_1_S = 0.4
 _LIFT_OFF_FRACTION = 0.85  # of the cruise airspeed
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """A point of the plane with a height above home."""
-
-    east_m: float
-    north_m: float
-    height_m: float
-
-    @property
-    def ground_m(self) -> tuple[float, float]:
-        return self.east_m, self.north_m
-
-    def distance_m(self, craft: Airframe) -> float:
-        return math.hypot(self.east_m - craft.east_m, self.north_m - craft.north_m)
 
 
 class Autopilot(ABC):
@@ -45,7 +30,12 @@ class Autopilot(ABC):
     autopilot_id: ClassVar[int]
     first_mode: ClassVar[int]
     navigation_period_s: ClassVar[float]
+    taken_over_mode: ClassVar[int]  # when the pilot moves the sticks
+    hears_once_a_loop: ClassVar[bool]  # or as soon as something comes
     ready_s: ClassVar[float]  # after boot the vehicle can be armed
+    unknown_message_result: ClassVar[int]
+    arming_refusal: ClassVar[tuple[int, str]]  # result and text of an arming that comes too early
+    manners: ClassVar[Manners]
     default_interval_s: ClassVar[Mapping[int, float]]
     mission_types: ClassVar[tuple[int, ...]] = (
         mavlink.MAV_MISSION_TYPE_MISSION,
@@ -68,17 +58,22 @@ class Autopilot(ABC):
         self.armed = False
         self.lifting_off = False
         self.height_goal_m = 0.0
-        self.airspeed_goal_m_s = settings.airspeed_m_s
         self.roll_goal_rad = 0.0
         self.gcs_heard_s: float | None = None
         self.transfers: dict[int, Transfer] = {}
         self._navigate_s = 0.0
-        self._text_id = 0
-        self._builders: dict[int, Callable[[], Any]] = {}
+        self._builders: dict[int, Builder] = {}
         self._handlers: dict[int, Handler] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._on_arm,
             mavlink.MAV_CMD_DO_SET_MODE: self._on_set_mode,
         }
+
+    def open_for_business(self, stores: Sequence[Store], builders: dict[int, Builder]) -> None:
+        """Take what the flavour has made: one store for each mission type, and its telemetry."""
+        for mission_type, store in zip(self.mission_types, stores, strict=True):
+            transfer = Transfer(mission_type, store, self.radio, self.manners, self.settings.link_rate, self.say)
+            self.transfers[mission_type] = transfer
+        self._builders = builders
 
     # What a flavour adds.
 
@@ -92,7 +87,7 @@ class Autopilot(ABC):
 
     @abstractmethod
     def navigate(self, dt_s: float) -> float:
-        """Fly the mode: set height_goal_m and airspeed_goal_m_s, return the lateral acceleration wanted."""
+        """Fly the mode: set height_goal_m, return the lateral acceleration wanted."""
 
     @abstractmethod
     def watch_links(self) -> None:
@@ -117,8 +112,8 @@ class Autopilot(ABC):
 
     @property
     @abstractmethod
-    def arming_refusal(self) -> tuple[int, str]:
-        """Return the result and the text of an arming that comes too early."""
+    def airspeed_goal_m_s(self) -> float:
+        """Equivalent airspeed."""
 
     # Time.
 
@@ -172,6 +167,15 @@ class Autopilot(ABC):
     @property
     def true_airspeed_ratio(self) -> float:
         return true_over_equivalent_airspeed(self.home.altitude_m + self.craft.height_m)
+
+    @property
+    def ground_silent_s(self) -> float:
+        """How long no ground station has been heard, by its clock; 0 while none ever was."""
+        return 0.0 if self.gcs_heard_s is None else (self.now_s - self.gcs_heard_s) / self.settings.link_rate
+
+    def landing_height_m(self, spot: Place) -> float:
+        """Return where to be on a slope of 1 in 8 that ends below the ground, for a firm touch-down."""
+        return min(self.craft.height_m, spot.distance_m(self.craft) / 8.0) - 2.0
 
     @property
     def landed_state(self) -> int:
@@ -294,8 +298,6 @@ class Autopilot(ABC):
         station.stream(message_id, interval_s, self.now_s)
         return ACCEPTED
 
-    unknown_message_result: ClassVar[int] = DENIED
-
     def _on_request_message(self, station: Station, message_id: int) -> int:
         messages = self.messages(message_id)
         for message in messages:
@@ -306,19 +308,21 @@ class Autopilot(ABC):
         if command.param(1) not in (0.0, 1.0):
             return UNSUPPORTED
         if command.param(1) == 1.0:
-            if self.armed:
-                return ACCEPTED
-            if not self.ready:
-                result, text = self.arming_refusal
-                self.say(mavlink.MAV_SEVERITY_CRITICAL, text)
-                return result
-            self.armed = True
-            self.on_armed()
-            return ACCEPTED
+            return self.arm()
         forced = command.param(2) == 21196.0
         if self.craft.flying and not forced:
             return FAILED
         self.disarm()
+        return ACCEPTED
+
+    def arm(self) -> int:
+        if not self.armed and not self.ready:
+            result, text = self.arming_refusal
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, text)
+            return result
+        if not self.armed:
+            self.armed = True
+            self.on_armed()
         return ACCEPTED
 
     def disarm(self) -> None:
@@ -327,8 +331,7 @@ class Autopilot(ABC):
         self.craft.flying = False
 
     def _on_set_mode(self, command: Command) -> int:
-        parts = [0 if math.isnan(value) else int(value) for value in command.params[:3]]
-        mode = self.mode_of_command(*parts)
+        mode = self.mode_of_command(int(command.number(1)), int(command.number(2)), int(command.number(3)))
         if mode is None:
             return UNSUPPORTED
         return ACCEPTED if self.set_mode(mode) else FAILED

@@ -15,6 +15,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from sitl.airframe import Wind
+from sitl.companion import Companion, CompanionError, accompany
 from sitl.link import LinkFaults
 from sitl.motion import MOTIONS
 from sitl.server import Address, serve
@@ -52,6 +53,10 @@ def run(
         float | None, typer.Option(metavar="S", help="Begin a track here [where it becomes lively]")
     ] = None,
     payload: Annotated[bool, typer.Option(help="Laser and gimbal.")] = True,
+    payload_for: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="No vehicle, only laser, gimbal and target for the vehicle at this URL."),
+    ] = None,
     range_sigma: Annotated[float, typer.Option(help="Laser noise, m.")] = 0.8,
     range_outliers: Annotated[float, typer.Option(help="Fraction of wrong ranges.")] = 0.02,
     range_message: Annotated[RangeMessage, typer.Option()] = RangeMessage.DISTANCE_SENSOR,
@@ -67,6 +72,8 @@ def run(
     """Fly a simulated vehicle that speaks MAVLink over UDP, with a laser and a gimbal on a moving target.
 
     Example: sidelong sitl --autopilot px4 --target walk --target-speed 4 --speed 10 --truth truth.csv
+
+    A real vehicle's simulator gets the payload by: sidelong sitl --payload-for tcpout://127.0.0.1:5763
     """
     _check_ranges(
         {
@@ -88,6 +95,16 @@ def run(
             "--duplicate": (duplicate, 0.0, 1.0, True),
         }
     )
+    sensors = PayloadSettings(
+        range_sigma,
+        range_outliers,
+        math.radians(gimbal_sigma_deg),
+        math.radians(gimbal_yaw_bias_deg),
+        dropouts,
+        payload_latency_ms / 1000.0,
+        range_message,
+        gimbal_frame,
+    )
     settings = Settings(
         flavour=autopilot,
         system_id=system_id,
@@ -96,32 +113,26 @@ def run(
         wind=Wind.blowing_from(wind_speed, math.radians(wind_from_deg)),
         home=None if home is None else _home(home),
         target=TargetSettings(_motion(target), target_speed, _east_north(target_start), target_skip),
-        payload=PayloadSettings(
-            range_sigma,
-            range_outliers,
-            math.radians(gimbal_sigma_deg),
-            math.radians(gimbal_yaw_bias_deg),
-            dropouts,
-            payload_latency_ms / 1000.0,
-            range_message,
-            gimbal_frame,
-        )
-        if payload
-        else None,
+        payload=sensors if payload else None,
         link_rate=speed,
         boot_unix_s=time.time(),
     )
     stations = [_address(text) for text in to or _DEFAULT_STATIONS]
-    try:
-        simulation = Simulation(settings)
-    except TrackError as error:
-        _refuse("--target", str(error))
     with ExitStack() as stack:
+        try:
+            simulation = Simulation(settings)
+            companion = Companion(sensors, settings.target, seed) if payload_for is not None else None
+        except TrackError as error:
+            _refuse("--target", str(error))
         if truth is not None:
             try:
-                simulation.on_truth = TruthFile(stack.enter_context(truth.open("w", encoding="utf-8"))).write
+                file = TruthFile(stack.enter_context(truth.open("w", encoding="utf-8")))
             except OSError as error:
                 _refuse("--truth", f"{truth} cannot be written: {error.strerror}")
+            (companion or simulation).on_truth = file.write
+        if companion is not None and payload_for is not None:
+            _accompany(companion, payload_for)
+            return
         where = ", ".join(f"{host}:{port}" for host, port in stations)
         serve(
             simulation,
@@ -132,6 +143,20 @@ def run(
             on_ready=lambda: print(f"ready system {system_id} component 1 {autopilot} -> {where}", flush=True),
             stopped=_stop_signal(),
         )
+
+
+def _accompany(companion: Companion, url: str) -> None:
+    try:
+        accompany(
+            companion,
+            url,
+            on_ready=lambda vehicle_id: print(
+                f"ready system {vehicle_id} component 154 payload -> {url}", flush=True
+            ),
+            stopped=_stop_signal(),
+        )
+    except CompanionError as error:
+        _refuse("--payload-for", str(error))
 
 
 def _stop_signal() -> Callable[[], bool]:
@@ -155,7 +180,7 @@ def _motion(spec: str) -> str | Path:
         return spec
     if Path(spec).suffix.lower() in (".gpx", ".csv"):
         return Path(spec)
-    _refuse("--target", f"is one of {', '.join(MOTIONS)} or a .gpx or .csv file, not {spec!r}")
+    return _refuse("--target", f"is one of {', '.join(MOTIONS)} or a .gpx or .csv file, not {spec!r}")
 
 
 def _home(text: str) -> Home:

@@ -43,6 +43,11 @@ class Command:
     def param(self, number: int) -> float:
         return self.params[number - 1]
 
+    def number(self, number: int) -> float:
+        """Return a param, 0 where it is NaN."""
+        value = self.params[number - 1]
+        return 0.0 if math.isnan(value) else value
+
     def acknowledgement(self, result: int) -> Any:
         return mavlink.MAVLink_command_ack_message(self.id, result, 0, 0, *self.sender)
 

@@ -13,7 +13,7 @@ from sitl.autopilot import Autopilot
 from sitl.motion import Motion, built_in_motion
 from sitl.payload import PERIOD_S, Payload, Sight
 from sitl.px4 import Px4
-from sitl.radio import PAYLOAD, Datagram
+from sitl.radio import PAYLOAD, Datagram, Station
 from sitl.settings import Flavour, Settings, TargetSettings
 from sitl.track import TrackMotion, read_track
 from sitl.truth import TruthRow
@@ -43,6 +43,7 @@ class Simulation:
         self.on_truth: Callable[[TruthRow], None] = lambda _row: None
         self._latency_s = settings.payload.latency_s if settings.payload is not None else 0.0
         self._in_flight: deque[tuple[float, list[Any]]] = deque()
+        self._heard: list[tuple[Station, Any]] = []
         self._steps = 0
         self._boot_step = 0
 
@@ -59,7 +60,10 @@ class Simulation:
             return
         station = self.vehicle.radio.connect(address, self.vehicle.now_s)
         for message in station.parser.parse_buffer(data) or ():
-            self.vehicle.handle(station, message)
+            if self.vehicle.hears_once_a_loop:
+                self._heard.append((station, message))
+            else:
+                self.vehicle.handle(station, message)
 
     def take(self) -> list[Datagram]:
         """Return what the vehicle has sent since the last call, in order."""
@@ -80,6 +84,10 @@ class Simulation:
         self._boot_step = self._steps + round(_REBOOT_S / STEP_S)
         self.vehicle.reboot()
 
+    def pilot_takes_over(self) -> None:
+        """Move the sticks: the flight mode changes without any station's command."""
+        self.vehicle.set_mode(self.vehicle.taken_over_mode)
+
     def _step(self) -> None:
         self._steps += 1
         since_boot = self._steps - self._boot_step
@@ -88,6 +96,10 @@ class Simulation:
             vehicle.coast(STEP_S)
             return
         vehicle.step(since_boot * STEP_S, STEP_S)
+        if self._heard:
+            heard, self._heard = self._heard, []
+            for station, message in heard:
+                vehicle.handle(station, message)
         if self._steps % _OBSERVE_EVERY == 0:
             self._observe()
         if self._in_flight and self._in_flight[0][0] <= self.time_s:

@@ -4,29 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.autopilot import Autopilot
+if TYPE_CHECKING:
+    from sitl.autopilot import Autopilot
 
 NAN = math.nan
+_BATTERY_S = 3.0 * 3600.0
 
-
-def common_builders(vehicle: Autopilot) -> dict[int, Callable[[], Any]]:
-    """Return what makes each message, by message id."""
-    telemetry = _Telemetry(vehicle)
-    return {
-        mavlink.MAVLINK_MSG_ID_HEARTBEAT: telemetry.heartbeat,
-        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: telemetry.system_time,
-        mavlink.MAVLINK_MSG_ID_ATTITUDE: telemetry.attitude,
-        mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: telemetry.attitude_quaternion,
-        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: telemetry.global_position,
-        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: telemetry.local_position,
-        mavlink.MAVLINK_MSG_ID_VFR_HUD: telemetry.vfr_hud,
-        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: telemetry.extended_sys_state,
-        mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: telemetry.battery,
-    }
+Builder = Callable[[], Any]  # a message, a list of messages, or None when there is nothing to tell
 
 
 def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[float, float, float, float]:
@@ -42,28 +30,57 @@ def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[float
     )
 
 
-class _Telemetry:
+class Telemetry:
+    """Makes messages; ``builders`` tells which, by message id."""
+
+    gps_fix: ClassVar[int]
+    gps_dilution: ClassVar[tuple[int, int]]  # horizontal, vertical, times 100
+    gps_accuracy_mm: ClassVar[tuple[int, int, int]]  # horizontal, vertical, speed
+    home_quaternion: ClassVar[tuple[float, float, float, float]]
+    software: ClassVar[tuple[int, int]]
+    parameter_capability: ClassVar[int]
+
     def __init__(self, vehicle: Autopilot) -> None:
         self._vehicle = vehicle
         self._craft = vehicle.craft
 
-    def heartbeat(self) -> Any:
+    def builders(self) -> dict[int, Builder]:
+        return {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
+            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._system_time,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._attitude_quaternion,
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
+            mavlink.MAVLINK_MSG_ID_VFR_HUD: self._vfr_hud,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_raw,
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION: self._home_position,
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self._battery,
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._version,
+        }
+
+    @property
+    def battery_percent(self) -> int:
+        return max(5, 100 - int(100.0 * self._vehicle.now_s / _BATTERY_S))
+
+    def _heartbeat(self) -> Any:
         vehicle = self._vehicle
         return mavlink.MAVLink_heartbeat_message(
             mavlink.MAV_TYPE_FIXED_WING,
             vehicle.autopilot_id,
             vehicle.base_mode,
             vehicle.mode,
-            mavlink.MAV_STATE_ACTIVE if vehicle.craft.flying else mavlink.MAV_STATE_STANDBY,
+            mavlink.MAV_STATE_ACTIVE if self._craft.flying else mavlink.MAV_STATE_STANDBY,
             3,
         )
 
-    def system_time(self) -> Any:
+    def _system_time(self) -> Any:
         vehicle = self._vehicle
         unix_us = int((vehicle.settings.boot_unix_s + vehicle.now_s) * 1e6)
         return mavlink.MAVLink_system_time_message(unix_us, vehicle.boot_ms)
 
-    def attitude(self) -> Any:
+    def _attitude(self) -> Any:
         craft = self._craft
         return mavlink.MAVLink_attitude_message(
             self._vehicle.boot_ms,
@@ -73,7 +90,7 @@ class _Telemetry:
             *self._body_rates_rad_s(),
         )
 
-    def attitude_quaternion(self) -> Any:
+    def _attitude_quaternion(self) -> Any:
         craft = self._craft
         return mavlink.MAVLink_attitude_quaternion_message(
             self._vehicle.boot_ms,
@@ -90,14 +107,22 @@ class _Telemetry:
             craft.yaw_rate_rad_s * math.cos(craft.roll_rad),
         )
 
-    def global_position(self) -> Any:
-        vehicle, craft = self._vehicle, self._craft
-        latitude_deg, longitude_deg = vehicle.plane.latitude_longitude_deg(craft.east_m, craft.north_m)
+    def _position_e7(self) -> tuple[int, int]:
+        return self.place_e7(self._craft.east_m, self._craft.north_m)
+
+    def place_e7(self, east_m: float, north_m: float) -> tuple[int, int]:
+        latitude_deg, longitude_deg = self._vehicle.plane.latitude_longitude_deg(east_m, north_m)
+        return round(latitude_deg * 1e7), round(longitude_deg * 1e7)
+
+    def altitude_m(self, height_m: float) -> float:
+        return self._vehicle.home.altitude_m + height_m
+
+    def _global_position(self) -> Any:
+        craft = self._craft
         return mavlink.MAVLink_global_position_int_message(
-            vehicle.boot_ms,
-            round(latitude_deg * 1e7),
-            round(longitude_deg * 1e7),
-            round((vehicle.home.altitude_m + craft.height_m) * 1000.0),
+            self._vehicle.boot_ms,
+            *self._position_e7(),
+            round(self.altitude_m(craft.height_m) * 1000.0),
             round(craft.height_m * 1000.0),
             round(craft.velocity_north_m_s * 100.0),
             round(craft.velocity_east_m_s * 100.0),
@@ -105,7 +130,7 @@ class _Telemetry:
             round(math.degrees(craft.heading_rad) * 100.0) % 36000,
         )
 
-    def local_position(self) -> Any:
+    def _local_position(self) -> Any:
         craft = self._craft
         return mavlink.MAVLink_local_position_ned_message(
             self._vehicle.boot_ms,
@@ -117,23 +142,56 @@ class _Telemetry:
             -craft.climb_m_s,
         )
 
-    def vfr_hud(self) -> Any:
+    def _vfr_hud(self) -> Any:
         vehicle, craft = self._vehicle, self._craft
         return mavlink.MAVLink_vfr_hud_message(
             craft.airspeed_m_s / vehicle.true_airspeed_ratio,
             craft.ground_speed_m_s,
             round(math.degrees(craft.heading_rad)) % 360,
-            (45 if craft.flying else 100 if vehicle.lifting_off else 0),
-            vehicle.home.altitude_m + craft.height_m,
+            45 if craft.flying else 100 if vehicle.lifting_off else 0,
+            self.altitude_m(craft.height_m),
             craft.climb_m_s,
         )
 
-    def extended_sys_state(self) -> Any:
+    def _gps_raw(self) -> Any:
+        craft = self._craft
+        altitude_mm = round(self.altitude_m(craft.height_m) * 1000.0)
+        return mavlink.MAVLink_gps_raw_int_message(
+            self._vehicle.boot_us,
+            self.gps_fix,
+            *self._position_e7(),
+            altitude_mm,
+            *self.gps_dilution,
+            round(craft.ground_speed_m_s * 100.0),
+            round(math.degrees(craft.course_rad) * 100.0) % 36000,
+            10,
+            altitude_mm,
+            *self.gps_accuracy_mm,
+        )
+
+    def _home_position(self) -> Any:
+        vehicle = self._vehicle
+        if not vehicle.ready:
+            return None
+        return mavlink.MAVLink_home_position_message(
+            *self.place_e7(0.0, 0.0),
+            round(vehicle.home.altitude_m * 1000.0),
+            0.0,
+            0.0,
+            0.0,
+            list(self.home_quaternion),
+            0.0,
+            0.0,
+            0.0,
+            vehicle.boot_us,
+        )
+
+    def _extended_sys_state(self) -> Any:
         return mavlink.MAVLink_extended_sys_state_message(
             mavlink.MAV_VTOL_STATE_UNDEFINED, self._vehicle.landed_state
         )
 
-    def battery(self) -> Any:
+    def _battery(self) -> Any:
         return mavlink.MAVLink_battery_status_message(
             0,
             mavlink.MAV_BATTERY_FUNCTION_ALL,
@@ -143,10 +201,21 @@ class _Telemetry:
             1000,
             0,
             -1,
-            self.battery_percent(self._vehicle),
+            self.battery_percent,
         )
 
-    @staticmethod
-    def battery_percent(vehicle: Autopilot) -> int:
-        """Run down in three hours."""
-        return max(5, 100 - int(vehicle.now_s / 108.0))
+    def _version(self) -> Any:
+        capabilities = (
+            self.parameter_capability
+            | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
+            | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+            | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+            | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+            | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
+            | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+        )
+        major, minor = self.software
+        unnamed = [0] * 8
+        return mavlink.MAVLink_autopilot_version_message(
+            capabilities, major << 24 | minor << 16, 0, 0, 0, unnamed, unnamed, unnamed, 0, 0, self._vehicle.system_id
+        )

@@ -1,0 +1,115 @@
+"""What ArduPlane tells of itself."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from sitl.arduplane_modes import Mode
+from sitl.telemetry import NAN, Builder, Telemetry
+
+if TYPE_CHECKING:
+    from sitl.arduplane import ArduPlane
+
+# MAV_SYS_STATUS bits as the stock simulator sends them.
+_PRESENT = 0x1261FC3F
+_ENABLED = 0x1261803F
+_HEALTHY = 0x1231803F
+_HEALTHY_BEFORE_READY = 0x0211803F  # before the EKF and the pre-arm checks are content
+_CONTROLLERS = 0x00007C00  # enabled and healthy once armed
+
+_ONCE_A_SECOND = (
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
+    mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
+    mavlink.MAVLINK_MSG_ID_WIND,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+)
+DEFAULT_INTERVAL_S = dict.fromkeys(_ONCE_A_SECOND, 1.0)
+
+
+class ArduPlaneTelemetry(Telemetry):
+    gps_fix = mavlink.GPS_FIX_TYPE_RTK_FIXED
+    gps_dilution = (121, 200)
+    gps_accuracy_mm = (300, 300, 0)
+    home_quaternion = (NAN, NAN, NAN, NAN)
+    software = (4, 7)
+    parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+
+    def __init__(self, vehicle: ArduPlane) -> None:
+        super().__init__(vehicle)
+        self._plane = vehicle
+
+    def builders(self) -> dict[int, Builder]:
+        return super().builders() | {
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
+            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission_current,
+            mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: self._nav_controller_output,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self._position_target,
+            mavlink.MAVLINK_MSG_ID_WIND: self._wind,
+            mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: self._ekf_status,
+        }
+
+    def _sys_status(self) -> Any:
+        controllers = _CONTROLLERS if self._plane.armed else 0
+        healthy = _HEALTHY if self._plane.ready else _HEALTHY_BEFORE_READY
+        return mavlink.MAVLink_sys_status_message(
+            _PRESENT, _ENABLED | controllers, healthy | controllers, 0, 12600, 1000, self.battery_percent, *(0,) * 6
+        )
+
+    def _mission_current(self) -> Any:
+        mission = self._plane.mission
+        return mavlink.MAVLink_mission_current_message(
+            mission.index,
+            max(0, len(mission.items()) - 1),
+            mission.reported_state,
+            int(self._plane.mode == Mode.AUTO),
+        )
+
+    def _nav_controller_output(self) -> Any:
+        plane, craft, navigator = self._plane, self._craft, self._plane.navigator
+        goal, guidance = navigator.goal, navigator.guidance
+        return mavlink.MAVLink_nav_controller_output_message(
+            math.degrees(plane.roll_goal_rad),
+            math.degrees(craft.pitch_rad),
+            round(math.degrees(math.remainder(guidance.nav_bearing_rad, math.tau))),
+            round(math.degrees(plane.here.bearing_rad(goal))),
+            min(65535, round(goal.distance_m(craft))),
+            plane.height_goal_m - craft.height_m,
+            plane.airspeed_goal_m_s - craft.airspeed_m_s / plane.true_airspeed_ratio,
+            guidance.cross_track_m,
+        )
+
+    def _position_target(self) -> Any:
+        plane = self._plane
+        if plane.mode not in (Mode.AUTO, Mode.GUIDED, Mode.LOITER, Mode.RTL) or not plane.armed:
+            return None
+        goal = plane.navigator.goal
+        return mavlink.MAVLink_position_target_global_int_message(
+            plane.boot_ms,
+            mavlink.MAV_FRAME_GLOBAL,
+            0xFDF8,  # only the position counts
+            *self.place_e7(*goal.ground_m),
+            self.altitude_m(goal.height_m),
+            *(0.0,) * 8,
+        )
+
+    def _wind(self) -> Any:
+        wind = self._craft.wind
+        from_deg = math.degrees(math.atan2(-wind.east_m_s, -wind.north_m_s))
+        return mavlink.MAVLink_wind_message(from_deg, math.hypot(wind.east_m_s, wind.north_m_s), 0.0)
+
+    def _ekf_status(self) -> Any:
+        flags = 831 if self._plane.ready else 167  # position known absolutely, or only attitude
+        return mavlink.MAVLink_ekf_status_report_message(flags, *(0.01,) * 5)

@@ -1,0 +1,154 @@
+"""Laser and gimbal for someone else's vehicle: a companion component that looks at a simulated target from there."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import all as mavlink
+
+from sitl.geodesy import HomePlane
+from sitl.motion import Motion
+from sitl.payload import PERIOD_S, Payload, Sight
+from sitl.settings import PayloadSettings, TargetSettings
+from sitl.simulation import target_motion
+from sitl.truth import TruthRow
+
+_ASK_AGAIN_S = 2.0
+_HEARTBEAT_S = 1.0
+_WAIT_S = 0.05
+_SCHEMES = {"tcpout": "tcp", "udpin": "udpin", "udpout": "udpout"}
+
+
+class CompanionError(Exception):
+    """The vehicle cannot be reached; the message says why."""
+
+
+class Companion:
+    """Measures at each position the vehicle reports, stamped with that position's time.
+
+    Pure: give it the vehicle's messages, send what it returns. The target's plane has its origin at the vehicle's
+    home; nothing is measured before home is known. The target sets off with the first measurement.
+    """
+
+    def __init__(self, payload: PayloadSettings, target: TargetSettings, seed: int) -> None:
+        target_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
+        self._payload = Payload(payload, sensor_seed)
+        self._motion: Motion = target_motion(target, np.random.default_rng(target_seed))
+        self._plane: HomePlane | None = None
+        self._begin_s: float | None = None
+        self._heading_rad = 0.0
+        self.vehicle_id: int | None = None
+        self.on_truth: Callable[[TruthRow], None] = lambda _row: None
+
+    @property
+    def wants_home(self) -> bool:
+        return self._plane is None
+
+    def handle(self, message: Any) -> list[Any]:
+        """Take one message from the link and return the measurements it leads to."""
+        kind = message.get_type()
+        if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
+            return []
+        if self.vehicle_id is None and kind == "HEARTBEAT" and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
+            self.vehicle_id = message.get_srcSystem()
+        if message.get_srcSystem() != self.vehicle_id:
+            return []
+        if kind == "HOME_POSITION" and self._plane is None:
+            self._plane = HomePlane(message.latitude / 1e7, message.longitude / 1e7)
+        elif kind == "ATTITUDE":
+            self._heading_rad = message.yaw
+        elif kind == "GLOBAL_POSITION_INT" and self._plane is not None:
+            return self._measure(message, self._plane)
+        return []
+
+    def _measure(self, position: Any, plane: HomePlane) -> list[Any]:
+        time_s = position.time_boot_ms / 1000.0
+        if self._begin_s is None:
+            self._begin_s = time_s
+        since_s = max(0.0, time_s - self._begin_s)
+        aircraft_deg = (position.lat / 1e7, position.lon / 1e7)
+        aircraft_m = (*plane.east_north_m(*aircraft_deg), position.relative_alt / 1000.0)
+        target_m = self._motion.at(since_s)
+        sight = Sight.between(aircraft_m, target_m)
+        measured = self._payload.measure(since_s, position.time_boot_ms, sight, self._heading_rad)
+        row = TruthRow(
+            time_s,
+            target_m,
+            plane.latitude_longitude_deg(*target_m),
+            aircraft_m,
+            aircraft_deg,
+            sight.slant_range_m,
+            sight.bearing_rad,
+            measured.laser_valid,
+            measured.laser_outlier,
+        )
+        self.on_truth(row)
+        return measured.messages
+
+
+def accompany(
+    companion: Companion,
+    url: str,
+    *,
+    on_ready: Callable[[int], None] = lambda _vehicle_id: None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> None:
+    """Join the vehicle at ``url`` as component 154 of its system until ``stopped``.
+
+    url: tcpout://HOST:PORT, udpin://HOST:PORT or udpout://HOST:PORT. Raises CompanionError.
+    """
+    scheme, _, rest = url.partition("://")
+    if scheme not in _SCHEMES or not rest.rpartition(":")[2].isdigit():
+        raise CompanionError(f"must look like {', '.join(f'{s}://HOST:PORT' for s in _SCHEMES)}, not {url!r}")
+    try:
+        link = mavutil.mavlink_connection(
+            f"{_SCHEMES[scheme]}:{rest}",
+            source_component=mavlink.MAV_COMP_ID_GIMBAL,
+            dialect="all",
+            autoreconnect=True,
+            retries=0,
+        )
+    except OSError as error:
+        raise CompanionError(f"cannot reach {url}: {error.strerror or error}") from error
+    try:
+        _converse(companion, link, on_ready, stopped)
+    finally:
+        link.close()
+
+
+def _converse(companion: Companion, link: Any, on_ready: Callable[[int], None], stopped: Callable[[], bool]) -> None:
+    joined = False
+    ask_s = heartbeat_s = -math.inf
+    while not stopped():
+        message = link.recv_match(blocking=True, timeout=_WAIT_S)
+        if message is not None and message.get_type() != "BAD_DATA":
+            for measurement in companion.handle(message):
+                link.mav.send(measurement)
+        now_s = time.monotonic()
+        if companion.vehicle_id is not None and not joined:
+            joined = True
+            link.mav.srcSystem = companion.vehicle_id
+            on_ready(companion.vehicle_id)
+        if now_s >= heartbeat_s and (joined or link.mav.srcSystem != 0):
+            heartbeat_s = now_s + _HEARTBEAT_S
+            link.mav.send(Payload.heartbeat())
+        if joined and now_s >= ask_s:
+            ask_s = now_s + _ASK_AGAIN_S
+            _ask(companion, link)
+
+
+def _ask(companion: Companion, link: Any) -> None:
+    """Ask for positions and attitudes as often as the payload measures, and for home until it is known."""
+    vehicle_id = companion.vehicle_id
+    for message_id in (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_ATTITUDE):
+        link.mav.command_long_send(
+            vehicle_id, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, message_id, PERIOD_S * 1e6, 0, 0, 0, 0, 0
+        )
+    if companion.wants_home:
+        home_id = mavlink.MAVLINK_MSG_ID_HOME_POSITION
+        link.mav.command_long_send(vehicle_id, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, home_id, 0, 0, 0, 0, 0, 0)
