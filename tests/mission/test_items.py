@@ -1,0 +1,68 @@
+import math
+
+import pytest
+
+from estimators.frames import LocalPlane
+from mission.circle import Circle
+from mission.items import (
+    FRAME_GLOBAL,
+    FRAME_GLOBAL_RELATIVE_ALT,
+    NAV_LOITER_UNLIM,
+    NAV_WAYPOINT,
+    Item,
+    UnflyableError,
+    circle_item,
+    mission_items,
+    plan_items,
+)
+from mission.line_tracking import px4
+from mission.plan import Plan
+from mission.transition import abcd
+
+PLANE = LocalPlane(47.0, 8.5)
+PRESENT, NEW = Circle(0.0, 100.0, 65.0, True), Circle(430.0, 100.0, 65.0, True)
+
+
+def test_a_circle_is_a_loiter_without_end_with_a_signed_radius() -> None:
+    item = circle_item(Circle(100.0, -200.0, 62.5, False), PLANE, 80.0)
+    assert (item.command, item.frame, item.height_m) == (NAV_LOITER_UNLIM, FRAME_GLOBAL_RELATIVE_ALT, 80.0)
+    assert item.param3 == -62.5
+    assert PLANE.east_north_m(item.latitude_deg, item.longitude_deg) == pytest.approx((100.0, -200.0))
+    assert circle_item(PRESENT, PLANE, 80.0).param3 == 65.0
+
+
+def test_a_plan_that_is_only_a_circle_is_one_item() -> None:
+    assert plan_items(Plan(NEW), PLANE, 80.0, 15.0) == (circle_item(NEW, PLANE, 80.0),)
+
+
+def test_a_transition_is_a_few_waypoints_and_the_circle_that_needs_no_one() -> None:
+    items = plan_items(Plan(NEW, abcd(PRESENT, NEW)), PLANE, 80.0, 15.0, px4(15.0))
+    assert [item.command for item in items[:-1]] == [NAV_WAYPOINT] * (len(items) - 1)
+    assert 2 <= len(items) - 1 <= 6
+    assert items[-1] == circle_item(NEW, PLANE, 80.0)
+    assert {item.param2 for item in items[:-1]} == {34.0}
+    assert all(
+        math.isfinite(value) for item in items for value in (item.param1, item.param2, item.param3, item.param4)
+    )
+
+
+def test_the_first_waypoint_is_where_the_aircraft_is_at_the_departure() -> None:
+    """It is reached at once, so that the leg flown begins on the planned line."""
+    path = abcd(PRESENT, NEW)
+    items = plan_items(Plan(NEW, path), PLANE, 80.0, 15.0, px4(15.0))
+    first_m = PLANE.east_north_m(items[0].latitude_deg, items[0].longitude_deg)
+    assert math.dist(first_m, (path.east_m[0], path.north_m[0])) < items[0].param2
+
+
+def test_a_tolerance_that_cannot_be_kept_is_refused_with_the_figure() -> None:
+    with pytest.raises(UnflyableError, match="tolerance_m is 0"):
+        plan_items(Plan(NEW, abcd(PRESENT, NEW)), PLANE, 80.0, 0.05)
+
+
+@pytest.mark.parametrize("home", [None, Item(NAV_WAYPOINT, FRAME_GLOBAL, 47.0, 8.5, 430.0)])
+def test_a_mission_begins_with_what_is_flown_and_ends_in_a_circle(home: Item | None) -> None:
+    line = plan_items(Plan(NEW, abcd(PRESENT, NEW)), PLANE, 80.0, 15.0)
+    mission = mission_items(PRESENT, line, PLANE, 80.0, home)
+    assert mission[-len(line) :] == line
+    assert mission[-len(line) - 1] == circle_item(PRESENT, PLANE, 80.0)
+    assert len(mission) == len(line) + (1 if home is None else 2)
