@@ -1,0 +1,60 @@
+"""``sidelong report``: a flight as one self-contained page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import Progress
+
+from app.commands.output import console
+from app.errors import InputError
+
+
+def report(
+    run: Annotated[Path, typer.Argument(help="A run folder, or a recorded tlog.", show_default=False)],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="The page; otherwise report.html in the run folder, or beside the log."),
+    ] = None,
+    png: Annotated[
+        Path | None, typer.Option(help="Write each figure into this folder as PNG too.", show_default=False)
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="CSV with the true track; a simulated run folder has its own.")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="Configuration (TOML); a run folder has its own.")] = None,
+) -> None:
+    """Write one HTML file about a flight: paths, range, angles, errors, uploads, decisions. It opens offline.
+
+    Examples: sidelong report runs/20261121T101500Z --png figures;
+    sidelong report flight.tlog --truth flight.truth.csv
+    """
+    if out is None:
+        out = run / "report.html" if run.is_dir() else run.with_suffix(".report.html")
+    write_report(run, out, png, truth, config)
+
+
+def write_report(
+    run: Path, out: Path, png: Path | None = None, truth: Path | None = None, config: Path | None = None
+) -> None:
+    """Write the page, and the figures if asked for. Raises InputError naming the file that is at fault."""
+    # Only a report needs matplotlib, which takes a second to load.
+    from app.report.page import report_page, save_png  # noqa: PLC0415
+    from app.report.sources import read_flight  # noqa: PLC0415
+
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(run.name, total=1.0)
+        flown = read_flight(run, truth, config, lambda share: progress.update(task, completed=share))
+    try:
+        out.write_text(report_page(flown), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written ({error.strerror}); give another file to --out.") from error
+    console.print(f"report: {out} ({out.stat().st_size / 1e6:.1f} MB)", soft_wrap=True)
+    if png is not None:
+        try:
+            files = save_png(flown, png)
+        except OSError as error:
+            raise InputError(f"{png}: cannot be written ({error.strerror}); give another folder to --png.") from error
+        console.print(f"figures: {len(files)} in {png}", soft_wrap=True)

@@ -1,0 +1,1 @@
+"""What a flight looked like afterwards: its history, figures, and one self-contained page."""

@@ -1,0 +1,300 @@
+"""The figures of a report. Times are seconds since watching began; angles in degrees, here at the edge."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.stats import chi2
+
+from app.report import series
+from app.report.history import FloatArray, History
+from app.report.ink import AIRCRAFT, BAD, BAND, ESTIMATE, FAINT, TARGET, figure, legend_above
+from app.report.path_map import flown_path_figure
+
+_TIME = "time, s"
+_BIN_DEG = 10.0
+_CONSISTENCY_TOP = 2.0  # of the bound: what lies above is drawn at the edge
+_POINTS_MAX = 2000  # more are drawn as an image inside the figure
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawing:
+    """A figure with its name (a file's name too) and what it shows, in a sentence or two."""
+
+    name: str
+    title: str
+    caption: str
+    figure: Figure
+
+
+def drawings(history: History) -> Iterator[Drawing]:
+    """Yield the figures in order, those left out that nothing is known for. Use within ``ink.styled()``."""
+    makers: tuple[Callable[[History], Drawing | None], ...] = (
+        _map,
+        _range,
+        _observation,
+        _observation_histogram,
+        _curvature,
+        _course,
+        _errors,
+        _consistency,
+        _uploads,
+    )
+    for make in makers:
+        drawing = make(history)
+        if drawing is not None:
+            yield drawing
+
+
+# -- where ---------------------------------------------------------------------------------------------------
+
+
+def _map(history: History) -> Drawing:
+    return Drawing(
+        "path",
+        "Paths over the ground",
+        "Aircraft and target with a dot every 50 s, joined by the line of sight; circles as they were commanded.",
+        flown_path_figure(history),
+    )
+
+
+# -- how the target was watched ------------------------------------------------------------------------------
+
+
+def _range(history: History) -> Drawing:
+    requirement = history.requirement
+    made, (axes,) = figure(2.9)
+    seen = series.range_m(history.moments)
+    axes.axhspan(requirement.range_min_m, requirement.range_max_m, color=BAND, lw=0, label="allowed band")
+    axes.plot(seen.time_s - history.start_s, seen.value, color=AIRCRAFT, linewidth=1.1, label=_judged(history))
+    axes.set_ylim(0.0, 1.06 * max(requirement.range_max_m, float(seen.value.max(initial=0.0))))
+    _over_time(axes, history, "horizontal range, m")
+    least_m, greatest_m = float(seen.value.min(initial=math.inf)), float(seen.value.max(initial=0.0))
+    return Drawing(
+        "range",
+        "Range to the target",
+        f"Between {least_m:.0f} and {greatest_m:.0f} m; allowed are {requirement.range_min_m:.0f} to "
+        f"{requirement.range_max_m:.0f} m.",
+        made,
+    )
+
+
+def _observation(history: History) -> Drawing:
+    made, (axes,) = figure(2.9)
+    seen = series.observation_rad(history)
+    angle_deg = np.degrees(seen.value)
+    allowed_deg = math.degrees(series.allowed_rad(history.requirement))
+    axes.axhspan(-allowed_deg, allowed_deg, color=BAND, lw=0, label=_wanted(history))
+    axes.plot(
+        *_unjoined(seen.time_s - history.start_s, angle_deg, 180.0),
+        color=AIRCRAFT,
+        linewidth=1.0,
+        label=_judged(history),
+    )
+    axes.set_ylim(-180.0, 180.0)
+    axes.set_yticks(range(-180, 181, 60))
+    _over_time(axes, history, "observation angle, °")
+    return Drawing(
+        "observation-angle",
+        "Observation angle",
+        "Where the aircraft is, seen from the target: 0° is the middle of the sector asked for."
+        if history.requirement.sector is not None
+        else "From the normal of the target's motion, on the side asked for, to the line of sight: 0° is abeam; "
+        "beyond ±90° the aircraft is on the other side.",
+        made,
+    )
+
+
+def _observation_histogram(history: History) -> Drawing | None:
+    seen = series.observation_rad(history)
+    angle_deg = np.degrees(seen.value[np.isfinite(seen.value)])
+    if not len(angle_deg):
+        return None
+    made, (axes,) = figure(2.9)
+    bins = np.arange(-180.0, 180.0 + _BIN_DEG, _BIN_DEG)
+    allowed_deg = math.degrees(series.allowed_rad(history.requirement))
+    axes.axvspan(-allowed_deg, allowed_deg, color=BAND, lw=0, label=_wanted(history))
+    axes.hist(
+        angle_deg, bins.tolist(), weights=np.full(len(angle_deg), 100.0 / len(angle_deg)), color=AIRCRAFT, rwidth=0.9
+    )
+    axes.set_xlim(-180.0, 180.0)
+    axes.set_xticks(range(-180, 181, 30))
+    axes.set_xlabel("observation angle, °")
+    axes.set_ylabel("share of time, %")
+    legend_above(axes)
+    share = 100.0 * float(np.mean(np.abs(angle_deg) <= allowed_deg))
+    return Drawing(
+        "observation-histogram",
+        "How often from which angle",
+        f"{share:.1f} % of the time the aircraft was where it was asked to be.",
+        made,
+    )
+
+
+# -- how the aircraft flew -----------------------------------------------------------------------------------
+
+
+def _curvature(history: History) -> Drawing:
+    made, (axes,) = figure(2.7)
+    flown = series.curvature_1_m(history.aircraft)
+    axes.plot(flown.time_s - history.start_s, 1e3 * flown.value, color=AIRCRAFT, linewidth=0.9, label="flown")
+    for sign in (1.0, -1.0):
+        axes.axhline(
+            sign * 1e3 / history.asked.airframe.radius_m,
+            color=FAINT,
+            linestyle="--",
+            linewidth=0.8,
+            label=f"circle of {history.asked.airframe.radius_m:.0f} m" if sign > 0 else None,
+        )
+    reach = 1.6e3 / history.asked.airframe.radius_m
+    axes.set_ylim(-reach, reach)
+    _over_time(axes, history, "curvature, 1/km")
+    return Drawing("curvature", "Curvature of the flown path", "Over the ground; positive turns right.", made)
+
+
+def _course(history: History) -> Drawing:
+    made, (axes,) = figure(2.7)
+    flown = history.aircraft
+    course_deg = np.degrees(flown.course_rad) % 360.0
+    axes.plot(*_unjoined(flown.time_s - history.start_s, course_deg, 180.0), color=AIRCRAFT, linewidth=0.9)
+    axes.set_ylim(0.0, 360.0)
+    axes.set_yticks(range(0, 361, 90))
+    _over_time(axes, history, "course, °", legend=False)
+    return Drawing("course", "Course flown", "Over the ground, clockwise from north.", made)
+
+
+# -- how good the estimate was -------------------------------------------------------------------------------
+
+
+def _errors(history: History) -> Drawing | None:
+    errors = series.estimate_errors(history)
+    if errors is None:
+        return None
+    made, (axes,) = figure(2.7)
+    time_s = errors.time_s - history.start_s
+    axes.plot(time_s, errors.error_m, color=ESTIMATE, linewidth=1.0, label="error")
+    axes.plot(
+        time_s,
+        errors.radius95_m,
+        color=FAINT,
+        linewidth=0.9,
+        linestyle="--",
+        label="long half axis of the 95 % ellipse",
+    )
+    watched = errors.error_m[time_s >= 0.0]
+    claimed_m = float(np.percentile(errors.radius95_m, 90.0))
+    axes.set_ylim(0.0, 1.2 * max(claimed_m, float(np.percentile(np.append(watched, 1.0), 99.8))))
+    _over_time(axes, history, "position error, m")
+    rms_m = float(np.sqrt(np.mean(np.square(watched)))) if len(watched) else math.nan
+    return Drawing(
+        "estimate-error",
+        "Error of the estimate",
+        f"Horizontal distance from the true target, {rms_m:.2f} m RMS, beside what the estimate claims.",
+        made,
+    )
+
+
+def _consistency(history: History) -> Drawing | None:
+    innovations = series.normalised_innovations(history)
+    errors = series.estimate_errors(history)
+    rows: list[tuple[str, FloatArray, FloatArray, int]] = []
+    if errors is not None:
+        rows.append(("NEES", errors.time_s, errors.nees, 2))
+    if len(innovations.value):
+        rows.append(("NIS", innovations.time_s, innovations.value, 3))
+    if not rows:
+        return None
+    made, all_axes = figure(1.2 + 1.7 * len(rows), len(rows))
+    words = []
+    for axes, (name, at_s, value, freedom) in zip(all_axes, rows, strict=True):
+        bound = float(chi2.ppf(0.95, freedom))
+        top = _CONSISTENCY_TOP * bound
+        axes.plot(
+            at_s - history.start_s,
+            np.minimum(value, top),
+            ".",
+            color=ESTIMATE,
+            markersize=1.6,
+            rasterized=len(value) > _POINTS_MAX,
+        )
+        axes.axhline(bound, color=BAD, linewidth=0.9, linestyle="--", label=f"95 % of chi-square ({freedom})")
+        axes.set_ylim(0.0, top)
+        axes.set_ylabel(name)
+        legend_above(axes)
+        words.append(f"{100.0 * float(np.mean(value[at_s >= history.start_s] <= bound)):.1f} % of the {name}")
+    all_axes[-1].set_xlabel(_TIME)
+    all_axes[-1].set_xlim(0.0, history.end_s - history.start_s)
+    meanings = {"NEES": "error against the truth over its claimed covariance", "NIS": "innovation of each sighting"}
+    return Drawing(
+        "consistency",
+        "Consistency of the estimate",
+        f"{' and '.join(words)} below the bound that 95 % should keep "
+        f"({'; '.join(f'{row[0]}: {meanings[row[0]]}, squared' for row in rows)}).",
+        made,
+    )
+
+
+# -- how the plans got there ---------------------------------------------------------------------------------
+
+
+def _uploads(history: History) -> Drawing | None:
+    if not history.swaps:
+        return None
+    made, (took, waited) = figure(3.8, 2)
+    start_s = history.start_s
+    ready = [(s.prepared_s - start_s, s.ready_s - s.prepared_s) for s in history.swaps if s.ready_s is not None]
+    departed = [
+        (s.departed_s - start_s, s.departed_s - s.plan.departure_s) for s in history.swaps if s.departed_s is not None
+    ]
+    failed = [s.prepared_s - start_s for s in history.swaps if s.failed]
+    for axes, points in ((took, ready), (waited, departed)):
+        at_s, value_s = np.array(points).reshape(-1, 2).T
+        axes.vlines(at_s, 0.0, value_s, color=TARGET, linewidth=1.0)
+        axes.plot(at_s, value_s, "o", color=TARGET, markersize=3.5)
+        axes.axhline(0.0, color=FAINT, linewidth=0.7)
+    if failed:
+        took.plot(failed, np.zeros(len(failed)), "x", color=BAD, markersize=6, label="failed", clip_on=False)
+        legend_above(took)
+    took.set_ylim(0.0, None)
+    took.set_ylabel("upload took, s")
+    waited.set_ylabel("left after plan, s")
+    waited.set_xlabel(_TIME)
+    waited.set_xlim(0.0, history.end_s - start_s)
+    slowest_s = f", the slowest took {max(value for _, value in ready):.2f} s" if ready else ""
+    return Drawing(
+        "uploads",
+        "Uploads",
+        f"{len(history.swaps)} plans were sent{slowest_s}; {len(departed)} were flown, {len(failed)} failed. Below: "
+        "how much later than planned the aircraft was told to leave its circle.",
+        made,
+    )
+
+
+def _wanted(history: History) -> str:
+    requirement = history.requirement
+    if requirement.sector is not None:
+        return "sector asked for"
+    return "either side" if requirement.either_side else f"{requirement.side} side"
+
+
+def _judged(history: History) -> str:
+    return "by the true target" if history.judged_by_truth else "by the estimate"
+
+
+def _over_time(axes: Axes, history: History, label: str, legend: bool = True) -> None:
+    axes.set_xlim(0.0, history.end_s - history.start_s)
+    axes.set_xlabel(_TIME)
+    axes.set_ylabel(label)
+    if legend:
+        legend_above(axes)
+
+
+def _unjoined(time_s: FloatArray, angle_deg: FloatArray, jump_deg: float) -> tuple[FloatArray, FloatArray]:
+    """Return the line with a gap wherever the angle wraps around."""
+    wraps = np.flatnonzero(np.abs(np.diff(angle_deg)) > jump_deg) + 1
+    return np.insert(time_s, wraps, np.nan), np.insert(angle_deg, wraps, np.nan)

@@ -1,0 +1,249 @@
+"""A flight as arrays and lists: what the figures and tables of a report are made of.
+
+The journal holds what the vehicle said and what was commanded, not the estimates: the same readings go through the
+same tracker again and give the same estimates. A log of somebody else's flight has no commands; all else holds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from app.records.truth import Truth
+from app.score import Moment
+from estimators.estimate import TargetEstimate
+from estimators.frames import LocalPlane
+from estimators.readings import (
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    TargetFixReading,
+)
+from estimators.sighting import SightingOutcome
+from estimators.tracker import Tracker
+from mission.circle import Circle
+from mission.events import (
+    Announce,
+    Command,
+    End,
+    Engaged,
+    Event,
+    OperatorRequest,
+    Prepare,
+    SwapReported,
+    Yield,
+)
+from mission.plan import Plan
+from mission.requirement import Aircraft, Requirement, Side
+
+FloatArray = npt.NDArray[np.float64]
+Outline = tuple[tuple[float, float], ...]
+"""Corners (east, north), m."""
+
+_AIRCRAFT_STEP_S = 0.2
+_ESTIMATE_STEP_S = 1.0
+_TRUTH_STEP_S = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AircraftTrack:
+    """Arrays of shape (n,), in order of time."""
+
+    time_s: FloatArray
+    east_m: FloatArray
+    north_m: FloatArray
+    course_rad: FloatArray
+    ground_speed_m_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Swap:
+    """How a plan fared: None for what did not happen. failed: why, '' if it did not."""
+
+    number: int
+    plan: Plan
+    reason: str
+    prepared_s: float
+    ready_s: float | None = None
+    departed_s: float | None = None
+    failed: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What the flight was asked to keep, and with which aircraft."""
+
+    requirement: Requirement
+    airframe: Aircraft
+    keep_in: tuple[Outline, ...] = ()
+    keep_out: tuple[Outline, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class History:
+    """A flight or a replayed log. Times are the vehicle's; ``start_s`` is when watching began.
+
+    moments: aircraft and target together, by the truth where there is one, by the estimates else.
+    sides: (since, side), from -inf on.
+    """
+
+    asked: Asked
+    start_s: float
+    aircraft: AircraftTrack
+    estimates: tuple[TargetEstimate, ...]
+    sightings: tuple[SightingOutcome, ...]
+    moments: tuple[Moment, ...]
+    judged_by_truth: bool
+    truth: Truth | None
+    plane: LocalPlane
+    circles: tuple[tuple[float, Circle], ...]
+    swaps: tuple[Swap, ...]
+    sides: tuple[tuple[float, Side], ...]
+    said: tuple[Announce, ...]
+
+    @property
+    def requirement(self) -> Requirement:
+        return self.asked.requirement
+
+    @property
+    def end_s(self) -> float:
+        return float(self.aircraft.time_s[-1])
+
+    def side_at(self, time_s: float) -> Side:
+        """Return the side asked for at a time."""
+        return next(side for since_s, side in reversed(self.sides) if since_s <= time_s)
+
+
+class HistoryBuilder:
+    """Takes a run's events and commands in order (it is a ``Log``) and gives its history."""
+
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
+        self._positions: list[PositionReading] = []
+        self._estimates: list[TargetEstimate] = []
+        self._sightings: list[SightingOutcome] = []
+        self._circles: list[tuple[float, Circle]] = []
+        self._swaps: dict[int, Swap] = {}
+        self._sides: list[tuple[float, Side]] = []
+        self._said: list[Announce] = []
+        self._start_s: float | None = None
+        self._in_hand = False
+
+    @property
+    def sightings(self) -> int:
+        return len(self._sightings)
+
+    @property
+    def positions(self) -> int:
+        return len(self._positions)
+
+    def event(self, event: Event) -> None:
+        """Take an event."""
+        match event:
+            case PositionReading():
+                self._position(event)
+            case AttitudeReading() | RangeReading() | GimbalReading() | TargetFixReading():
+                self._sightings += self._tracker.add(event)
+            case Engaged():
+                self._start_s = event.time_s if self._start_s is None else self._start_s
+                self._circles.append((event.time_s, event.circle))
+                self._in_hand = True
+            case SwapReported():
+                self._swap(event)
+            case OperatorRequest(side=Side() as side) if event.action == "side" and self._in_hand:
+                self._sides.append((event.time_s, side))
+
+    def command(self, command: Command) -> None:
+        """Take a command."""
+        match command:
+            case Prepare():
+                self._swaps[command.number] = Swap(command.number, command.plan, command.reason, command.time_s)
+            case Announce():
+                self._said.append(command)
+            case Yield() | End():
+                what = Announce(command.time_s, "yield", f"yielded: {command.reason}")
+                if isinstance(command, End):
+                    what = Announce(command.time_s, "end", f"ended: {command.reason}")
+                self._said.append(what)
+                self._in_hand = False
+
+    def _position(self, reading: PositionReading) -> None:
+        self._sightings += self._tracker.add(reading)
+        if not self._positions or reading.time_s >= self._positions[-1].time_s + _AIRCRAFT_STEP_S:
+            self._positions.append(reading)
+        last_s = self._estimates[-1].time_s if self._estimates else -math.inf
+        if reading.time_s >= last_s + _ESTIMATE_STEP_S:
+            estimate = self._tracker.estimate(reading.time_s)
+            if estimate is not None:
+                self._estimates.append(estimate)
+
+    def _swap(self, event: SwapReported) -> None:
+        swap = self._swaps.get(event.number)
+        if swap is None:
+            return
+        if event.stage == "ready":
+            swap = replace(swap, ready_s=event.time_s)
+        elif event.stage == "departed":
+            swap = replace(swap, departed_s=event.time_s)
+            self._circles.append((event.time_s, swap.plan.circle))
+        else:
+            swap = replace(swap, failed=event.detail or "failed")
+        self._swaps[event.number] = swap
+
+    def build(self, asked: Asked, plane: LocalPlane, truth: Truth | None) -> History:
+        """Return the history so far; there must be at least two positions."""
+        aircraft = _track(self._positions)
+        start_s = self._start_s
+        if start_s is None:  # nobody engaged: the log begins where the target is first seen
+            start_s = self._estimates[0].time_s if self._estimates else float(aircraft.time_s[0])
+        moments = _true_moments(truth, plane, start_s, float(aircraft.time_s[-1])) if truth is not None else ()
+        return History(
+            asked,
+            start_s,
+            aircraft,
+            tuple(self._estimates),
+            tuple(self._sightings),
+            moments or _estimated_moments(self._estimates, aircraft, start_s),
+            bool(moments),
+            truth,
+            plane,
+            tuple(self._circles),
+            tuple(self._swaps.values()),
+            ((-math.inf, asked.requirement.side), *self._sides),
+            tuple(self._said),
+        )
+
+
+def _track(positions: list[PositionReading]) -> AircraftTrack:
+    time_s, east_m, north_m, velocity_e, velocity_n = np.array(
+        [(p.time_s, p.east_m, p.north_m, p.velocity_east_m_s, p.velocity_north_m_s) for p in positions]
+    ).T
+    return AircraftTrack(
+        time_s, east_m, north_m, np.arctan2(velocity_e, velocity_n), np.hypot(velocity_e, velocity_n)
+    )
+
+
+def _true_moments(truth: Truth, plane: LocalPlane, start_s: float, end_s: float) -> tuple[Moment, ...]:
+    return tuple(truth.moments(plane, start_s, end_s, _TRUTH_STEP_S))
+
+
+def _estimated_moments(
+    estimates: list[TargetEstimate], aircraft: AircraftTrack, start_s: float
+) -> tuple[Moment, ...]:
+    return tuple(
+        Moment(
+            one.time_s,
+            float(np.interp(one.time_s, aircraft.time_s, aircraft.east_m)),
+            float(np.interp(one.time_s, aircraft.time_s, aircraft.north_m)),
+            one.east_m,
+            one.north_m,
+            one.velocity_east_m_s,
+            one.velocity_north_m_s,
+        )
+        for one in estimates
+        if one.time_s >= start_s
+    )

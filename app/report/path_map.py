@@ -1,0 +1,96 @@
+"""The picture of a flight: the path of the aircraft, the path of the target, and where both were when."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+
+from app.report.history import FloatArray, History
+from app.report.ink import AIRCRAFT, BAD, CIRCLE, ESTIMATE, FAINT, TARGET, WIDTH_IN, legend_above
+from mission.circle import Circle
+
+TICK_S = 50.0
+_LABELS_MAX = 14
+_SAMPLES_MAX = 6000
+
+
+def flown_path_figure(history: History, *, width_in: float = WIDTH_IN, title: str = "") -> Figure:
+    """Return the map: paths with a tick every 50 s, joined by the line of sight; circles flown; fences.
+
+    Make and save it within ``ink.styled()``.
+    """
+    moments = history.moments
+    time_s = np.array([m.time_s for m in moments]) - history.start_s
+    aircraft = np.array([(m.aircraft_east_m, m.aircraft_north_m) for m in moments]).reshape(-1, 2)
+    target = np.array([(m.target_east_m, m.target_north_m) for m in moments]).reshape(-1, 2)
+    flown = history.aircraft
+    since = flown.time_s >= history.start_s
+    path = np.column_stack((flown.east_m[since], flown.north_m[since]))[:: max(1, int(since.sum()) // _SAMPLES_MAX)]
+
+    spread_m = np.ptp(np.concatenate((path, target)), axis=0) + 120.0
+    height_in = float(np.clip(width_in * spread_m[1] / spread_m[0], 0.45 * width_in, 0.9 * width_in)) + 0.6
+    made = Figure(figsize=(width_in, height_in), layout="constrained")
+    axes = made.subplots()
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.04)
+    for outline in history.asked.keep_in:
+        axes.add_patch(Polygon(outline, fill=False, edgecolor=BAD, linewidth=1.2, linestyle="--"))
+    for outline in history.asked.keep_out:
+        axes.add_patch(Polygon(outline, facecolor=BAD, alpha=0.12, edgecolor=BAD, linewidth=1.0))
+    axes.plot(*path.T, color=AIRCRAFT, linewidth=1.0, label="aircraft")
+    axes.plot(
+        *target.T, color=TARGET, linewidth=2.0, label="target" if history.judged_by_truth else "target (estimate)"
+    )
+    if history.judged_by_truth:
+        estimate = np.array([(e.east_m, e.north_m) for e in history.estimates if e.time_s >= history.start_s])
+        if len(estimate):
+            axes.plot(*estimate.T, color=ESTIMATE, linewidth=0.8, linestyle=":", label="estimate")
+    _circles(axes, [circle for _, circle in history.circles])
+    _ticks(axes, time_s, aircraft, target)
+    axes.set_xlabel("east, m")
+    axes.set_ylabel("north, m")
+    if title:
+        axes.set_title(title, loc="right", fontsize=10)
+    legend_above(axes)
+    return made
+
+
+def _circles(axes: Axes, circles: list[Circle]) -> None:
+    around_rad = np.linspace(0.0, 2.0 * np.pi, 61)
+    for number, circle in enumerate(circles):
+        axes.plot(
+            circle.east_m + circle.radius_m * np.sin(around_rad),
+            circle.north_m + circle.radius_m * np.cos(around_rad),
+            color=CIRCLE,
+            linewidth=0.7,
+            zorder=1,
+            label="circle commanded" if number == 0 else None,
+        )
+
+
+def _ticks(axes: Axes, time_s: FloatArray, aircraft: FloatArray, target: FloatArray) -> None:
+    if not len(time_s):
+        return
+    at_s = np.arange(0.0, time_s[-1] + 1e-9, TICK_S)
+    every = max(1, int(np.ceil(len(at_s) / _LABELS_MAX)))
+    for number, tick_s in enumerate(at_s):
+        here, there = (
+            np.array([np.interp(tick_s, time_s, track[:, axis]) for axis in (0, 1)]) for track in (aircraft, target)
+        )
+        axes.plot(*np.array([here, there]).T, color=FAINT, linewidth=0.4, alpha=0.6, zorder=1)
+        axes.plot(*here, "o", color=AIRCRAFT, markersize=3.2)
+        axes.plot(*there, "o", color=TARGET, markersize=3.8)
+        if number % every == 0:
+            away_pt = 7.0 * (there - here) / max(float(np.hypot(*(there - here))), 1.0)
+            axes.annotate(
+                f"{tick_s:.0f} s",
+                (there[0], there[1]),
+                xytext=(away_pt[0], away_pt[1]),
+                textcoords="offset points",
+                ha="left" if away_pt[0] > 0.0 else "right",
+                va="center",
+                fontsize=8,
+                color=TARGET,
+            )

@@ -1,0 +1,53 @@
+"""The summary of a flight for its report: the run's own, or one made from what was recorded."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from itertools import dropwhile
+from typing import Any
+
+import numpy as np
+
+from app.report.history import History
+from app.report.series import estimate_errors
+from app.score import Moment, score
+from app.summary import Summary
+
+
+def summary_of(history: History, outcome: str) -> Summary:
+    """Return the summary of a flight that left none: it was cut off, or it is somebody else's log."""
+    requirement = history.requirement
+
+    def outside(moment: Moment) -> bool:
+        range_m = math.hypot(
+            moment.aircraft_east_m - moment.target_east_m, moment.aircraft_north_m - moment.target_north_m
+        )
+        return not requirement.range_min_m <= range_m <= requirement.range_max_m
+
+    # Scored from the first moment in the band, like every run; from the first at all where there is none.
+    moments = list(dropwhile(outside, history.moments)) or list(history.moments)
+    source = "truth" if history.judged_by_truth else "estimate"
+    errors = estimate_errors(history)
+    return Summary(
+        **asdict(score(moments, requirement, history.sides, source)),  # type: ignore[arg-type]  # one of its two words
+        moves=sum(swap.departed_s is not None for swap in history.swaps),
+        uploads=len(history.swaps),
+        upload_failures=sum(bool(swap.failed) for swap in history.swaps),
+        sightings=len(history.sightings),
+        rejected=sum(not outcome.accepted for outcome in history.sightings),
+        estimate_rmse_m=None if errors is None else float(np.sqrt(np.mean(np.square(errors.error_m)))),
+        outcome=outcome,
+    )
+
+
+def read_summary(values: dict[str, Any]) -> Summary:
+    """Return the summary that a run wrote, without what later programs may add to it."""
+    known = Summary.__dataclass_fields__
+    return Summary(**{key: value for key, value in values.items() if key in known})
+
+
+def rows(summary: Summary) -> list[tuple[str, str]]:
+    """Return what the terminal shows of it, as (name, text)."""
+    names, texts = summary.table().columns
+    return [(str(name), str(text)) for name, text in zip(names.cells, texts.cells, strict=True)]

@@ -1,0 +1,113 @@
+"""The numbers over time that the figures show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.report.history import AircraftTrack, FloatArray, History
+from app.score import Moment
+from estimators.ellipse import confidence_ellipse
+from estimators.frames import wrap_rad
+from mission.requirement import Requirement
+
+_CURVATURE_SPAN_S = 1.0
+_STANDING_M_S = 0.3  # as in the score: a slower target keeps its last course
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """time_s and value, both of shape (n,)."""
+
+    time_s: FloatArray
+    value: FloatArray
+
+
+def curvature_1_m(aircraft: AircraftTrack) -> Series:
+    """Return the curvature of the flown line over the ground, positive to the right."""
+    turned_rad = np.unwrap(aircraft.course_rad)
+    before_s, after_s = aircraft.time_s - _CURVATURE_SPAN_S / 2, aircraft.time_s + _CURVATURE_SPAN_S / 2
+    inside = (before_s >= aircraft.time_s[0]) & (after_s <= aircraft.time_s[-1])
+    rate_rad_s = (
+        np.interp(after_s, aircraft.time_s, turned_rad) - np.interp(before_s, aircraft.time_s, turned_rad)
+    ) / _CURVATURE_SPAN_S
+    speed_m_s = np.maximum(aircraft.ground_speed_m_s, 1.0)  # on the ground a course is noise
+    return Series(aircraft.time_s[inside], (rate_rad_s / speed_m_s)[inside])
+
+
+def range_m(moments: Sequence[Moment]) -> Series:
+    """Return the horizontal range between aircraft and target."""
+    return _over(
+        moments,
+        [math.hypot(m.aircraft_east_m - m.target_east_m, m.aircraft_north_m - m.target_north_m) for m in moments],
+    )
+
+
+def observation_rad(history: History) -> Series:
+    """Return the angle of the target-aircraft line, in [-pi, pi), clockwise from the direction to watch from.
+
+    That is the target's normal on the side asked for (NaN until the target has moved), or the middle of the sector.
+    The aircraft is where it should be while the angle is within ``allowed_rad``.
+    """
+    sector = history.requirement.sector
+    angles, course_rad = [], math.nan
+    for m in history.moments:
+        velocity = (m.target_velocity_east_m_s, m.target_velocity_north_m_s)
+        if math.hypot(*velocity) >= _STANDING_M_S:
+            course_rad = math.atan2(*velocity)
+        middle_rad = course_rad + history.side_at(m.time_s).normal_turn_rad if sector is None else sector.middle_rad
+        sight_rad = math.atan2(m.aircraft_east_m - m.target_east_m, m.aircraft_north_m - m.target_north_m)
+        angles.append(wrap_rad(sight_rad - middle_rad))
+    return _over(history.moments, angles)
+
+
+def allowed_rad(requirement: Requirement) -> float:
+    """Return how far from its middle an observation angle may be."""
+    if requirement.sector is not None:
+        return requirement.sector.half_width_rad
+    return math.pi if requirement.either_side else math.pi / 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimateErrors:
+    """Arrays of shape (n,). radius95_m is the long half axis of the 95 % ellipse.
+
+    nees: normalised error squared, chi-square with two degrees of freedom where the estimate is consistent.
+    """
+
+    time_s: FloatArray
+    error_m: FloatArray
+    radius95_m: FloatArray
+    nees: FloatArray
+
+
+def estimate_errors(history: History) -> EstimateErrors | None:
+    """Return the errors where truth and estimate are both known; None without a truth."""
+    if history.truth is None:
+        return None
+    rows = []
+    for one in history.estimates:
+        true = history.truth.at(one.time_s, history.plane)
+        if true is None:
+            continue
+        miss_m = np.array([one.east_m - true.target_east_m, one.north_m - true.target_north_m])
+        covariance = one.covariance[:2, :2]
+        radius95_m = confidence_ellipse(covariance).semi_major_m
+        nees = float(miss_m @ np.linalg.solve(covariance, miss_m))
+        rows.append((one.time_s, math.hypot(*miss_m), radius95_m, nees))
+    return EstimateErrors(*np.array(rows).T) if rows else None
+
+
+def normalised_innovations(history: History) -> Series:
+    """Return the NIS of the sightings that were compared (chi-square, 3), accepted or not."""
+    compared = [outcome for outcome in history.sightings if math.isfinite(outcome.nis)]
+    return Series(
+        np.array([outcome.sighting.time_s for outcome in compared]), np.array([one.nis for one in compared])
+    )
+
+
+def _over(moments: Sequence[Moment], values: list[float]) -> Series:
+    return Series(np.array([m.time_s for m in moments]), np.array(values, dtype=np.float64))

@@ -1,0 +1,125 @@
+"""Where a history comes from: a run folder's journal, or a recorded tlog."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from app.assembly import tracker_of
+from app.config import Config, load_config
+from app.errors import InputError
+from app.recording import JOURNAL_TYPES
+from app.records.journal import JournalReader
+from app.records.run_folder import RunFolder
+from app.records.tlog import is_tlog, read_tlog
+from app.records.tlog import summary as sources_in
+from app.records.truth import read_truth
+from app.records.windows import Progress
+from app.replay import require_sightings
+from app.report.history import Asked, History, HistoryBuilder, Outline
+from app.report.results import read_summary, summary_of
+from app.summary import Summary
+from app.telemetry import Telemetry
+from estimators.frames import LocalPlane
+from mission.events import Command
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flown:
+    """A flight to report on."""
+
+    name: str
+    program: str
+    config: Config
+    history: History
+    summary: Summary
+    damaged_lines: int = 0
+
+
+def read_flight(
+    path: Path, truth: Path | None = None, config: Path | None = None, progress: Progress | None = None
+) -> Flown:
+    """Read a run folder or a tlog; ``truth`` and ``config`` take the place of what a run folder has itself.
+
+    Raises InputError for what is neither, or holds no flight.
+    """
+    if path.is_dir():
+        return _run(RunFolder.open(path), truth, config, progress)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such run folder or log; give the path of one.")
+    if not is_tlog(path):
+        raise InputError(f"{path}: holds no whole MAVLink frame; give a run folder or a tlog.")
+    return _log(path, truth, config, progress)
+
+
+def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: Progress | None) -> Flown:
+    reader = JournalReader(folder.journal, JOURNAL_TYPES, progress)
+    if reader.header.plane is None:
+        raise InputError(f"{folder.path} holds no flight: it ended before the vehicle's position was known.")
+    settings = load_config(config) if config is not None else _journalled(folder, reader.header.config)
+    builder = HistoryBuilder(tracker_of(settings))
+    for record in reader:
+        if isinstance(record, Command):
+            builder.command(record)
+        else:
+            builder.event(record)
+    if truth is None and folder.truth.exists():
+        truth = folder.truth
+    history = _built(builder, settings, folder.path, reader.header.plane, truth)
+    # The figures of a run that was cut off are worth having all the same.
+    whole = folder.summary.exists()
+    result = read_summary(folder.read_summary()) if whole else summary_of(history, "cut off")
+    name = folder.path.resolve().name
+    return Flown(name, reader.header.program, settings, history, result, reader.damaged_lines)
+
+
+def _journalled(folder: RunFolder, values: Mapping[str, Any]) -> Config:
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        raise InputError(
+            f"{folder.journal} has a configuration that this program does not know; give one with --config."
+        ) from error
+
+
+def _log(path: Path, truth: Path | None, config: Path | None, progress: Progress | None) -> Flown:
+    settings = load_config(config)
+    telemetry = Telemetry()
+    builder = HistoryBuilder(tracker_of(settings))
+    for message in read_tlog(path, telemetry.wanted, progress):
+        event = telemetry.event(message)
+        if event is not None:
+            builder.event(event)
+
+    def found() -> str:
+        return ", ".join(dict.fromkeys(name for (name, _system, _component), _ in sources_in(path).most_common(12)))
+
+    require_sightings(builder.sightings, str(path), found)
+    history = _built(builder, settings, path, telemetry.plane, truth)
+    return Flown(path.name, "an autopilot", settings, history, summary_of(history, "recorded log"))
+
+
+def _built(
+    builder: HistoryBuilder, config: Config, path: Path, plane: LocalPlane | None, truth: Path | None
+) -> History:
+    if plane is None or builder.positions < 2:
+        raise InputError(f"{path} holds no flight: the vehicle told fewer than two positions.")
+    return builder.build(asked(config, plane), plane, read_truth(truth) if truth is not None else None)
+
+
+def asked(config: Config, plane: LocalPlane) -> Asked:
+    """Return what a configuration asks for, with its fences in the plane."""
+
+    def outlines(polygons: list[list[tuple[float, float]]]) -> tuple[Outline, ...]:
+        return tuple(tuple(plane.east_north_m(*corner) for corner in polygon) for polygon in polygons)
+
+    return Asked(
+        config.requirement.requirement(),
+        config.aircraft.aircraft(),
+        outlines(config.fences.keep_in),
+        outlines(config.fences.keep_out),
+    )

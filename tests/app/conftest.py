@@ -1,0 +1,151 @@
+"""A flight in small: the real control step, flown by an aircraft that follows its plans exactly."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.assembly import watch_of
+from app.config import Config
+from app.recording import Recording
+from app.records.run_folder import RunFolder
+from estimators.frames import LocalPlane
+from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from mission.circle import Circle
+from mission.events import Command, Depart, Engaged, Event, ModeReported, Prepare, SwapReported
+from mission.follower import PlanTrack
+from mission.plan import AircraftState, Plan
+from mission.watch import Watch
+
+LASER, GIMBAL = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
+HEIGHT_M, GRAVITY_M_S2 = 100.0, 9.80665
+PLANE = LocalPlane(47.4, 8.5)
+UPLOAD_S, START_S = 0.4, 100.0
+
+
+def target_at(time_s: float) -> tuple[float, float]:
+    """East at 3 m/s, after 150 s northeast."""
+    since_s = time_s - START_S
+    after_s = max(since_s - 150.0, 0.0)
+    return 3.0 * (since_s - after_s) + 2.1 * after_s, 2.1 * after_s
+
+
+def steps(watch: Watch, config: Config, duration_s: float) -> Iterator[tuple[Event, tuple[Command, ...]]]:
+    """Fly; yield each event with the commands it led to. Uploads take 0.4 s and always succeed."""
+    rng = np.random.default_rng(5)
+    airframe = config.aircraft.aircraft()
+    circle = Circle(0.0, 250.0, airframe.radius_m, True)
+    start = AircraftState(START_S, 0.0, 250.0 + airframe.radius_m, math.pi / 2, airframe.airspeed_m_s, 0.0)
+    track = PlanTrack(Plan(circle, None, START_S), start, airframe.airspeed_m_s)
+    due: list[tuple[float, SwapReported]] = []
+    plans: dict[int, Plan] = {}
+
+    def events(time_s: float) -> Iterator[Event]:
+        state, target = track.state_at(time_s), target_at(time_s)
+        east_m, north_m = target[0] - state.east_m, target[1] - state.north_m
+        velocity = (
+            state.ground_speed_m_s * math.sin(state.course_rad),
+            state.ground_speed_m_s * math.cos(state.course_rad),
+        )
+        bank_rad = math.atan(state.ground_speed_m_s**2 * state.curvature_1_m / GRAVITY_M_S2)
+        yield AttitudeReading(time_s, bank_rad, 0.0, state.course_rad)
+        yield PositionReading(time_s, state.east_m, state.north_m, HEIGHT_M, *velocity, 0.0)
+        yaw_rad = math.atan2(east_m, north_m) + rng.normal(0.0, 0.006)
+        pitch_rad = -math.atan2(HEIGHT_M, math.hypot(east_m, north_m)) + rng.normal(0.0, 0.006)
+        cy, sy, cp, sp = (
+            math.cos(yaw_rad / 2),
+            math.sin(yaw_rad / 2),
+            math.cos(pitch_rad / 2),
+            math.sin(pitch_rad / 2),
+        )
+        yield GimbalReading(time_s, (cp * cy, -sp * sy, sp * cy, cp * sy), "earth", GIMBAL)
+        slant_m = math.hypot(east_m, north_m, HEIGHT_M) + rng.normal(0.0, 0.8)
+        yield RangeReading(time_s, slant_m, LASER, quality=0.9)
+
+    def handled(event: Event) -> tuple[Event, tuple[Command, ...]]:
+        commands = watch.step(event)
+        for command in commands:
+            if isinstance(command, Prepare):
+                plans[command.number] = command.plan
+                due.append(
+                    (command.time_s + UPLOAD_S, SwapReported(command.time_s + UPLOAD_S, command.number, "ready"))
+                )
+            elif isinstance(command, Depart):
+                due.append((command.time_s, SwapReported(command.time_s, command.number, "departed")))
+        return event, commands
+
+    yield handled(ModeReported(START_S, "AUTO", True))
+    yield handled(Engaged(START_S, circle, "AUTO"))
+    for tick in range(round(duration_s * 10)):
+        time_s = START_S + tick / 10
+        for event in events(time_s):
+            yield handled(event)
+        while due and due[0][0] <= time_s:
+            report = due.pop(0)[1]
+            if report.stage == "departed":
+                now = track.state_at(time_s)
+                track = PlanTrack(plans[report.number], now, airframe.airspeed_m_s, before=track)
+            yield handled(report)
+
+
+@pytest.fixture(scope="session")
+def config() -> Config:
+    return Config.model_validate({"planner": {"name": "paper"}})
+
+
+@pytest.fixture(scope="session")
+def flight(config) -> Callable[[float], Iterator[tuple[Event, tuple[Command, ...], Watch]]]:
+    def fly(duration_s: float):
+        watch = watch_of(config)
+        for event, commands in steps(watch, config, duration_s):
+            yield event, commands, watch
+
+    return fly
+
+
+@pytest.fixture(scope="session")
+def run_folder(config, flight, tmp_path_factory) -> Path:
+    """Return the folder of a flight of 300 s, without a summary: as if it had been cut off."""
+    folder = RunFolder.create(tmp_path_factory.mktemp("runs"), datetime(2026, 11, 21, 9, 30, tzinfo=UTC))
+    recording = Recording(folder, config, pytest.fail)
+    recording.begin(PLANE)
+    rows = ["time_boot_s,target_lat_deg,target_lon_deg,uav_lat_deg,uav_lon_deg"]
+    for event, commands, _ in flight(300.0):
+        recording.event(event)
+        for command in commands:
+            recording.command(command)
+        if isinstance(event, PositionReading):
+            target = PLANE.latitude_longitude_deg(*target_at(event.time_s))
+            aircraft = PLANE.latitude_longitude_deg(event.east_m, event.north_m)
+            rows.append(",".join(f"{value:.9f}" for value in (event.time_s, *target, *aircraft)))
+    recording.close()
+    folder.truth.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return folder.path
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Return a headless Chromium that asks nobody for anything; skips where there is none."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    executable = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if executable is None:
+        pytest.skip("no Chromium on this machine (Debian: apt-get install chromium)")
+    flags = [
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-quic",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+    ]
+    with playwright.sync_playwright() as running:
+        launched = running.chromium.launch(executable_path=executable, args=flags)
+        yield launched
+        launched.close()

@@ -1,0 +1,190 @@
+"""The report of a flight: what it shows is what was flown, and it needs nothing but itself."""
+
+from __future__ import annotations
+
+import html
+import math
+import shutil
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from app.commands.report import write_report
+from app.errors import InputError
+from app.report import series
+from app.report.history import AircraftTrack
+from app.report.page import report_page
+from app.report.sources import read_flight
+from app.score import Moment
+
+FIGURES = [
+    "path",
+    "range",
+    "observation-angle",
+    "observation-histogram",
+    "curvature",
+    "course",
+    "estimate-error",
+    "consistency",
+    "uploads",
+]
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture(scope="module")
+def flown(run_folder):
+    return read_flight(run_folder)
+
+
+@pytest.fixture(scope="module")
+def page(flown) -> str:
+    return report_page(flown)
+
+
+class Elements(HTMLParser):
+    """Every element's name and attributes, and the ids."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.found.append((tag, dict(attrs)))
+
+    def values(self, name: str) -> list[str]:
+        return [attributes[name] for _, attributes in self.found if name in attributes]
+
+
+def test_the_page_refers_to_nothing_outside_itself(page):
+    elements = Elements(page)
+    assert "://" not in page
+    assert not {"script", "link", "iframe", "object", "base"} & {tag for tag, _ in elements.found}
+    references = elements.values("href") + elements.values("src")
+    assert references
+    assert all(reference.startswith(("#", "data:image/png;")) for reference in references)
+    assert "url(" not in page.replace("url(#", "")
+
+
+def test_each_id_is_unique_and_each_reference_has_one(page):
+    elements = Elements(page)
+    ids = elements.values("id")
+    assert len(ids) == len(set(ids))
+    assert {reference[1:] for reference in elements.values("href") if reference.startswith("#")} <= set(ids)
+
+
+def test_the_page_is_small(page):
+    assert len(page.encode()) < 1_000_000
+
+
+def test_all_figures_are_there_in_order(page):
+    assert [a["id"] for tag, a in Elements(page).found if tag == "figure"] == FIGURES
+
+
+def test_the_same_flight_gives_the_same_page(page, run_folder):
+    assert report_page(read_flight(run_folder)) == page
+
+
+def test_decisions_are_told_in_words(page, flown):
+    decisions = [one.text for one in flown.history.said if one.kind == "decision"]
+    assert len(decisions) >= len(flown.history.swaps) > 0
+    assert all(html.escape(text) in page for text in decisions)
+
+
+def test_uploads_have_their_times(flown):
+    assert flown.history.swaps
+    for swap in flown.history.swaps:
+        assert swap.ready_s == pytest.approx(swap.prepared_s + 0.4)
+        assert swap.departed_s == pytest.approx(swap.plan.departure_s, abs=0.15)
+
+
+def test_a_cut_off_run_is_judged_by_its_truth(flown):
+    summary = flown.summary
+    assert (summary.outcome, summary.source) == ("cut off", "truth")
+    assert summary.moves == len(flown.history.swaps)
+    ranges_m = series.range_m(flown.history.moments).value
+    assert summary.min_range_m == pytest.approx(ranges_m.min())
+    assert summary.max_range_m == pytest.approx(ranges_m.max())
+    assert 0.1 < summary.estimate_rmse_m < 3.0
+
+
+def test_without_a_truth_the_estimate_judges(run_folder, tmp_path):
+    copy = tmp_path / "run"
+    shutil.copytree(run_folder, copy)
+    (copy / "truth.csv").unlink()
+    flown = read_flight(copy)
+    assert flown.summary.source == "estimate"
+    assert flown.summary.estimate_rmse_m is None
+    assert 'id="estimate-error"' not in report_page(flown)
+
+
+def test_a_journal_cut_in_mid_line_still_makes_a_report(run_folder, tmp_path):
+    copy = tmp_path / "run"
+    shutil.copytree(run_folder, copy)
+    journal = copy / "journal.jsonl"
+    data = journal.read_bytes()
+    journal.write_bytes(data[: len(data) // 2])
+    flown = read_flight(copy)
+    assert flown.history.end_s - flown.history.start_s == pytest.approx(150.0, abs=15.0)
+
+
+def test_the_command_writes_page_and_figures(run_folder, tmp_path):
+    write_report(run_folder, tmp_path / "out.html", tmp_path / "png")
+    assert (tmp_path / "out.html").read_text(encoding="utf-8").startswith("<!doctype html>")
+    figures = {file.stem: file.read_bytes() for file in (tmp_path / "png").iterdir()}
+    assert sorted(figures) == sorted(FIGURES)
+    assert all(data.startswith(PNG_SIGNATURE) for data in figures.values())
+
+
+@pytest.mark.parametrize("name", ["missing", "empty"])
+def test_what_is_no_flight_is_told_in_a_sentence(name, tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=name):
+        write_report(tmp_path / name, tmp_path / "out.html")
+
+
+def test_a_page_that_cannot_be_written_is_told(run_folder, tmp_path):
+    with pytest.raises(InputError, match="--out"):
+        write_report(run_folder, tmp_path / "no" / "folder.html")
+
+
+@pytest.mark.parametrize("clockwise", [True, False])
+def test_curvature_of_a_circle_is_one_over_its_radius(clockwise):
+    sign, time_s = (1.0 if clockwise else -1.0), np.arange(0.0, 60.0, 0.2)
+    course_rad = sign * time_s * 15.0 / 50.0
+    wrapped_rad = np.arctan2(np.sin(course_rad), np.cos(course_rad))
+    still = np.zeros_like(time_s)
+    flown = series.curvature_1_m(AircraftTrack(time_s, still, still, wrapped_rad, still + 15.0))
+    assert flown.value == pytest.approx(np.full(len(flown.value), sign / 50.0), rel=1e-6)
+
+
+def test_the_observation_angle_counts_from_abeam_and_keeps_the_course_through_a_stop(flown):
+    # The target drives north, then stands; left of it is west.
+    places = [(-200.0, 0.0, 3.0), (0.0, 200.0, 3.0), (200.0, 0.0, 3.0), (-200.0, 0.0, 0.0)]
+    moments = tuple(
+        Moment(float(n), east_m, north_m, 0.0, 0.0, 0.0, speed_m_s)
+        for n, (east_m, north_m, speed_m_s) in enumerate(places)
+    )
+    angles = series.observation_rad(replace(flown.history, moments=moments)).value
+    assert angles[0] == pytest.approx(0.0)
+    assert angles[1] == pytest.approx(math.pi / 2)
+    assert abs(angles[2]) == pytest.approx(math.pi)
+    assert angles[3] == pytest.approx(0.0)
+
+
+def test_the_report_opens_offline_in_a_browser(page, tmp_path, browser):
+    file = tmp_path / "report.html"
+    file.write_text(page, encoding="utf-8")
+    shown = browser.new_context(offline=True).new_page()
+    asked: list[str] = []
+    shown.on("request", lambda request: asked.append(request.url))
+    complaints: list[str] = []
+    shown.on("console", lambda message: complaints.append(message.text))
+    shown.goto(file.as_uri())
+    assert asked == [file.as_uri()]
+    assert complaints == []
+    boxes = [shown.locator(f"#{name} svg").bounding_box() for name in FIGURES]
+    assert all(box["width"] > 600 and box["height"] > 150 for box in boxes)
+    shown.context.close()
