@@ -36,7 +36,7 @@ class _Kind:
     def __init__(self, length: int, name: bytes, letters: bytes, fields: bytes) -> None:
         formats = [FORMAT_TO_STRUCT[letter] for letter in _text(letters)]
         self._unpacker = struct.Struct("<" + "".join(code for code, _, _ in formats))
-        self._scales = [scale for _, scale, _ in formats]
+        self._divisors = [None if scale is None else round(1.0 / scale) for _, scale, _ in formats]
         self._field_names = _text(fields).split(",")
         self.name = _text(name)
         self.length = length
@@ -47,7 +47,8 @@ class _Kind:
         """Return the entry at ``position``; None for those without a time."""
         values = self._unpacker.unpack_from(data, position + 3)
         scaled = (
-            value if scale is None else value * scale for value, scale in zip(values, self._scales, strict=True)
+            value if divisor is None else value / divisor
+            for value, divisor in zip(values, self._divisors, strict=True)
         )
         fields: dict[str, Any] = dict(zip(self._field_names, scaled, strict=True))
         instance = next((fields[name] for name in _INSTANCE_NAMES if name in fields), 0)

@@ -39,7 +39,7 @@ class Px4Messages:
         }
         self._home_altitude_m = math.nan
         self._local: Mapping[str, Any] = {}
-        self._global_us = -math.inf
+        self._global_us: int | None = None  # when the latest global position came, at first when one could have
         self._boot_s = 0.0
 
     @property
@@ -72,6 +72,8 @@ class Px4Messages:
         self._local = fields = entry.fields
         if math.isnan(self._home_altitude_m) and fields["z_global"]:
             self._home_altitude_m = fields["ref_alt"]
+        if self._global_us is None:
+            self._global_us = entry.time_us
         if fields["xy_global"] and entry.time_us - self._global_us > _GLOBAL_POSITION_SILENCE_US:
             plane = LocalPlane(fields["ref_lat"], fields["ref_lon"])
             latitude_deg, longitude_deg = plane.latitude_longitude_deg(fields["y"], fields["x"])

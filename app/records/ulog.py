@@ -22,6 +22,7 @@ MAGIC = b"ULog\x01\x12\x35"
 
 _FILE_HEADER = MAGIC + b"\x01" + bytes(8)
 _HEADER_BYTES = 3  # size of the body, then the type's letter
+_DATA_HEADER_BYTES = _HEADER_BYTES + 2  # and the topic's number
 _MARGIN_BYTES = _HEADER_BYTES + (1 << 16)
 _DEFINITION_MAX_BYTES, _SUBSCRIPTION_MAX_BYTES = 1 << 13, 1 << 8
 _DEFINITION = re.compile(rb"([\w/-]+):(?:[\w/-]+(?:\[\d+\])? \w+;)+")
@@ -35,8 +36,8 @@ class _Salvage:
         self._definitions: dict[bytes, bytes] = {}
         self._subscriptions: dict[bytes, bytes] = {}
 
-    def read(self, window: Window) -> ULog:
-        """Return what there is of the wanted topics in a window."""
+    def read(self, window: Window) -> Iterator[tuple[ULog.Data, list[int]]]:
+        """Yield what there is of the wanted topics in a window, each with the positions of its entries."""
         for _, message in _messages(window.data, b"F", _DEFINITION_MAX_BYTES):
             definition = _DEFINITION.fullmatch(message, _HEADER_BYTES)
             if definition:
@@ -45,14 +46,20 @@ class _Salvage:
             number, name = message[4:6], message[6:]
             if name in self._definitions and (self._wanted is None or name in self._wanted):
                 self._subscriptions[number] = message
-        data = sorted(
-            (position, message)
+        data = {
+            number: [
+                (position, message)
+                for position, message in _messages(window.data, b"D" + number, _MARGIN_BYTES)
+                if window.own_begin <= position < window.own_end
+            ]
             for number in self._subscriptions
-            for position, message in _messages(window.data, b"D" + number, _MARGIN_BYTES)
-            if window.own_begin <= position < window.own_end
-        )
-        whole = [*self._definitions.values(), *self._subscriptions.values(), *(message for _, message in data)]
-        return ULog(io.BytesIO(_FILE_HEADER + b"".join(whole)))
+        }
+        whole = [*self._definitions.values(), *self._subscriptions.values()]
+        whole += [message for several in data.values() for _, message in several]
+        for topic in ULog(io.BytesIO(_FILE_HEADER + b"".join(whole))).data_list:
+            size = _DATA_HEADER_BYTES + sum(column.itemsize for column in topic.data.values())
+            found = data[topic.msg_id.to_bytes(2, "little")]
+            yield topic, [position for position, message in found if len(message) == size]
 
 
 def _messages(data: bytes, opening: bytes, longest_bytes: int) -> Iterator[tuple[int, bytes]]:
@@ -74,13 +81,14 @@ def read_ulog(path: Path, wanted: Collection[str], progress: Progress | None = N
     """
     salvage = _Salvage(wanted)
     for window in windows(path, _MARGIN_BYTES, progress):
-        entries = []
-        for topic in salvage.read(window).data_list:
-            times_us = topic.data["timestamp"].tolist()
+        placed = []
+        for topic, positions in salvage.read(window):
             columns = [column.tolist() for column in topic.data.values()]
-            for time_us, *values in zip(times_us, *columns, strict=True):
-                entries.append(Entry(time_us, topic.name, topic.multi_id, dict(zip(topic.data, values, strict=True))))
-        yield from in_order(entries)
+            for position, *values in zip(positions, *columns, strict=True):
+                fields = dict(zip(topic.data, values, strict=True))
+                placed.append((position, Entry(fields["timestamp"], topic.name, topic.multi_id, fields)))
+        placed.sort(key=lambda one: one[0])
+        yield from in_order(entry for _, entry in placed)
 
 
 def ulog_contents(path: Path, progress: Progress | None = None) -> Counter[str]:
@@ -88,6 +96,6 @@ def ulog_contents(path: Path, progress: Progress | None = None) -> Counter[str]:
     salvage = _Salvage(None)
     counts: Counter[str] = Counter()
     for window in windows(path, _MARGIN_BYTES, progress):
-        for topic in salvage.read(window).data_list:
-            counts[topic.name] += len(topic.data["timestamp"])
+        for topic, positions in salvage.read(window):
+            counts[topic.name] += len(positions)
     return counts

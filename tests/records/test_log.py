@@ -1,0 +1,397 @@
+"""One flight written as tlog, ULog and DataFlash log gives the same readings; damage costs only what it hits."""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+from collections.abc import Iterable
+from itertools import accumulate
+from pathlib import Path
+
+import pytest
+from pymavlink import DFReader
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pyulog import ULog
+
+from app.errors import InputError
+from app.records import windows
+from app.records.dataflash import read_dataflash
+from app.records.log import open_log
+from app.records.ulog import read_ulog
+from app.telemetry import Telemetry
+from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
+from mission.events import WindReported
+
+# The flight: one tenth of a second a step, from 10 s after boot.
+STEPS = 300
+HOME_ALTITUDE_M, HEIGHT_M, RANGE_M = 488.0, 120.0, 250.0
+SIGHT_WXYZ = (0.5, 0.5, -0.5, 0.5)
+WIND_NORTH_M_S, WIND_EAST_M_S = 3.0, -1.0
+
+
+def time_us(i: int) -> int:
+    return 10_000_000 + 100_000 * i
+
+
+def latitude_e7(i: int) -> int:
+    return 473_977_418 + 100 * i
+
+
+LONGITUDE_E7 = 85_455_940
+ROLL_RAD, PITCH_RAD, YAW_RAD = 0.5, -0.1, 2.0
+QUATERNION = (
+    math.cos(ROLL_RAD / 2) * math.cos(PITCH_RAD / 2) * math.cos(YAW_RAD / 2)
+    + math.sin(ROLL_RAD / 2) * math.sin(PITCH_RAD / 2) * math.sin(YAW_RAD / 2),
+    math.sin(ROLL_RAD / 2) * math.cos(PITCH_RAD / 2) * math.cos(YAW_RAD / 2)
+    - math.cos(ROLL_RAD / 2) * math.sin(PITCH_RAD / 2) * math.sin(YAW_RAD / 2),
+    math.cos(ROLL_RAD / 2) * math.sin(PITCH_RAD / 2) * math.cos(YAW_RAD / 2)
+    + math.sin(ROLL_RAD / 2) * math.cos(PITCH_RAD / 2) * math.sin(YAW_RAD / 2),
+    math.cos(ROLL_RAD / 2) * math.cos(PITCH_RAD / 2) * math.sin(YAW_RAD / 2)
+    - math.sin(ROLL_RAD / 2) * math.sin(PITCH_RAD / 2) * math.cos(YAW_RAD / 2),
+)
+
+
+# -- the three writers, each after its format's published description ----------------------------------------
+
+
+def tlog_pieces(sender, stamped) -> list[bytes]:
+    mav = sender()
+    frames = []
+    for i in range(STEPS):
+        ms = time_us(i) // 1000
+        frames += [
+            mav.frame(dialect.MAVLink_attitude_message(ms, ROLL_RAD, PITCH_RAD, YAW_RAD, 0, 0, 0)),
+            mav.frame(
+                dialect.MAVLink_global_position_int_message(
+                    ms,
+                    latitude_e7(i),
+                    LONGITUDE_E7,
+                    round(1000 * (HOME_ALTITUDE_M + HEIGHT_M)),
+                    round(1000 * HEIGHT_M),
+                    1500,
+                    -200,
+                    50,
+                    0,
+                )
+            ),
+            mav.frame(
+                dialect.MAVLink_distance_sensor_message(
+                    ms, 0, 60_000, round(100 * RANGE_M), 0, 0, 100, 255, 0.0, 0.0, [0.0] * 4, 90
+                )
+            ),
+            mav.frame(
+                dialect.MAVLink_gimbal_device_attitude_status_message(
+                    0, 0, ms, 4 | 8 | 16 | 64, SIGHT_WXYZ, 0.0, 0.0, 0.0, 0, gimbal_device_id=1
+                )
+            ),
+            mav.frame(dialect.MAVLink_wind_cov_message(1000 * ms, WIND_NORTH_M_S, WIND_EAST_M_S, 0, 0, 0, 0, 0, 0)),
+        ]
+    return stamped(frames)
+
+
+ULOG_TOPICS = {
+    "home_position": ("uint64_t timestamp;double lat;double lon;float alt;", "<Qddf"),
+    "vehicle_local_position": (
+        "uint64_t timestamp;double ref_lat;double ref_lon;float ref_alt;float x;float y;float z;"
+        "float vx;float vy;float vz;bool xy_global;bool z_global;uint8_t[2] _padding0;",
+        "<Qddfffffff??",
+    ),
+    "vehicle_global_position": ("uint64_t timestamp;double lat;double lon;float alt;uint8_t[4] _padding0;", "<Qddf"),
+    "vehicle_attitude": ("uint64_t timestamp;float[4] q;", "<Q4f"),
+    "distance_sensor": (
+        "uint64_t timestamp;float min_distance;float max_distance;float current_distance;float variance;"
+        "int8_t signal_quality;uint8_t type;float[4] q;uint8_t orientation;",
+        "<QffffbB4fB",
+    ),
+    "gimbal_device_attitude_status": (
+        "uint64_t timestamp;uint16_t device_flags;float[4] q;uint8_t gimbal_device_id;",
+        "<QH4fB",
+    ),
+    "wind": ("uint64_t timestamp;float windspeed_north;float windspeed_east;", "<Qff"),
+    "sensor_combined": ("uint64_t timestamp;float[3] gyro_rad;", "<Q3f"),
+}
+
+
+def ulog_message(letter: bytes, body: bytes) -> bytes:
+    return struct.pack("<H", len(body)) + letter + body
+
+
+def ulog_pieces(steps: int = STEPS) -> list[bytes]:
+    names = list(ULOG_TOPICS)
+    pieces = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", time_us(0))]
+    pieces += [ulog_message(b"F", f"{name}:{fields}".encode()) for name, (fields, _) in ULOG_TOPICS.items()]
+    pieces += [ulog_message(b"A", struct.pack("<BH", 0, i) + name.encode()) for i, name in enumerate(names)]
+
+    def data(name: str, *values: float) -> bytes:
+        return ulog_message(b"D", struct.pack("<H", names.index(name)) + struct.pack(ULOG_TOPICS[name][1], *values))
+
+    home = (latitude_e7(0) * 1e-7, LONGITUDE_E7 * 1e-7, HOME_ALTITUDE_M)
+    pieces.append(data("home_position", time_us(0), *home))
+    for i in range(steps):
+        us = time_us(i)
+        latitude_deg, longitude_deg = latitude_e7(i) * 1e-7, LONGITUDE_E7 * 1e-7
+        pieces += [
+            data("vehicle_attitude", us, *QUATERNION),
+            data("sensor_combined", us, 0.1, 0.2, 0.3),
+            data("vehicle_local_position", us, *home, 0.0, 0.0, -HEIGHT_M, 15.0, -2.0, 0.5, True, True),
+            data("vehicle_global_position", us, latitude_deg, longitude_deg, HOME_ALTITUDE_M + HEIGHT_M),
+            data("distance_sensor", us, 0.0, 600.0, RANGE_M, math.nan, 90, 0, 0.0, 0.0, 0.0, 0.0, 100),
+            data("gimbal_device_attitude_status", us, 4 | 8 | 16 | 64, *SIGHT_WXYZ, 1),
+            data("wind", us, WIND_NORTH_M_S, WIND_EAST_M_S),
+        ]
+        if i % 100 == 50:
+            pieces.append(ulog_message(b"S", bytes.fromhex("2f7313 20250cbb12")))
+    return pieces
+
+
+DATAFLASH_KINDS = {
+    "FMT": (0x80, "BBnNZ", "Type,Length,Name,Format,Columns", "<BB4s16s64s"),
+    "GPS": (1, "QBIHff f".replace(" ", ""), "TimeUS,Status,GMS,GWk,Spd,GCrs,VZ", "<QBIHfff"),
+    "XKF1": (2, "QBfff", "TimeUS,C,VN,VE,VD", "<QBfff"),
+    "POS": (3, "QLLfff", "TimeUS,Lat,Lng,Alt,RelHomeAlt,RelOriginAlt", "<Qiifff"),
+    "ATT": (4, "QccC", "TimeUS,Roll,Pitch,Yaw", "<QhhH"),
+    "RFND": (5, "QBCBBb", "TimeUS,Instance,Dist,Stat,Orient,Quality", "<QBHBBb"),
+    "MNT": (6, "QBfff", "TimeUS,I,Roll,Pitch,YawE", "<QBfff"),
+    "XKF2": (7, "QBff", "TimeUS,C,VWN,VWE", "<QBff"),
+    "IMU": (8, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ", "<QBffffff"),
+}
+
+
+def dataflash_entry(name: str, *values: float | bytes) -> bytes:
+    number, _, _, code = DATAFLASH_KINDS[name]
+    return b"\xa3\x95" + bytes([number]) + struct.pack(code, *values)
+
+
+def dataflash_pieces(steps: int = STEPS) -> list[bytes]:
+    pieces = [
+        dataflash_entry("FMT", number, 3 + struct.calcsize(code), name.encode(), letters.encode(), fields.encode())
+        for name, (number, letters, fields, code) in DATAFLASH_KINDS.items()
+    ]
+    yaw_deg, pitch_deg, roll_deg = 90.0, 0.0, 90.0  # SIGHT_WXYZ is found again from these below
+    for i in range(steps):
+        us = time_us(i)
+        altitudes = (HOME_ALTITUDE_M + HEIGHT_M, HEIGHT_M, HEIGHT_M)
+        angles = (math.degrees(ROLL_RAD), math.degrees(PITCH_RAD), math.degrees(YAW_RAD))
+        pieces += [
+            dataflash_entry("ATT", us, *(round(100 * angle) for angle in angles)),
+            dataflash_entry("IMU", us, 0, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8),
+            dataflash_entry("XKF1", us, 0, 15.0, -2.0, 0.5),
+            dataflash_entry("XKF1", us, 1, 99.0, 99.0, 99.0),
+            dataflash_entry("POS", us, latitude_e7(i), LONGITUDE_E7, *altitudes),
+            dataflash_entry("RFND", us, 0, round(100 * RANGE_M), 4, 100, 90),
+            dataflash_entry("MNT", us, 0, roll_deg, pitch_deg, yaw_deg),
+            dataflash_entry("XKF2", us, 0, WIND_NORTH_M_S, WIND_EAST_M_S),
+        ]
+    return pieces
+
+
+# -- what they come to --------------------------------------------------------------------------------------
+
+
+def readings(path: Path) -> dict[type, list]:
+    telemetry = Telemetry()
+    found: dict[type, list] = {}
+    for message in open_log(path).messages(telemetry.wanted):
+        event = telemetry.event(message)
+        if event is not None:
+            found.setdefault(type(event), []).append(event)
+    return found
+
+
+@pytest.fixture
+def tlog(tmp_path, sender, stamped) -> Path:
+    return write(tmp_path / "flight.tlog", tlog_pieces(sender, stamped))
+
+
+@pytest.fixture
+def ulog(tmp_path) -> Path:
+    return write(tmp_path / "flight.ulg", ulog_pieces())
+
+
+@pytest.fixture
+def dataflash(tmp_path) -> Path:
+    return write(tmp_path / "flight.bin", dataflash_pieces())
+
+
+def write(path: Path, pieces: Iterable[bytes]) -> Path:
+    path.write_bytes(b"".join(pieces))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["tlog", "ulog", "dataflash"])
+def test_every_kind_gives_the_readings_of_the_flight(kind, request):
+    found = readings(request.getfixturevalue(kind))
+    positions, attitudes, ranges, sights = (
+        found[one] for one in (PositionReading, AttitudeReading, RangeReading, GimbalReading)
+    )
+    assert [len(one) for one in (positions, attitudes, ranges, sights)] == [STEPS] * 4
+    times_s = [time_us(i) * 1e-6 for i in range(STEPS)]
+    for several in (positions, attitudes, ranges, sights):
+        assert [one.time_s for one in several] == pytest.approx(times_s, abs=1e-6)
+    assert [p.north_m for p in positions] == pytest.approx([100 * i * 1e-7 * 111_180 for i in range(STEPS)], abs=0.02)
+    last = positions[-1]
+    assert (last.height_m, last.velocity_east_m_s, last.velocity_north_m_s, last.velocity_up_m_s) == pytest.approx(
+        (HEIGHT_M, -2.0, 15.0, -0.5), abs=1e-3
+    )
+    assert (attitudes[0].roll_rad, attitudes[0].pitch_rad, attitudes[0].yaw_rad) == pytest.approx(
+        (ROLL_RAD, PITCH_RAD, YAW_RAD), abs=1e-4
+    )
+    assert {r.slant_range_m for r in ranges} == {RANGE_M}
+    assert {r.quality for r in ranges} == {0.9}
+    assert {r.source.orientation for r in ranges} == {100}
+    assert {s.frame for s in sights} == {"earth"}
+    wind = found[WindReported][-1]
+    assert (wind.north_m_s, wind.east_m_s) == pytest.approx((WIND_NORTH_M_S, WIND_EAST_M_S))
+
+
+def test_px4_without_global_positions_gives_them_from_the_local_ones(tmp_path):
+    number = list(ULOG_TOPICS).index("vehicle_global_position")
+    logged = [piece for piece in ulog_pieces() if piece[2:5] != b"D" + struct.pack("<H", number)]
+    positions = readings(write(tmp_path / "flight.ulg", logged))[PositionReading]
+    assert len(positions) == STEPS - 11  # the first second it could still come
+    assert (positions[0].east_m, positions[0].north_m, positions[0].height_m) == pytest.approx(
+        (0, 0, HEIGHT_M), abs=0.02
+    )
+
+
+def test_a_sight_from_mount_angles_is_the_rotation_by_yaw_pitch_roll(dataflash):
+    # Yaw 90 deg, then roll 90 deg: q = (cos 45, 0, 0, sin 45) * (cos 45, sin 45, 0, 0) = (1, 1, 1, 1) / 2.
+    assert readings(dataflash)[GimbalReading][0].quaternion_wxyz == pytest.approx((0.5, 0.5, 0.5, 0.5))
+
+
+def test_entries_are_those_of_pyulog(ulog):
+    topics = ["vehicle_attitude", "distance_sensor"]
+    ours = list(read_ulog(ulog, topics))
+    for topic in ULog(str(ulog), topics).data_list:
+        found = [entry.fields for entry in ours if entry.name == topic.name]
+        assert len(found) == STEPS
+        for name, column in topic.data.items():
+            assert [repr(fields[name]) for fields in found] == [repr(value) for value in column.tolist()]
+
+
+def test_entries_are_those_of_pymavlinks_dataflash_reader(dataflash):
+    ours = [(entry.name, dict(entry.fields)) for entry in read_dataflash(dataflash, ["POS", "ATT", "RFND"])]
+    reader = DFReader.DFReader_binary(str(dataflash))
+    theirs = []
+    while (m := reader.recv_match(type=["POS", "ATT", "RFND"])) is not None:
+        theirs.append((m.get_type(), {name: getattr(m, name) for name in m.get_fieldnames()}))
+    assert len(ours) == 3 * STEPS
+    assert ours == theirs
+
+
+@pytest.mark.parametrize(
+    ("pieces", "read", "topics"),
+    [
+        (ulog_pieces, read_ulog, list(ULOG_TOPICS)),
+        (dataflash_pieces, read_dataflash, [name for name in DATAFLASH_KINDS if name != "FMT"]),
+    ],
+    ids=["ulog", "dataflash"],
+)
+class TestDamage:
+    """Neither format has checksums: a frame that was hit may come back changed, a whole one never goes."""
+
+    def test_cut_at_any_byte_all_whole_entries_are_read(self, tmp_path, pieces, read, topics):
+        rng = random.Random(1)
+        several = pieces(60)
+        whole, path = b"".join(several), tmp_path / "log"
+        every = read_all(read, write(path, several), topics)
+        ends = [end for piece, end in zip(several, accumulate(map(len, several)), strict=True) if is_data(piece)]
+        assert len(every) == len(ends)
+        for cut in rng.sample(range(len(whole)), 200):
+            path.write_bytes(whole[:cut])
+            assert read_all(read, path, topics) == every[: sum(end <= cut for end in ends)]
+
+    def test_damage_costs_only_the_entries_it_hits(self, tmp_path, pieces, read, topics):
+        rng = random.Random(2)
+        several = pieces(60)
+        whole, path = b"".join(several), tmp_path / "log"
+        every = read_all(read, write(path, several), topics)
+        spans = [
+            (end - len(piece), end)
+            for piece, end in zip(several, accumulate(map(len, several)), strict=True)
+            if is_data(piece)
+        ]
+        for _ in range(200):
+            begin, length = rng.randrange(spans[0][0], len(whole)), rng.choice([1, 1, 2, 8, 100])
+            path.write_bytes(whole[:begin] + rng.randbytes(length) + whole[begin + length :])
+            untouched = {
+                entry
+                for entry, (first, end) in zip(every, spans, strict=True)
+                if end <= begin or begin + length <= first
+            }
+            found = set(read_all(read, path, topics))
+            assert untouched <= found
+            assert len(found - untouched) <= len(every) - len(untouched)
+
+    def test_damage_to_the_definitions_is_no_traceback(self, tmp_path, pieces, read, topics):
+        rng = random.Random(3)
+        whole, path = b"".join(pieces(60)), tmp_path / "log"
+        for _ in range(50):
+            begin = rng.randrange(600)
+            path.write_bytes(whole[:begin] + rng.randbytes(8) + whole[begin + 8 :])
+            open_log(path)
+            read_all(read, path, topics)
+
+    def test_entries_on_the_seams_of_the_windows_are_read_once(self, tmp_path, pieces, read, topics, monkeypatch):
+        path = write(tmp_path / "log", pieces())
+        at_once = sorted(read_all(read, path, topics))
+        for window_bytes in (1000, 4099):
+            monkeypatch.setattr(windows, "WINDOW_BYTES", window_bytes)
+            assert sorted(read_all(read, path, topics)) == at_once
+
+
+def read_all(read, path: Path, topics: list[str]) -> list[str]:
+    return [repr(entry) for entry in read(path, topics)]
+
+
+def is_data(piece: bytes) -> bool:
+    return piece[2:3] == b"D" if piece[:2] != b"\xa3\x95" else piece[2] != 0x80
+
+
+def test_an_entry_with_a_damaged_time_is_dropped(tmp_path):
+    pieces = dataflash_pieces()
+    changed = bytearray(pieces[100])
+    changed[9] ^= 0x40  # of its time, in the 49th bit
+    pieces[100] = bytes(changed)
+    path = write(tmp_path / "flight.bin", pieces)
+    assert len(list(read_dataflash(path, list(DATAFLASH_KINDS)))) == 8 * STEPS - 1
+
+
+# -- what is no log -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["tlog", "ulog", "dataflash"])
+def test_the_kind_is_seen_from_the_content(kind, request, tmp_path):
+    original = request.getfixturevalue(kind)
+    renamed = original.rename(tmp_path / "flight.txt")
+    names = {"tlog": "tlog", "ulog": "ULog", "dataflash": "DataFlash log"}
+    assert open_log(renamed).kind == names[kind]
+    damaged = bytes(7) + renamed.read_bytes()[7:]
+    renamed.write_bytes(damaged)
+    assert open_log(renamed).kind == names[kind]
+
+
+@pytest.mark.parametrize(("content", "words"), [
+    (b"", "is empty"),
+    (b"just some text\n" * 100, "is no log"),
+    (random.Random(6).randbytes(50_000), "is no log"),
+])  # fmt: skip
+def test_what_is_no_log_is_an_input_error(tmp_path, content, words):
+    path = write(tmp_path / "flight.tlog", [content])
+    with pytest.raises(InputError, match=words):
+        open_log(path)
+
+
+def test_what_cannot_be_read_is_an_input_error(tmp_path):
+    for path in (tmp_path / "missing.tlog", tmp_path):
+        with pytest.raises(InputError, match="cannot be read"):
+            open_log(path)
+
+
+def test_a_log_tells_what_was_looked_for_and_what_it_has(ulog, tmp_path, sender, stamped):
+    sentence = open_log(ulog).looked_for()
+    assert "a slant range (distance_sensor) and a line of sight (gimbal_device_attitude_status);" in sentence
+    assert "vehicle_attitude (300)" in sentence
+    path = write(tmp_path / "b.tlog", stamped([sender().heartbeat(), sender(component=2).heartbeat()]))
+    assert open_log(path).looked_for().endswith("the tlog has HEARTBEAT (2)")
