@@ -100,7 +100,9 @@ class Performer:
     async def _prepare(self, command: Prepare) -> None:
         assert self._slots is not None
         try:
-            slots = self._slots.with_line(self.line(replace(command.plan, circle=command.commanded)))
+            # Laying out waypoints simulates how they are flown: some tens of milliseconds, beside the loop.
+            line = await asyncio.to_thread(self.line, replace(command.plan, circle=command.commanded))
+            slots = self._slots.with_line(line)
             result = await self._upload(slots, current=self._flown_index())
         except (LinkError, UnflyableError) as error:
             self._say(command.number, "failed", str(error))
