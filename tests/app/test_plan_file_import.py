@@ -1,0 +1,58 @@
+"""A .plan file of ours, read by MAVSDK's own importer, which only works while a vehicle is connected."""
+
+import asyncio
+from pathlib import Path
+
+import pytest
+from mavsdk.asyncio import Configuration, Mavsdk
+from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
+
+from app.config import Config
+from app.simulated import SimulatedVehicle
+from estimators.frames import LocalPlane
+from mission.circle import Circle
+from mission.items import Item, mission_items, plan_items
+from mission.plan import Plan
+from mission.plan_file import plan_file
+from mission.transition import abcd
+
+PLANE = LocalPlane(47.4, 8.5)
+OUTLINE = [(-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.0, 900.0)]
+
+
+def items() -> tuple[Item, ...]:
+    present, new = Circle(0.0, 100.0, 65.0, False), Circle(430.0, 100.0, 65.0, False)
+    return mission_items(present, plan_items(Plan(new, abcd(present, new)), PLANE, 80.0, 15.0), PLANE, 80.0)
+
+
+async def imported(autopilot: str, text: str, truth: Path):
+    config = Config.model_validate({"simulation": {"autopilot": autopilot, "speed": 1.0}})
+    async with SimulatedVehicle(config, truth) as vehicle:
+        instance = Mavsdk(Configuration.create_manual(245, 190, True))
+        try:
+            await instance.add_any_connection(vehicle.url)
+            system = await instance.first_autopilot(20.0)
+            assert system is not None
+            return await asyncio.wait_for(
+                MissionRawAsync(system).import_qgroundcontrol_mission_from_string(text), 20.0
+            )
+        finally:
+            instance.destroy()
+
+
+@pytest.mark.udp
+@pytest.mark.parametrize("autopilot", ["px4", "arduplane"])
+def test_mavsdk_reads_the_items_back(autopilot: str, tmp_path: Path) -> None:
+    text = plan_file(items(), PLANE, 430.0, 15.0, autopilot, [OUTLINE])
+    data = asyncio.run(imported(autopilot, text, tmp_path / "truth.csv"))
+    read = data.mission_items
+    if autopilot == "arduplane":  # the importer puts home first, as ArduPilot wants it
+        home, *read = read
+        assert (home.x, home.y) == (474000000, 85000000)
+    assert len(read) == len(items())
+    for item, raw in zip(items(), read, strict=True):
+        assert (raw.command, raw.frame, raw.autocontinue) == (item.command, item.frame, 1)
+        assert (raw.param2, raw.param3) == (item.param2, item.param3)
+        assert raw.x == pytest.approx(item.latitude_deg * 1e7, abs=1.0)
+        assert raw.y == pytest.approx(item.longitude_deg * 1e7, abs=1.0)
+        assert raw.z == pytest.approx(80.0)
