@@ -1,0 +1,265 @@
+"""A flight in the formats of other programs: tracks for maps, mission items for ground stations."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+from app.errors import InputError
+from app.records.track import Flight, sigma_m
+from mission.items import FRAME_GLOBAL, NAV_WAYPOINT, Item
+
+_GPX = "http://www.topografix.com/GPX/1/1"
+_KML = "http://www.opengis.net/kml/2.2"
+_KML_EXTENSION = "http://www.google.com/kml/ext/2.2"
+
+
+class Format(StrEnum):
+    """Mission Planner's waypoints (WPL 110), tracks and circles for Google Earth (KML), GIS, tables and GPS tools."""
+
+    WAYPOINTS = "waypoints"
+    KML = "kml"
+    GEOJSON = "geojson"
+    CSV = "csv"
+    GPX = "gpx"
+
+
+def export(flight: Flight, wanted: Format, out: Path) -> None:
+    """Write the flight to ``out``.
+
+    Raises InputError when the flight has nothing to write in this format or the file cannot be written.
+    """
+    if wanted is Format.WAYPOINTS and not flight.items:
+        raise InputError(f"{flight.name} has no mission items, so there are no waypoints to export.")
+    if wanted is not Format.WAYPOINTS and len(flight.aircraft) < 2:
+        raise InputError(f"{flight.name} has fewer than two positions, so there is no track to export.")
+    try:
+        out.write_text(_WRITERS[wanted](flight), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{out} cannot be written: {error.strerror}.") from error
+
+
+# -- mission items ------------------------------------------------------------------------------------------
+
+
+def _waypoints(flight: Flight) -> str:
+    # Mission Planner takes the first line for home, whatever it says.
+    home = Item(NAV_WAYPOINT, FRAME_GLOBAL, *flight.degrees(0.0, 0.0), height_m=flight.home_altitude_m or 0.0)
+    lines = ["QGC WPL 110"]
+    for sequence, item in enumerate((home, *flight.items)):
+        parameters = (item.param1, item.param2, item.param3, item.param4)
+        values = (
+            *(sequence, int(sequence == 0), item.frame, item.command),
+            *(f"{value:.8f}" for value in (*parameters, item.latitude_deg, item.longitude_deg)),
+            *(f"{item.height_m:.6f}", int(item.autocontinue)),
+        )
+        lines.append("\t".join(map(str, values)))
+    return "\n".join(lines) + "\n"
+
+
+# -- tables -------------------------------------------------------------------------------------------------
+
+
+def _csv(flight: Flight) -> str:
+    """One row a moment; ``what`` is aircraft, target (estimated) or circle (its centre, since then)."""
+    text = io.StringIO()
+    names = "time_s utc what latitude_deg longitude_deg height_m velocity_east_m_s velocity_north_m_s sigma_m quality"
+    writer = csv.DictWriter(text, [*names.split(), "radius_m", "clockwise"], restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(sorted(_rows(flight), key=lambda row: row["time_s"]))
+    return text.getvalue()
+
+
+def _rows(flight: Flight) -> Iterator[dict[str, Any]]:
+    def row(what: str, time_s: float, east_m: float, north_m: float, **values: Any) -> dict[str, Any]:
+        latitude_deg, longitude_deg = flight.degrees(east_m, north_m)
+        return {
+            "time_s": round(time_s, 6),
+            "utc": flight.utc(time_s) or "",
+            "what": what,
+            "latitude_deg": f"{latitude_deg:.8f}",
+            "longitude_deg": f"{longitude_deg:.8f}",
+            **{name: round(value, 3) if isinstance(value, float) else value for name, value in values.items()},
+        }
+
+    for since_s, circle in flight.circles:
+        yield row(
+            "circle",
+            since_s,
+            circle.east_m,
+            circle.north_m,
+            radius_m=circle.radius_m,
+            clockwise=int(circle.clockwise),
+        )
+    for p in flight.aircraft:
+        yield row(
+            "aircraft",
+            p.time_s,
+            p.east_m,
+            p.north_m,
+            height_m=p.height_m,
+            velocity_east_m_s=p.velocity_east_m_s,
+            velocity_north_m_s=p.velocity_north_m_s,
+        )
+    for e in flight.estimates:
+        yield row(
+            "target",
+            e.time_s,
+            e.east_m,
+            e.north_m,
+            velocity_east_m_s=e.velocity_east_m_s,
+            velocity_north_m_s=e.velocity_north_m_s,
+            sigma_m=sigma_m(e),
+            quality=e.quality.value,
+        )
+
+
+# -- maps ---------------------------------------------------------------------------------------------------
+
+
+def _geojson(flight: Flight) -> str:
+    def feature(name: str, kind: str, coordinates: list[Any], **properties: Any) -> dict[str, Any]:
+        return {
+            "type": "Feature",
+            "properties": {"name": name, **properties},
+            "geometry": {"type": kind, "coordinates": coordinates},
+        }
+
+    def line(name: str, moments: list[tuple[float, list[float]]]) -> dict[str, Any]:
+        times_s = [time_s for time_s, _ in moments]
+        utc = [flight.utc(time_s) for time_s in times_s] if flight.booted else None
+        return feature(name, "LineString", [place for _, place in moments], time_s=times_s, utc=utc)
+
+    def place(east_m: float, north_m: float, *height_m: float) -> list[float]:
+        latitude_deg, longitude_deg = flight.degrees(east_m, north_m)
+        return [longitude_deg, latitude_deg, *(round(value, 3) for value in height_m)]
+
+    # Heights are above home where its altitude is not known; the property says so.
+    base_m = flight.home_altitude_m
+    aircraft = line(
+        "aircraft",
+        [(p.time_s, place(p.east_m, p.north_m, p.height_m + (base_m or 0.0))) for p in flight.aircraft],
+    )
+    aircraft["properties"]["height_above"] = "home" if base_m is None else "sea level"
+    features = [aircraft]
+    if len(flight.estimates) > 1:
+        features.append(line("target", [(e.time_s, place(e.east_m, e.north_m)) for e in flight.estimates]))
+    for since_s, circle in flight.circles:
+        corners = [[longitude_deg, latitude_deg] for latitude_deg, longitude_deg in flight.ring(circle)]
+        # A polygon's outer ring runs counter-clockwise (RFC 7946).
+        ring = corners[::-1] if circle.clockwise else corners
+        features.append(
+            feature(
+                "circle",
+                "Polygon",
+                [ring],
+                since_s=since_s,
+                since_utc=flight.utc(since_s),
+                radius_m=circle.radius_m,
+                clockwise=circle.clockwise,
+            )
+        )
+    return json.dumps({"type": "FeatureCollection", "features": features}, separators=(",", ":")) + "\n"
+
+
+def _gpx(flight: Flight) -> str:
+    root = Xml.Element("gpx", {"xmlns": _GPX, "version": "1.1", "creator": "sidelong"})
+    base_m = flight.home_altitude_m
+    aircraft = [
+        (p.time_s, p.east_m, p.north_m, None if base_m is None else base_m + p.height_m) for p in flight.aircraft
+    ]
+    target = [(e.time_s, e.east_m, e.north_m, None) for e in flight.estimates]
+    for name, moments in (("aircraft", aircraft), ("target", target)):
+        if not moments:
+            continue
+        track = Xml.SubElement(root, "trk")
+        Xml.SubElement(track, "name").text = name
+        segment = Xml.SubElement(track, "trkseg")
+        for time_s, east_m, north_m, altitude_m in moments:
+            latitude_deg, longitude_deg = flight.degrees(east_m, north_m)
+            position = {"lat": f"{latitude_deg:.8f}", "lon": f"{longitude_deg:.8f}"}
+            point = Xml.SubElement(segment, "trkpt", position)
+            if altitude_m is not None:
+                Xml.SubElement(point, "ele").text = f"{altitude_m:.3f}"
+            utc = flight.utc(time_s)
+            if utc is not None:
+                Xml.SubElement(point, "time").text = utc
+    return _document(root)
+
+
+def _kml(flight: Flight) -> str:
+    root = Xml.Element("kml", {"xmlns": _KML, "xmlns:gx": _KML_EXTENSION})
+    document = Xml.SubElement(root, "Document")
+    Xml.SubElement(document, "name").text = flight.name
+    for name, colour in (("aircraft", "ff0080ff"), ("target", "ff0000ff"), ("circle", "ffffaa00")):
+        style = Xml.SubElement(Xml.SubElement(document, "Style", {"id": name}), "LineStyle")
+        Xml.SubElement(style, "color").text = colour
+        Xml.SubElement(style, "width").text = "2"
+    _kml_track(
+        document,
+        flight,
+        "aircraft",
+        "relativeToGround",
+        [(p.time_s, p.east_m, p.north_m, p.height_m) for p in flight.aircraft],
+    )
+    _kml_track(
+        document, flight, "target", "clampToGround", [(e.time_s, e.east_m, e.north_m, 0.0) for e in flight.estimates]
+    )
+    for since_s, circle in flight.circles:
+        mark = _kml_mark(document, "circle", f"circle from {since_s:.1f} s, radius {circle.radius_m:.0f} m")
+        line = Xml.SubElement(mark, "LineString")
+        corners = flight.ring(circle)
+        Xml.SubElement(line, "coordinates").text = " ".join(f"{lon:.8f},{lat:.8f}" for lat, lon in corners)
+    return _document(root)
+
+
+def _kml_mark(document: Xml.Element, style: str, name: str) -> Xml.Element:
+    mark = Xml.SubElement(document, "Placemark")
+    Xml.SubElement(mark, "name").text = name
+    Xml.SubElement(mark, "styleUrl").text = f"#{style}"
+    return mark
+
+
+def _kml_track(
+    document: Xml.Element,
+    flight: Flight,
+    name: str,
+    altitude_mode: str,
+    moments: list[tuple[float, float, float, float]],
+) -> None:
+    """Add a track that can be played back, or a plain line where the time of day is not known."""
+    if not moments:
+        return
+    mark = _kml_mark(document, name, name)
+    track = Xml.SubElement(mark, "LineString" if flight.booted is None else "gx:Track")
+    Xml.SubElement(track, "altitudeMode").text = altitude_mode
+    places = []
+    for _, east_m, north_m, height_m in moments:
+        latitude_deg, longitude_deg = flight.degrees(east_m, north_m)
+        places.append((f"{longitude_deg:.8f}", f"{latitude_deg:.8f}", f"{height_m:.2f}"))
+    if flight.booted is None:
+        Xml.SubElement(track, "coordinates").text = " ".join(map(",".join, places))
+        return
+    for time_s, *_ in moments:
+        Xml.SubElement(track, "when").text = flight.utc(time_s)
+    for place in places:
+        Xml.SubElement(track, "gx:coord").text = " ".join(place)
+
+
+def _document(root: Xml.Element) -> str:
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+
+
+_WRITERS: dict[Format, Callable[[Flight], str]] = {
+    Format.WAYPOINTS: _waypoints,
+    Format.CSV: _csv,
+    Format.GEOJSON: _geojson,
+    Format.GPX: _gpx,
+    Format.KML: _kml,
+}

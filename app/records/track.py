@@ -1,0 +1,59 @@
+"""What of a flight can be handed to other programs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+from estimators.estimate import TargetEstimate
+from estimators.frames import LocalPlane
+from estimators.readings import PositionReading
+from mission.circle import Circle
+from mission.items import Item
+
+_RING_CORNERS = 72
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """Tracks in order of time, in ``plane``.
+
+    circles: (since, circle) as they were flown. items: a whole mission, without a home item. booted is when the
+    vehicle's clock was zero, home_altitude_m is above sea level; None where unknown.
+    """
+
+    name: str
+    plane: LocalPlane
+    aircraft: Sequence[PositionReading]
+    estimates: Sequence[TargetEstimate] = ()
+    circles: Sequence[tuple[float, Circle]] = ()
+    items: Sequence[Item] = ()
+    booted: datetime | None = None
+    home_altitude_m: float | None = None
+
+    def utc(self, time_s: float) -> str | None:
+        """Return a time of the vehicle's clock as ISO 8601 in UTC, to the millisecond."""
+        if self.booted is None:
+            return None
+        moment = self.booted + timedelta(seconds=time_s)
+        return moment.replace(tzinfo=None).isoformat(timespec="milliseconds") + "Z"
+
+    def degrees(self, east_m: float, north_m: float) -> tuple[float, float]:
+        """Return (latitude, longitude), rounded to the millimetre."""
+        latitude_deg, longitude_deg = self.plane.latitude_longitude_deg(east_m, north_m)
+        return round(latitude_deg, 8), round(longitude_deg, 8)
+
+    def ring(self, circle: Circle) -> list[tuple[float, float]]:
+        """Return (latitude, longitude) of the corners of a polygon for a circle, in the order it is flown, closed."""
+        turn = 1.0 if circle.clockwise else -1.0
+        courses_rad = [turn * math.tau * corner / _RING_CORNERS for corner in range(_RING_CORNERS)]
+        corners = [self.degrees(*circle.position_at_course(course_rad)) for course_rad in courses_rad]
+        return [*corners, corners[0]]
+
+
+def sigma_m(estimate: TargetEstimate) -> float:
+    """Return the standard deviation of the position along its worst direction."""
+    (a, b), (_, d) = estimate.covariance[:2, :2].tolist()
+    return math.sqrt((a + d) / 2.0 + math.hypot((a - d) / 2.0, b))
