@@ -1,4 +1,4 @@
-"""Interacting multiple model filter: a target that stands, holds its course, or manoeuvres.
+"""Interacting multiple model filter: a target that stands, cruises, turns or manoeuvres.
 
 Blom and Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching coefficients",
 IEEE Transactions on Automatic Control 33(8), 1988; with the motions of :mod:`estimators.motion`.
@@ -16,7 +16,15 @@ import numpy as np
 
 from estimators.biases import Biases
 from estimators.comparison import compare, softening
-from estimators.motion import MANOEUVRING, TURN, model_noises, model_transitions, switch_probabilities
+from estimators.motion import (
+    MODELS,
+    TURN,
+    TURN_SIGMA_RAD_S,
+    TURNING,
+    model_noises,
+    model_transitions,
+    switch_probabilities,
+)
 from estimators.settings import TrackerSettings
 from estimators.sighting import AnySighting
 from estimators.target_filter import (
@@ -30,8 +38,7 @@ from estimators.target_filter import (
     starting_state,
 )
 
-_START = np.array((0.3, 0.4, 0.3))  # standing, cruising, manoeuvring
-_START_TURN_SIGMA_RAD_S = 0.25
+_START = np.full(len(MODELS), 1.0 / len(MODELS))
 
 
 class TargetImm:
@@ -51,9 +58,9 @@ class TargetImm:
         mean = np.append(start_mean, 0.0)
         covariance = np.zeros((len(mean), len(mean)))
         covariance[:TURN, :TURN] = start_covariance
-        covariance[TURN, TURN] = _START_TURN_SIGMA_RAD_S**2
-        self._means = np.stack([mean] * 3)
-        self._covariances = np.stack([covariance] * 3)
+        covariance[TURN, TURN] = TURN_SIGMA_RAD_S**2
+        self._means = np.stack([mean] * len(MODELS))
+        self._covariances = np.stack([covariance] * len(MODELS))
         self._chances = _START
 
     def predict(self, time_s: float) -> None:
@@ -63,12 +70,12 @@ class TargetImm:
             return
         means, covariances = self._mixed(step_s)
         size = means.shape[1]
-        manoeuvring = means[MANOEUVRING]
+        turning = means[TURNING]
         transitions, by_rate = model_transitions(
-            size, step_s, float(manoeuvring[TURN]), float(manoeuvring[VELOCITY_E]), float(manoeuvring[VELOCITY_N])
+            size, step_s, float(turning[TURN]), float(turning[VELOCITY_E]), float(turning[VELOCITY_N])
         )
         self._means = (transitions @ means[:, :, None])[:, :, 0]
-        transitions[MANOEUVRING, :4, TURN] = by_rate
+        transitions[TURNING, :4, TURN] = by_rate
         self._covariances = transitions @ covariances @ transitions.transpose(0, 2, 1)
         self._covariances += model_noises(size, step_s, self._density_m2_s3, self._drift)
 
@@ -80,7 +87,7 @@ class TargetImm:
         size = self._means.shape[1]
         means = weights.T @ self._means
         apart = (self._means[:, None] - means) * np.sqrt(weights)[:, :, None]  # (from, to, n)
-        covariances = (weights.T @ self._covariances.reshape(3, -1)).reshape(3, size, size)
+        covariances = (weights.T @ self._covariances.reshape(len(MODELS), -1)).reshape(-1, size, size)
         covariances += apart.transpose(1, 2, 0) @ apart.transpose(1, 0, 2)
         self._chances = chances
         return means, covariances
@@ -97,7 +104,7 @@ class TargetImm:
         expected = jacobian @ cross
         noise = np.diag(sighting.variances)
         apart = residuals - residual
-        spread = (chances @ expected.reshape(3, 9)).reshape(3, 3) + (apart.T * chances) @ apart + noise
+        spread = (chances @ expected.reshape(len(MODELS), 9)).reshape(3, 3) + (apart.T * chances) @ apart + noise
         nis = float(residual @ np.linalg.solve(spread, residual))
         if nis > gate_nis:
             return nis
@@ -128,7 +135,7 @@ class TargetImm:
 
     @property
     def chances(self) -> FloatArray:
-        """How likely each motion is: standing, cruising, manoeuvring."""
+        """How likely each motion is: standing, cruising, turning, manoeuvring."""
         return self._chances
 
     def copy(self) -> Self:

@@ -2,7 +2,8 @@
 
 standing      velocity is zero but for a shuffle, the position stays
 cruising      velocity holds, with a little white acceleration
-manoeuvring   velocity turns at an unknown rate, and brakes or gathers way with much white acceleration
+turning       velocity turns at an unknown rate, otherwise as cruising
+manoeuvring   much white acceleration: braking, gathering way, swerving
 """
 
 from __future__ import annotations
@@ -15,23 +16,24 @@ import numpy as np
 
 from estimators.target_filter import BIASES, EAST, HEIGHT, NORTH, VELOCITY_E, VELOCITY_N, FloatArray
 
-STANDING, CRUISING, MANOEUVRING = MODELS = range(3)
+STANDING, CRUISING, TURNING, MANOEUVRING = MODELS = range(4)
 TURN = -1  # the turn rate is the last of the state
 
 HEIGHT_DENSITY_M2_S = 0.02  # the ground under a target that drives up and down gentle hills
 
 _SHUFFLE_SIGMA_M_S = 0.05
 _SHUFFLE_DENSITY_M2_S = 1e-4
-_MANOEUVRE_DENSITY_M2_S3 = 0.5
-_TURN_SIGMA_RAD_S = 0.25
-_TURN_DRIFT_RAD2_S3 = 0.002
+_MANOEUVRE_DENSITY_M2_S3 = 1.5
+TURN_SIGMA_RAD_S = 0.25
+_TURN_DRIFT_RAD2_S3 = 1e-4
 
 # How often one kind of motion gives way to another, 1/s, from row to column.
 _SWITCH_RATES_1_S = np.array(
     [
-        [0.0, 0.005, 0.03],
-        [0.002, 0.0, 0.02],
-        [0.06, 0.08, 0.0],
+        [0.0, 0.005, 0.002, 0.04],
+        [0.002, 0.0, 0.003, 0.02],
+        [0.002, 0.005, 0.0, 0.01],
+        [0.1, 0.15, 0.1, 0.0],
     ]
 )
 _GENERATOR = _SWITCH_RATES_1_S - np.diag(_SWITCH_RATES_1_S.sum(axis=1))
@@ -110,17 +112,18 @@ def turn(rate_rad_s: float, velocity_east_m_s: float, velocity_north_m_s: float,
 
 @lru_cache(maxsize=256)
 def model_noises(size: int, step_s: float, cruise_density_m2_s3: float, bias_drift: tuple[float, ...]) -> FloatArray:
-    """Return the process noise (models, n, n) of the three motions; read only."""
+    """Return the process noise (models, n, n) of each motion; read only."""
     noises = np.stack([cruise_noise(size, step_s, 0.0, bias_drift)] * len(MODELS))
     for axis in (EAST, NORTH):
         noises[STANDING, axis, axis] = _SHUFFLE_DENSITY_M2_S * step_s
     for axis in (VELOCITY_E, VELOCITY_N):
         noises[STANDING, axis, axis] = _SHUFFLE_SIGMA_M_S**2
     _add_white_acceleration(noises[CRUISING], cruise_density_m2_s3, step_s)
+    _add_white_acceleration(noises[TURNING], cruise_density_m2_s3, step_s)
     _add_white_acceleration(noises[MANOEUVRING], _MANOEUVRE_DENSITY_M2_S3, step_s)
     # Who does not turn forgets the rate: a turn begins with nothing known of it.
-    noises[STANDING, TURN, TURN] = noises[CRUISING, TURN, TURN] = _TURN_SIGMA_RAD_S**2
-    noises[MANOEUVRING, TURN, TURN] = _TURN_DRIFT_RAD2_S3 * step_s
+    noises[:, TURN, TURN] = TURN_SIGMA_RAD_S**2
+    noises[TURNING, TURN, TURN] = _TURN_DRIFT_RAD2_S3 * step_s
     noises.setflags(write=False)
     return noises
 
@@ -128,14 +131,14 @@ def model_noises(size: int, step_s: float, cruise_density_m2_s3: float, bias_dri
 def model_transitions(
     size: int, step_s: float, turn_rate_rad_s: float, velocity_east_m_s: float, velocity_north_m_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the transitions (models, n, n) of the three motions, and the derivative of the turning one by its rate.
+    """Return the transitions (models, n, n) of each motion, and the derivative of the turning one by its rate.
 
-    Rate and velocity are those of the manoeuvring model. The transitions carry the mean; with the derivative in
-    the last column of the manoeuvring one they carry the covariance.
+    Rate and velocity are those of the turning model. The transitions carry the mean; with the derivative in
+    the last column of the turning one they carry the covariance.
     """
     transitions = np.array(_plain_transitions(size, step_s))
     turning = turn(turn_rate_rad_s, velocity_east_m_s, velocity_north_m_s, step_s)
-    transitions[MANOEUVRING, :4, :4] = turning.transition
+    transitions[TURNING, :4, :4] = turning.transition
     return transitions, turning.by_rate
 
 
@@ -145,6 +148,6 @@ def _plain_transitions(size: int, step_s: float) -> FloatArray:
     standing = transitions[STANDING]
     standing[EAST, VELOCITY_E] = standing[NORTH, VELOCITY_N] = 0.0
     standing[VELOCITY_E, VELOCITY_E] = standing[VELOCITY_N, VELOCITY_N] = 0.0
-    transitions[(STANDING, CRUISING), TURN, TURN] = 0.0
+    transitions[(STANDING, CRUISING, MANOEUVRING), TURN, TURN] = 0.0
     transitions.setflags(write=False)
     return transitions

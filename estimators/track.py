@@ -1,6 +1,6 @@
 """From sightings to an estimate: gate, restart, late sightings, quality.
 
-Each accepted sighting leaves a copy of the filter as it was before; a late one is taken in by going back to the copy
+Each accepted sighting leaves the filter as it was before it; a late one is taken in by going back to the filter
 before its time and repeating what came after.
 """
 
@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-
-import numpy as np
+from typing import NamedTuple
 
 from estimators.biases import Biases, Calibration
 from estimators.ekf import TargetEkf
@@ -18,148 +16,144 @@ from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.imm import TargetImm
 from estimators.settings import TrackerSettings
 from estimators.sighting import AnySighting, SightingOutcome
-from estimators.target_filter import TargetFilter
+from estimators.target_filter import FloatArray, TargetFilter
 from estimators.ukf import TargetUkf
 
-_HISTORY_S = 3.0
+_HISTORY_S = 5.0
 _STEP_MAX_S = 1.0  # longer predictions go by steps, so that the motion models can mix on the way
 
 FilterStart = Callable[[TrackerSettings, AnySighting, Biases], TargetFilter]
 _FILTERS: dict[str, FilterStart] = {"ekf": TargetEkf, "imm": TargetImm, "ukf": TargetUkf}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Step:
+class _Step(NamedTuple):
     sighting: AnySighting
     before: TargetFilter
 
 
 class Track:
-    """The target's track, from its first accepted sighting on."""
+    """The target's track, from its first sighting on."""
 
     def __init__(self, settings: TrackerSettings) -> None:
         self._settings = settings
         self._start = _FILTERS[settings.filter]
         self._filter: TargetFilter | None = None
         self._steps: list[_Step] = []
-        self._rejected_in_a_row: list[AnySighting] = []
-        self._last_reason = ""
-        self._last_sighting_s = float("-inf")
+        self._astray: list[AnySighting] = []  # beyond the gate, since the last one within
+        self._last_rejection = ""
+        self._last_sighting_s = -math.inf
 
     def add(self, sighting: AnySighting) -> SightingOutcome:
         """Take a sighting in, or reject it with a reason."""
         settings = self._settings
         if sighting.quality is not None and sighting.quality < settings.quality_min:
-            return self._reject(
-                sighting, math.nan, f"signal quality {sighting.quality:.2f} is below {settings.quality_min:.2f}"
-            )
+            reason = f"signal quality {sighting.quality:.2f} is below {settings.quality_min:.2f}"
+            return self._rejected(sighting, math.nan, reason)
         if self._filter is None:
-            self._restart_at(sighting, Biases.prior(settings))
+            self._restart([sighting], Biases.prior(settings))
             return SightingOutcome(sighting, True, math.nan, "first sighting")
         if sighting.time_s < self._filter.time_s:
             return self._add_late(sighting)
         before = self._filter
-        ahead = before.copy()
-        _predict(ahead, sighting.time_s)
+        ahead = _predicted(before, sighting.time_s)
         nis = ahead.update(sighting, settings.gate_nis)
-        if nis > settings.gate_nis:
-            self._rejected_in_a_row.append(sighting)
-            if self._rejections_agree():
-                self._restart_at(sighting, ahead.biases())
-                return SightingOutcome(
-                    sighting, True, nis, "restarted: the rejected sightings agree on another place"
-                )
-            return self._reject(
-                sighting, nis, f"innovation squared {nis:.0f} is beyond the gate {settings.gate_nis:.0f}"
-            )
-        self._filter = ahead
-        self._accepted(_Step(sighting, before))
-        return SightingOutcome(sighting, True, nis)
+        if nis <= settings.gate_nis:
+            self._accept(sighting, before, ahead)
+            return SightingOutcome(sighting, True, nis)
+        self._astray.append(sighting)
+        agreeing = self._astray[-settings.reopen_after :]
+        if len(agreeing) == settings.reopen_after and self._one_target_explains(agreeing):
+            self._restart(agreeing, ahead.biases())
+            return SightingOutcome(sighting, True, nis, "restarted where the rejected sightings agree")
+        reason = f"innovation squared {nis:.0f} is beyond the gate of {settings.gate_nis:.0f}"
+        return self._rejected(sighting, nis, reason)
 
     def _add_late(self, sighting: AnySighting) -> SightingOutcome:
-        later: list[_Step] = []
-        while self._steps and self._steps[-1].sighting.time_s > sighting.time_s:
-            later.insert(0, self._steps.pop())
+        at = len(self._steps)
+        while at > 0 and self._steps[at - 1].sighting.time_s > sighting.time_s:
+            at -= 1
+        later = self._steps[at:]
         if not later or later[0].before.time_s > sighting.time_s:
-            self._steps += later
-            return self._reject(sighting, math.nan, f"older than the {_HISTORY_S:.0f} s that are kept")
-        newest = self._filter
-        self._filter = later[0].before
-        outcome = self.add(sighting)
-        if not outcome.accepted:
-            self._filter = newest
-            self._steps += later
-            return outcome
+            return self._rejected(sighting, math.nan, f"older than the {_HISTORY_S:.0f} s that can be gone back")
+        before = later[0].before
+        ahead = _predicted(before, sighting.time_s)
+        nis = ahead.update(sighting, self._settings.gate_nis)
+        if nis > self._settings.gate_nis:
+            return self._rejected(sighting, nis, f"late, and innovation squared {nis:.0f} is beyond the gate")
+        del self._steps[at:]
+        self._accept(sighting, before, ahead)
         for step in later:
-            assert self._filter is not None
-            before = self._filter
-            ahead = before.copy()
-            _predict(ahead, step.sighting.time_s)
+            before = ahead
+            ahead = _predicted(before, step.sighting.time_s)
             ahead.update(step.sighting, math.inf)
-            self._filter = ahead
-            self._accepted(_Step(step.sighting, before))
-        return outcome
+            self._accept(step.sighting, before, ahead)
+        return SightingOutcome(sighting, True, nis, "late")
 
-    def _accepted(self, step: _Step) -> None:
-        self._steps.append(step)
-        self._rejected_in_a_row.clear()
-        self._last_reason = ""
-        self._last_sighting_s = max(self._last_sighting_s, step.sighting.time_s)
-        while self._steps[0].sighting.time_s < self._last_sighting_s - _HISTORY_S:
-            del self._steps[0]
+    def _accept(self, sighting: AnySighting, before: TargetFilter, after: TargetFilter) -> None:
+        self._filter = after
+        self._steps.append(_Step(sighting, before))
+        self._astray.clear()
+        self._last_rejection = ""
+        self._last_sighting_s = max(self._last_sighting_s, sighting.time_s)
+        if self._steps[0].sighting.time_s < self._last_sighting_s - 2 * _HISTORY_S:
+            keep_s = self._last_sighting_s - _HISTORY_S
+            self._steps = [step for step in self._steps if step.sighting.time_s >= keep_s]
 
-    def _reject(self, sighting: AnySighting, nis: float, reason: str) -> SightingOutcome:
-        self._last_reason = reason
+    def _rejected(self, sighting: AnySighting, nis: float, reason: str) -> SightingOutcome:
+        self._last_rejection = reason
         return SightingOutcome(sighting, False, nis, reason)
 
-    def _restart_at(self, sighting: AnySighting, biases: Biases) -> None:
-        self._filter = self._start(self._settings, sighting, biases)
+    def _restart(self, sightings: list[AnySighting], biases: Biases) -> None:
+        """Forget place and motion, not the payload's errors, and begin with these sightings."""
         self._steps.clear()
-        self._rejected_in_a_row.clear()
-        self._last_reason = ""
-        self._last_sighting_s = sighting.time_s
+        after = self._start(self._settings, sightings[0], biases)
+        self._accept(sightings[0], after, after)
+        self._steps.clear()
+        for sighting in sightings[1:]:
+            before, after = after, _predicted(after, sighting.time_s)
+            after.update(sighting, math.inf)
+            self._accept(sighting, before, after)
 
-    def _rejections_agree(self) -> bool:
-        """Tell whether the last rejected sightings lie where one slow target would put them."""
-        count = self._settings.reopen_after
-        last = self._rejected_in_a_row[-count:]
-        if len(last) < count:
-            return False
-        newest = last[-1]
-        reach_m = 3 * math.sqrt(float(np.trace(newest.covariance)) * 2)
+    def _one_target_explains(self, sightings: list[AnySighting]) -> bool:
+        """Tell whether these lie as near one another as one target's would: outliers scatter, a jump does not."""
+        last = sightings[-1]
+        # Three sigma of a difference of two, along the longer axis.
+        reach_m = 3.0 * math.sqrt(2.0 * float(last.covariance.trace()))
+        speed_m_s = 2.0 * self._settings.target_speed_sigma_m_s
         return all(
-            math.hypot(one.east_m - newest.east_m, one.north_m - newest.north_m)
-            < reach_m + 2 * self._settings.target_speed_sigma_m_s * abs(newest.time_s - one.time_s)
-            for one in last
+            math.hypot(one.east_m - last.east_m, one.north_m - last.north_m)
+            < reach_m + speed_m_s * abs(last.time_s - one.time_s)
+            for one in sightings
         )
 
     def estimate(self, now_s: float) -> TargetEstimate | None:
-        """Return the target predicted to ``now_s`` (never back in time); None before the first sighting."""
+        """Return the target predicted to ``now_s``, or as of the last sighting if that is later.
+
+        None before the first sighting.
+        """
         if self._filter is None:
             return None
-        ahead = self._filter
-        if now_s > ahead.time_s:
-            ahead = ahead.copy()
-            _predict(ahead, now_s)
+        ahead = self._filter if now_s <= self._filter.time_s else _predicted(self._filter, now_s)
         mean, covariance = ahead.moments()
+        east_m, north_m, velocity_east_m_s, velocity_north_m_s = mean.tolist()
         quality, reason = self._quality(ahead.time_s, covariance)
         return TargetEstimate(
             ahead.time_s,
-            float(mean[0]),
-            float(mean[1]),
-            float(mean[2]),
-            float(mean[3]),
+            east_m,
+            north_m,
+            velocity_east_m_s,
+            velocity_north_m_s,
             covariance,
             quality,
             self._last_sighting_s,
             reason,
         )
 
-    def _quality(self, time_s: float, covariance: np.ndarray) -> tuple[TrackQuality, str]:
+    def _quality(self, time_s: float, covariance: FloatArray) -> tuple[TrackQuality, str]:
         settings = self._settings
         age_s = time_s - self._last_sighting_s
-        sigma_m = math.sqrt(max(float(covariance[0, 0]), float(covariance[1, 1])))
-        why = f"; last one rejected: {self._last_reason}" if self._last_reason else ""
+        sigma_m = math.sqrt(float(covariance[0, 0] + covariance[1, 1]))
+        why = f"; the last one was rejected: {self._last_rejection}" if self._last_rejection else ""
         if age_s > settings.lost_after_s:
             return TrackQuality.LOST, f"no sighting for {age_s:.0f} s{why}"
         if sigma_m > settings.lost_sigma_m:
@@ -170,10 +164,14 @@ class Track:
 
     @property
     def calibration(self) -> Calibration:
+        """What is known of the payload's errors."""
         return (self._filter.biases() if self._filter else Biases.prior(self._settings)).calibration
 
 
-def _predict(target: TargetFilter, time_s: float) -> None:
-    while time_s - target.time_s > _STEP_MAX_S:
-        target.predict(target.time_s + _STEP_MAX_S)
-    target.predict(time_s)
+def _predicted(start: TargetFilter, time_s: float) -> TargetFilter:
+    """Return a copy of the filter, moved on to ``time_s``."""
+    ahead = start.copy()
+    while time_s - ahead.time_s > _STEP_MAX_S:
+        ahead.predict(ahead.time_s + _STEP_MAX_S)
+    ahead.predict(time_s)
+    return ahead
