@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-from app.config import Config
+from app.config import Config, Polygon
+from app.errors import InputError
 from app.value_cache import value_table
+from estimators.frames import LocalPlane
 from estimators.tracker import SourceChoice, Tracker, TrackerSettings
+from mission.fences import FenceError, Fences
 from mission.paper_planner import PaperPlanner
-from mission.plan import Planner
+from mission.plan import Plan, Planner
 from mission.predictive_planner import PredictivePlanner, PredictiveSettings, table_configuration
 from mission.requirement import Requirement
 from mission.watch import Watch, WatchSettings
@@ -66,3 +69,19 @@ def watch_of(config: Config, progress: Callable[[float], None] = lambda _share: 
         tracker_of(config),
         planner,
     )
+
+
+def fence_check(config: Config, plane: LocalPlane) -> Callable[[Plan], str | None]:
+    """Return what tells which fence a plan would break. Raises InputError naming a fence that is no polygon."""
+    fences = config.fences
+
+    def outlines(polygons: Sequence[Polygon]) -> list[list[tuple[float, float]]]:
+        return [[plane.east_north_m(*corner) for corner in polygon] for polygon in polygons]
+
+    try:
+        built = Fences(
+            outlines(fences.keep_in), outlines(fences.keep_out), fences.floor_m, fences.ceiling_m, fences.margin_m
+        )
+    except FenceError as error:
+        raise InputError(f"fences: {error}; correct its corners.") from error
+    return built.check(config.aircraft.height_m)

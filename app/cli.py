@@ -10,7 +10,9 @@ from app.commands.check import check
 from app.commands.connect import connect
 from app.commands.launch import launch
 from app.commands.replay import replay
+from app.commands.report import report
 from app.errors import FlightError, InputError
+from app.study.command import study
 from sitl.cli import run as sitl
 
 _HELP = """Watch a moving ground target from one side with a fixed-wing UAV.
@@ -24,7 +26,7 @@ Begin with: sidelong launch
 app = typer.Typer(
     name="sidelong", help=_HELP, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
 )
-for command in (launch, connect, replay, check):
+for command in (launch, connect, replay, check, report, study):
     app.command()(command)
 app.command(name="sitl")(sitl)
 

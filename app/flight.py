@@ -12,6 +12,7 @@ from pathlib import Path
 
 from pymavlink import mavutil
 
+from app.assembly import fence_check
 from app.autopilot import Autopilot, Home
 from app.config import Config
 from app.console import ConsoleDisplay
@@ -94,6 +95,7 @@ class Flight:
         self._vehicle.listeners.remove(self._telemetry.event)
         plane = self._telemetry.plane
         assert plane is not None  # the position check has passed
+        self._watch.check = fence_check(self._config, plane)
         self._recording.begin(plane)
         queue: asyncio.Queue[Event | None] = asyncio.Queue()
         performer = Performer(
@@ -156,6 +158,9 @@ class Flight:
         armed = bool(self._vehicle.latest["HEARTBEAT"].fields["base_mode"] & _mav.MAV_MODE_FLAG_SAFETY_ARMED)
         flying = armed and position["relative_alt"] * 1e-3 > _FLYING_HEIGHT_M
         circle = self._first_circle(plane, home, flying)
+        broken = self._watch.check(Plan(circle))
+        if broken is not None:
+            raise InputError(f"the first circle cannot be flown: {broken}; change the fences or where it begins.")
         line = performer.line(Plan(circle))
         result = await performer.load(line, () if flying else (self._take_off_item(home),))
         if result is not UploadResult.ACCEPTED:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from app.errors import InputError
 from app.message import Message
 from app.records.journal import encode
+from app.records.log import Log
 from app.telemetry import Telemetry
 from estimators.frames import LocalPlane
 from estimators.readings import PositionReading
@@ -36,12 +37,11 @@ class Replayed:
 
 
 class LogReplay:
-    """Steps a watch through the messages of a log."""
+    """Steps a watch through the messages of a log; ``on_plane`` hears of the local plane as soon as it is known."""
 
-    def __init__(self, watch: Watch, telemetry: Telemetry) -> None:
+    def __init__(self, watch: Watch, telemetry: Telemetry, on_plane: Callable[[LocalPlane], None]) -> None:
         self.watch = watch
-        self.sightings_possible = False
-        self._telemetry = telemetry
+        self._telemetry, self._on_plane = telemetry, on_plane
         self._engaged_s = -math.inf
 
     @property
@@ -51,7 +51,10 @@ class LogReplay:
     def run(self, messages: Iterable[Message]) -> Iterator[Replayed]:
         """Yield every event of the log with what the step made of it."""
         for message in messages:
+            known = self.plane is not None
             event = self._telemetry.event(message)
+            if not known and self.plane is not None:
+                self._on_plane(self.plane)
             # Nobody else flies here: a change of mode in the log is not one of ours to yield to.
             if event is None or isinstance(event, ModeReported | LinkReported):
                 continue
@@ -79,13 +82,10 @@ class LogReplay:
         self.watch.step(Engaged(snapshot.time_s, circle, _MODE))
 
 
-def require_sightings(sightings: int, name: str, found: Callable[[], str]) -> None:
-    """Raise InputError when a log held nothing to see a target by; ``found`` tells what it holds."""
+def require_sightings(sightings: int, log: Log) -> None:
+    """Raise InputError when a log held nothing to see a target by."""
     if sightings == 0:
-        raise InputError(
-            f"{name}: no target sighting: needs a slant range (DISTANCE_SENSOR or RANGEFINDER) and a line of sight "
-            f"(GIMBAL_DEVICE_ATTITUDE_STATUS); the log has {found()}."
-        )
+        raise InputError(f"{log.path}: no target can be seen in it: {log.looked_for()}.")
 
 
 def announcements(commands: Iterable[Command]) -> Iterator[Announce]:

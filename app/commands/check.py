@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
@@ -12,6 +13,8 @@ from app.commands.output import JsonOption, checked_output, console, write_json
 from app.config import load_config
 from app.errors import InputError
 from mission.feasibility import Feasibility, feasibility
+from mission.optimum import ThresholdBounds, threshold_bounds
+from mission.optimum import optimise as optimum
 
 _LABELS = {
     "x_tr_m": ("advance of one turn of the transition (x_tr)", "m"),
@@ -31,6 +34,9 @@ def check(
     dmin: Annotated[float | None, typer.Option(help="Least allowed range, m.")] = None,
     dmax: Annotated[float | None, typer.Option(help="Greatest allowed range, m.")] = None,
     threshold: Annotated[float | None, typer.Option(help="Factor C on dmax at which the circle is moved.")] = None,
+    optimise: Annotated[bool, typer.Option("--optimise", help="Also find the best threshold and airspeed.")] = False,
+    slowest: Annotated[float, typer.Option(help="Slowest airspeed --optimise may choose, m/s.")] = 8.0,
+    fastest: Annotated[float, typer.Option(help="Fastest airspeed --optimise may choose, m/s.")] = 30.0,
     json: JsonOption = None,
 ) -> None:
     """Check whether the paper's method can keep the requirement, and say which number to change if not.
@@ -52,7 +58,20 @@ def check(
     )
     result = feasibility(settings.aircraft.aircraft(), settings.requirement.requirement())
     console.print(_table(result))
-    values = {key: getattr(result, key) for key in ("feasible", *_LABELS)}
+    values: dict[str, Any] = {key: getattr(result, key) for key in ("feasible", *_LABELS)}
+    if optimise:
+        aircraft, requirement = settings.aircraft.aircraft(), settings.requirement.requirement()
+        here = threshold_bounds(aircraft, requirement)
+        best = optimum(aircraft, requirement, (slowest, fastest))
+        console.print(_bounds_words("here", here))
+        if best is not None:
+            console.print(
+                f"best airspeed {best.airspeed_m_s:.1f} m/s on a circle of {best.radius_m:.1f} m; "
+                f"targets up to {best.target_speed_max_m_s:.2f} m/s"
+            )
+        console.print(_bounds_words("there", best.bounds if best is not None else None))
+        values["thresholds"] = asdict(here) if here is not None else None
+        values["optimum"] = asdict(best) if best is not None else None
     write_json(json, values)
     if not result.feasible:
         raise InputError("infeasible: " + "; ".join(map(str, result.reasons)) + ".")
@@ -64,3 +83,12 @@ def _table(result: Feasibility) -> Table:
     for key, (label, unit) in _LABELS.items():
         table.add_row(label, f"{getattr(result, key):.3f}", unit)
     return table
+
+
+def _bounds_words(where: str, bounds: ThresholdBounds | None) -> str:
+    if bounds is None:
+        return f"{where}: no threshold C keeps the band against a straight target at top speed"
+    return (
+        f"{where}: any C from {bounds.least:.3f} to {bounds.greatest:.3f} keeps the band; best {bounds.best:.3f}, "
+        f"which leaves {bounds.room_m:.0f} m at both ends and stays within {bounds.greatest_range_m:.0f} m"
+    )

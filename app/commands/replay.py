@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,15 +12,15 @@ import typer
 from rich.progress import Progress
 from rich.text import Text
 
-from app.assembly import watch_of
+from app.assembly import fence_check, watch_of
 from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
 from app.config import Config, load_config, with_values
 from app.console import clock
 from app.errors import FlightError, InputError
 from app.recording import JOURNAL_TYPES
 from app.records.journal import JournalReader
+from app.records.log import open_log
 from app.records.run_folder import RunFolder
-from app.records.tlog import is_tlog, read_tlog, summary
 from app.records.truth import Truth, read_truth
 from app.replay import JournalReplay, LogReplay, Replayed, announcements, require_sightings
 from app.summary import Gatherer, Summary, summarise
@@ -28,11 +29,12 @@ from estimators.frames import LocalPlane
 from mission.events import Engaged
 from mission.watch import Watch
 
-_MOST_LISTED = 12
-
 
 def replay(
-    log: Annotated[Path, typer.Argument(help="A run folder of ours, or a recorded tlog.", show_default=False)],
+    log: Annotated[
+        Path,
+        typer.Argument(help="A run folder of ours, or a log: tlog, PX4 ULog, ArduPilot .bin.", show_default=False),
+    ],
     truth: Annotated[
         Path | None, typer.Option(help="CSV with the true track; a simulated run folder has its own.")
     ] = None,
@@ -77,18 +79,24 @@ def _changes(given: list[str], planner: str | None) -> dict[str, dict[str, Any]]
     return changes
 
 
-def _replay_log(log: Path, truth: Path | None, settings: Config, quiet: bool) -> Summary:
-    if not is_tlog(log):
-        raise InputError(f"{log}: holds no whole MAVLink frame; give a tlog.")
+def _replay_log(path: Path, truth: Path | None, settings: Config, quiet: bool) -> Summary:
+    log = open_log(path)
     telemetry = Telemetry()
-    steps = LogReplay(watch_of(settings, table_progress(console.print)), telemetry)
+    watch = watch_of(settings, table_progress(console.print))
+
+    def fence(plane: LocalPlane) -> None:
+        watch.check = fence_check(settings, plane)
+
+    steps = LogReplay(watch, telemetry, fence)
     with _progress() as progress:
-        task = progress.add_task(log.name, total=1.0)
-        messages = read_tlog(log, telemetry.wanted, lambda share: progress.update(task, completed=share))
-        judged = _Judged(settings, steps.watch, progress, quiet)
+        task = progress.add_task(path.name, total=1.0)
+        messages = log.messages(telemetry.wanted, lambda share: progress.update(task, completed=share))
+        judged = _Judged(settings, watch, progress, quiet)
         judged.follow(steps.run(messages))
-    require_sightings(steps.watch.tracker.sightings, str(log), lambda: _listed(log))
-    return judged.summary(read_truth(truth) if truth is not None else None, steps.plane, judged.first_estimate_s)
+    require_sightings(watch.tracker.sightings, log)
+    result = judged.summary(read_truth(truth) if truth is not None else None, steps.plane, judged.first_estimate_s)
+    # Nothing was uploaded here: what the planner would have sent counts as moves.
+    return replace(result, moves=result.uploads, uploads=0, upload_failures=0)
 
 
 def _replay_run(
@@ -102,7 +110,10 @@ def _replay_run(
         settings = with_values(flown, changes, "--set")
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")
-        steps = JournalReplay(watch_of(settings, table_progress(console.print)))
+        watch = watch_of(settings, table_progress(console.print))
+        if journal.header.plane is not None:
+            watch.check = fence_check(settings, journal.header.plane)
+        steps = JournalReplay(watch)
         judged = _Judged(settings, steps.watch, progress, quiet or verify)
         judged.follow(steps.run(journal))
     if verify:
@@ -153,9 +164,3 @@ class _Judged:
 
 def _progress() -> Progress:
     return Progress(console=console, transient=True, disable=not console.is_terminal)
-
-
-def _listed(log: Path) -> str:
-    counts = summary(log).most_common()
-    names = list(dict.fromkeys(name for (name, _system, _component), _count in counts))
-    return ", ".join(names[:_MOST_LISTED]) + (" and others" if len(names) > _MOST_LISTED else "")
