@@ -14,6 +14,7 @@ from xml.etree import ElementTree as Xml
 from app.errors import InputError
 from app.records.track import Flight, sigma_m
 from mission.items import FRAME_GLOBAL, NAV_WAYPOINT, Item
+from mission.plan_file import plan_file
 
 _GPX = "http://www.topografix.com/GPX/1/1"
 _KML = "http://www.opengis.net/kml/2.2"
@@ -21,8 +22,9 @@ _KML_EXTENSION = "http://www.google.com/kml/ext/2.2"
 
 
 class Format(StrEnum):
-    """Mission Planner's waypoints (WPL 110), tracks and circles for Google Earth (KML), GIS, tables and GPS tools."""
+    """Missions for QGroundControl (.plan) and Mission Planner (WPL 110); tracks for maps, tables and GPS tools."""
 
+    PLAN = "plan"
     WAYPOINTS = "waypoints"
     KML = "kml"
     GEOJSON = "geojson"
@@ -35,9 +37,10 @@ def export(flight: Flight, wanted: Format, out: Path) -> None:
 
     Raises InputError when the flight has nothing to write in this format or the file cannot be written.
     """
-    if wanted is Format.WAYPOINTS and not flight.items:
-        raise InputError(f"{flight.name} has no mission items, so there are no waypoints to export.")
-    if wanted is not Format.WAYPOINTS and len(flight.aircraft) < 2:
+    if wanted in {Format.PLAN, Format.WAYPOINTS}:
+        if flight.mission is None:
+            raise InputError(f"{flight.name} has no mission items to export.")
+    elif len(flight.aircraft) < 2:
         raise InputError(f"{flight.name} has fewer than two positions, so there is no track to export.")
     try:
         out.write_text(_WRITERS[wanted](flight), encoding="utf-8")
@@ -48,11 +51,26 @@ def export(flight: Flight, wanted: Format, out: Path) -> None:
 # -- mission items ------------------------------------------------------------------------------------------
 
 
+def _plan(flight: Flight) -> str:
+    mission = flight.mission
+    assert mission is not None  # export() looks
+    return plan_file(
+        mission.items,
+        flight.plane,
+        flight.home_altitude_m or 0.0,
+        mission.airspeed_m_s,
+        mission.autopilot,
+        mission.keep_in,
+        mission.keep_out,
+    )
+
+
 def _waypoints(flight: Flight) -> str:
+    assert flight.mission is not None  # export() looks
     # Mission Planner takes the first line for home, whatever it says.
     home = Item(NAV_WAYPOINT, FRAME_GLOBAL, *flight.degrees(0.0, 0.0), height_m=flight.home_altitude_m or 0.0)
     lines = ["QGC WPL 110"]
-    for sequence, item in enumerate((home, *flight.items)):
+    for sequence, item in enumerate((home, *flight.mission.items)):
         parameters = (item.param1, item.param2, item.param3, item.param4)
         values = (
             *(sequence, int(sequence == 0), item.frame, item.command),
@@ -257,6 +275,7 @@ def _document(root: Xml.Element) -> str:
 
 
 _WRITERS: dict[Format, Callable[[Flight], str]] = {
+    Format.PLAN: _plan,
     Format.WAYPOINTS: _waypoints,
     Format.CSV: _csv,
     Format.GEOJSON: _geojson,

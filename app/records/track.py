@@ -11,17 +11,29 @@ from estimators.estimate import TargetEstimate
 from estimators.frames import LocalPlane
 from estimators.readings import PositionReading
 from mission.circle import Circle
+from mission.fences import Outline
 from mission.items import Item
 
 _RING_CORNERS = 72
 
 
 @dataclass(frozen=True, slots=True)
+class Mission:
+    """Items without a home item, the fences (outlines in the plane), and the autopilot: ``arduplane`` or ``px4``."""
+
+    items: Sequence[Item]
+    airspeed_m_s: float
+    autopilot: str
+    keep_in: Sequence[Outline] = ()
+    keep_out: Sequence[Outline] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Flight:
     """Tracks in order of time, in ``plane``.
 
-    circles: (since, circle) as they were flown. items: a whole mission, without a home item. booted is when the
-    vehicle's clock was zero, home_altitude_m is above sea level; None where unknown.
+    circles: (since, circle) as they were flown. booted is when the vehicle's clock was zero, home_altitude_m is
+    above sea level; None where unknown.
     """
 
     name: str
@@ -29,7 +41,7 @@ class Flight:
     aircraft: Sequence[PositionReading]
     estimates: Sequence[TargetEstimate] = ()
     circles: Sequence[tuple[float, Circle]] = ()
-    items: Sequence[Item] = ()
+    mission: Mission | None = None
     booted: datetime | None = None
     home_altitude_m: float | None = None
 

@@ -16,7 +16,7 @@ from shapely.geometry import shape
 
 from app.errors import InputError
 from app.records.export import Format, export
-from app.records.track import Flight
+from app.records.track import Flight, Mission
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.frames import LocalPlane
 from estimators.readings import PositionReading
@@ -34,7 +34,12 @@ FLIGHT = Flight(
         for i in range(40)
     ],
     circles=CIRCLES,
-    items=[circle_item(circle, PLANE, 120.0) for _, circle in CIRCLES],
+    mission=Mission(
+        [circle_item(circle, PLANE, 120.0) for _, circle in CIRCLES],
+        airspeed_m_s=15.0,
+        autopilot="px4",
+        keep_in=[[(-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.0, 900.0)]],
+    ),
     booted=datetime(2026, 11, 21, 9, 0, 0, tzinfo=UTC),
     home_altitude_m=488.0,
 )
@@ -47,6 +52,14 @@ def written(tmp_path):
         return (tmp_path / "out").read_text()
 
     return write
+
+
+def test_the_plan_has_the_mission_and_its_fence(written):
+    plan = json.loads(written(Format.PLAN))
+    assert plan["mission"]["plannedHomePosition"] == [47.4, 8.5, 488.0]
+    assert [item["params"][2] for item in plan["mission"]["items"]] == [80.0, -60.0]
+    (fence,) = plan["geoFence"]["polygons"]
+    assert PLANE.east_north_m(*fence["polygon"][0]) == pytest.approx((-900.0, -900.0), abs=0.01)
 
 
 def test_waypoints_are_read_by_pymavlink(written, tmp_path):
@@ -134,7 +147,7 @@ def test_without_the_time_of_day_the_tracks_are_plain_lines(written):
 @pytest.mark.parametrize("wanted", list(Format))
 def test_a_flight_with_nothing_to_write_is_an_input_error(tmp_path, wanted):
     with pytest.raises(InputError, match="to export"):
-        export(replace(FLIGHT, aircraft=[], items=[]), wanted, tmp_path / "out")
+        export(replace(FLIGHT, aircraft=[], mission=None), wanted, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
