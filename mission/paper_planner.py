@@ -6,7 +6,8 @@ Rules
    target. It is taken when another lap would end outside [Dmin, C Dmax], and refused when ABCD has no room for it.
 2. The circle is placed anew beside the target (20-22) when it is not one of ours, when the regular step would not
    keep the required side of the target's motion, or when the circle dips below Dmin. Of ABCD and stretched laps
-   that move takes the first which keeps its distance, or else the one that does best; the paper leaves it open.
+   that move takes the first which keeps its distance, or else the one that does best; the paper leaves it open. A
+   circle flown the other way round is left at once, by turn, straight and turn.
 3. A decision falls in the last call before the aircraft comes to A, once a lap.
 """
 
@@ -16,16 +17,18 @@ import math
 from dataclasses import dataclass, replace
 
 from estimators.estimate import TargetEstimate, TrackQuality
+from mission.approach import turn_straight_turn
 from mission.circle import Circle
 from mission.course_hold import CourseHold
 from mission.departure import Move, Situation, Vector, next_move
 from mission.path import Path
-from mission.placement import circle_beside, circle_towards, shifted
+from mission.placement import circle_beside, shifted
 from mission.plan import AircraftState, Decision, Plan
 from mission.reference_model import RelativePosition, displacement_m
 from mission.requirement import Aircraft, Requirement, Wind
+from mission.side_policy import SidePolicy, Viewpoint
 from mission.stretched_lap import stretched_lap
-from mission.switching import must_move
+from mission.switching import must_move, range_after_lap_m
 from mission.transition import abcd, least_move_m
 from mission.wind import LapClock, WindError, path_times_s
 from mission.wording import move_words
@@ -60,8 +63,10 @@ class PaperPlanner:
         self._chosen: _Chosen | None = None
         self._proposed: _Chosen | None = None
         self._last: AircraftState | None = None
-        self._course_hold = CourseHold()
-        self._target_course_rad: float | None = None
+        # The other side is nearer only when the target's line is crossed by as much as it may be approached.
+        self._policy = SidePolicy(requirement, requirement.range_min_m)
+        self._motion = CourseHold()
+        self._viewpoint = Viewpoint(0.0, requirement.side, 0.0)
         self._decided_until_s = -math.inf
         self._arrival: tuple[Plan, float] | None = None
 
@@ -74,7 +79,8 @@ class PaperPlanner:
         target_m = _extrapolated_m(target, now_s)
         seen = RelativePosition.of(target_m[0] - aircraft.east_m, target_m[1] - aircraft.north_m)
         chosen = self._follow(aircraft, seen, present)
-        self._target_course_rad = self._course_hold.update(target)
+        self._viewpoint = self._policy.viewpoint(aircraft.east_m, aircraft.north_m, target)
+        self._motion.update(target)
         if target.quality is TrackQuality.LOST:
             return Decision(now_s, None, "circling on: the target is lost")
         try:
@@ -92,7 +98,7 @@ class PaperPlanner:
             present.circle.course_at(aircraft.east_m, aircraft.north_m),
             clock,
             target_m,
-            (0.0, 0.0) if self._course_hold.standing else (target.velocity_east_m_s, target.velocity_north_m_s),
+            (0.0, 0.0) if self._motion.standing else (target.velocity_east_m_s, target.velocity_north_m_s),
             self._aircraft.airspeed_m_s,
             wind,
             latency_s,
@@ -167,7 +173,7 @@ class PaperPlanner:
         return None
 
     def _reason_to_place_anew(self, situation: Situation, regular: Move, placed: bool) -> str | None:
-        circle, side = situation.circle, self._requirement.side
+        circle, side = situation.circle, self._viewpoint.side
         ends_badly = must_move(regular.range_after_lap_m, self._requirement)
         if circle.clockwise != side.clockwise:
             return f"on the target's {side} the circle is flown the other way round"
@@ -189,24 +195,23 @@ class PaperPlanner:
         return f"in {in_s:.0f} s the target would be {move.range_after_lap_m:.0f} m away"
 
     def _on_side(self, circle: Circle, target_m: Vector) -> bool:
-        if self._target_course_rad is None:
-            return True
+        viewpoint = self._viewpoint
         outward_rad = math.atan2(circle.east_m - target_m[0], circle.north_m - target_m[1])
-        return math.cos(outward_rad - self._target_course_rad - self._requirement.side.normal_turn_rad) >= 0.0
+        return math.cos(outward_rad - viewpoint.course_rad - viewpoint.side.normal_turn_rad) >= 0.0
 
     # -- where to ------------------------------------------------------------------------------------------
 
     def _placed_anew(self, situation: Situation) -> tuple[Move, Path | None]:
         """Return the move to the circle beside the target, and its line.
 
-        None for the line where the circle flown differs in radius or direction: the autopilot finds its own way.
+        None for the line where both ways to a circle of another kind overlap: the autopilot finds its own.
         """
         tried: list[tuple[float, Move, Path]] = []
         for lead_rad in (self._psi_c_rad, *_STRETCHES_RAD):
             by_abcd = not tried and lead_rad == self._psi_c_rad
-            move = next_move(situation, lambda at_m: self._beside(at_m, situation.circle), lead_rad)
+            move = next_move(situation, self._beside, lead_rad)
             if not _alike(situation.circle, move.circle):
-                return move, None
+                return self._at_once(situation)
             if by_abcd and move.length_m < self._least_move_m:
                 continue
             path = (abcd if by_abcd else stretched_lap)(situation.circle, move.circle, lead_rad)
@@ -217,11 +222,25 @@ class PaperPlanner:
         _, move, path = max(tried, key=lambda one: one[0])
         return move, path
 
-    def _beside(self, target_m: Vector, present: Circle) -> Circle:
-        if self._target_course_rad is not None:
-            return circle_beside(*target_m, self._target_course_rad, self._aircraft, self._requirement)
-        outward_rad = math.atan2(present.east_m - target_m[0], present.north_m - target_m[1])
-        return circle_towards(*target_m, outward_rad, self._aircraft, self._requirement)
+    def _at_once(self, situation: Situation) -> tuple[Move, Path | None]:
+        """Return the move as soon as it can be on board, by the turn that keeps farther from the target."""
+        circle, wait_s = situation.circle, situation.latency_s
+        turn = 1.0 if circle.clockwise else -1.0
+        begin_s = situation.clock.time_s(turn * situation.course_rad)
+        course_rad = turn * situation.clock.turn_rad(begin_s + wait_s)
+        east_m, north_m = circle.position_at_course(course_rad)
+        start = AircraftState(wait_s, east_m, north_m, course_rad, situation.airspeed_m_s, circle.curvature_1_m)
+        target_m = situation.target_after(wait_s)
+        new = self._beside(target_m)
+        range_m = range_after_lap_m((east_m, north_m), target_m, situation.velocity_m_s, situation.clock.lap_s)
+        move = Move(new, wait_s, new.east_m - circle.east_m, new.north_m - circle.north_m, target_m, range_m)
+        paths = [turn_straight_turn(start, new, first * self._aircraft.radius_m) for first in (1.0, -1.0)]
+        found = [path for path in paths if path is not None]
+        return move, max(found, key=lambda path: situation.least_range_m(path, wait_s)) if found else None
+
+    def _beside(self, target_m: Vector) -> Circle:
+        wanted = replace(self._requirement, side=self._viewpoint.side)
+        return circle_beside(*target_m, self._viewpoint.course_rad, self._aircraft, wanted)
 
     def _arrival_s(self, present: Plan, wind: Wind) -> float:
         """Return when the present plan reaches its circle; reckoned once a plan."""

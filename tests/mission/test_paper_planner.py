@@ -14,6 +14,7 @@ from mission.paper_planner import PaperPlanner
 from mission.plan import AircraftState, Decision, Plan
 from mission.requirement import Aircraft, Requirement, Side, Wind
 from mission.scope import largest_psi_c_rad
+from mission.side_policy import watching_from
 from mission.wind import STILL_AIR
 
 Motion = Callable[[float], tuple[float, float, float, float]]  # east, north and their rates at a time
@@ -249,13 +250,43 @@ def test_a_move_the_autopilot_did_not_take_is_proposed_again() -> None:
     )
 
 
-def test_a_circle_flown_the_other_way_round_is_left_for_the_autopilot_to_change() -> None:
+def test_a_circle_flown_the_other_way_round_is_left_at_once() -> None:
     planner, _ = demonstration()
-    flight = fly(planner, drive(math.pi / 2, 3.0), Circle(0.0, 200.0, 65.0, False), 0.0, AIRCRAFT, 60.0)
+    flight = fly(
+        planner, drive(math.pi / 2, 3.0), Circle(0.0, 300.0, 65.0, False), 0.0, AIRCRAFT, 120.0, latency_s=1.0
+    )
     move = flight.moves[0]
-    assert move.plan is not None
-    assert move.plan.transition is None and move.plan.circle.clockwise
     assert "other way round" in move.reason
+    assert move.time_s == 0.0
+    assert move.plan is not None and move.plan.circle.clockwise and move.plan.transition is not None
+    at_m = Circle(0.0, 300.0, 65.0, False).position_at_course(-15.0 / 65.0)
+    assert math.dist(at_m, (move.plan.transition.east_m[0], move.plan.transition.north_m[0])) < 0.01
+    assert flight.time_in_band == 1.0
+
+
+def test_a_sector_keeps_the_compass_side_whichever_way_the_target_goes() -> None:
+    requirement = watching_from(Requirement(100.0, 500.0, Side.LEFT, 3.0, 0.9), "135-225")
+    for seed in range(3):
+        planner = PaperPlanner(AIRCRAFT, requirement, largest_psi_c_rad(AIRCRAFT, requirement))
+        flight = fly(planner, walk(seed, 3.0, 600.0), Circle(0.0, -165.0, 65.0, True), 0.0, AIRCRAFT, 600.0)
+        target_m = np.array([walk(seed, 3.0, 600.0)(time_s)[:2] for time_s in np.arange(0.0, 600.5, 0.5)])
+        seen_from = np.array(flight.places_m) - target_m
+        assert np.mean(seen_from[:, 1] < 0.0) > 0.85
+
+
+def test_either_side_takes_the_nearer_one_after_the_target_turned_back() -> None:
+    """It turns back below a circle to its north, so that the aircraft is then on its right, and stays there."""
+    requirement = watching_from(Requirement(100.0, 500.0, Side.LEFT, 3.0, 0.9), "either")
+    planner = PaperPlanner(AIRCRAFT, requirement, largest_psi_c_rad(AIRCRAFT, requirement))
+
+    def there_and_back(time_s: float) -> tuple[float, float, float, float]:
+        out_s = min(time_s, 60.0)
+        return 3.0 * out_s - 3.0 * (time_s - out_s), 0.0, 3.0 if time_s < 60.0 else -3.0, 0.0
+
+    flight = fly(planner, there_and_back, Circle(0.0, 200.0, 65.0, True), 0.0, AIRCRAFT, 300.0)
+    assert all(north_m > 50.0 for _, north_m in flight.places_m)
+    assert flight.moves[0].plan is not None and not flight.moves[0].plan.circle.clockwise
+    assert flight.time_in_band > 0.95
 
 
 @pytest.mark.parametrize(
