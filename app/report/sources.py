@@ -14,9 +14,8 @@ from app.config import Config, load_config
 from app.errors import InputError
 from app.recording import JOURNAL_TYPES
 from app.records.journal import JournalReader
+from app.records.log import open_log
 from app.records.run_folder import RunFolder
-from app.records.tlog import is_tlog, read_tlog
-from app.records.tlog import summary as sources_in
 from app.records.truth import read_truth
 from app.records.windows import Progress
 from app.replay import require_sightings
@@ -51,8 +50,6 @@ def read_flight(
         return _run(RunFolder.open(path), truth, config, progress)
     if not path.is_file():
         raise InputError(f"{path}: there is no such run folder or log; give the path of one.")
-    if not is_tlog(path):
-        raise InputError(f"{path}: holds no whole MAVLink frame; give a run folder or a tlog.")
     return _log(path, truth, config, progress)
 
 
@@ -90,15 +87,12 @@ def _log(path: Path, truth: Path | None, config: Path | None, progress: Progress
     settings = load_config(config)
     telemetry = Telemetry()
     builder = HistoryBuilder(tracker_of(settings))
-    for message in read_tlog(path, telemetry.wanted, progress):
+    log = open_log(path)
+    for message in log.messages(telemetry.wanted, progress):
         event = telemetry.event(message)
         if event is not None:
             builder.event(event)
-
-    def found() -> str:
-        return ", ".join(dict.fromkeys(name for (name, _system, _component), _ in sources_in(path).most_common(12)))
-
-    require_sightings(builder.sightings, str(path), found)
+    require_sightings(builder.sightings, log)
     history = _built(builder, settings, path, telemetry.plane, truth)
     return Flown(path.name, "an autopilot", settings, history, summary_of(history, "recorded log"))
 
