@@ -41,14 +41,6 @@ def ground_speed_m_s(course_rad: float, airspeed_m_s: float, wind: Wind) -> floa
     return float(ground_speeds_m_s(np.asarray(course_rad), airspeed_m_s, wind))
 
 
-def heading_rad(course_rad: float, airspeed_m_s: float, wind: Wind) -> float:
-    """Return the heading that holds a course: it points into the wind by the drift angle."""
-    across_m_s = wind.east_m_s * math.cos(course_rad) - wind.north_m_s * math.sin(course_rad)
-    if abs(across_m_s) >= airspeed_m_s:
-        raise WindError(f"a wind of {wind.speed_m_s:.1f} m/s is too strong for an airspeed of {airspeed_m_s:.1f} m/s")
-    return course_rad - math.asin(across_m_s / airspeed_m_s)
-
-
 def path_times_s(path: Path, airspeed_m_s: float, wind: Wind) -> FloatArray:
     """Return the time of flight from the start of the path to each of its samples, shape (n,)."""
     slowness_s_m = 1.0 / ground_speeds_m_s(path.course_rad, airspeed_m_s, wind)
@@ -56,12 +48,7 @@ def path_times_s(path: Path, airspeed_m_s: float, wind: Wind) -> FloatArray:
     return np.concatenate(([0.0], np.cumsum(steps_s)))
 
 
-def lap_s(radius_m: float, airspeed_m_s: float, wind: Wind) -> float:
-    """Return the time of one circle over the ground; longer than in still air by about 1 + 3 w^2 / 4 v^2."""
-    return float(lap_times_s(radius_m, airspeed_m_s, wind)[-1])
-
-
-def lap_times_s(radius_m: float, airspeed_m_s: float, wind: Wind) -> FloatArray:
+def _lap_times_s(radius_m: float, airspeed_m_s: float, wind: Wind) -> FloatArray:
     """Return the time at which a clockwise lap begun northwards is flown on each of 721 courses from 0 to 2 pi."""
     course_rad = np.linspace(0.0, 2.0 * math.pi, _CIRCLE_STEPS + 1)
     slowness_s_m = 1.0 / ground_speeds_m_s(course_rad, airspeed_m_s, wind)
@@ -69,20 +56,16 @@ def lap_times_s(radius_m: float, airspeed_m_s: float, wind: Wind) -> FloatArray:
     return np.concatenate(([0.0], np.cumsum(steps_s)))
 
 
-def turn_time_s(circle: Circle, from_course_rad: float, turn_rad: float, airspeed_m_s: float, wind: Wind) -> float:
-    """Return how long the circle is flown from one course until it has turned by ``turn_rad`` >= 0."""
-    begin_rad = from_course_rad if circle.clockwise else -from_course_rad
-    clock = LapClock(circle, airspeed_m_s, wind)
-    return clock.time_s(begin_rad + turn_rad) - clock.time_s(begin_rad)
-
-
 class LapClock:
-    """Time against turn on one circle in steady wind; the turn grows in the direction of flight, from north."""
+    """Time against turn on one circle in steady wind; the turn grows in the direction of flight, from north.
+
+    A lap takes longer than in still air, by about 3 w^2 / 4 v^2 of it.
+    """
 
     def __init__(self, circle: Circle, airspeed_m_s: float, wind: Wind) -> None:
         # A counter-clockwise lap is a clockwise one seen in the mirror that keeps north.
         mirrored = wind if circle.clockwise else Wind(-wind.east_m_s, wind.north_m_s)
-        self._times_s = lap_times_s(circle.radius_m, airspeed_m_s, mirrored)
+        self._times_s = _lap_times_s(circle.radius_m, airspeed_m_s, mirrored)
         self._turns_rad = np.linspace(0.0, 2.0 * math.pi, self._times_s.size)
         self.lap_s = float(self._times_s[-1])
 
