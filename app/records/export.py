@@ -12,7 +12,7 @@ from typing import Any
 from xml.etree import ElementTree as Xml
 
 from app.errors import InputError
-from app.records.track import Flight, sigma_m
+from app.records.track import Flight, ring, sigma_m
 from mission.items import FRAME_GLOBAL, NAV_WAYPOINT, Item
 from mission.plan_file import plan_file
 
@@ -169,14 +169,14 @@ def _geojson(flight: Flight) -> str:
     if len(flight.estimates) > 1:
         features.append(line("target", [(e.time_s, place(e.east_m, e.north_m)) for e in flight.estimates]))
     for since_s, circle in flight.circles:
-        corners = [[longitude_deg, latitude_deg] for latitude_deg, longitude_deg in flight.ring(circle)]
+        corners = [place(*corner) for corner in ring(circle)]
         # A polygon's outer ring runs counter-clockwise (RFC 7946).
-        ring = corners[::-1] if circle.clockwise else corners
+        outer = corners[::-1] if circle.clockwise else corners
         features.append(
             feature(
                 "circle",
                 "Polygon",
-                [ring],
+                [outer],
                 since_s=since_s,
                 since_utc=flight.utc(since_s),
                 radius_m=circle.radius_m,
@@ -232,8 +232,8 @@ def _kml(flight: Flight) -> str:
     for since_s, circle in flight.circles:
         mark = _kml_mark(document, "circle", f"circle from {since_s:.1f} s, radius {circle.radius_m:.0f} m")
         line = Xml.SubElement(mark, "LineString")
-        corners = flight.ring(circle)
-        Xml.SubElement(line, "coordinates").text = " ".join(f"{lon:.8f},{lat:.8f}" for lat, lon in corners)
+        places = (flight.degrees(*corner) for corner in ring(circle))
+        Xml.SubElement(line, "coordinates").text = " ".join(f"{lon:.8f},{lat:.8f}" for lat, lon in places)
     return _document(root)
 
 

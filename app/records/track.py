@@ -57,12 +57,12 @@ class Flight:
         latitude_deg, longitude_deg = self.plane.latitude_longitude_deg(east_m, north_m)
         return round(latitude_deg, 8), round(longitude_deg, 8)
 
-    def ring(self, circle: Circle) -> list[tuple[float, float]]:
-        """Return (latitude, longitude) of the corners of a polygon for a circle, in the order it is flown, closed."""
-        turn = 1.0 if circle.clockwise else -1.0
-        courses_rad = [turn * math.tau * corner / _RING_CORNERS for corner in range(_RING_CORNERS)]
-        corners = [self.degrees(*circle.position_at_course(course_rad)) for course_rad in courses_rad]
-        return [*corners, corners[0]]
+
+def ring(circle: Circle) -> list[tuple[float, float]]:
+    """Return (east, north) of the corners of a polygon for a circle, in the order it is flown, closed."""
+    turn = 1.0 if circle.clockwise else -1.0
+    corners = [circle.position_at_course(turn * math.tau * corner / _RING_CORNERS) for corner in range(_RING_CORNERS)]
+    return [*corners, corners[0]]
 
 
 def sigma_m(estimate: TargetEstimate) -> float:
