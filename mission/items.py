@@ -2,10 +2,10 @@
 
 ::
 
-    [home] [present circle] [waypoints of the transition ...] [new circle]
+    [waypoints of the transition ...] [new circle]
 
-The present circle never completes, so a vehicle that flies it is not moved by an upload; setting the first waypoint
-current at the departure flies the transition, and the new circle needs no one again.
+Setting the first of them current at the departure flies the transition; the circle at its end never completes, so it
+needs no one again, and an upload behind it moves nothing.
 """
 
 from __future__ import annotations
@@ -84,11 +84,3 @@ def plan_items(
         for east_m, north_m in layout.waypoints
     )
     return (*waypoints, circle)
-
-
-def mission_items(
-    present: Circle, line: tuple[Item, ...], plane: LocalPlane, height_m: float, home: Item | None = None
-) -> tuple[Item, ...]:
-    """Return a whole mission: ``home`` where the autopilot wants it at 0, the circle flown now, then a new line."""
-    head = () if home is None else (home,)
-    return (*head, circle_item(present, plane, height_m), *line)

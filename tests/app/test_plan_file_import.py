@@ -11,7 +11,7 @@ from app.config import Config
 from app.simulated import SimulatedVehicle
 from estimators.frames import LocalPlane
 from mission.circle import Circle
-from mission.items import Item, mission_items, plan_items
+from mission.items import Item, circle_item, plan_items
 from mission.plan import Plan
 from mission.plan_file import plan_file
 from mission.transition import abcd
@@ -22,7 +22,7 @@ OUTLINE = [(-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.0, 900.0)]
 
 def items() -> tuple[Item, ...]:
     present, new = Circle(0.0, 100.0, 65.0, False), Circle(430.0, 100.0, 65.0, False)
-    return mission_items(present, plan_items(Plan(new, abcd(present, new)), PLANE, 80.0, 15.0), PLANE, 80.0)
+    return (circle_item(present, PLANE, 80.0), *plan_items(Plan(new, abcd(present, new)), PLANE, 80.0, 15.0))
 
 
 async def imported(autopilot: str, text: str, truth: Path):

@@ -5,14 +5,11 @@ import pytest
 from estimators.frames import LocalPlane
 from mission.circle import Circle
 from mission.items import (
-    FRAME_GLOBAL,
     FRAME_GLOBAL_RELATIVE_ALT,
     NAV_LOITER_UNLIM,
     NAV_WAYPOINT,
-    Item,
     UnflyableError,
     circle_item,
-    mission_items,
     plan_items,
 )
 from mission.line_tracking import px4
@@ -57,12 +54,3 @@ def test_the_first_waypoint_is_where_the_aircraft_is_at_the_departure() -> None:
 def test_a_tolerance_that_cannot_be_kept_is_refused_with_the_figure() -> None:
     with pytest.raises(UnflyableError, match="tolerance_m is 0"):
         plan_items(Plan(NEW, abcd(PRESENT, NEW)), PLANE, 80.0, 0.05)
-
-
-@pytest.mark.parametrize("home", [None, Item(NAV_WAYPOINT, FRAME_GLOBAL, 47.0, 8.5, 430.0)])
-def test_a_mission_begins_with_what_is_flown_and_ends_in_a_circle(home: Item | None) -> None:
-    line = plan_items(Plan(NEW, abcd(PRESENT, NEW)), PLANE, 80.0, 15.0)
-    mission = mission_items(PRESENT, line, PLANE, 80.0, home)
-    assert mission[-len(line) :] == line
-    assert mission[-len(line) - 1] == circle_item(PRESENT, PLANE, 80.0)
-    assert len(mission) == len(line) + (1 if home is None else 2)

@@ -6,14 +6,14 @@ import pytest
 
 from estimators.frames import LocalPlane
 from mission.circle import Circle
-from mission.items import circle_item, mission_items, plan_items
+from mission.items import circle_item, plan_items
 from mission.plan import Plan
 from mission.plan_file import plan_file
 from mission.transition import abcd
 
 PLANE = LocalPlane(47.0, 8.5)
 PRESENT, NEW = Circle(0.0, 100.0, 65.0, False), Circle(430.0, 100.0, 65.0, False)
-ITEMS = mission_items(PRESENT, plan_items(Plan(NEW, abcd(PRESENT, NEW)), PLANE, 80.0, 15.0), PLANE, 80.0)
+ITEMS = (circle_item(PRESENT, PLANE, 80.0), *plan_items(Plan(NEW, abcd(PRESENT, NEW)), PLANE, 80.0, 15.0))
 KEEP_IN = [[(-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.0, 900.0)]]
 KEEP_OUT = [[(300.0, 300.0), (350.0, 300.0), (325.0, 350.0)]]
 
