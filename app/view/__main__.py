@@ -1,0 +1,53 @@
+"""``python -m app.view``: serves the page; states come in on standard input, buttons go out on standard output.
+
+The first line in is {"host", "port", "token"}, the first line out {"port"}. It ends when its input does.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import sys
+
+import uvicorn
+
+from app.view.server import Json, Server
+
+_LINE_MAX_BYTES = 1 << 22
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+        listener.listen()  # from here on a browser may come: it waits until the server runs
+    except OSError as error:
+        sys.exit(f"port {port} cannot be opened ({error.strerror})")
+    return listener
+
+
+async def _serve() -> None:
+    reader = asyncio.StreamReader(_LINE_MAX_BYTES)
+    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    options = json.loads(await reader.readline())
+    listener = _listening(options["host"], options["port"])
+
+    def press(pressed: Json) -> None:
+        print(json.dumps(pressed), flush=True)
+
+    server = Server(options["host"], options["token"], press)
+    runner = uvicorn.Server(
+        uvicorn.Config(server.app, log_level="error", access_log=False, timeout_graceful_shutdown=1)
+    )
+    serving = asyncio.create_task(runner.serve(sockets=[listener]))
+    print(json.dumps({"port": listener.getsockname()[1]}), flush=True)
+    while (line := await reader.readline()).endswith(b"\n"):  # a cut line is the end, too
+        server.tell(json.loads(line))
+    server.close()
+    runner.should_exit = True
+    await serving
+
+
+asyncio.run(_serve())

@@ -1,0 +1,187 @@
+"""A ``Display`` that feeds the page in the browser, beside the one on the terminal, and brings its buttons back."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import secrets
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from types import TracebackType
+from typing import Protocol
+
+from app.config import Config
+from app.errors import InputError
+from app.loop import Display
+from app.view.address import LOOPBACK, Address
+from app.view.feed import Feed, FeedError
+from app.view.state import Json, Stater, setting
+from estimators.frames import LocalPlane
+from mission.events import Announce, OperatorRequest
+from mission.requirement import Side
+from mission.watch import Snapshot
+
+_UP_S = 5.0
+_SEND_EVERY_S = 0.125
+_TRAIL_STEP_S = 0.5  # of the vehicle's time
+_UNSENT_MAX = 2000  # trail points and words kept while the page takes none
+
+
+class FlightDisplay(Display, Protocol):
+    """What a flight needs of a display beyond the loop's needs."""
+
+    start_s: float
+    duration_s: float | None
+
+    def note(self, text: str) -> None: ...
+
+
+class ViewDisplay:
+    """Wraps another display. Use as ``with``; ``url`` is then the page's address.
+
+    on_request: where the page's buttons go (the loop's queue), None while there is no loop; plane: set it when it is
+    known. Both of ``show`` and ``pump`` return at once: the page gets what fits.
+    """
+
+    def __init__(self, inner: FlightDisplay, config: Config, address: Address) -> None:
+        self.on_request: Callable[[OperatorRequest], None] | None = None
+        self.url = ""
+        self._inner, self._config, self._address = inner, config, address
+        self._stater = Stater(config.requirement.requirement(), config.aircraft.airspeed_m_s)
+        self._feed: Feed | None = None
+        self._snapshot: Snapshot | None = None
+        self._trail: deque[list[float]] = deque(maxlen=_UNSENT_MAX)
+        self._said: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
+        self._setting: Json | None = None
+        self._trail_s = -math.inf
+        self._sent_at_s = -math.inf
+        self._heard_at_s = time.monotonic()
+        self._plane: LocalPlane | None = None
+
+    # -- life ----------------------------------------------------------------------------------------------
+
+    def __enter__(self) -> ViewDisplay:
+        """Start the server and wait for it. Raises InputError when it does not come up (port in use)."""
+        host, port = self._address.host, self._address.port
+        token = "" if host in LOOPBACK else secrets.token_urlsafe(16)
+        self._feed = Feed((sys.executable, "-m", "app.view"))
+        self._feed.send(_line({"host": host, "port": port, "token": token}))
+        try:
+            ready = json.loads(self._feed.wait_for_line(_UP_S))
+        except FeedError as error:
+            raise InputError(
+                f"the page cannot be shown on {host}:{port}: {error}; try another --view-port."
+            ) from error
+        self.url = f"http://{host}:{ready['port']}/" + (f"?token={token}" if token else "")
+        self._setting = setting(self._config, None)
+        self.pump()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._feed is not None:
+            self.pump()
+            self._feed.close()
+            self._feed = None
+
+    async def keep_fresh(self) -> None:
+        """Go on telling the page how things stand while nothing happens, until cancelled."""
+        while True:
+            await asyncio.sleep(_SEND_EVERY_S)
+            self.pump_if_due()
+
+    # -- what the flight tells -----------------------------------------------------------------------------
+
+    @property
+    def start_s(self) -> float:
+        return self._inner.start_s
+
+    @start_s.setter
+    def start_s(self, start_s: float) -> None:
+        self._inner.start_s = start_s
+
+    @property
+    def duration_s(self) -> float | None:
+        return self._inner.duration_s
+
+    @duration_s.setter
+    def duration_s(self, duration_s: float | None) -> None:
+        self._inner.duration_s = duration_s
+
+    @property
+    def plane(self) -> LocalPlane | None:
+        return self._plane
+
+    @plane.setter
+    def plane(self, plane: LocalPlane) -> None:
+        self._plane = plane
+        self._setting = setting(self._config, plane)
+
+    def note(self, text: str) -> None:
+        self._inner.note(text)
+        self._said.append([None, "note", text])
+        self.pump()
+
+    def say(self, announcement: Announce) -> None:
+        self._inner.say(announcement)
+        self._said.append([announcement.time_s, announcement.kind, announcement.text])
+
+    def show(self, snapshot: Snapshot) -> None:
+        self._inner.show(snapshot)
+        if self._snapshot is None or snapshot.time_s != self._snapshot.time_s:
+            self._heard_at_s = time.monotonic()
+        self._snapshot = snapshot
+        aircraft = snapshot.aircraft
+        if aircraft is not None and aircraft.time_s >= self._trail_s + _TRAIL_STEP_S:
+            self._trail_s = aircraft.time_s
+            self._trail.append([round(aircraft.time_s, 1), round(aircraft.east_m, 1), round(aircraft.north_m, 1)])
+        self.pump_if_due()
+
+    # -- what the page is told, and tells ------------------------------------------------------------------
+
+    def pump_if_due(self) -> None:
+        """Send the page how things stand if it is time to."""
+        if time.monotonic() - self._sent_at_s >= _SEND_EVERY_S:
+            self.pump()
+
+    def pump(self) -> None:
+        """Send the page how things stand, and take the buttons that were pressed."""
+        feed, self._sent_at_s = self._feed, time.monotonic()
+        if feed is None or not feed.alive:
+            return
+        for line in feed.lines():
+            self._pressed(json.loads(line))
+        if feed.send(_line(self._told())):
+            self._trail.clear()
+            self._said.clear()
+            self._setting = None
+        elif not feed.alive:
+            self._inner.note("the page has stopped; the flight goes on without it")
+
+    def _told(self) -> Json:
+        told: Json = {"start_s": _finite(self.start_s), "trail": list(self._trail), "said": list(self._said)}
+        if self._setting is not None:
+            told["setting"] = self._setting
+        if self._snapshot is not None:
+            silent_s = time.monotonic() - self._heard_at_s
+            told["state"] = self._stater.state(self._snapshot, silent_s)
+        return told
+
+    def _pressed(self, press: Json) -> None:
+        if self.on_request is None or self._snapshot is None or not math.isfinite(self._snapshot.time_s):
+            self.note(f"{press['action']} refused: nothing is flown yet")
+            return
+        side = Side(press["side"]) if press["side"] is not None else None
+        self.on_request(OperatorRequest(self._snapshot.time_s, press["action"], side))
+
+
+def _line(values: Json) -> bytes:
+    return json.dumps(values, separators=(",", ":"), allow_nan=False).encode()
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,233 @@
+// The map: metres east and north in one scaled group, symbols and words in pixels above it.
+
+const NS = document.querySelector("svg").namespaceURI;
+const PREDICTED_S = 60;
+const GRID_PX = 90;
+const TRAIL_KEPT = 2400;
+
+export function svg(name, attributes = {}, parent = null) {
+  const element = document.createElementNS(NS, name);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+  if (parent) parent.append(element);
+  return element;
+}
+
+const points = (line) => line.map((p) => p.join(",")).join(" ");
+
+// A sector of a ring about (0, 0), bearings clockwise from north, as a path in metres.
+function ringSector(least, most, from, to) {
+  const at = (r, b) => `${r * Math.sin(b)} ${r * Math.cos(b)}`;
+  const large = (to - from) % (2 * Math.PI) > Math.PI ? 1 : 0;
+  // With y pointing up in metres, clockwise on the map is sweep 0.
+  return `M${at(most, from)} A${most} ${most} 0 ${large} 0 ${at(most, to)} L${at(least, to)} `
+    + `A${least} ${least} 0 ${large} 1 ${at(least, from)} Z`;
+}
+
+export class FlightMap {
+  constructor(root, followButton) {
+    this.root = root;
+    this.trail = [];
+    this.targetTrail = [];
+    this.setting = {};
+    this.state = null;
+    this.view = null; // {east, north, scale px/m}; null follows the target
+    this.ground = svg("g", {}, root);
+    const shape = (name, kind) => svg(name, { class: kind }, this.ground);
+    this.about = svg("g", {}, this.ground); // moves with the target
+    this.fences = svg("g", {}, this.ground);
+    this.side = svg("path", { class: "side" }, this.about);
+    this.rings = [0, 1].map(() => svg("circle", { class: "ring" }, this.about));
+    this.trailLine = shape("polyline", "trail");
+    this.targetLine = shape("polyline", "target-trail");
+    this.circle = shape("circle", "circle");
+    this.line = shape("polyline", "line");
+    this.coming = shape("circle", "coming");
+    this.comingLine = shape("polyline", "coming");
+    this.sight = shape("polyline", "sight");
+    this.predicted = shape("polyline", "predicted");
+    this.ellipse = shape("ellipse", "ellipse");
+    this.grid = svg("g");
+    root.prepend(this.grid);
+    this.scales = svg("g", {}, root);
+    this.symbols = svg("g", {}, root);
+    this.target = svg("circle", { class: "target", r: 5 }, this.symbols);
+    this.aircraft = svg("path", { class: "aircraft", d: "M0 -11 L8 9 L0 4 L-8 9 Z" }, this.symbols);
+    this.words = svg("text", { class: "label" }, this.symbols);
+    this.followButton = followButton;
+    followButton.addEventListener("click", () => this.follow());
+    root.addEventListener("dblclick", () => this.follow());
+    root.addEventListener("wheel", (event) => this.zoom(event), { passive: false });
+    root.addEventListener("pointerdown", (event) => this.grab(event));
+    new ResizeObserver(() => this.draw()).observe(root);
+  }
+
+  forget() {
+    this.trail = [];
+    this.targetTrail = [];
+  }
+
+  addTrail(samples) {
+    for (const [, east, north] of samples) this.trail.push([east, north]);
+    this.trail.splice(0, this.trail.length - TRAIL_KEPT);
+  }
+
+  addTarget(at) {
+    const last = this.targetTrail.at(-1);
+    if (at && (!last || Math.hypot(at[0] - last[0], at[1] - last[1]) > 2)) this.targetTrail.push(at);
+    this.targetTrail.splice(0, this.targetTrail.length - TRAIL_KEPT);
+  }
+
+  // -- where to look ---------------------------------------------------------------------------------------
+
+  follow() {
+    this.view = null;
+    this.followButton.hidden = true;
+    this.draw();
+  }
+
+  leave(view) {
+    this.view = view;
+    this.followButton.hidden = false;
+    this.draw();
+  }
+
+  zoom(event) {
+    event.preventDefault();
+    const view = this.shown();
+    const box = this.root.getBoundingClientRect();
+    const x = event.clientX - box.left - box.width / 2;
+    const y = event.clientY - box.top - box.height / 2;
+    const scale = Math.min(20, Math.max(0.01, view.scale * Math.exp(-event.deltaY * 0.0015)));
+    const shift = 1 / view.scale - 1 / scale; // keeps what is under the pointer there
+    this.leave({ east: view.east + x * shift, north: view.north - y * shift, scale });
+  }
+
+  grab(start) {
+    const view = this.shown();
+    const move = (event) => this.leave({
+      ...view,
+      east: view.east - (event.clientX - start.clientX) / view.scale,
+      north: view.north + (event.clientY - start.clientY) / view.scale,
+    });
+    const drop = () => {
+      window.removeEventListener("pointermove", move);
+      window.removeEventListener("pointerup", drop);
+    };
+    window.addEventListener("pointermove", move);
+    window.addEventListener("pointerup", drop);
+  }
+
+  shown() {
+    if (this.view) return this.view;
+    const { clientWidth: width, clientHeight: height } = this.root;
+    const { state, setting } = this;
+    const seen = [];
+    const reach = (at, r) => seen.push([at[0] - r, at[1] - r], [at[0] + r, at[1] + r]);
+    if (state?.target) reach(state.target.at_m, setting.band_m?.[1] ?? 100);
+    if (state?.aircraft) reach(state.aircraft.at_m, 30);
+    for (const plan of [state?.present, state?.coming]) if (plan) reach(plan.circle, plan.circle[2]);
+    if (!seen.length) reach([0, 0], 500);
+    const [east, north] = [0, 1].map((k) => seen.map((p) => p[k]));
+    const [w, e, s, n] = [Math.min(...east), Math.max(...east), Math.min(...north), Math.max(...north)];
+    const scale = Math.min((width - 70) / (e - w), (height - 60) / (n - s));
+    return { east: (w + e) / 2, north: (s + n) / 2, scale: Math.max(scale, 0.001) };
+  }
+
+  // -- drawing ---------------------------------------------------------------------------------------------
+
+  draw() {
+    const { clientWidth: width, clientHeight: height } = this.root;
+    if (!width || !height) return;
+    const { east, north, scale } = this.shown();
+    const x = (e) => width / 2 + (e - east) * scale;
+    const y = (n) => height / 2 - (n - north) * scale;
+    this.ground.setAttribute("transform", `translate(${x(0)} ${y(0)}) scale(${scale} ${-scale})`);
+    this.drawGrid(width, height, { east, north, scale }, x, y);
+    this.trailLine.setAttribute("points", points(this.trail));
+    this.targetLine.setAttribute("points", points(this.targetTrail));
+    const { state } = this;
+    this.plan(state?.present, this.circle, this.line);
+    this.plan(state?.coming, this.coming, this.comingLine);
+    this.drawTarget(state, x, y);
+    const aircraft = state?.aircraft;
+    this.aircraft.toggleAttribute("hidden", !aircraft);
+    if (aircraft) {
+      const degrees = (aircraft.course_rad * 180) / Math.PI;
+      this.aircraft.setAttribute("transform", `translate(${x(aircraft.at_m[0])} ${y(aircraft.at_m[1])}) rotate(${degrees})`);
+    }
+  }
+
+  plan(plan, circle, line) {
+    const [east, north, radius] = plan?.circle ?? [0, 0, 0];
+    circle.setAttribute("cx", east);
+    circle.setAttribute("cy", north);
+    circle.setAttribute("r", radius);
+    line.setAttribute("points", points(plan?.line ?? []));
+  }
+
+  drawTarget(state, x, y) {
+    const target = state?.target;
+    for (const element of [this.about, this.target, this.words]) element.toggleAttribute("hidden", !target);
+    if (!target) return;
+    const [east, north] = target.at_m;
+    const [major, minor, bearing] = target.ellipse;
+    this.about.setAttribute("transform", `translate(${east} ${north})`);
+    const ahead = target.velocity_m_s.map((v, k) => target.at_m[k] + v * PREDICTED_S);
+    this.predicted.setAttribute("points", target.course_rad === null ? "" : points([target.at_m, ahead]));
+    this.sight.setAttribute("points", state.aircraft ? points([target.at_m, state.aircraft.at_m]) : "");
+    this.ellipse.setAttribute("rx", minor);
+    this.ellipse.setAttribute("ry", major);
+    // The ellipse's long axis is drawn northwards, then turned to its bearing: clockwise is negative with y up.
+    this.ellipse.setAttribute("transform", `translate(${east} ${north}) rotate(${(-bearing * 180) / Math.PI})`);
+    this.target.setAttribute("cx", x(east));
+    this.target.setAttribute("cy", y(north));
+    this.words.setAttribute("x", x(east) + 9);
+    this.words.setAttribute("y", y(north) + 16);
+    this.words.textContent = target.quality === "good" ? "" : `target ${target.quality}`;
+    this.drawSide(state, target);
+  }
+
+  drawSide(state, target) {
+    const { band_m: band, sector_rad: sector, either_side: either } = this.setting;
+    if (!band) return;
+    this.rings.forEach((ring, k) => ring.setAttribute("r", band[k]));
+    let from = 0;
+    let to = 2 * Math.PI - 1e-6;
+    if (sector) [from, to] = [sector[0], sector[1] <= sector[0] ? sector[1] + 2 * Math.PI : sector[1]];
+    else if (!either && target.course_rad !== null) {
+      from = target.course_rad + (state.side === "left" ? -Math.PI : 0);
+      to = from + Math.PI;
+    }
+    this.side.setAttribute("d", ringSector(band[0], band[1], from, to));
+  }
+
+  drawFences() {
+    const outlines = (kind) => (this.setting[kind.replace("-", "_")] ?? [])
+      .map((outline) => svg("polygon", { class: kind, points: points(outline) }));
+    this.fences.replaceChildren(...outlines("keep-in"), ...outlines("keep-out"));
+  }
+
+  drawGrid(width, height, { east, north, scale }, x, y) {
+    const rough = GRID_PX / scale;
+    const power = 10 ** Math.floor(Math.log10(rough));
+    const step = [1, 2, 5, 10].map((k) => k * power).find((size) => size >= rough);
+    const parts = [];
+    const words = [];
+    const word = (text, attributes) => {
+      words.push(svg("text", { class: "tick", ...attributes }));
+      words.at(-1).textContent = text;
+    };
+    for (let e = Math.ceil((east - width / 2 / scale) / step) * step; x(e) < width; e += step) {
+      parts.push(svg("path", { class: "grid", d: `M${x(e)} 0V${height}` }));
+      if (x(e) > 60 && x(e) < width - 70) word(Math.round(e), { x: x(e), y: height - 6, "text-anchor": "middle" });
+    }
+    for (let n = Math.ceil((north - height / 2 / scale) / step) * step; y(n) > 0; n += step) {
+      parts.push(svg("path", { class: "grid", d: `M0 ${y(n)}H${width}` }));
+      if (y(n) > 40 && y(n) < height - 24) word(Math.round(n), { x: 6, y: y(n) + 4 });
+    }
+    word("east, m", { x: width - 8, y: height - 6, "text-anchor": "end" });
+    word("north, m", { x: 6, y: 16 });
+    this.grid.replaceChildren(...parts);
+    this.scales.replaceChildren(...words);
+  }
+}

@@ -1,0 +1,172 @@
+// The page: takes the flight's stream, shows it, and sends the buttons back.
+
+import { FlightMap } from "./map.js";
+import { Plots } from "./plots.js";
+
+const byId = (id) => document.getElementById(id);
+const degrees = (radians) => Math.round(((radians * 180) / Math.PI + 360) % 360);
+const LOG_KEPT = 300;
+const SILENT_MS = 2000;
+const IN_HAND = new Set(["watching", "holding"]);
+const PHASE_LOOKS = { watching: "good", holding: "warn", yielded: "bad", ended: "bad" };
+const QUALITY_LOOKS = { good: "good", coasting: "warn", lost: "bad" };
+
+const map = new FlightMap(byId("map"), byId("follow"));
+const plots = new Plots(byId("plots"));
+let state = null;
+let startS = 0;
+let heardAt = performance.now();
+let over = false;
+let drawn = true;
+
+function clock(timeS) {
+  const since = Math.max(0, timeS - startS);
+  return `${Math.floor(since / 60)}:${String(Math.floor(since % 60)).padStart(2, "0")}`;
+}
+
+// -- what the flight tells -----------------------------------------------------------------------------------
+
+function hear(told) {
+  heardAt = performance.now();
+  if (told.anew) {
+    map.forget();
+    plots.samples = [];
+    byId("log").replaceChildren();
+  }
+  if (told.start_s !== null) startS = told.start_s;
+  if (told.setting?.band_m) set(told.setting);
+  map.addTrail(told.trail);
+  for (const sample of told.series ?? []) map.addTarget(sample.target_m);
+  plots.add(told.series ?? []);
+  for (const [timeS, kind, text] of told.said) say(timeS, kind, text);
+  if (told.state) state = told.state;
+  over ||= told.over ?? false;
+  if (drawn) {
+    drawn = false;
+    requestAnimationFrame(draw);
+  }
+}
+
+function set(setting) {
+  map.setting = plots.setting = setting;
+  map.drawFences();
+  byId("legend").querySelector(".fence").hidden = !(setting.keep_in.length + setting.keep_out.length);
+  byId("vehicle").textContent = setting.vehicle;
+}
+
+function say(timeS, kind, text) {
+  const line = document.createElement("li");
+  line.className = kind;
+  const time = document.createElement("time");
+  time.textContent = timeS === null ? "" : clock(timeS);
+  line.append(time, text);
+  byId("log").prepend(line);
+  while (byId("log").childElementCount > LOG_KEPT) byId("log").lastChild.remove();
+}
+
+// -- showing it ----------------------------------------------------------------------------------------------
+
+function chip(id, text, look) {
+  const element = byId(id);
+  element.hidden = !text;
+  element.textContent = text;
+  element.className = `chip ${look}`;
+}
+
+function tiles() {
+  const { target, aircraft } = state;
+  const known = (value, text) => (value === null || value === undefined ? "–" : text(value));
+  return [
+    ["range", known(target?.range_m, (v) => `${Math.round(v)} m`), inBand(target?.range_m) ? "" : "bad"],
+    ["angle", known(target?.angle_rad, (v) => `${Math.round((v * 180) / Math.PI)}°`), ""],
+    ["watched from", state.side, ""],
+    ["target", target ? `${Math.hypot(...target.velocity_m_s).toFixed(1)} m/s` : "–", ""],
+    ["target's course", known(target?.course_rad, (v) => `${degrees(v)}°`), ""],
+    ["95 % within", target ? `${target.ellipse[0].toFixed(1)} m` : "–", ""],
+    ["ground speed", aircraft ? `${aircraft.ground_speed_m_s.toFixed(1)} m/s` : "–", ""],
+    ["height", known(aircraft?.height_m, (v) => `${Math.round(v)} m`), ""],
+    ["wind", `${Math.hypot(...state.wind_m_s).toFixed(1)} m/s`, ""],
+    ["moves", state.moves, ""],
+    ["uploads", state.upload_failures ? `${state.uploads}, ${state.upload_failures} failed` : state.uploads, ""],
+    ["sightings", `${state.sightings}, ${state.rejected} out`, ""],
+  ];
+}
+
+function inBand(range) {
+  const band = map.setting.band_m;
+  return range === null || range === undefined || !band || (range >= band[0] && range <= band[1]);
+}
+
+function draw() {
+  drawn = true;
+  if (!state) return;
+  map.state = state;
+  map.draw();
+  plots.draw();
+  chip("phase", state.phase, PHASE_LOOKS[state.phase] ?? "");
+  chip("quality", state.target ? `track ${state.target.quality}` : "no target yet", QUALITY_LOOKS[state.target?.quality] ?? "");
+  chip("link", state.connected ? "" : "link lost", "bad");
+  byId("clock").textContent = state.time_s === null || state.phase === "waiting" ? "" : clock(state.time_s);
+  byId("quality").title = state.target?.why ?? "";
+  byId("phase").title = state.reason;
+  byId("tiles").replaceChildren(...tiles().map(([name, text, look]) => {
+    const tile = document.createElement("div");
+    const [dt, dd] = ["dt", "dd"].map((kind) => document.createElement(kind));
+    dt.textContent = name;
+    dd.textContent = text;
+    dd.className = look;
+    tile.append(dt, dd);
+    return tile;
+  }));
+  buttons();
+}
+
+function buttons() {
+  const inHand = state !== null && IN_HAND.has(state.phase) && !over;
+  for (const button of byId("buttons").children) {
+    const { action } = button.dataset;
+    const apt = (action !== "hold" || state?.phase === "watching") && (action !== "resume" || state?.phase === "holding");
+    button.disabled = !(inHand && apt);
+    button.title = inHand ? "" : `refused: the mission is ${over ? "over" : state?.phase ?? "not begun"}`;
+  }
+}
+
+setInterval(() => {
+  const silent = performance.now() - heardAt;
+  const news = byId("news");
+  news.hidden = !over && silent < SILENT_MS;
+  news.textContent = over
+    ? "The flight's program has ended; this is how things stood last."
+    : `Nothing heard from the flight's program for ${Math.round(silent / 1000)} s; what is shown is old.`;
+  if (over) buttons();
+}, 250);
+
+// -- buttons -------------------------------------------------------------------------------------------------
+
+function asked(question) {
+  const dialog = byId("ask");
+  dialog.querySelector("p").textContent = question;
+  dialog.returnValue = "no";
+  dialog.showModal();
+  return new Promise((answer) => {
+    dialog.addEventListener("close", () => answer(dialog.returnValue === "yes"), { once: true });
+  });
+}
+
+byId("buttons").addEventListener("click", async ({ target: button }) => {
+  const { action, ask } = button.dataset;
+  if (!action) return;
+  const side = action !== "side" ? null : state.side === "left" ? "right" : "left";
+  const question = side ? `Watch from the target's ${side} instead?` : ask;
+  if (!(await asked(question))) return;
+  const headers = { "Content-Type": "application/json" };
+  const answer = await fetch("press", { method: "POST", headers, body: JSON.stringify({ action, side }) });
+  if (!answer.ok) say(null, "operator", `${action} was not passed on: ${await answer.text()}`);
+});
+
+buttons();
+const stream = new EventSource("events");
+stream.onmessage = (event) => hear(JSON.parse(event.data));
+stream.onerror = () => {
+  if (over) stream.close(); // nobody is there to come back
+};

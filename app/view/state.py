@@ -1,0 +1,163 @@
+"""What the page is told, as plain JSON: metres in the plane, radians clockwise from north, seconds.
+
+What is not known is null: JSON has no NaN.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from app.config import Config
+from app.prediction import predicted_m
+from estimators.ellipse import confidence_ellipse
+from estimators.frames import LocalPlane, wrap_rad
+from mission.path import Path
+from mission.plan import AircraftState, Plan
+from mission.requirement import Requirement
+from mission.watch import Snapshot
+
+Json = dict[str, Any]
+
+_LINE_POINTS = 60
+_STANDING_M_S = 0.9  # below this an estimated course is noise: the last one stays
+_ON_TRANSITION = 1.2  # a transition is shown for this share of the time it takes
+
+
+def setting(config: Config, plane: LocalPlane | None) -> Json:
+    """Return what stays the same; the fences only once the plane is known."""
+    requirement = config.requirement.requirement()
+
+    def outlines(polygons: list[list[tuple[float, float]]]) -> list[list[list[float]]]:
+        if plane is None:
+            return []
+        return [[_rounded(*plane.east_north_m(*corner)) for corner in polygon] for polygon in polygons]
+
+    sector = requirement.sector
+    return {
+        "band_m": [requirement.range_min_m, requirement.range_max_m],
+        "sector_rad": None if sector is None else [sector.from_rad, sector.to_rad],
+        "either_side": requirement.either_side,
+        "bank_max_rad": math.radians(config.aircraft.bank_max_deg),
+        "keep_in": outlines(config.fences.keep_in),
+        "keep_out": outlines(config.fences.keep_out),
+        "vehicle": config.link.url or f"simulated {config.simulation.autopilot}",
+    }
+
+
+class Stater:
+    """Turns snapshots into states; remembers the target's course through its stops, and lines already thinned."""
+
+    def __init__(self, requirement: Requirement, airspeed_m_s: float) -> None:
+        self._requirement, self._airspeed_m_s = requirement, airspeed_m_s
+        self._course_rad: float | None = None
+        self._thinned: dict[int, tuple[Path, list[list[float]]]] = {}
+
+    def state(self, snapshot: Snapshot, silent_s: float) -> Json:
+        """Return the state; silent_s is how long the vehicle has said nothing."""
+        gauges, time_s = snapshot.gauges, snapshot.time_s
+        return {
+            "time_s": _number(time_s, 2),
+            "phase": snapshot.phase,
+            "mode": snapshot.mode,
+            "side": snapshot.side,
+            "aircraft": self._aircraft(snapshot),
+            "target": self._target(snapshot),
+            "present": self._plan(snapshot.present, time_s, flown=True),
+            "coming": self._plan(snapshot.coming, time_s, flown=False),
+            "reason": snapshot.decision.reason if snapshot.decision is not None else "",
+            "wind_m_s": _rounded(snapshot.wind.east_m_s, snapshot.wind.north_m_s),
+            "nis": _number(gauges.nis, 2),
+            "range_age_s": _number(time_s - gauges.range_s, 2),
+            "gimbal_age_s": _number(time_s - gauges.gimbal_s, 2),
+            "link_age_s": round(silent_s, 2),
+            "connected": gauges.connected,
+            "sightings": gauges.sightings,
+            "rejected": gauges.rejected,
+            "moves": snapshot.moves,
+            "uploads": snapshot.uploads,
+            "upload_failures": snapshot.upload_failures,
+            "latency_s": _number(snapshot.latency_s, 2),
+        }
+
+    def _aircraft(self, snapshot: Snapshot) -> Json | None:
+        aircraft = snapshot.aircraft
+        if aircraft is None:
+            return None
+        return {
+            "at_m": _rounded(aircraft.east_m, aircraft.north_m),
+            "course_rad": round(aircraft.course_rad, 4),
+            "ground_speed_m_s": round(aircraft.ground_speed_m_s, 2),
+            "bank_rad": _number(snapshot.gauges.bank_rad, 4),
+            "height_m": _number(snapshot.gauges.height_m, 1),
+        }
+
+    def _target(self, snapshot: Snapshot) -> Json | None:
+        estimate, aircraft = snapshot.estimate, snapshot.aircraft
+        if estimate is None or aircraft is None:
+            return None
+        if estimate.speed_m_s >= _STANDING_M_S:
+            self._course_rad = estimate.course_rad
+        at_m = predicted_m(estimate, snapshot.time_s)
+        ellipse = confidence_ellipse(estimate.covariance[:2, :2])
+        return {
+            "at_m": _rounded(*at_m),
+            "velocity_m_s": _rounded(estimate.velocity_east_m_s, estimate.velocity_north_m_s),
+            "course_rad": _number(self._course_rad, 4),
+            "ellipse": [
+                round(ellipse.semi_major_m, 2),
+                round(ellipse.semi_minor_m, 2),
+                round(ellipse.orientation_rad, 4),
+            ],
+            "quality": estimate.quality,
+            "why": estimate.reason,
+            "unseen_s": _number(snapshot.time_s - estimate.last_sighting_s, 1),
+            "range_m": round(math.hypot(aircraft.east_m - at_m[0], aircraft.north_m - at_m[1]), 1),
+            "angle_rad": _number(self._angle_rad(snapshot, aircraft, at_m), 4),
+        }
+
+    def _angle_rad(self, snapshot: Snapshot, aircraft: AircraftState, at_m: tuple[float, float]) -> float | None:
+        """Return the observation angle: from where the aircraft should be seen to where it is."""
+        sight_rad = math.atan2(aircraft.east_m - at_m[0], aircraft.north_m - at_m[1])
+        if self._requirement.sector is not None:
+            return wrap_rad(sight_rad - self._requirement.sector.middle_rad)
+        if self._course_rad is None:
+            return None
+        return wrap_rad(sight_rad - self._course_rad - snapshot.side.normal_turn_rad)
+
+    def _plan(self, plan: Plan | None, time_s: float, *, flown: bool) -> Json | None:
+        if plan is None:
+            return None
+        circle = plan.circle
+        line: list[list[float]] = []
+        if plan.transition is not None:
+            done_s = plan.departure_s + _ON_TRANSITION * plan.transition.length_m / self._airspeed_m_s
+            line = self._line(plan.transition) if not flown or time_s < done_s else []
+        return {
+            "circle": [*_rounded(circle.east_m, circle.north_m), round(circle.radius_m, 1)],
+            "clockwise": circle.clockwise,
+            "line": line,
+            "in_s": None if flown else _number(plan.departure_s - time_s, 1),
+        }
+
+    def _line(self, path: Path) -> list[list[float]]:
+        kept = self._thinned.get(id(path))
+        if kept is not None:
+            return kept[1]
+        every = max(1, len(path.arc_m) // _LINE_POINTS)
+        line = [
+            _rounded(e, n) for e, n in zip(path.east_m[::every].tolist(), path.north_m[::every].tolist(), strict=True)
+        ]
+        line.append(_rounded(float(path.east_m[-1]), float(path.north_m[-1])))
+        while len(self._thinned) > 3:
+            del self._thinned[next(iter(self._thinned))]
+        self._thinned[id(path)] = (path, line)  # keeps the path, so that its id stays its own
+        return line
+
+
+def _number(value: float | None, digits: int) -> float | None:
+    return round(value, digits) if value is not None and math.isfinite(value) else None
+
+
+def _rounded(east_m: float, north_m: float) -> list[float]:
+    return [round(east_m, 1), round(north_m, 1)]

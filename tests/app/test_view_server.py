@@ -1,0 +1,163 @@
+"""The page's process: what it serves, to whom, and whose buttons it takes."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+from urllib.error import HTTPError
+from urllib.parse import urlsplit
+from urllib.request import HTTPCookieProcessor, OpenerDirector, Request, build_opener, urlopen
+
+import pytest
+from rich.console import Console
+
+from app.config import Config
+from app.console import ConsoleDisplay
+from app.errors import InputError
+from app.view.address import Address
+from app.view.display import ViewDisplay
+from mission.events import OperatorRequest
+from mission.requirement import Side
+
+OTHER_LOOPBACK = "127.0.0.2"  # of this machine as well, but not the address that goes without a token
+
+
+def display_at(host: str) -> ViewDisplay:
+    return ViewDisplay(ConsoleDisplay(Console(), quiet=True), Config(), Address(host, 0))
+
+
+@pytest.fixture(scope="module")
+def shown(flight):
+    """Return a display that has shown a flight of 60 s."""
+    with display_at("127.0.0.1") as display:
+        display.start_s = 100.0
+        for _, _, watch in flight(60.0):
+            display.show(watch.snapshot())
+        yield display
+
+
+@pytest.fixture(scope="module")
+def guarded():
+    with display_at(OTHER_LOOPBACK) as display:
+        yield display
+
+
+def status(url: str, opener: OpenerDirector | None = None, **options) -> int:
+    try:
+        return (opener.open if opener else urlopen)(Request(url, **options)).status
+    except HTTPError as error:
+        return error.code
+
+
+def press(display: ViewDisplay, press: dict, **headers: str) -> int:
+    origin = {"Origin": display.url.rstrip("/"), "Content-Type": "application/json"}
+    return status(f"{display.url}press", data=json.dumps(press).encode(), headers=origin | headers)
+
+
+def requests_after(display: ViewDisplay) -> list[OperatorRequest]:
+    """Return what the buttons pressed so far have come to, and wait for the last: it marks the end."""
+    got: list[OperatorRequest] = []
+    display.on_request = got.append
+    press(display, {"action": "end"})
+    while not got or got[-1].action != "end":
+        display.pump()
+    return got[:-1]
+
+
+def test_the_page_and_all_it_needs_are_served_here(shown):
+    page = urlopen(shown.url).read().decode()
+    names = re.findall(r'(?:href|src)="([^"]+)"', page)
+    names += re.findall(r'from "\./([^"]+)"', urlopen(f"{shown.url}page.js").read().decode())
+    local = [name for name in names if not name.startswith("data:")]
+    assert len(local) >= 4
+    for name in local:
+        body = urlopen(f"{shown.url}{name}").read().decode()
+        assert "://" not in body
+    assert "://" not in page
+
+
+def test_the_browser_is_told_to_load_nothing_from_elsewhere(shown):
+    policy = urlopen(shown.url).headers["Content-Security-Policy"]
+    assert policy.startswith("default-src 'none'")
+    assert set(re.findall(r"-src ([^;]+)", policy)) == {"'none'", "'self'", "'self' data:"}
+
+
+def test_a_page_that_opens_late_is_told_what_was_before(shown):
+    shown.pump()
+    with urlopen(f"{shown.url}events") as stream:
+        told = json.loads(stream.readline().removeprefix(b"data: "))
+    assert told["anew"]
+    assert told["setting"]["band_m"] == [100.0, 500.0]
+    assert len(told["trail"]) == pytest.approx(120, abs=2)
+    assert told["state"]["phase"] == "watching"
+    assert told["state"]["target"]["quality"] == "good"
+
+
+def test_a_foreign_name_for_this_machine_is_refused(shown):
+    port = urlsplit(shown.url).port
+    assert status(shown.url, headers={"Host": f"evil.example:{port}"}) == 403
+    assert status(f"{shown.url}events", headers={"Host": f"evil.example:{port}"}) == 403
+
+
+def test_buttons_come_back_as_requests_at_the_vehicle_s_time(shown):
+    assert press(shown, {"action": "hold"}) == 202
+    assert press(shown, {"action": "side", "side": "right"}) == 202
+    hold, side = requests_after(shown)
+    assert (hold.action, hold.side) == ("hold", None)
+    assert hold.time_s == pytest.approx(159.9)
+    assert (side.action, side.side) == ("side", Side.RIGHT)
+
+
+@pytest.mark.parametrize(
+    ("pressed", "headers", "answer"),
+    [
+        ({"action": "hold"}, {"Origin": "http://evil.example"}, 403),
+        ({"action": "hold"}, {"Origin": ""}, 403),
+        ({"action": "hold"}, {"Content-Type": "text/plain"}, 403),
+        ({"action": "hold"}, {"Host": "evil.example"}, 403),
+        ({"action": "fly"}, {}, 400),
+        ({"action": "side"}, {}, 400),
+        ({"action": "hold", "side": "left"}, {}, 400),
+        ({"action": ["hold"]}, {}, 400),
+        ([], {}, 400),
+    ],
+)
+def test_what_is_no_button_of_the_page_is_refused(shown, pressed, headers, answer):
+    assert press(shown, pressed, **headers) == answer
+    assert requests_after(shown) == []
+
+
+def test_a_button_before_anything_flies_is_answered_in_words(capsys):
+    with display_at("127.0.0.1") as display:
+        said: list[str] = []
+        display.note = said.append
+        press(display, {"action": "hold"})
+        while not said:
+            display.pump()
+    assert said == ["hold refused: nothing is flown yet"]
+
+
+def test_off_loopback_everything_asks_for_the_token(guarded):
+    base = guarded.url.partition("?")[0]
+    assert [status(base + name) for name in ("", "page.js", "events")] == [403, 403, 403]
+    assert status(f"{base}?token=guess") == 403
+    headers = {"Origin": base.rstrip("/"), "Content-Type": "application/json"}
+    assert status(f"{base}press", data=b'{"action":"end"}', headers=headers) == 403
+
+
+def test_the_printed_address_carries_the_token_and_the_page_keeps_it_out_of_sight(guarded):
+    opener = build_opener(HTTPCookieProcessor())
+    entered = opener.open(guarded.url)
+    assert entered.status == 200
+    assert "token" not in entered.url
+    assert status(f"{guarded.url.partition('?')[0]}page.js", opener) == 200
+
+
+def test_a_port_in_use_is_told(shown):
+    with (
+        socket.create_server(("127.0.0.1", 0)) as taken,
+        pytest.raises(InputError, match=f"{taken.getsockname()[1]}.*--view-port"),
+        ViewDisplay(ConsoleDisplay(Console(), quiet=True), Config(), Address("127.0.0.1", taken.getsockname()[1])),
+    ):
+        pytest.fail("it came up")

@@ -1,0 +1,139 @@
+"""What the page is told of a snapshot."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.config import Config
+from app.view.state import Stater, setting
+from estimators.estimate import TargetEstimate, TrackQuality
+from estimators.frames import LocalPlane
+from mission.requirement import Requirement, Sector, Side
+from mission.watch import Phase
+
+LEFT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
+
+
+@pytest.fixture(scope="module")
+def snapshots(flight):
+    """Return a snapshot each 0.1 s of a flight in which the circle is moved once."""
+    taken = []
+    for _, _, watch in flight(150.0):
+        if not taken or watch.time_s > taken[-1].time_s:
+            taken.append(watch.snapshot())
+    return taken
+
+
+@pytest.fixture
+def watching(snapshots):
+    return snapshots[-1]
+
+
+def state_of(snapshot, requirement=LEFT):
+    return Stater(requirement, 15.0).state(snapshot, 0.0)
+
+
+def test_every_state_is_strict_json(snapshots):
+    stater = Stater(LEFT, 15.0)
+    for snapshot in snapshots:
+        json.dumps(stater.state(snapshot, 0.0), allow_nan=False)
+
+
+def test_what_is_not_known_is_null(snapshots):
+    first = state_of(snapshots[0])
+    assert first["time_s"] is None
+    assert first["aircraft"] is None
+    assert first["target"] is None
+    assert first["nis"] is None
+    assert first["range_age_s"] is None
+
+
+def test_the_target_is_carried_on_from_its_estimate(watching):
+    estimate = TargetEstimate(
+        watching.time_s - 2.0, 50.0, 80.0, 3.0, -1.0, np.diag([4.0, 1.0, 1.0, 1.0]), TrackQuality.GOOD, 0.0
+    )
+    target = state_of(replace(watching, estimate=estimate))["target"]
+    assert target["at_m"] == [56.0, 78.0]
+    aircraft = watching.aircraft
+    assert target["range_m"] == pytest.approx(math.hypot(aircraft.east_m - 56.0, aircraft.north_m - 78.0), abs=0.06)
+    assert target["ellipse"][:2] == pytest.approx([2.0 * 2.4477, 2.4477], abs=0.01)
+    assert target["ellipse"][2] == pytest.approx(math.pi / 2, abs=1e-3)  # longest east and west
+
+
+@pytest.mark.parametrize(
+    ("aircraft_m", "side", "angle_deg"),
+    [
+        ((0.0, 200.0), Side.LEFT, 0.0),
+        ((0.0, 200.0), Side.RIGHT, -180.0),
+        ((200.0, 0.0), Side.LEFT, 90.0),
+        ((-200.0, 0.0), Side.LEFT, -90.0),
+    ],
+)
+def test_the_observation_angle_counts_from_abeam_of_a_target_that_drives_east(watching, aircraft_m, side, angle_deg):
+    estimate = TargetEstimate(watching.time_s, 0.0, 0.0, 3.0, 0.0, np.eye(4), TrackQuality.GOOD, watching.time_s)
+    aircraft = replace(watching.aircraft, east_m=aircraft_m[0], north_m=aircraft_m[1])
+    target = state_of(replace(watching, aircraft=aircraft, estimate=estimate, side=side))["target"]
+    assert math.degrees(target["angle_rad"]) == pytest.approx(angle_deg, abs=0.01)
+
+
+def test_the_course_holds_through_a_stop(watching):
+    moving = TargetEstimate(watching.time_s, 0.0, 0.0, 0.0, 3.0, np.eye(4), TrackQuality.GOOD, watching.time_s)
+    standing = replace(moving, velocity_north_m_s=-0.2)
+    stater = Stater(LEFT, 15.0)
+    courses = [
+        stater.state(replace(watching, estimate=estimate), 0.0)["target"]["course_rad"]
+        for estimate in (standing, moving, standing)
+    ]
+    assert courses == [None, 0.0, 0.0]
+
+
+def test_in_a_sector_the_angle_counts_from_its_middle(watching):
+    sector = Sector(math.radians(60.0), math.radians(120.0))
+    estimate = TargetEstimate(watching.time_s, 0.0, 0.0, 3.0, 0.0, np.eye(4), TrackQuality.GOOD, watching.time_s)
+    aircraft = replace(watching.aircraft, east_m=200.0, north_m=0.0)
+    state = state_of(replace(watching, aircraft=aircraft, estimate=estimate), replace(LEFT, sector=sector))
+    assert state["target"]["angle_rad"] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_coming_plan_has_its_line_and_its_time(snapshots):
+    coming = [snapshot for snapshot in snapshots if snapshot.coming is not None]
+    assert coming
+    plan = state_of(coming[0])["coming"]
+    line = coming[0].coming.transition
+    assert plan["in_s"] == pytest.approx(coming[0].coming.departure_s - coming[0].time_s, abs=0.06)
+    assert plan["line"][0] == pytest.approx([line.east_m[0], line.north_m[0]], abs=0.06)
+    assert plan["line"][-1] == pytest.approx([line.east_m[-1], line.north_m[-1]], abs=0.06)
+    assert len(plan["line"]) < 150
+
+
+def test_the_flown_transition_is_shown_only_until_the_circle_is_reached(snapshots):
+    after = [
+        snapshot for snapshot in snapshots if snapshot.present is not None and snapshot.present.transition is not None
+    ]
+    assert state_of(after[0])["present"]["line"]
+    assert not state_of(after[-1])["present"]["line"]
+
+
+def test_ages_are_those_of_the_sensors_in_use(watching):
+    gauges = replace(watching.gauges, range_s=watching.time_s - 3.0, gimbal_s=watching.time_s - 0.5)
+    state = Stater(LEFT, 15.0).state(replace(watching, gauges=gauges), silent_s=1.25)
+    assert (state["range_age_s"], state["gimbal_age_s"], state["link_age_s"]) == (3.0, 0.5, 1.25)
+
+
+def test_a_yielded_mission_says_so(watching):
+    assert state_of(replace(watching, phase=Phase.YIELDED))["phase"] == "yielded"
+
+
+def test_fences_are_drawn_once_the_plane_is_known():
+    corners = [(47.0, 8.0), (47.001, 8.0), (47.001, 8.001)]
+    config = Config.model_validate({"fences": {"keep_in": [corners]}})
+    assert setting(config, None)["keep_in"] == []
+    (outline,) = setting(config, LocalPlane(47.0, 8.0))["keep_in"]
+    assert outline[0] == [0.0, 0.0]
+    assert outline[1] == pytest.approx([0.0, 111.2], abs=0.2)
+    assert outline[2] == pytest.approx([76.1, 111.2], abs=0.3)
