@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.biases import Biases, measurement_by_biases
-from estimators.sighting import AnySighting, Sighting
-from estimators.target_filter import BIASES, EAST, HEIGHT, NORTH, PLACE, VELOCITY_E, VELOCITY_N, FloatArray
+from estimators.biases import Biases
+from estimators.sighting import AnySighting, Sighting, measurement_by_biases
+from estimators.target_filter import BIASES, EAST, HEIGHT, NORTH, PLACE, FloatArray
 
 # Where the place is known worse than this part of the range, a bearing's curvature shows: 0.3 m at three sigma.
 _CURVED_BEYOND = 0.015
@@ -36,14 +36,12 @@ def compare(
     biases = prior.mean.copy()
     biases[estimated] = mean[BIASES : BIASES + len(estimated)]
     place = [float(mean[EAST]), float(mean[NORTH]), float(mean[HEIGHT])]
-    velocity_east_m_s, velocity_north_m_s = float(mean[VELOCITY_E]), float(mean[VELOCITY_N])
     by_place = np.array(sighting.measurement_by_place(*place))
-    by_bias = measurement_by_biases(sighting, by_place, velocity_east_m_s, velocity_north_m_s)
+    by_bias = measurement_by_biases(sighting)
     if isinstance(sighting, Sighting) and place_variance_m2 > (_CURVED_BEYOND * sighting.slant_range_m) ** 2:
         seen = np.array((sighting.east_m, sighting.north_m, sighting.height_m))
         seen -= sighting.place_by_measurement @ by_bias @ biases
         by_place = np.array(sighting.measurement_by_place(*seen))
-        by_bias = measurement_by_biases(sighting, by_place, velocity_east_m_s, velocity_north_m_s)
         residual = sighting.residual(*seen) + by_place @ (seen - place)
     else:
         residual = np.array(sighting.residual(*place))

@@ -9,6 +9,8 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
+from estimators.ellipse import Ellipse, confidence_ellipse
+
 
 class TrackQuality(StrEnum):
     """How far the estimate can be trusted."""
@@ -38,6 +40,11 @@ class TargetEstimate:
     @property
     def speed_m_s(self) -> float:
         return math.hypot(self.velocity_east_m_s, self.velocity_north_m_s)
+
+    @property
+    def ellipse_95(self) -> Ellipse:
+        """The ellipse about the position that holds the target with 95 % probability."""
+        return confidence_ellipse(self.covariance[:2, :2])
 
     @property
     def course_rad(self) -> float:

@@ -11,7 +11,15 @@ import math
 from dataclasses import dataclass
 
 from estimators.readings import AttitudeReading, GimbalReading
-from estimators.rotations import Quaternion, Vector, from_roll_pitch_yaw, multiply, rotate, sight_direction
+from estimators.rotations import (
+    Quaternion,
+    Vector,
+    from_roll_pitch_yaw,
+    multiply,
+    normalized,
+    rotate,
+    sight_direction,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,15 +36,15 @@ def ned_from_body(attitude: AttitudeReading) -> Quaternion:
 
 def line_of_sight(
     gimbal: GimbalReading, attitude: AttitudeReading | None, parent_from_mount: Quaternion
-) -> LineOfSight | None:
-    """Return where the gimbal points; None when its frame needs the aircraft's attitude and that is unknown.
+) -> LineOfSight:
+    """Return where the gimbal points. Only an earth-frame gimbal does without the aircraft's attitude.
 
     Straight down the bearing is 0: a sight within a degree of it has no bearing to speak of.
     """
-    direction = sight_direction(gimbal.quaternion_wxyz)
+    direction = sight_direction(normalized(gimbal.quaternion_wxyz))
     if gimbal.frame != "earth":
         if attitude is None:
-            return None
+            raise ValueError(f"a {gimbal.frame}-frame gimbal points nowhere without the aircraft's attitude")
         aircraft = (
             from_roll_pitch_yaw(0.0, 0.0, attitude.yaw_rad) if gimbal.frame == "vehicle" else ned_from_body(attitude)
         )

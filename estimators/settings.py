@@ -50,7 +50,8 @@ class TrackerSettings:
     """How much earlier than their stamps range and line of sight were measured."""
     range_source: SourceChoice | None = None
     gimbal_source: SourceChoice | None = None
-    """None chooses by itself."""
+    fix_source: SourceChoice | None = None
+    """None chooses by itself; a camera's fixes are then used only while no laser is heard."""
     lever_arm_body_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """From the aircraft's position to the gimbal: forward, right, down."""
     mount_roll_pitch_yaw_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -72,8 +73,7 @@ class TrackerSettings:
     yaw_bias_sigma_rad: float = math.radians(1.0)
     pitch_bias_sigma_rad: float = math.radians(0.5)
     range_bias_sigma_m: float = 0.5
-    latency_sigma_s: float = 0.0
-    """What is known beforehand of the constant errors of gimbal and laser, and of the latency."""
+    """What is known beforehand of the constant errors of gimbal and laser."""
 
     target_speed_sigma_m_s: float = 5.0
     """Each axis, before the first sightings."""

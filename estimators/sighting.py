@@ -28,8 +28,7 @@ FloatArray = npt.NDArray[np.float64]
 class Sighting:
     """The target as seen from the aircraft at ``time_s``. Sigmas are those of the three measured numbers.
 
-    The aircraft's height has an arbitrary zero, the same for all sightings; its velocity matters only while the
-    payload's latency is being estimated.
+    The aircraft's height has an arbitrary zero, the same for all sightings.
     """
 
     time_s: float
@@ -42,8 +41,6 @@ class Sighting:
     aircraft_east_m: float
     aircraft_north_m: float
     aircraft_height_m: float = 0.0
-    aircraft_velocity_east_m_s: float = 0.0
-    aircraft_velocity_north_m_s: float = 0.0
     quality: float | None = None
 
     @property
@@ -155,6 +152,18 @@ class Fix:
 
 
 AnySighting = Sighting | Fix
+
+
+def measurement_by_biases(sighting: AnySighting) -> FloatArray:
+    """Return the derivative (3, 3) of what is measured by the payload's (yaw, pitch, range) errors; read only."""
+    return _BY_BIASES if isinstance(sighting, Sighting) else _BY_NO_BIASES
+
+
+# A positive pitch error looks too high, so the measured depression is too small.
+_BY_BIASES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+_BY_NO_BIASES = np.zeros((3, 3))
+_BY_BIASES.setflags(write=False)
+_BY_NO_BIASES.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,9 +16,9 @@ from typing import Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
-from estimators.biases import Biases, measurement_by_biases
+from estimators.biases import Biases
 from estimators.settings import TrackerSettings
-from estimators.sighting import AnySighting
+from estimators.sighting import AnySighting, measurement_by_biases
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -26,8 +26,8 @@ EAST, NORTH, VELOCITY_E, VELOCITY_N, HEIGHT, BIASES = range(6)
 PLACE = [EAST, NORTH, HEIGHT]
 VELOCITY = [VELOCITY_E, VELOCITY_N]
 
-# A calibration that is let drift a little never closes for good: after 1,000 s 0.02 degrees, 0.01 m, 0.3 ms.
-_BIAS_DRIFT_PER_S = np.array([1e-10, 1e-10, 1e-7, 1e-10])
+# A calibration that is let drift a little never closes for good: after 1,000 s 0.02 degrees and 0.01 m.
+_BIAS_DRIFT_PER_S = np.array([1e-10, 1e-10, 1e-7])
 
 
 class TargetFilter(Protocol):
@@ -67,7 +67,7 @@ def starting_state(settings: TrackerSettings, sighting: AnySighting, biases: Bia
     to_place = sighting.place_by_measurement
     place = (sighting.east_m, sighting.north_m, sighting.height_m)
     # What a bias adds to the measurement it adds to the place, and is to be taken off it.
-    shift = -to_place @ measurement_by_biases(sighting, np.array(sighting.measurement_by_place(*place)), 0.0, 0.0)
+    shift = -to_place @ measurement_by_biases(sighting)
     mean[PLACE] = place + shift @ biases.mean
     mean[BIASES:] = biases.mean[estimated]
     covariance[np.ix_(PLACE, PLACE)] = (to_place * np.array(sighting.variances)) @ to_place.T

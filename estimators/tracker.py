@@ -18,8 +18,8 @@ from estimators.readings import (
     TargetFixReading,
 )
 from estimators.settings import SourceChoice, TrackerSettings
-from estimators.sighting import AnySighting, SightingOutcome
-from estimators.sources import SourceSelector
+from estimators.sighting import AnySighting, Fix, SightingOutcome
+from estimators.sources import SourceSelector, range_rank, sight_rank
 from estimators.track import Track
 
 __all__ = ["SourceChoice", "Tracker", "TrackerSettings"]
@@ -35,8 +35,9 @@ class Tracker:
         self._settings = settings
         self._poses = PoseHistory()
         self._pairing = Pairing(settings, self._poses)
-        self._ranges = SourceSelector(settings.range_source)
-        self._gimbals = SourceSelector(settings.gimbal_source)
+        self._ranges = SourceSelector(range_rank, settings.range_source)
+        self._gimbals = SourceSelector(sight_rank, settings.gimbal_source)
+        self._fixes = SourceSelector(sight_rank, settings.fix_source)
         self._track = Track(settings)
         self.sightings = 0
         self.rejected = 0
@@ -47,18 +48,37 @@ class Tracker:
             case PositionReading() | AttitudeReading():
                 self._poses.add(reading)
             case GimbalReading():
-                if not self._gimbals.accepts(reading.source, reading.time_s):
-                    return ()
-                self._pairing.add_gimbal(replace(reading, time_s=reading.time_s - self._settings.latency_s))
+                self._add_gimbal(reading)
             case RangeReading():
-                if not self._ranges.accepts(reading.source, reading.time_s):
-                    return ()
-                self._pairing.add_range(replace(reading, time_s=reading.time_s - self._settings.latency_s))
+                self._add_range(reading)
             case TargetFixReading():
-                return ()
+                return self._add_fix(reading)
         if not self._pairing.waiting:
             return ()
         return tuple(self._take(sighting) for sighting in self._pairing.completed())
+
+    def _add_gimbal(self, reading: GimbalReading) -> None:
+        if self._gimbals.accepts(reading.source, reading.time_s):
+            self._pairing.add_gimbal(replace(reading, time_s=reading.time_s - self._settings.latency_s))
+
+    def _add_range(self, reading: RangeReading) -> None:
+        if not self._ranges.accepts(reading.source, reading.time_s):
+            return
+        pointing = reading.sensor_quaternion_wxyz
+        # The null rotation is what senders put there who know no better.
+        if pointing is not None and pointing != (1.0, 0.0, 0.0, 0.0):
+            self._add_gimbal(GimbalReading(reading.time_s, pointing, "body", reading.source))
+        self._pairing.add_range(replace(reading, time_s=reading.time_s - self._settings.latency_s))
+
+    def _add_fix(self, reading: TargetFixReading) -> tuple[SightingOutcome, ...]:
+        """Use a camera's fix where it was asked for, or while there is no laser that it may be made from."""
+        laser_speaks = reading.time_s - self._ranges.heard_s < self._ranges.silent_after_s
+        if laser_speaks and self._settings.fix_source is None:
+            return ()
+        if not self._fixes.accepts(reading.source, reading.time_s):
+            return ()
+        time_s = reading.time_s - self._settings.latency_s
+        return (self._take(Fix(time_s, reading.east_m, reading.north_m, reading.sigma_m)),)
 
     def _take(self, sighting: AnySighting) -> SightingOutcome:
         outcome = self._track.add(sighting)
@@ -79,5 +99,11 @@ class Tracker:
         return self._gimbals.chosen
 
     @property
+    def unpaired(self) -> int:
+        """How many ranges found no line of sight or no position to go with them."""
+        return self._pairing.unpaired
+
+    @property
     def calibration(self) -> Calibration:
+        """What has been learnt of the payload's errors."""
         return self._track.calibration

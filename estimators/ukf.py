@@ -8,18 +8,16 @@ from typing import Self
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from estimators.biases import Biases, measurement_by_biases
+from estimators.biases import Biases
 from estimators.comparison import softening
 from estimators.motion import cruise, cruise_noise
 from estimators.settings import TrackerSettings
-from estimators.sighting import AnySighting
+from estimators.sighting import AnySighting, measurement_by_biases
 from estimators.target_filter import (
     BIASES,
     EAST,
     HEIGHT,
     NORTH,
-    VELOCITY_E,
-    VELOCITY_N,
     FloatArray,
     bias_drift,
     starting_state,
@@ -72,9 +70,8 @@ class TargetUkf:
         place = (float(state[EAST]), float(state[NORTH]), float(state[HEIGHT]))
         biases = self._prior.mean.copy()
         biases[self._estimated] = state[BIASES:]
-        by_place = np.array(sighting.measurement_by_place(*place))
-        by_bias = measurement_by_biases(sighting, by_place, float(state[VELOCITY_E]), float(state[VELOCITY_N]))
-        return by_bias @ biases - sighting.residual(*place)
+        expected: FloatArray = measurement_by_biases(sighting) @ biases - sighting.residual(*place)
+        return expected
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
         return self._kf.x[:4], self._kf.P[:4, :4]
