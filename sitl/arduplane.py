@@ -12,12 +12,13 @@ from sitl.arduplane_mission import ArduPlaneMission, MissionState
 from sitl.arduplane_modes import SELF_FLYING, Mode
 from sitl.arduplane_navigator import ArduPlaneNavigator
 from sitl.arduplane_parameters import arduplane_parameters
-from sitl.arduplane_telemetry import DEFAULT_INTERVAL_S, ArduPlaneTelemetry
+from sitl.arduplane_telemetry import DATA_STREAMS, DEFAULT_INTERVAL_S, ArduPlaneTelemetry
 from sitl.autopilot import Autopilot
 from sitl.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
 from sitl.fence import PointStore
 from sitl.items import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item
 from sitl.place import Place
+from sitl.radio import Station
 from sitl.settings import Settings
 from sitl.transfer import Manners, Store
 
@@ -59,7 +60,8 @@ class ArduPlane(Autopilot):
     taken_over_mode = Mode.FBWA
     navigation_period_s = 0.1
     hears_once_a_loop = True
-    ready_s = 23.0
+    home_known_s = 21.7
+    ready_s = 22.9
     unknown_message_result = DENIED
     arming_refusal = (FAILED, "Arm: AHRS: waiting for home")
     manners = _MANNERS
@@ -140,6 +142,14 @@ class ArduPlane(Autopilot):
     def on_landed(self) -> None:
         self.disarm()
         self.say(mavlink.MAV_SEVERITY_INFO, "Throttle disarmed")
+
+    def handle_own(self, station: Station, message: Any, kind: str) -> None:
+        if kind == "REQUEST_DATA_STREAM":
+            interval_s = 1.0 / message.req_message_rate if message.start_stop and message.req_message_rate else 0.0
+            for message_id in DATA_STREAMS.get(message.req_stream_id, ()):
+                station.stream(message_id, interval_s, self.now_s)
+        else:
+            super().handle_own(station, message, kind)
 
     def is_ground_station(self, heartbeat: Any) -> bool:
         return bool(heartbeat.get_srcSystem() == self.parameters["MAV_GCS_SYSID"])
@@ -232,7 +242,6 @@ class ArduPlane(Autopilot):
         if item.command not in _ITEM_NAMES:
             return
         self.say(mavlink.MAV_SEVERITY_INFO, f"Mission: {index} {_ITEM_NAMES[item.command]}")
-        self.broadcast_now(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
         if item.command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
             self.set_mode(Mode.RTL)
         elif item.command == mavlink.MAV_CMD_NAV_TAKEOFF:

@@ -20,23 +20,31 @@ _HEALTHY = 0x1231803F
 _HEALTHY_BEFORE_READY = 0x0211803F  # before the EKF and the pre-arm checks are content
 _CONTROLLERS = 0x00007C00  # enabled and healthy once armed
 
-_ONCE_A_SECOND = (
-    mavlink.MAVLINK_MSG_ID_HEARTBEAT,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-    mavlink.MAVLINK_MSG_ID_VFR_HUD,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
-    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
-    mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
-    mavlink.MAVLINK_MSG_ID_WIND,
-    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
-)
-DEFAULT_INTERVAL_S = dict.fromkeys(_ONCE_A_SECOND, 1.0)
+# What REQUEST_DATA_STREAM turns on and off together.
+_GROUPS: dict[int, tuple[int, ...]] = {
+    mavlink.MAV_DATA_STREAM_EXTENDED_STATUS: (
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+        mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
+        mavlink.MAVLINK_MSG_ID_GPS_RAW_INT,
+        mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT,
+        mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+    ),
+    mavlink.MAV_DATA_STREAM_POSITION: (
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    ),
+    mavlink.MAV_DATA_STREAM_EXTRA1: (mavlink.MAVLINK_MSG_ID_ATTITUDE,),
+    mavlink.MAV_DATA_STREAM_EXTRA2: (mavlink.MAVLINK_MSG_ID_VFR_HUD,),
+    mavlink.MAV_DATA_STREAM_EXTRA3: (
+        mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
+        mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
+        mavlink.MAVLINK_MSG_ID_WIND,
+        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+    ),
+}
+_STREAMED = tuple(message_id for group in _GROUPS.values() for message_id in group)
+DATA_STREAMS = _GROUPS | {mavlink.MAV_DATA_STREAM_ALL: _STREAMED}
+DEFAULT_INTERVAL_S = dict.fromkeys((mavlink.MAVLINK_MSG_ID_HEARTBEAT, *_STREAMED), 1.0)
 
 
 class ArduPlaneTelemetry(Telemetry):

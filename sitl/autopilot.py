@@ -32,6 +32,7 @@ class Autopilot(ABC):
     navigation_period_s: ClassVar[float]
     taken_over_mode: ClassVar[int]  # when the pilot moves the sticks
     hears_once_a_loop: ClassVar[bool]  # or as soon as something comes
+    home_known_s: ClassVar[float]  # after boot
     ready_s: ClassVar[float]  # after boot the vehicle can be armed
     unknown_message_result: ClassVar[int]
     arming_refusal: ClassVar[tuple[int, str]]  # result and text of an arming that comes too early
@@ -54,6 +55,8 @@ class Autopilot(ABC):
         self.system_id = settings.system_id
         self.now_s = 0.0
         self.mode = int(self.first_mode)
+        self.reboot_ordered = False
+        self._home_told = False
         self.silenced: set[int] = set()  # messages withheld, as if the sender of them had died
         self.armed = False
         self.lifting_off = False
@@ -66,6 +69,7 @@ class Autopilot(ABC):
         self._handlers: dict[int, Handler] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._on_arm,
             mavlink.MAV_CMD_DO_SET_MODE: self._on_set_mode,
+            mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._on_reboot,
         }
 
     def open_for_business(self, stores: Sequence[Store], builders: dict[int, Builder]) -> None:
@@ -122,6 +126,10 @@ class Autopilot(ABC):
         return self.now_s >= self.ready_s
 
     @property
+    def home_known(self) -> bool:
+        return self.now_s >= self.home_known_s
+
+    @property
     def boot_ms(self) -> int:
         return int(self.now_s * 1000.0 + 0.5)
 
@@ -136,6 +144,9 @@ class Autopilot(ABC):
         if now_s >= self._navigate_s:
             self._navigate_s += self.navigation_period_s
             self.watch_links()
+            if self.home_known and not self._home_told:
+                self._home_told = True
+                self.broadcast_now(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
             lateral_m_s2 = self.navigate(self.navigation_period_s)
             limit_rad = self.roll_limit_rad
             self.roll_goal_rad = max(-limit_rad, min(limit_rad, math.atan(lateral_m_s2 / GRAVITY_M_S2)))
@@ -160,6 +171,7 @@ class Autopilot(ABC):
     def reboot(self) -> None:
         """Start again from the first mode, with missions, parameters and arming kept."""
         self.now_s = self._navigate_s = 0.0
+        self.reboot_ordered = self._home_told = False
         self.gcs_heard_s = None
         self.set_mode(self.first_mode)
         self.radio.restart(self.default_interval_s)
@@ -329,6 +341,14 @@ class Autopilot(ABC):
         self.armed = False
         self.lifting_off = False
         self.craft.flying = False
+
+    def _on_reboot(self, command: Command) -> int:
+        if command.param(1) != 1.0:
+            return UNSUPPORTED
+        if self.armed:
+            return FAILED
+        self.reboot_ordered = True
+        return ACCEPTED
 
     def _on_set_mode(self, command: Command) -> int:
         mode = self.mode_of_command(int(command.number(1)), int(command.number(2)), int(command.number(3)))

@@ -57,7 +57,8 @@ class LegMotion:
 
     def _after(self, elapsed_s: float) -> tuple[float, float]:
         half_turn_rad = 0.5 * self._leg.turn_rate_rad_s * elapsed_s
-        chord_m = self._leg.speed_m_s * elapsed_s * float(np.sinc(half_turn_rad / math.pi))
+        chord_over_arc = math.sin(half_turn_rad) / half_turn_rad if abs(half_turn_rad) > 1e-9 else 1.0
+        chord_m = self._leg.speed_m_s * elapsed_s * chord_over_arc
         chord_rad = self._course_rad + half_turn_rad
         return self._east_m + chord_m * math.sin(chord_rad), self._north_m + chord_m * math.cos(chord_rad)
 

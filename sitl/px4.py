@@ -53,6 +53,7 @@ class Px4(Autopilot):
     taken_over_mode = Mode.POSCTL
     navigation_period_s = 0.04
     hears_once_a_loop = False
+    home_known_s = 3.0
     ready_s = 8.0
     unknown_message_result = FAILED
     arming_refusal = (REJECTED, "Arming denied: Resolve system health failures first\t")
@@ -293,6 +294,7 @@ class Px4(Autopilot):
             return
         item = items[flown]
         self.mission.index, self._item = flown, item
+        self.broadcast_now(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
         place = self.place_of(item)
         self.height_goal_m = place.height_m
         if item.command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:

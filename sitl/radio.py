@@ -18,10 +18,21 @@ Datagram = tuple[Hashable, bytes]
 class Station:
     """Someone who listens: a ground station, a companion, a payload of its own."""
 
-    __slots__ = ("_next_due_s", "address", "heard_s", "interval_s", "parser", "sequence", "sources", "wakes_s")
+    __slots__ = (
+        "_next_due_s",
+        "address",
+        "expected",
+        "heard_s",
+        "interval_s",
+        "parser",
+        "sequence",
+        "sources",
+        "wakes_s",
+    )
 
     def __init__(self, address: Hashable, interval_s: Mapping[int, float], now_s: float) -> None:
         self.address = address
+        self.expected = False  # was named beforehand: is sent to for ever, heard or not
         self.sequence: dict[int, int] = {}
         self.heard_s: float | None = None
         self.sources: set[tuple[int, int]] = set()
@@ -79,9 +90,16 @@ class Radio:
 
     def restart(self, default_interval_s: Mapping[int, float]) -> None:
         """Forget every station's rates and sequence numbers, not the stations."""
-        self.outbox.clear()
         for address in list(self.stations):
+            expected = self.stations[address].expected
             self.stations[address] = Station(address, default_interval_s, 0.0)
+            self.stations[address].expected = expected
+
+    def drop_silent(self, since_s: float) -> None:
+        """Forget the stations that came by themselves and have not been heard since."""
+        for address, station in list(self.stations.items()):
+            if not station.expected and station.heard_s is not None and station.heard_s < since_s:
+                del self.stations[address]
 
     def send(self, station: Station, message: Any, component: int = AUTOPILOT) -> None:
         self._address(station, message.pack(self._packers[component]), message.crc_extra, component)

@@ -22,6 +22,8 @@ STEP_S = 0.02
 _OBSERVE_EVERY = round(PERIOD_S / STEP_S)
 _HEARTBEAT_EVERY = round(1.0 / STEP_S)
 _REBOOT_S = 2.0
+_SILENT_S = 60.0  # of the stations' clock: then one that came by itself is forgotten
+_EXPIRE_EVERY = round(5.0 / STEP_S)
 _WALK_SPEED_M_S = 3.0
 _TRACK_SPEED_M_S = 6.0
 
@@ -52,7 +54,7 @@ class Simulation:
         return self._steps * STEP_S
 
     def connect(self, address: Hashable) -> None:
-        self.vehicle.radio.connect(address, self.vehicle.now_s)
+        self.vehicle.radio.connect(address, self.vehicle.now_s).expected = True
 
     def receive(self, address: Hashable, data: bytes) -> None:
         """Take a datagram from a station, known or new."""
@@ -90,12 +92,17 @@ class Simulation:
 
     def _step(self) -> None:
         self._steps += 1
+        if self._steps % _EXPIRE_EVERY == 0:
+            self.vehicle.radio.drop_silent(self.vehicle.now_s - _SILENT_S * self.settings.link_rate)
         since_boot = self._steps - self._boot_step
         vehicle = self.vehicle
         if since_boot <= 0:
             vehicle.coast(STEP_S)
             return
         vehicle.step(since_boot * STEP_S, STEP_S)
+        if vehicle.reboot_ordered:
+            self.reboot()
+            return
         if self._heard:
             heard, self._heard = self._heard, []
             for station, message in heard:

@@ -171,7 +171,7 @@ class Telemetry:
 
     def _home_position(self) -> Any:
         vehicle = self._vehicle
-        if not vehicle.ready:
+        if not vehicle.home_known:
             return None
         return mavlink.MAVLink_home_position_message(
             *self.place_e7(0.0, 0.0),

@@ -88,7 +88,9 @@ def read_track(path: Path) -> Track:
     """
     try:
         rows = _read_gpx(path) if path.suffix.lower() == ".gpx" else _read_csv(path)
-    except (OSError, UnicodeDecodeError, ElementTree.ParseError, ValueError, KeyError) as error:
+    except OSError as error:
+        raise TrackError(f"{path} cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, ElementTree.ParseError, ValueError, KeyError) as error:
         raise TrackError(f"{path} is no readable track: {error}") from error
     points = _without_spikes(sorted(rows))
     if len(points) < 2:

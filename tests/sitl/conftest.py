@@ -27,8 +27,7 @@ class Ground:
         self._parser = mavlink.MAVLink(None)
         self.heard: list[Any] = []
         self.frames: list[bytes] = []
-        self.others: list[Ground] = []
-        self.deaf = False
+        self.peers: list[Ground] = [self]  # all stations of this simulation; they share the list
         simulation.connect(address)
 
     # Talking.
@@ -40,10 +39,10 @@ class Ground:
         self.collect()
 
     def collect(self) -> None:
-        grounds = {ground.address: ground for ground in (self, *self.others)}
+        grounds = {ground.address: ground for ground in self.peers}
         for address, data in self.simulation.take():
             ground = grounds.get(address)
-            if ground is None or ground.deaf:
+            if ground is None:
                 continue
             ground.frames.append(data)
             ground.heard.extend(ground._parser.parse_buffer(data) or ())
@@ -99,10 +98,8 @@ class Ground:
         return results[-1] if results else None
 
     def set_mode(self, mode: int) -> int | None:
-        if self.simulation.settings.flavour is Flavour.PX4:
-            params = (mode >> 16 & 0xFF, mode >> 24)
-        else:
-            params = (mode, 0)
+        px4 = self.simulation.settings.flavour is Flavour.PX4
+        params = (mode >> 16 & 0xFF, mode >> 24) if px4 else (mode, 0)
         return self.command_long(mavlink.MAV_CMD_DO_SET_MODE, 1, *params)
 
     def arm(self) -> int | None:
@@ -214,7 +211,8 @@ def station() -> Callable[..., Ground]:
     def make(simulation: Simulation, *, beside: Ground | None = None, **changes: Any) -> Ground:
         ground = Ground(simulation, **changes)
         if beside is not None:
-            beside.others.append(ground)
+            beside.peers.append(ground)
+            ground.peers = beside.peers
         return ground
 
     return make

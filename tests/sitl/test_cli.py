@@ -1,0 +1,54 @@
+"""The command line: what it refuses, and in which words."""
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from sitl.cli import run
+
+
+@pytest.fixture
+def invoke():
+    command = typer.Typer()
+    command.command()(run)
+    runner = CliRunner()
+    return lambda *arguments: runner.invoke(command, list(arguments))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--to", "nowhere"),
+        ("--to", "127.0.0.1:99999"),
+        ("--speed", "0"),
+        ("--speed", "nan"),
+        ("--duration", "-1"),
+        ("--airspeed", "1"),
+        ("--wind-speed", "20"),
+        ("--target", "teleport"),
+        ("--target", "/nowhere/track.gpx"),
+        ("--target-start", "here"),
+        ("--target-speed", "-1"),
+        ("--home", "91,0"),
+        ("--home", "47"),
+        ("--loss", "1.5"),
+        ("--delay-ms", "-1"),
+        ("--dropouts", "2"),
+        ("--truth", "/nowhere/truth.csv"),
+        ("--payload-for", "somewhere"),
+        ("--autopilot", "betaflight"),
+        ("--system-id", "0"),
+    ],
+)
+def test_a_wrong_option_is_named_in_one_sentence(invoke, arguments):
+    result = invoke(*arguments)
+    assert result.exit_code == 2
+    assert arguments[0] in result.output
+    assert "Traceback" not in result.output
+    assert "ready" not in result.output
+
+
+def test_help_has_an_example(invoke):
+    result = invoke("--help")
+    assert result.exit_code == 0
+    assert "sidelong sitl --autopilot px4" in " ".join(result.output.replace("│", " ").split())
