@@ -1,0 +1,247 @@
+"""The live map in a real browser: what a person sees, and what the buttons do."""
+
+from __future__ import annotations
+
+import math
+from contextlib import contextmanager
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from app.config import Config
+from app.console import ConsoleDisplay
+from app.view.address import Address
+from app.view.display import ViewDisplay
+from estimators.frames import LocalPlane
+from mission.events import Announce, OperatorRequest
+from mission.requirement import Side
+from mission.watch import Phase
+
+START_S = 100.0
+PLANE = LocalPlane(47.4, 8.5)
+FENCES = {
+    "keep_in": [[PLANE.latitude_longitude_deg(*c) for c in ((-500, -500), (1500, -500), (1500, 900), (-500, 900))]],
+    "keep_out": [[PLANE.latitude_longitude_deg(*c) for c in ((600, 100), (800, 100), (800, 0))]],
+}
+
+
+@pytest.fixture(scope="module")
+def snapshots(flight):
+    """Return the snapshots of 110 s, at whose end the circle is being moved, with what was said."""
+    taken = []
+    for _, commands, watch in flight(110.0):
+        taken.append((watch.snapshot(), [command for command in commands if isinstance(command, Announce)]))
+    return taken
+
+
+@contextmanager
+def display_of(snapshots):
+    config = Config.model_validate({"planner": {"name": "paper"}, "fences": FENCES})
+    with ViewDisplay(ConsoleDisplay(Console(), quiet=True), config, Address(port=0)) as display:
+        display.start_s, display.plane = START_S, PLANE
+        for tick, (snapshot, said) in enumerate(snapshots):
+            for announcement in said:
+                display.say(announcement)
+            display.show(snapshot)
+            if tick % 20 == 0:
+                display.pump()
+        yield display
+
+
+@pytest.fixture(scope="module")
+def module_display(snapshots):
+    with display_of(snapshots) as display:
+        yield display
+
+
+@pytest.fixture
+def display(module_display, snapshots):
+    """Return the display, showing the flight's last snapshot."""
+    module_display.show(snapshots[-1][0])
+    module_display.pump()
+    return module_display
+
+
+@pytest.fixture
+def page(browser, display):
+    """Return the page, open and showing the flight; at its end nothing may have been complained about."""
+    with opened(browser, display) as page:
+        yield page
+
+
+@contextmanager
+def opened(browser, display):
+    page = browser.new_context(viewport={"width": 1400, "height": 860}).new_page()
+    complaints: list[str] = []
+    asked: list[str] = []
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(display.url)
+    page.locator("#phase", has_text="watching").wait_for()
+    yield page
+    assert complaints == []
+    assert all(url.startswith((display.url, "data:")) for url in asked)
+    page.context.close()
+
+
+def pressed(page, display, name: str, answer: str) -> list[OperatorRequest]:
+    """Press a button, answer its question, and return what came of it."""
+    got: list[OperatorRequest] = []
+    display.on_request = got.append
+    page.get_by_role("button", name=name, exact=True).click()
+    page.get_by_role("dialog").get_by_role("button", name=answer, exact=True).click()
+    page.get_by_role("dialog").wait_for(state="hidden")
+    if answer == "Yes":
+        while not got:
+            display.pump()
+    else:  # the next button's request would come after this one's
+        display.note("done")
+        page.locator("#log li", has_text="done").first.wait_for()
+        display.pump()
+    return got
+
+
+def centre(box) -> tuple[float, float]:
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def test_everything_lies_within_the_window_and_nothing_on_top_of_anything(page):
+    boxes = [page.locator(name).bounding_box() for name in ("header", "#where", "#said", "aside")]
+    assert all(box["x"] >= 0 and box["x"] + box["width"] <= 1400 for box in boxes)
+    assert all(box["y"] >= 0 and box["y"] + box["height"] <= 860 for box in boxes)
+    for n, a in enumerate(boxes):
+        for b in boxes[n + 1 :]:
+            beside = a["x"] + a["width"] <= b["x"] or b["x"] + b["width"] <= a["x"]
+            above = a["y"] + a["height"] <= b["y"] or b["y"] + b["height"] <= a["y"]
+            assert beside or above
+
+
+def test_the_map_is_to_scale(page, snapshots):
+    last = snapshots[-1][0]
+    ring = page.locator("#map .ring").nth(1).bounding_box()
+    px_per_m = ring["width"] / 1000.0  # Dmax is 500 m
+    target, aircraft = (
+        centre(page.locator(f"#map {name}").bounding_box()) for name in ("circle.target", "path.aircraft")
+    )
+    estimate = last.estimate
+    ahead_s = last.time_s - estimate.time_s
+    east_m = last.aircraft.east_m - estimate.east_m - ahead_s * estimate.velocity_east_m_s
+    north_m = last.aircraft.north_m - estimate.north_m - ahead_s * estimate.velocity_north_m_s
+    assert (aircraft[0] - target[0]) / px_per_m == pytest.approx(east_m, abs=12.0)
+    assert (target[1] - aircraft[1]) / px_per_m == pytest.approx(north_m, abs=12.0)
+    circle = page.locator("#map .circle").bounding_box()
+    assert circle["width"] / px_per_m == pytest.approx(100.0, abs=5.0)  # a stroke is 2 px wide
+
+
+def test_map_and_plots_show_what_there_is(page):
+    for name in (
+        "ellipse.ellipse",
+        "polyline.trail",
+        "polyline.predicted",
+        "path.side",
+        "polygon.keep-in",
+        "polygon.keep-out",
+    ):
+        assert page.locator(f"#map {name}").count() == 1, name
+        assert page.locator(f"#map {name}").bounding_box()["width"] > 0, name
+    plots = page.locator("#plots svg")
+    assert plots.count() == 5
+    assert all(plots.nth(n).locator("polyline").count() >= 1 for n in range(5))
+    assert page.locator("#legend li.fence").is_visible()
+
+
+def test_the_side_asked_for_is_shaded(page):
+    # The target drives east and is watched from the left: the shade lies above it on the map.
+    shade, target = (page.locator(f"#map {name}").bounding_box() for name in ("path.side", "circle.target"))
+    assert shade["y"] + shade["height"] / 2 < centre(target)[1] - 20
+    assert shade["width"] > 1.8 * shade["height"]
+
+
+def test_decisions_are_told_in_plain_words_newest_first(page, snapshots):
+    said = [one.text for _, announcements in snapshots for one in announcements]
+    shown = [line for line in page.locator("#log li").all_inner_texts() if "done" not in line]
+    assert len(shown) == len(said)
+    assert all(text in line for text, line in zip(reversed(said), shown, strict=True))
+
+
+def test_the_range_on_the_tile_is_that_of_the_flight(page, snapshots):
+    last = snapshots[-1][0]
+    range_m = math.hypot(last.aircraft.east_m - last.estimate.east_m, last.aircraft.north_m - last.estimate.north_m)
+    shown = page.locator("#tiles div", has_text="range").locator("dd").inner_text()
+    assert float(shown.removesuffix(" m")) == pytest.approx(range_m, abs=4.0)
+
+
+def test_a_button_asks_once_and_then_comes_back_as_a_request(page, display):
+    (request,) = pressed(page, display, "Hold", "Yes")
+    assert request.action == "hold"
+
+
+def test_a_button_that_is_not_confirmed_does_nothing(page, display):
+    assert pressed(page, display, "End", "No") == []
+
+
+def test_other_side_names_the_side(page, display):
+    page.get_by_role("button", name="Other side").click()
+    assert "right" in page.get_by_role("dialog").inner_text()
+    page.get_by_role("dialog").get_by_role("button", name="No").click()
+    (request,) = pressed(page, display, "Other side", "Yes")
+    assert (request.action, request.side) == ("side", Side.RIGHT)
+
+
+@pytest.mark.parametrize("phase", [Phase.YIELDED, Phase.ENDED])
+def test_buttons_are_refused_when_nothing_is_commanded_any_more(page, display, snapshots, phase):
+    display.show(replace(snapshots[-1][0], phase=phase))
+    display.pump()
+    page.locator("#phase", has_text=phase).wait_for()
+    buttons = page.locator("#buttons button")
+    assert [buttons.nth(n).is_disabled() for n in range(4)] == [True] * 4
+    assert phase in buttons.nth(0).get_attribute("title")
+
+
+def test_resume_is_offered_while_holding_only(page, display, snapshots):
+    resume, hold = (page.get_by_role("button", name=name, exact=True) for name in ("Resume", "Hold"))
+    assert (resume.is_enabled(), hold.is_enabled()) == (False, True)
+    display.show(replace(snapshots[-1][0], phase=Phase.HOLDING))
+    display.pump()
+    page.locator("#phase", has_text="holding").wait_for()
+    assert (resume.is_enabled(), hold.is_enabled()) == (True, False)
+
+
+def test_a_lost_track_and_a_lost_link_catch_the_eye(page, display, snapshots):
+    last = snapshots[-1][0]
+    gauges = replace(last.gauges, connected=False)
+    display.show(replace(last, gauges=gauges, estimate=replace(last.estimate, quality="lost")))
+    display.pump()
+    page.locator("#quality.bad", has_text="track lost").wait_for()
+    assert page.locator("#link.bad").inner_text() == "link lost"
+
+
+def test_when_the_flight_s_program_ends_the_page_says_so(browser, snapshots):
+    with display_of(snapshots) as display, opened(browser, display) as page:
+        display.__exit__(None, None, None)
+        page.locator("#news", has_text="has ended").wait_for()
+        assert page.locator("#buttons button:enabled").count() == 0
+
+
+def test_the_map_can_be_dragged_and_brought_back(page):
+    box = page.locator("#map").bounding_box()
+    middle = centre(box)
+    before = centre(page.locator("#map circle.target").bounding_box())
+    page.mouse.move(*middle)
+    page.mouse.down()
+    page.mouse.move(middle[0] + 100, middle[1] + 50)
+    page.mouse.up()
+    after = centre(page.locator("#map circle.target").bounding_box())
+    assert (after[0] - before[0], after[1] - before[1]) == pytest.approx((100, 50), abs=2)
+    page.get_by_role("button", name="Follow the target").click()
+    assert centre(page.locator("#map circle.target").bounding_box()) == pytest.approx(before, abs=2)
+
+
+def test_a_narrow_window_scrolls_and_hides_nothing(page):
+    page.set_viewport_size({"width": 700, "height": 900})
+    for name in ("#where", "aside", "#said", "#buttons"):
+        box = page.locator(name).bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= 700
