@@ -11,11 +11,10 @@ import time
 from collections import deque
 from collections.abc import Callable
 from types import TracebackType
-from typing import Protocol
 
 from app.config import Config
+from app.display import FlightDisplay
 from app.errors import InputError
-from app.loop import Display
 from app.view.address import LOOPBACK, Address
 from app.view.feed import Feed, FeedError
 from app.view.state import Json, Stater, setting
@@ -30,24 +29,13 @@ _TRAIL_STEP_S = 0.5  # of the vehicle's time
 _UNSENT_MAX = 2000  # trail points and words kept while the page takes none
 
 
-class FlightDisplay(Display, Protocol):
-    """What a flight needs of a display beyond the loop's needs."""
-
-    start_s: float
-    duration_s: float | None
-
-    def note(self, text: str) -> None: ...
-
-
 class ViewDisplay:
-    """Wraps another display. Use as ``with``; ``url`` is then the page's address.
+    """A ``FlightDisplay`` around another. Use as ``with``; ``url`` is then the page's address.
 
-    on_request: where the page's buttons go (the loop's queue), None while there is no loop; plane: set it when it is
-    known. Both of ``show`` and ``pump`` return at once: the page gets what fits.
+    Whatever the page's process does, every call returns at once: the page gets what fits.
     """
 
     def __init__(self, inner: FlightDisplay, config: Config, address: Address) -> None:
-        self.on_request: Callable[[OperatorRequest], None] | None = None
         self.url = ""
         self._inner, self._config, self._address = inner, config, address
         self._stater = Stater(config.requirement.requirement(), config.aircraft.airspeed_m_s)
@@ -59,7 +47,8 @@ class ViewDisplay:
         self._trail_s = -math.inf
         self._sent_at_s = -math.inf
         self._heard_at_s = time.monotonic()
-        self._plane: LocalPlane | None = None
+        self._start_s = 0.0
+        self._request: Callable[[OperatorRequest], None] | None = None
 
     # -- life ----------------------------------------------------------------------------------------------
 
@@ -96,30 +85,14 @@ class ViewDisplay:
 
     # -- what the flight tells -----------------------------------------------------------------------------
 
-    @property
-    def start_s(self) -> float:
-        return self._inner.start_s
-
-    @start_s.setter
-    def start_s(self, start_s: float) -> None:
-        self._inner.start_s = start_s
-
-    @property
-    def duration_s(self) -> float | None:
-        return self._inner.duration_s
-
-    @duration_s.setter
-    def duration_s(self, duration_s: float | None) -> None:
-        self._inner.duration_s = duration_s
-
-    @property
-    def plane(self) -> LocalPlane | None:
-        return self._plane
-
-    @plane.setter
-    def plane(self, plane: LocalPlane) -> None:
-        self._plane = plane
+    def begin(self, plane: LocalPlane, request: Callable[[OperatorRequest], None]) -> None:
+        self._inner.begin(plane, request)
+        self._request = request
         self._setting = setting(self._config, plane)
+
+    def engage(self, start_s: float, duration_s: float | None) -> None:
+        self._inner.engage(start_s, duration_s)
+        self._start_s = start_s
 
     def note(self, text: str) -> None:
         self._inner.note(text)
@@ -163,7 +136,7 @@ class ViewDisplay:
             self._inner.note("the page has stopped; the flight goes on without it")
 
     def _told(self) -> Json:
-        told: Json = {"start_s": _finite(self.start_s), "trail": list(self._trail), "said": list(self._said)}
+        told: Json = {"start_s": self._start_s, "trail": list(self._trail), "said": list(self._said)}
         if self._setting is not None:
             told["setting"] = self._setting
         if self._snapshot is not None:
@@ -172,16 +145,12 @@ class ViewDisplay:
         return told
 
     def _pressed(self, press: Json) -> None:
-        if self.on_request is None or self._snapshot is None or not math.isfinite(self._snapshot.time_s):
+        if self._request is None or self._snapshot is None or not math.isfinite(self._snapshot.time_s):
             self.note(f"{press['action']} refused: nothing is flown yet")
             return
         side = Side(press["side"]) if press["side"] is not None else None
-        self.on_request(OperatorRequest(self._snapshot.time_s, press["action"], side))
+        self._request(OperatorRequest(self._snapshot.time_s, press["action"], side))
 
 
 def _line(values: Json) -> bytes:
     return json.dumps(values, separators=(",", ":"), allow_nan=False).encode()
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

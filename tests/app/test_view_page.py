@@ -10,9 +10,9 @@ import pytest
 from rich.console import Console
 
 from app.config import Config
-from app.console import ConsoleDisplay
 from app.view.address import Address
 from app.view.display import ViewDisplay
+from app.view.panel import PanelDisplay
 from estimators.frames import LocalPlane
 from mission.events import Announce, OperatorRequest
 from mission.requirement import Side
@@ -38,8 +38,11 @@ def snapshots(flight):
 @contextmanager
 def display_of(snapshots):
     config = Config.model_validate({"planner": {"name": "paper"}, "fences": FENCES})
-    with ViewDisplay(ConsoleDisplay(Console(), quiet=True), config, Address(port=0)) as display:
-        display.start_s, display.plane = START_S, PLANE
+    with ViewDisplay(
+        PanelDisplay(Console(), Config().requirement.requirement(), quiet=True), config, Address(port=0)
+    ) as display:
+        display.begin(PLANE, lambda _request: None)
+        display.engage(START_S, None)
         for tick, (snapshot, said) in enumerate(snapshots):
             for announcement in said:
                 display.say(announcement)
@@ -89,7 +92,7 @@ def opened(browser, display):
 def pressed(page, display, name: str, answer: str) -> list[OperatorRequest]:
     """Press a button, answer its question, and return what came of it."""
     got: list[OperatorRequest] = []
-    display.on_request = got.append
+    display.begin(PLANE, got.append)
     page.get_by_role("button", name=name, exact=True).click()
     page.get_by_role("dialog").get_by_role("button", name=answer, exact=True).click()
     page.get_by_role("dialog").wait_for(state="hidden")

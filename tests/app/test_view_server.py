@@ -13,25 +13,29 @@ import pytest
 from rich.console import Console
 
 from app.config import Config
-from app.console import ConsoleDisplay
 from app.errors import InputError
 from app.view.address import Address
 from app.view.display import ViewDisplay
+from app.view.panel import PanelDisplay
+from estimators.frames import LocalPlane
 from mission.events import OperatorRequest
 from mission.requirement import Side
 
+PLANE = LocalPlane(47.4, 8.5)
 OTHER_LOOPBACK = "127.0.0.2"  # of this machine as well, but not the address that goes without a token
 
 
 def display_at(host: str) -> ViewDisplay:
-    return ViewDisplay(ConsoleDisplay(Console(), quiet=True), Config(), Address(host, 0))
+    return ViewDisplay(
+        PanelDisplay(Console(), Config().requirement.requirement(), quiet=True), Config(), Address(host, 0)
+    )
 
 
 @pytest.fixture(scope="module")
 def shown(flight):
     """Return a display that has shown a flight of 60 s."""
     with display_at("127.0.0.1") as display:
-        display.start_s = 100.0
+        display.engage(100.0, None)
         for _, _, watch in flight(60.0):
             display.show(watch.snapshot())
         yield display
@@ -58,7 +62,7 @@ def press(display: ViewDisplay, press: dict, **headers: str) -> int:
 def requests_after(display: ViewDisplay) -> list[OperatorRequest]:
     """Return what the buttons pressed so far have come to, and wait for the last: it marks the end."""
     got: list[OperatorRequest] = []
-    display.on_request = got.append
+    display.begin(PLANE, got.append)
     press(display, {"action": "end"})
     while not got or got[-1].action != "end":
         display.pump()
@@ -158,6 +162,10 @@ def test_a_port_in_use_is_told(shown):
     with (
         socket.create_server(("127.0.0.1", 0)) as taken,
         pytest.raises(InputError, match=f"{taken.getsockname()[1]}.*--view-port"),
-        ViewDisplay(ConsoleDisplay(Console(), quiet=True), Config(), Address("127.0.0.1", taken.getsockname()[1])),
+        ViewDisplay(
+            PanelDisplay(Console(), Config().requirement.requirement(), quiet=True),
+            Config(),
+            Address("127.0.0.1", taken.getsockname()[1]),
+        ),
     ):
         pytest.fail("it came up")

@@ -1,0 +1,185 @@
+"""The terminal: a panel that says how things stand, decisions above it; plain lines when it is no terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from types import TracebackType
+
+from rich.console import Console
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from app.prediction import predicted_m
+from estimators.ellipse import confidence_ellipse
+from estimators.estimate import TrackQuality
+from estimators.frames import LocalPlane
+from mission.events import Announce, OperatorRequest
+from mission.requirement import Requirement
+from mission.watch import Phase, Snapshot
+
+_REFRESH_HZ = 4.0
+_PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time
+_GAUGE_CELLS = 24
+_OLD_S = 2.0  # a sensor silent for longer is marked
+_STYLES = {
+    "decision": "cyan",
+    "track": "magenta",
+    "link": "red",
+    "yield": "bold red",
+    "operator": "yellow",
+    "end": "bold",
+}
+_PHASE_STYLES = {Phase.WATCHING: "green", Phase.HOLDING: "yellow", Phase.YIELDED: "red", Phase.ENDED: "red"}
+_QUALITY_STYLES = {TrackQuality.GOOD: "green", TrackQuality.COASTING: "yellow", TrackQuality.LOST: "bold red"}
+
+
+def clock(time_s: float) -> str:
+    """Return minutes:seconds."""
+    return f"{int(time_s // 60):d}:{int(time_s % 60):02d}"
+
+
+class PanelDisplay:
+    """A ``FlightDisplay`` on the terminal. Use as ``with``. Quiet, it says nothing."""
+
+    def __init__(self, console: Console, requirement: Requirement, quiet: bool = False) -> None:
+        self._console, self._requirement, self._quiet = console, requirement, quiet
+        self._start_s = 0.0
+        self._duration_s: float | None = None
+        self._live: Live | None = None
+        self._snapshot: Snapshot | None = None
+        self._plain_s = -math.inf
+
+    def __enter__(self) -> PanelDisplay:
+        if self._console.is_terminal and not self._quiet:
+            # The panel is made when it is drawn, by a thread of its own: showing a snapshot costs the loop nothing.
+            self._live = Live(
+                get_renderable=self._panel, console=self._console, refresh_per_second=_REFRESH_HZ, transient=True
+            )
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+    def begin(self, plane: LocalPlane, request: Callable[[OperatorRequest], None]) -> None:
+        pass  # nothing is drawn to scale here, and there are no buttons
+
+    def engage(self, start_s: float, duration_s: float | None) -> None:
+        self._start_s, self._duration_s = start_s, duration_s
+
+    def note(self, text: str) -> None:
+        self._print(Text(text))
+
+    def say(self, announcement: Announce) -> None:
+        since_s = max(announcement.time_s - self._start_s, 0.0)
+        self._print(Text(f"{clock(since_s):>7}  {announcement.text}", style=_STYLES.get(announcement.kind, "")))
+
+    def show(self, snapshot: Snapshot) -> None:
+        self._snapshot = snapshot
+        if self._live is None and snapshot.time_s - self._plain_s >= _PLAIN_LINE_EVERY_S:
+            self._plain_s = snapshot.time_s
+            self._print(Text(self.line(snapshot)))
+
+    def _print(self, text: Text) -> None:
+        if not self._quiet:
+            self._console.print(text, soft_wrap=self._live is None)
+
+    # -- one line ------------------------------------------------------------------------------------------
+
+    def line(self, shown: Snapshot) -> str:
+        """Return how things stand in one line."""
+        parts = [self._time(shown), f"{shown.phase} {shown.mode}".strip()]
+        range_m = _range_m(shown)
+        if range_m is not None and shown.estimate is not None:
+            parts += [f"range {range_m:.0f} m", f"target {_motion(shown)}", f"track {shown.estimate.quality}"]
+        parts.append(f"moves {shown.moves}")
+        if shown.upload_failures:
+            parts.append(f"failed uploads {shown.upload_failures}")
+        return "  ".join(parts)
+
+    def _time(self, shown: Snapshot) -> str:
+        if not math.isfinite(shown.time_s):
+            return "-:--"
+        of = "" if self._duration_s is None else f"/{clock(self._duration_s)}"
+        return clock(max(shown.time_s - self._start_s, 0.0)) + of
+
+    # -- the panel -----------------------------------------------------------------------------------------
+
+    def _panel(self) -> Panel | Text:
+        shown = self._snapshot
+        if shown is None:
+            return Text("")
+        table = Table.grid(padding=(0, 2))
+        for name, text in self._rows(shown):
+            table.add_row(Text(name, style="dim"), text)
+        style = _PHASE_STYLES.get(shown.phase, "")
+        title = Text(f" {shown.phase} · {shown.mode} · {self._time(shown)} ", style=f"bold {style}".strip())
+        return Panel(table, title=title, title_align="left", border_style=style or "none", width=min(self._width, 92))
+
+    @property
+    def _width(self) -> int:
+        return self._console.width
+
+    def _rows(self, shown: Snapshot) -> Iterator[tuple[str, Text]]:
+        range_m, estimate, gauges = _range_m(shown), shown.estimate, shown.gauges
+        if range_m is None or estimate is None:
+            yield "target", Text("not seen yet")
+        else:
+            yield "range", self._gauge(range_m)
+            within_m = confidence_ellipse(estimate.covariance[:2, :2]).semi_major_m
+            known = Text(f"{_motion(shown)}, 95 % within {within_m:.1f} m, track ")
+            known.append(estimate.quality, _QUALITY_STYLES[estimate.quality])
+            yield "target", known
+        yield "circle", Text(self._circle(shown))
+        sensors = Text()
+        for name, age_s in (("laser", shown.time_s - gauges.range_s), ("gimbal", shown.time_s - gauges.gimbal_s)):
+            words = f"{name} {age_s:.1f} s ago" if math.isfinite(age_s) else f"no {name}"
+            sensors.append(words + "   ", "" if age_s <= _OLD_S else "yellow")
+        sensors.append("link ok" if gauges.connected else "link lost", "" if gauges.connected else "bold red")
+        sensors.append(f"   bank {math.degrees(gauges.bank_rad):.0f}°   wind {shown.wind.speed_m_s:.1f} m/s")
+        yield "sensors", sensors
+        if shown.decision is not None:
+            yield "decided", Text(shown.decision.reason, style="cyan")
+
+    def _gauge(self, range_m: float) -> Text:
+        """Return the range as a mark between least and greatest allowed; the mark is red outside."""
+        least_m, greatest_m = self._requirement.range_min_m, self._requirement.range_max_m
+        share = (range_m - least_m) / (greatest_m - least_m)
+        cell = min(max(int(share * _GAUGE_CELLS), 0), _GAUGE_CELLS - 1)
+        inside = 0.0 <= share <= 1.0
+        text = Text(f"{range_m:4.0f} m   {least_m:.0f} ")
+        text.append("─" * cell, "dim")
+        text.append("●", "bold green" if inside else "bold red")
+        text.append("─" * (_GAUGE_CELLS - 1 - cell), "dim")
+        text.append(f" {greatest_m:.0f} m")
+        return text
+
+    @staticmethod
+    def _circle(shown: Snapshot) -> str:
+        words = [f"moves {shown.moves}", f"uploads {shown.uploads}"]
+        if shown.upload_failures:
+            words.append(f"failed {shown.upload_failures}")
+        if shown.present is not None:
+            words.insert(0, f"R {shown.present.circle.radius_m:.0f} m")
+        if shown.coming is not None:
+            words.append(f"leaving for the next in {max(shown.coming.departure_s - shown.time_s, 0.0):.0f} s")
+        return ", ".join(words)
+
+
+def _range_m(shown: Snapshot) -> float | None:
+    if shown.aircraft is None or shown.estimate is None:
+        return None
+    east_m, north_m = predicted_m(shown.estimate, shown.time_s)
+    return math.hypot(shown.aircraft.east_m - east_m, shown.aircraft.north_m - north_m)
+
+
+def _motion(shown: Snapshot) -> str:
+    assert shown.estimate is not None
+    return f"{shown.estimate.speed_m_s:.1f} m/s to {math.degrees(shown.estimate.course_rad) % 360.0:03.0f}°"
