@@ -12,6 +12,8 @@ from app.autopilot import Home, Limits, raw_item, select_by_message
 from app.link import RawItem
 from app.vehicle import Answer, Vehicle
 from mission.items import Item
+from mission.line_tracking import LineTracking, arduplane
+from mission.requirement import Wind
 
 _mav = mavutil.mavlink
 _CUSTOM_MODE_ENABLED = 1
@@ -49,6 +51,9 @@ class ArduPlane:
 
     def tail(self, home: Home) -> tuple[RawItem, ...]:
         return ()
+
+    def tracking(self, airspeed_m_s: float, wind: Wind) -> LineTracking:
+        return arduplane(airspeed_m_s, wind)
 
     def raw(self, item: Item) -> RawItem:
         raw = raw_item(item)

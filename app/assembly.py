@@ -15,6 +15,7 @@ from mission.paper_planner import PaperPlanner
 from mission.plan import Plan, Planner
 from mission.predictive_planner import PredictivePlanner, PredictiveSettings, table_configuration
 from mission.requirement import Requirement
+from mission.scope import largest_psi_c_rad
 from mission.watch import Watch, WatchSettings
 
 # Lasers miss for a second or two all the time; that is nothing to tell anybody.
@@ -54,7 +55,7 @@ def watch_of(config: Config, progress: Callable[[float], None] = lambda _share: 
 
     def planner(wanted: Requirement) -> Planner:
         if config.planner.name == "paper":
-            return PaperPlanner(aircraft, wanted)
+            return PaperPlanner(aircraft, wanted, largest_psi_c_rad(aircraft, wanted))
         table = value_table(table_configuration(aircraft, wanted), progress)
         return PredictivePlanner(aircraft, wanted, table, settings)
 

@@ -13,6 +13,8 @@ from typing import Protocol
 from app.link import RawItem
 from app.vehicle import Answer, Vehicle
 from mission.items import Item
+from mission.line_tracking import LineTracking
+from mission.requirement import Wind
 
 _COMPARED_METRES_AS_DEGREES_E7 = 3  # stored coordinates may lose the last digit on the way
 _COMPARED_PARAM = 0.6  # ArduPlane keeps whole metres of radius
@@ -68,6 +70,10 @@ class Autopilot(Protocol):
 
     def tail(self, home: Home) -> tuple[RawItem, ...]:
         """Return the items that close every mission without ever being reached."""
+        ...
+
+    def tracking(self, airspeed_m_s: float, wind: Wind) -> LineTracking:
+        """Return how it flies along waypoints, for laying them out."""
         ...
 
     def raw(self, item: Item) -> RawItem:

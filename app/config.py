@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from app.errors import InputError
 from mission.feasibility import feasibility, unflyable
 from mission.requirement import Aircraft, Requirement, Side
+from mission.scope import largest_psi_c_rad
 from mission.side_policy import watching_from
 
 LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
@@ -160,7 +161,7 @@ def check_flyable(config: Config) -> None:
     """Raise InputError, naming the field and the way out, when the configured planner cannot keep the requirement."""
     aircraft, requirement = config.aircraft.aircraft(), config.requirement.requirement()
     if config.planner.name == "paper":
-        reasons = feasibility(aircraft, requirement).reasons
+        reasons = feasibility(aircraft, requirement, largest_psi_c_rad(aircraft, requirement)).reasons
     else:
         reasons = unflyable(aircraft, requirement)
     if reasons:

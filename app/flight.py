@@ -103,6 +103,7 @@ class Flight:
             self._autopilot,
             plane,
             home,
+            airspeed_m_s=self._config.aircraft.airspeed_m_s,
             height_m=self._config.aircraft.height_m,
             tolerance_m=self._config.planner.tolerance_m,
             report=queue.put_nowait,

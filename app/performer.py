@@ -14,6 +14,8 @@ from estimators.frames import LocalPlane
 from mission.events import Depart, End, Event, Prepare, SwapReported, Yield
 from mission.items import UnflyableError, plan_items
 from mission.plan import Plan
+from mission.requirement import Wind
+from mission.wind import STILL_AIR
 
 _UPLOAD_S, _DOWNLOAD_S = 8.0, 5.0
 
@@ -31,13 +33,14 @@ class Performer:
         plane: LocalPlane,
         home: Home,
         *,
+        airspeed_m_s: float,
         height_m: float,
         tolerance_m: float,
         report: Callable[[Event], None],
         now_s: Callable[[], float],
     ) -> None:
         self._vehicle, self._autopilot, self._plane, self._home = vehicle, autopilot, plane, home
-        self._height_m, self._tolerance_m = height_m, tolerance_m
+        self._airspeed_m_s, self._height_m, self._tolerance_m = airspeed_m_s, height_m, tolerance_m
         self._report, self._now_s = report, now_s
         self._slots: Slots | None = None
         self._next: tuple[int, Slots] | None = None
@@ -62,9 +65,10 @@ class Performer:
         assert self._slots is not None
         return self._slots.first
 
-    def line(self, plan: Plan) -> tuple[RawItem, ...]:
-        """Return the items of a plan as the autopilot stores them."""
-        items = plan_items(plan, self._plane, self._height_m, self._tolerance_m)
+    def line(self, plan: Plan, wind: Wind = STILL_AIR) -> tuple[RawItem, ...]:
+        """Return the items of a plan as the autopilot stores them. Raises UnflyableError."""
+        tracking = self._autopilot.tracking(self._airspeed_m_s, wind)
+        items = plan_items(plan, self._plane, self._height_m, self._tolerance_m, tracking)
         return tuple(self._autopilot.raw(item) for item in items)
 
     # -- commands of the step ------------------------------------------------------------------------------
@@ -101,7 +105,8 @@ class Performer:
         assert self._slots is not None
         try:
             # Laying out waypoints simulates how they are flown: some tens of milliseconds, beside the loop.
-            line = await asyncio.to_thread(self.line, replace(command.plan, circle=command.commanded))
+            plan = replace(command.plan, circle=command.commanded)
+            line = await asyncio.to_thread(self.line, plan, command.wind)
             slots = self._slots.with_line(line)
             result = await self._upload(slots, current=self._flown_index())
         except (LinkError, UnflyableError) as error:

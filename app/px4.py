@@ -11,6 +11,8 @@ from app.autopilot import Home, Limits, raw_item, select_by_message
 from app.link import RawItem
 from app.vehicle import Answer, Vehicle
 from mission.items import Item
+from mission.line_tracking import LineTracking, px4
+from mission.requirement import Wind
 
 _mav = mavutil.mavlink
 _CUSTOM_MODE_ENABLED = 1
@@ -46,6 +48,9 @@ class Px4:
             RawItem(_mav.MAV_CMD_NAV_LOITER_TO_ALT, frame, 0.0, 80.0, 0.0, 1.0, x, y, _LANDING_HEIGHT_M),
             RawItem(_mav.MAV_CMD_NAV_LAND, frame, 0.0, 0.0, 0.0, nan, x, y, 0.0),
         )
+
+    def tracking(self, airspeed_m_s: float, wind: Wind) -> LineTracking:
+        return px4(airspeed_m_s, wind)
 
     def raw(self, item: Item) -> RawItem:
         return raw_item(item)

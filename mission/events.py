@@ -19,7 +19,7 @@ from estimators.readings import (
 )
 from mission.circle import Circle
 from mission.plan import Plan
-from mission.requirement import Side
+from mission.requirement import Side, Wind
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,8 @@ Event = (
 class Prepare:
     """Bring plan ``number`` to the autopilot without flying it yet; report ready or failed.
 
-    commanded is the plan's circle as the autopilot has to be told, so that the wanted one is flown.
+    commanded is the plan's circle as the autopilot has to be told, so that the wanted one is flown. wind is what is
+    known of it now: waypoints are laid out for it.
     """
 
     time_s: float
@@ -116,6 +117,7 @@ class Prepare:
     plan: Plan
     commanded: Circle
     present: Plan
+    wind: Wind
     reason: str
 
 

@@ -291,7 +291,7 @@ class Watch:
         self._counts.uploads += 1
         commanded = self._flown_radius.commanded(plan.circle)
         self._swap = _Swap(self._number, plan, commanded, self.time_s)
-        return Prepare(self.time_s, self._number, plan, commanded, present, reason)
+        return Prepare(self.time_s, self._number, plan, commanded, present, self._wind, reason)
 
     def _corrected_radius(self, present: Plan) -> tuple[Command, ...]:
         assert self._commanded is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,7 +24,7 @@ def write_json(path: Path | None, values: dict[str, Any]) -> None:
     """Write the summary where it was asked for. Raises InputError naming the file."""
     if path is None:
         return
-    text = json.dumps(values, indent=2, allow_nan=False) + "\n"
+    text = json.dumps(_finite(values), indent=2, allow_nan=False) + "\n"
     if str(path) == "-":
         print(text, end="")
         return
@@ -55,3 +56,12 @@ def table_progress(tell: Callable[[str], None]) -> Callable[[float], None]:
             tell(f"computing the planner's value table, once for this configuration: {100.0 * share:.0f} %")
 
     return progress
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no infinity: what is infinite (the time between moves beside a standing target) is null."""
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
