@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from typing import Any
 
-from app.message import Message
-from app.records.entry import Entry
-
-Made = Iterator[tuple[str, dict[str, Any]]]
-"""Message names with their fields."""
+from app.records.entry import Entry, Made, Translator
+from estimators.rotations import from_roll_pitch_yaw
 
 _GPS_EPOCH_S = 315_964_800  # 1980-01-06
 _LEAP_S = 18  # GPS is ahead of UTC by this since 2017
@@ -25,16 +20,14 @@ _MOUNT_RANGE_ID = 100  # apart from the ids of RFND
 _LOCKED_YAW_IN_EARTH_FRAME = 4 | 8 | 16 | 64
 
 
-class ArdupilotMessages:
-    """Turns entries in order of time into messages.
+class ArdupilotMessages(Translator):
+    """A position takes its velocity from the first core of the EKF, else from GPS.
 
-    A position takes its velocity from the first core of the EKF, else from GPS. The range of a mount's own
-    rangefinder becomes a DISTANCE_SENSOR of custom orientation. Until GPS has told the time, received_s counts from
-    boot.
+    The range of a mount's own rangefinder becomes a DISTANCE_SENSOR of custom orientation.
     """
 
     def __init__(self) -> None:
-        self._makers: dict[str, Callable[[Entry], Made]] = {
+        makers = {
             "GPS": self._gps,
             "XKF1": self._ekf,
             "NKF1": self._ekf,
@@ -45,21 +38,9 @@ class ArdupilotMessages:
             "XKF2": self._wind,
             "NKF2": self._wind,
         }
+        super().__init__(makers)
         self._velocity_ned_m_s: tuple[float, float, float] | None = None
         self._has_ekf = False
-        self._boot_s = 0.0
-
-    @property
-    def topics(self) -> frozenset[str]:
-        """Names of the entries that are looked at."""
-        return frozenset(self._makers)
-
-    def messages(self, entries: Iterable[Entry]) -> Iterator[Message]:
-        """Yield the messages; entries that lack a field (another version of ArduPilot) are passed over."""
-        for entry in entries:
-            with suppress(KeyError):
-                for name, fields in self._makers[entry.name](entry):
-                    yield Message(name, 1, 1, fields, self._boot_s + entry.time_us * 1e-6)
 
     def _gps(self, entry: Entry) -> Made:
         fields = entry.fields
@@ -116,20 +97,14 @@ class ArdupilotMessages:
 
     def _mount(self, entry: Entry) -> Made:
         fields = entry.fields
-        roll, pitch, yaw = (math.radians(fields[name]) / 2 for name in ("Roll", "Pitch", "YawE"))
-        if all(map(math.isfinite, (roll, pitch, yaw))):
-            cr, sr, cp, sp, cy, sy = (f(half) for half in (roll, pitch, yaw) for f in (math.cos, math.sin))
+        roll_rad, pitch_rad, yaw_rad = (math.radians(fields[name]) for name in ("Roll", "Pitch", "YawE"))
+        if all(map(math.isfinite, (roll_rad, pitch_rad, yaw_rad))):
             yield (
                 "GIMBAL_DEVICE_ATTITUDE_STATUS",
                 {
                     "time_boot_ms": entry.time_us * 1e-3,
                     "flags": _LOCKED_YAW_IN_EARTH_FRAME,
-                    "q": [
-                        cr * cp * cy + sr * sp * sy,
-                        sr * cp * cy - cr * sp * sy,
-                        cr * sp * cy + sr * cp * sy,
-                        cr * cp * sy - sr * sp * cy,
-                    ],
+                    "q": list(from_roll_pitch_yaw(roll_rad, pitch_rad, yaw_rad)),
                     "gimbal_device_id": entry.instance + 1,
                 },
             )

@@ -12,6 +12,7 @@ from app.message import Message
 from app.records.ardupilot_entries import ArdupilotMessages
 from app.records.dataflash import MAGIC as DATAFLASH_MAGIC
 from app.records.dataflash import dataflash_contents, read_dataflash
+from app.records.entry import Entry, Translator
 from app.records.px4_entries import Px4Messages
 from app.records.tlog import is_tlog, read_tlog, summary
 from app.records.ulog import MAGIC as ULOG_MAGIC
@@ -19,6 +20,8 @@ from app.records.ulog import read_ulog, ulog_contents
 from app.records.windows import Progress
 
 _NAMED_AT_MOST = 20
+
+MessageReader = Callable[[Path, Collection[str], Progress | None], Iterator[Message]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +32,7 @@ class Log:
     kind: str
     range_names: tuple[str, ...]
     gimbal_names: tuple[str, ...]
-    _messages: Callable[[Path, Collection[str], Progress | None], Iterator[Message]]
+    _messages: MessageReader
     _contents: Callable[[Path, Progress | None], Counter[str]]
 
     def messages(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[Message]:
@@ -105,18 +108,21 @@ def _tlog_contents(path: Path, progress: Progress | None) -> Counter[str]:
 
 
 def _ulog(path: Path) -> Log:
-    def messages(path: Path, wanted: Collection[str], progress: Progress | None) -> Iterator[Message]:
-        made = Px4Messages()
-        every = made.messages(read_ulog(path, made.topics, progress))
-        return (message for message in every if message.name in wanted)
-
-    return Log(path, "ULog", ("distance_sensor",), ("gimbal_device_attitude_status",), messages, ulog_contents)
+    names = ("distance_sensor",), ("gimbal_device_attitude_status",)
+    return Log(path, "ULog", *names, _translated(Px4Messages, read_ulog), ulog_contents)
 
 
 def _dataflash(path: Path) -> Log:
+    names = ("RFND", "MNT.Dist"), ("MNT",)
+    return Log(path, "DataFlash log", *names, _translated(ArdupilotMessages, read_dataflash), dataflash_contents)
+
+
+def _translated(
+    translator: Callable[[], Translator], entries: Callable[[Path, Collection[str], Progress | None], Iterator[Entry]]
+) -> MessageReader:
     def messages(path: Path, wanted: Collection[str], progress: Progress | None) -> Iterator[Message]:
-        made = ArdupilotMessages()
-        every = made.messages(read_dataflash(path, made.topics, progress))
+        one = translator()
+        every = one.messages(entries(path, one.names, progress))
         return (message for message in every if message.name in wanted)
 
-    return Log(path, "DataFlash log", ("RFND", "MNT.Dist"), ("MNT",), messages, dataflash_contents)
+    return messages

@@ -19,6 +19,7 @@ from app.records.track import ring
 from estimators.estimate import TargetEstimate
 from estimators.frames import LocalPlane
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
+from estimators.rotations import from_roll_pitch_yaw
 from estimators.sighting import Sighting, SightingOutcome
 from estimators.tracker import Tracker
 from mission.circle import Circle
@@ -88,7 +89,7 @@ class McapLog:
         angles = (attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad) if attitude else (0.0, 0.0, 0.0)
         pose = {
             "position": {"x": p.east_m, "y": p.north_m, "z": p.height_m},
-            "orientation": _plane_from_body_xyzw(*angles),
+            "orientation": _plane_from_body(*angles),
         }
         self._out.write("/aircraft", "foxglove.PoseInFrame", p.time_s, {"frame_id": "plane", "pose": pose})
         self._fix("/aircraft/fix", p.time_s, p.east_m, p.north_m, p.height_m, [0.0] * 9)
@@ -248,15 +249,6 @@ def _circle_numbers(circle: Circle) -> dict[str, Any]:
     }
 
 
-def _plane_from_body_xyzw(roll_rad: float, pitch_rad: float, yaw_rad: float) -> dict[str, float]:
+def _plane_from_body(roll_rad: float, pitch_rad: float, yaw_rad: float) -> dict[str, float]:
     """Return the attitude of forward-left-up in east-north-up: up and left turn the signs of yaw and pitch."""
-    half_roll, half_pitch, half_yaw = roll_rad / 2, -pitch_rad / 2, (math.pi / 2 - yaw_rad) / 2
-    cr, sr = math.cos(half_roll), math.sin(half_roll)
-    cp, sp = math.cos(half_pitch), math.sin(half_pitch)
-    cy, sy = math.cos(half_yaw), math.sin(half_yaw)
-    return {
-        "x": sr * cp * cy - cr * sp * sy,
-        "y": cr * sp * cy + sr * cp * sy,
-        "z": cr * cp * sy - sr * sp * cy,
-        "w": cr * cp * cy + sr * sp * sy,
-    }
+    return dict(zip("wxyz", from_roll_pitch_yaw(roll_rad, -pitch_rad, math.pi / 2 - yaw_rad), strict=True))

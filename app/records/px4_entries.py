@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from typing import Any
 
-from app.message import Message
-from app.records.entry import Entry
+from app.records.entry import Entry, Made, Translator
 from estimators.frames import LocalPlane
-
-Made = Iterator[tuple[str, dict[str, Any]]]
-"""Message names with their fields."""
 
 _GLOBAL_POSITION_SILENCE_US = 1_000_000
 
 
-class Px4Messages:
-    """Turns entries in order of time into messages.
+class Px4Messages(Translator):
+    """A position takes its velocity from the latest vehicle_local_position.
 
-    A position takes its velocity from the latest vehicle_local_position; where vehicle_global_position is not logged
-    (older PX4) it is made of vehicle_local_position alone. Heights above home go by home_position, else by the origin
-    of the local position. Until GPS has told the time, received_s counts from boot.
+    Where vehicle_global_position is not logged (older PX4), it is made of vehicle_local_position alone. Heights above
+    home go by home_position, else by the origin of the local position.
     """
 
     def __init__(self) -> None:
-        self._makers: dict[str, Callable[[Entry], Made]] = {
+        makers = {
             "home_position": self._home,
             "vehicle_gps_position": self._gps,
             "vehicle_global_position": self._global_position,
@@ -37,22 +31,10 @@ class Px4Messages:
             "wind": self._wind,
             "wind_estimate": self._wind,
         }
+        super().__init__(makers)
         self._home_altitude_m = math.nan
         self._local: Mapping[str, Any] = {}
         self._global_us: int | None = None  # when the latest global position came, at first when one could have
-        self._boot_s = 0.0
-
-    @property
-    def topics(self) -> frozenset[str]:
-        """Names of the entries that are looked at."""
-        return frozenset(self._makers)
-
-    def messages(self, entries: Iterable[Entry]) -> Iterator[Message]:
-        """Yield the messages; entries that lack a field (another version of the topic) are passed over."""
-        for entry in entries:
-            with suppress(KeyError):
-                for name, fields in self._makers[entry.name](entry):
-                    yield Message(name, 1, 1, fields, self._boot_s + entry.time_us * 1e-6)
 
     def _home(self, entry: Entry) -> Made:
         self._home_altitude_m = entry.fields["alt"]
@@ -82,7 +64,8 @@ class Px4Messages:
     def _position(self, time_us: int, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Made:
         vx, vy, vz = (100.0 * self._local.get(name, math.nan) for name in ("vx", "vy", "vz"))
         height_m = altitude_m - self._home_altitude_m
-        if all(map(math.isfinite, (latitude_deg, longitude_deg, height_m, vx, vy, vz))):
+        on_earth = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0
+        if on_earth and all(map(math.isfinite, (height_m, vx, vy, vz))):
             yield (
                 "GLOBAL_POSITION_INT",
                 {

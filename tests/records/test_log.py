@@ -21,6 +21,7 @@ from app.records.log import open_log
 from app.records.ulog import read_ulog
 from app.telemetry import Telemetry
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
+from estimators.tracker import Tracker, TrackerSettings
 from mission.events import WindReported
 
 # The flight: one tenth of a second a step, from 10 s after boot.
@@ -332,6 +333,25 @@ class TestDamage:
             path.write_bytes(whole[:begin] + rng.randbytes(8) + whole[begin + 8 :])
             open_log(path)
             read_all(read, path, topics)
+
+    def test_what_damage_leaves_does_not_trouble_the_estimation(self, tmp_path, pieces, read, topics):
+        rng = random.Random(4)
+        absurd = [struct.pack("<d", 1e300), struct.pack("<ff", 3e38, -3e38), struct.pack("<ff", math.inf, math.nan)]
+        whole, path = b"".join(pieces(60)), tmp_path / "log"
+        for _ in range(25):
+            damaged = bytearray(whole)
+            for _ in range(30):
+                begin = rng.randrange(900, len(whole) - 8)
+                damaged[begin : begin + 8] = rng.choice([*absurd, rng.randbytes(8)])
+            path.write_bytes(damaged)
+            telemetry, tracker = Telemetry(), Tracker(TrackerSettings())
+            for message in open_log(path).messages(telemetry.wanted):
+                event = telemetry.event(message)
+                if isinstance(event, PositionReading | AttitudeReading | RangeReading | GimbalReading):
+                    tracker.add(event)
+                if isinstance(event, PositionReading):
+                    tracker.estimate(event.time_s)
+            assert tracker.sightings > 10
 
     def test_entries_on_the_seams_of_the_windows_are_read_once(self, tmp_path, pieces, read, topics, monkeypatch):
         path = write(tmp_path / "log", pieces())

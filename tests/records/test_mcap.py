@@ -19,6 +19,7 @@ from mission.circle import Circle
 from mission.events import Announce, Engaged, Prepare, SwapReported
 from mission.path import Path as Line
 from mission.plan import Plan
+from mission.requirement import Wind
 
 mcap_reader = pytest.importorskip("mcap.reader")
 
@@ -48,6 +49,7 @@ def flight(log: McapLog) -> None:
             plan=Plan(MOVED, LINE, 16.0),
             commanded=MOVED,
             present=Plan(CIRCLE),
+            wind=Wind(),
             reason="the range would grow",
         )
     )
