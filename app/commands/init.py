@@ -1,0 +1,114 @@
+"""``sidelong init``: a configuration file to begin with, every key explained."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+import typer
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic.fields import FieldInfo
+
+from app.commands.output import console
+from app.config import Config
+from app.errors import InputError
+from app.presets import PRESETS, Preset
+
+_WIDTH = 112
+# What a key that is not set, or an empty list, would look like.
+_EXAMPLES = {
+    "sensors.range_component": "154",
+    "sensors.gimbal_component": "154",
+    "link.url": '"udpin://0.0.0.0:14540"',
+    "fences.keep_in": "[[[47.40, 8.50], [47.42, 8.50], [47.42, 8.53], [47.40, 8.53]]]",
+    "fences.keep_out": "[[[47.405, 8.51], [47.410, 8.51], [47.410, 8.52]]]",
+    "fences.floor_m": "60.0",
+    "fences.ceiling_m": "150.0",
+}
+
+
+def init(
+    file: Annotated[Path, typer.Argument(help="The file to write.")] = Path("sidelong.toml"),
+    preset: Annotated[
+        str | None, typer.Option(help=f"Begin with an airframe: {', '.join(PRESETS)}.", show_default=False)
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+) -> None:
+    """Write a configuration file with every key, its unit, limits and default, to be changed as needed.
+
+    Examples: sidelong init; sidelong init x8.toml --preset skywalker-x8
+    """
+    if preset is not None and preset not in PRESETS:
+        known = "; ".join(f"{name} ({known.about})" for name, known in PRESETS.items())
+        raise InputError(f"--preset {preset!r} is not known; there are: {known}.")
+    try:
+        with file.open("w" if force else "x", encoding="utf-8") as out:
+            out.write(config_text(preset))
+    except FileExistsError as error:
+        raise InputError(f"{file} is there already; give another name, or --force to write over it.") from error
+    except OSError as error:
+        raise InputError(f"{file}: cannot be written ({error.strerror}).") from error
+    console.print(f"wrote {file}; then: sidelong check {file}; sidelong launch {file}", soft_wrap=True)
+
+
+def config_text(preset: str | None = None) -> str:
+    """Return the file's text, with the values of a preset where one is named."""
+    chosen = PRESETS[preset] if preset is not None else None
+    return "\n".join(_lines(preset, chosen)) + "\n"
+
+
+def _lines(name: str | None, preset: Preset | None) -> Iterator[str]:
+    yield "# Configuration of sidelong. Every key may be left out; it then has the default told beside it."
+    if preset is not None:
+        yield from _comment(f"Preset {name}: {preset.about}. Figures from {preset.source}.")
+    values = preset.values() if preset is not None else {}
+    for section, about in Config.model_fields.items():
+        kind: Any = about.annotation
+        yield ""
+        yield from _comment(kind.__doc__ or "")
+        yield f"[{section}]"
+        for key, field in kind.model_fields.items():
+            yield from _entry(f"{section}.{key}", key, field, values.get(section, {}).get(key))
+
+
+def _entry(path: str, key: str, field: FieldInfo, chosen: float | None) -> Iterator[str]:
+    default = field.get_default(call_default_factory=True, validated_data={})
+    example = _EXAMPLES.get(path)
+    told = [field.description or "", _limits(field)]
+    if chosen is not None and chosen != default:
+        told.append(f"Default {_toml(default)}.")
+    yield from _comment(" ".join(filter(None, told)))
+    if default is None or default == []:
+        yield f"# {key} = {example}"
+    else:
+        yield f"{key} = {_toml(default if chosen is None else chosen)}"
+
+
+def _limits(field: FieldInfo) -> str:
+    """Return the limits of a field in words, '' where it has none."""
+    if get_origin(field.annotation) is Literal:
+        return f"One of {', '.join(_toml(value) for value in get_args(field.annotation))}."
+    words = []
+    for limit in field.metadata:
+        match limit:
+            case Ge(ge=bound):
+                words.append(f"at least {bound:g}")
+            case Gt(gt=bound):
+                words.append(f"more than {bound:g}")
+            case Le(le=bound):
+                words.append(f"at most {bound:g}")
+            case Lt(lt=bound):
+                words.append(f"less than {bound:g}")
+    return f"{', '.join(words).capitalize()}." if words else ""
+
+
+def _comment(text: str) -> list[str]:
+    return textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ", break_on_hyphens=False)
+
+
+def _toml(value: Any) -> str:
+    """Return a plain value as TOML writes it: strings, numbers and booleans are the same as in JSON."""
+    return json.dumps(value, allow_nan=False)

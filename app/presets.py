@@ -1,0 +1,64 @@
+"""Common airframes with the airspeed, bank limit and loiter radius that their published parameter files set.
+
+The range band goes with the radius: about ten radii to Dmax is what the transitions between circles need. Roll rate
+and height are left at the defaults; a preset is where to begin, the aircraft's own figures come first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    """about: what it is, in half a line. source: where the figures are published."""
+
+    about: str
+    source: str
+    airspeed_m_s: float
+    radius_m: float
+    bank_max_deg: float
+    range_max_m: float = 500.0
+
+    def values(self) -> dict[str, dict[str, float]]:
+        """Return the keys that it sets, by section."""
+        return {
+            "aircraft": {
+                "airspeed_m_s": self.airspeed_m_s,
+                "radius_m": self.radius_m,
+                "bank_max_deg": self.bank_max_deg,
+            },
+            "requirement": {"range_max_m": self.range_max_m},
+        }
+
+
+_ARDUPILOT = "ArduPilot Tools/Frame_params"
+
+PRESETS = {
+    "parrot-disco": Preset(
+        "Parrot Disco, foam flying wing of 1.15 m", f"{_ARDUPILOT}/Parrot_Disco", 14.0, 30.0, 55.0
+    ),
+    "3dr-aero": Preset("3DR Aero, foam pusher", f"{_ARDUPILOT}/3DR_Aero_RTF.param", 15.0, 73.0, 50.0, 750.0),
+    "skywalker-x8": Preset(
+        "Skywalker X8, foam flying wing of 2.1 m", f"{_ARDUPILOT}/SkyWalkerX8.param", 16.0, 50.0, 35.0
+    ),
+    "striver-mini": Preset(
+        "MakeFlyEasy Striver Mini, VTOL of 2.1 m",
+        f"{_ARDUPILOT}/QuadPlanes/MFE_StriverMini.param",
+        23.0,
+        120.0,
+        55.0,
+        1200.0,
+    ),
+    "arduplane-sitl": Preset(
+        "the stock ArduPlane simulation", "ArduPilot Tools/autotest/models/plane.parm", 22.0, 80.0, 65.0, 850.0
+    ),
+    "px4-sih": Preset(
+        "the PX4 SIH fixed wing",
+        "PX4 SIH rc_plane, FW_R_LIM and NAV_LOITER_RAD as they come",
+        15.5,
+        80.0,
+        50.0,
+        850.0,
+    ),
+}

@@ -1,0 +1,87 @@
+"""The configuration file to begin with loads back as what it says."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from app.commands.init import config_text, init
+from app.config import Config, check_flyable, load_config
+from app.errors import InputError
+from app.presets import PRESETS
+from mission.requirement import GRAVITY_M_S2
+
+
+def test_the_file_holds_exactly_the_defaults(tmp_path):
+    init(tmp_path / "mission.toml")
+    assert load_config(tmp_path / "mission.toml") == Config()
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_loads_back_and_is_flyable_by_both_planners(name, tmp_path):
+    file = tmp_path / "mission.toml"
+    init(file, preset=name)
+    config, preset = load_config(file), PRESETS[name]
+    assert (config.aircraft.airspeed_m_s, config.aircraft.radius_m) == (preset.airspeed_m_s, preset.radius_m)
+    assert config.requirement.range_max_m == preset.range_max_m
+    assert preset.about in file.read_text(encoding="utf-8")
+    for planner in ("predictive", "paper"):
+        check_flyable(load_config(file, {"planner": {"name": planner}}))
+    assert config.aircraft.aircraft().least_radius_m <= preset.radius_m
+
+
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=str)
+def test_a_preset_leaves_bank_for_corrections(preset):
+    """Its circle is flown at least five degrees below the airframe's bank limit."""
+
+    bank_deg = math.degrees(math.atan(preset.airspeed_m_s**2 / (GRAVITY_M_S2 * preset.radius_m)))
+    assert bank_deg <= preset.bank_max_deg - 5.0
+
+
+def test_every_key_is_there_with_its_comment():
+    text = config_text()
+    for section, about in Config.model_fields.items():
+        assert f"[{section}]" in text
+        for key in about.annotation.model_fields:
+            assert re.search(rf"^(?:# .*\n)+(?:# )?{key} = .+$", text, re.M), key
+
+
+def test_keys_that_are_not_set_become_valid_by_taking_the_mark_off(tmp_path):
+    file = tmp_path / "mission.toml"
+    uncommented = re.sub(r"^# (\w+ = )", r"\1", config_text(), flags=re.M)
+    file.write_text(uncommented, encoding="utf-8")
+    config = load_config(file)
+    assert config.link.url == "udpin://0.0.0.0:14540"
+    assert len(config.fences.keep_in[0]) == 4
+    assert config.sensors.range_component == 154
+
+
+def test_limits_and_choices_are_told():
+    text = config_text()
+    assert "# Radius of the circle flown beside the target, m. At least 10, at most 2000.\nradius_m = 50.0" in text
+    assert 'One of "predictive", "paper".' in " ".join(text.replace("# ", "").split())
+
+
+def test_a_file_that_is_there_is_kept(tmp_path):
+    file = tmp_path / "mission.toml"
+    file.write_text("[aircraft]\n", encoding="utf-8")
+    with pytest.raises(InputError, match="--force"):
+        init(file)
+    assert file.read_text(encoding="utf-8") == "[aircraft]\n"
+    init(file, force=True)
+    assert tomllib.loads(file.read_text(encoding="utf-8"))["aircraft"]["radius_m"] == 50.0
+
+
+def test_an_unknown_preset_names_those_there_are(tmp_path):
+    with pytest.raises(InputError, match="skywalker-x8"):
+        init(tmp_path / "mission.toml", preset="concorde")
+    assert not (tmp_path / "mission.toml").exists()
+
+
+def test_a_folder_that_is_not_there_is_told(tmp_path):
+    with pytest.raises(InputError, match="cannot be written"):
+        init(Path(tmp_path / "no" / "mission.toml"))
