@@ -13,7 +13,7 @@ from app.errors import InputError
 from app.message import Message
 from app.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, TYPE_FIXED_WING
 from app.px4 import Px4
-from app.telemetry import Telemetry
+from app.telemetry import Telemetry, has_fix
 from app.vehicle import Vehicle
 from estimators.readings import GimbalReading, PositionReading, RangeReading, Source, TargetFixReading
 from mission.requirement import Aircraft
@@ -133,8 +133,7 @@ def checks(
 
 def _position_check(vehicle: Vehicle) -> Check:
     message = vehicle.latest.get("GLOBAL_POSITION_INT")
-    fields = message.fields if message else {}
-    if not fields.get("lat") and not fields.get("lon"):
+    if message is None or not has_fix(message.fields):
         return Check("position", False, "none", "wait for the GPS fix")
     found = (
         f"{fields['lat'] * 1e-7:.6f}, {fields['lon'] * 1e-7:.6f}, {fields['relative_alt'] * 1e-3:.0f} m above home"

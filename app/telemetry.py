@@ -24,6 +24,7 @@ from mission.events import Event, ModeReported, WindReported, YieldRequested
 
 AUTOPILOT_COMPONENT = 1
 _REBOOT_STEP_S = 5.0
+_NO_FIX_DEG_E7 = 100_000
 
 # MAV_SENSOR_ORIENTATION and GIMBAL_DEVICE_FLAGS of the MAVLink common dialect.
 _ORIENTATION_CUSTOM = 100
@@ -85,7 +86,7 @@ class Telemetry:
 
     def _position(self, message: Message) -> Event | None:
         fields = message.fields
-        if message.component_id != AUTOPILOT_COMPONENT or not (fields["lat"] or fields["lon"]):
+        if message.component_id != AUTOPILOT_COMPONENT or not has_fix(fields):
             return None
         time_s = fields["time_boot_ms"] * 1e-3
         if time_s < self.now_s - _REBOOT_STEP_S:
@@ -177,6 +178,11 @@ class Telemetry:
         east_m, north_m = self.plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
         source = Source(message.name, message.component_id)
         return TargetFixReading(self.now_s, east_m, north_m, fields["h_acc"], source)
+
+
+def has_fix(fields: Fields) -> bool:
+    """Tell whether a position is one: before its first fix ArduPlane's filter reports places near (0, 0)."""
+    return abs(fields["lat"]) > _NO_FIX_DEG_E7 or abs(fields["lon"]) > _NO_FIX_DEG_E7
 
 
 def _finite(*values: float | None) -> bool:

@@ -63,8 +63,11 @@ def test_the_first_fix_is_the_origin_and_north_is_north():
     assert moved.east_m == 0.0
 
 
-def test_no_fix_is_no_position():
-    assert Telemetry().event(position(lat=0, lon=0)) is None
+@pytest.mark.parametrize(("lat", "lon"), [(0, 0), (-312, 4_051)])
+def test_no_fix_is_no_position(lat, lon):
+    decoder = Telemetry()
+    assert decoder.event(position(lat=lat, lon=lon)) is None
+    assert decoder.plane is None
 
 
 def test_another_vehicle_is_not_ours(telemetry):
