@@ -135,6 +135,7 @@ def _position_check(vehicle: Vehicle) -> Check:
     message = vehicle.latest.get("GLOBAL_POSITION_INT")
     if message is None or not has_fix(message.fields):
         return Check("position", False, "none", "wait for the GPS fix")
+    fields = message.fields
     found = (
         f"{fields['lat'] * 1e-7:.6f}, {fields['lon'] * 1e-7:.6f}, {fields['relative_alt'] * 1e-3:.0f} m above home"
     )

@@ -182,7 +182,7 @@ class Telemetry:
 
 def has_fix(fields: Fields) -> bool:
     """Tell whether a position is one: before its first fix ArduPlane's filter reports places near (0, 0)."""
-    return abs(fields["lat"]) > _NO_FIX_DEG_E7 or abs(fields["lon"]) > _NO_FIX_DEG_E7
+    return bool(max(abs(fields["lat"]), abs(fields["lon"])) > _NO_FIX_DEG_E7)
 
 
 def _finite(*values: float | None) -> bool:
