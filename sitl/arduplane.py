@@ -24,7 +24,7 @@ from sitl.transfer import Manners, Store
 
 # The stock simulator's airframe turns less than its bank would in a coordinated turn. With L1, which has no
 # integral on circles, that is why it flies 116 m for 100, 69 for 50 and 167 for 150 at 22 m/s.
-_BUILD = Build(turn_efficiency=0.78)
+BUILD = Build(turn_efficiency=0.78)
 _INITIAL_HEADING_RAD = math.radians(353.0)
 _TAKEOFF_OVERSHOOT_M = 10.0  # the climb is kept up until the height is passed
 _DEFAULT_AIRSPEED = -2.0
@@ -68,7 +68,7 @@ class ArduPlane(Autopilot):
     default_interval_s = DEFAULT_INTERVAL_S
 
     def __init__(self, settings: Settings) -> None:
-        super().__init__(settings, _BUILD, _INITIAL_HEADING_RAD, arduplane_parameters(settings))
+        super().__init__(settings, BUILD, _INITIAL_HEADING_RAD, arduplane_parameters(settings))
         home = self.home
         home_item = Item(
             mavlink.MAV_CMD_NAV_WAYPOINT,
@@ -97,7 +97,7 @@ class ArduPlane(Autopilot):
 
     @property
     def roll_limit_rad(self) -> float:
-        return math.radians(self.parameters["ROLL_LIMIT_DEG"])
+        return math.radians(self.parameters.within("ROLL_LIMIT_DEG", 5.0, 80.0))
 
     @property
     def base_mode(self) -> int:
@@ -173,7 +173,7 @@ class ArduPlane(Autopilot):
     @property
     def airspeed_goal_m_s(self) -> float:
         ordered_m_s = self._ordered_airspeed_m_s if self.mode in (Mode.AUTO, Mode.GUIDED) else None
-        return self.parameters["AIRSPEED_CRUISE"] if ordered_m_s is None else ordered_m_s
+        return self.parameters.within("AIRSPEED_CRUISE", 5.0, 60.0) if ordered_m_s is None else ordered_m_s
 
     def navigate(self, dt_s: float) -> float:
         match self.mode:
@@ -304,7 +304,7 @@ class ArduPlane(Autopilot):
         return self.mission.set_current(index)
 
     def _on_set_current(self, command: Command) -> int:
-        index = int(command.param(1))
+        index = int(command.number(1))
         if not 0 <= index < len(self.mission.items()):
             return DENIED
         if not self.mission.set_current(index):
@@ -313,7 +313,7 @@ class ArduPlane(Autopilot):
         return ACCEPTED
 
     def _on_mission_start(self, command: Command) -> int:
-        if command.param(1) or command.param(2):
+        if command.number(1) or command.number(2):
             return DENIED
         self.set_mode(Mode.AUTO)
         return ACCEPTED
@@ -324,7 +324,7 @@ class ArduPlane(Autopilot):
         if command.frame not in ABSOLUTE_FRAMES and command.frame not in RELATIVE_FRAMES:
             return DENIED
         latitude_deg, longitude_deg, altitude_m = command.params[4:7]
-        if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0):  # NaN too
+        if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and math.isfinite(altitude_m)):  # NaN too
             return DENIED
         change_mode = int(command.number(2)) & mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
         if not change_mode and self.mode != Mode.GUIDED:

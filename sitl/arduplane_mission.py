@@ -175,8 +175,8 @@ def as_stored(item: Item) -> Item:
 
 
 def _whole(value: float) -> int:
-    return 0 if math.isnan(value) else int(max(0.0, value))
+    return int(max(0.0, value)) if math.isfinite(value) else 0
 
 
 def _signed_whole(value: float) -> float:
-    return 0.0 if math.isnan(value) else math.copysign(float(math.floor(abs(value))), value)
+    return math.copysign(float(math.floor(abs(value))), value) if math.isfinite(value) else 0.0

@@ -109,8 +109,8 @@ class ArduPlaneNavigator:
         return lateral_m_s2
 
     def _tune(self) -> None:
-        self.guidance.period_s = self._parameters["NAVL1_PERIOD"]
-        self.guidance.damping = self._parameters["NAVL1_DAMPING"]
+        self.guidance.period_s = self._parameters.within("NAVL1_PERIOD", 1.0, 60.0)
+        self.guidance.damping = self._parameters.within("NAVL1_DAMPING", 0.1, 2.0)
         self.guidance.integral_gain = self._parameters["NAVL1_XTRACK_I"]
 
     def _behind_goal(self) -> bool:

@@ -152,7 +152,7 @@ class Autopilot(ABC):
             self.roll_goal_rad = max(-limit_rad, min(limit_rad, math.atan(lateral_m_s2 / GRAVITY_M_S2)))
         craft = self.craft
         if craft.flying:
-            climb_m_s = _ALTITUDE_GAIN_1_S * (self.height_goal_m - craft.height_m)
+            climb_m_s = _ALTITUDE_GAIN_1_S * (self.height_goal_m - craft.height_m) if self.armed else -math.inf
             craft.fly(dt_s, self.roll_goal_rad, self.airspeed_goal_m_s * self.true_airspeed_ratio, climb_m_s)
             self.lifting_off = False
             if not craft.flying:
@@ -199,13 +199,13 @@ class Autopilot(ABC):
     # Places.
 
     def place_of(self, item: Item) -> Place:
-        """Return where an item is; one at latitude and longitude 0 is here."""
+        """Return where an item is; one at latitude and longitude 0, or of no height, is where the aircraft is."""
         if item.latitude_e7 == 0 and item.longitude_e7 == 0:
             east_m, north_m = self.craft.east_m, self.craft.north_m
         else:
             east_m, north_m = self.plane.east_north_m(item.latitude_deg, item.longitude_deg)
         height_m = item.altitude_m if item.frame in RELATIVE_FRAMES else item.altitude_m - self.home.altitude_m
-        return Place(east_m, north_m, height_m)
+        return Place(east_m, north_m, height_m if math.isfinite(height_m) else self.craft.height_m)
 
     @property
     def here(self) -> Place:
@@ -233,9 +233,8 @@ class Autopilot(ABC):
         if kind == "BAD_DATA" or source == (self.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1):
             return
         station.heard_s = self.now_s
-        station.sources.add(source)
         target = (getattr(message, "target_system", 0), getattr(message, "target_component", 0))
-        if target[0] != self.system_id and kind != "RADIO_STATUS":
+        if target != (self.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1) and kind != "RADIO_STATUS":
             self.radio.forward(message, station)
         if target[0] in (0, self.system_id) and target[1] in (0, mavlink.MAV_COMP_ID_AUTOPILOT1):
             self.handle_own(station, message, kind)
@@ -273,9 +272,10 @@ class Autopilot(ABC):
         transfer = self.transfers.get(getattr(message, "mission_type", mavlink.MAV_MISSION_TYPE_MISSION))
         if transfer is not None:
             transfer.handle(station, message, self.now_s)
-        elif message.get_type() == "MISSION_CLEAR_ALL" and message.mission_type == mavlink.MAV_MISSION_TYPE_ALL:
-            for each in self.transfers.values():
-                each.handle(station, message, self.now_s)
+        elif message.get_type() != "MISSION_ACK":
+            sender = (message.get_srcSystem(), message.get_srcComponent())
+            unsupported = mavlink.MAV_MISSION_UNSUPPORTED
+            self.radio.send(station, mavlink.MAVLink_mission_ack_message(*sender, unsupported, message.mission_type))
 
     # Commands.
 
@@ -284,13 +284,13 @@ class Autopilot(ABC):
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
                 result = self._on_message_interval(station, command)
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
-                result = self._on_request_message(station, int(command.param(1)))
+                result = self._on_request_message(station, int(command.number(1)))
             case mavlink.MAV_CMD_GET_HOME_POSITION:
                 result = self._on_request_message(station, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
             case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
                 result = self._on_request_message(station, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
             case mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
-                message_id = int(command.param(1))
+                message_id = int(command.number(1)) & 0xFFFF
                 interval_us = int(1e6 * station.interval_s.get(message_id, 0.0))
                 self.radio.send(station, mavlink.MAVLink_message_interval_message(message_id, interval_us))
                 result = ACCEPTED
@@ -300,7 +300,7 @@ class Autopilot(ABC):
         self.radio.send(station, command.acknowledgement(result))
 
     def _on_message_interval(self, station: Station, command: Command) -> int:
-        message_id, interval_us = int(command.param(1)), command.param(2)
+        message_id, interval_us = int(command.number(1)), command.number(2)
         if message_id not in self._builders:
             return self.unknown_message_result
         if interval_us == 0:
@@ -340,7 +340,6 @@ class Autopilot(ABC):
     def disarm(self) -> None:
         self.armed = False
         self.lifting_off = False
-        self.craft.flying = False
 
     def _on_reboot(self, command: Command) -> int:
         if command.param(1) != 1.0:

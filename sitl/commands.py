@@ -44,9 +44,9 @@ class Command:
         return self.params[number - 1]
 
     def number(self, number: int) -> float:
-        """Return a param, 0 where it is NaN."""
+        """Return a param, 0 where it is no number."""
         value = self.params[number - 1]
-        return 0.0 if math.isnan(value) else value
+        return value if math.isfinite(value) else 0.0
 
     def acknowledgement(self, result: int) -> Any:
         return mavlink.MAVLink_command_ack_message(self.id, result, 0, 0, *self.sender)

@@ -35,9 +35,11 @@ class Item:
 
     @staticmethod
     def from_message(message: Any) -> Item:
-        """Read a MISSION_ITEM_INT or a MISSION_ITEM."""
+        """Read a MISSION_ITEM_INT or a MISSION_ITEM. Raises ItemRefused for a place that is none."""
         x, y = message.x, message.y
         if message.get_type() == "MISSION_ITEM":
+            if not (abs(x) <= 90.0 and abs(y) <= 180.0):
+                raise ItemRefused(mavlink.MAV_MISSION_INVALID)
             x, y = round(x * 1e7), round(y * 1e7)
         return Item(
             message.command,

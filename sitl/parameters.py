@@ -34,8 +34,9 @@ class Parameters:
     def __getitem__(self, name: str) -> float:
         return self._values[name]
 
-    def __contains__(self, name: str) -> bool:
-        return name in self._values
+    def within(self, name: str, least: float, greatest: float) -> float:
+        """Return a value as the airframe can bear it, whatever a station has set."""
+        return max(least, min(greatest, self._values[name]))
 
     def set(self, name: str, value: float) -> None:
         """Set a known parameter; KeyError if there is none of that name."""

@@ -13,6 +13,7 @@ from sitl.settings import GimbalFrame, PayloadSettings, RangeMessage
 from sitl.telemetry import NAN, quaternion
 
 PERIOD_S = 0.1
+PAYLOAD_MESSAGES = ("DISTANCE_SENSOR", "RANGEFINDER", "GIMBAL_DEVICE_ATTITUDE_STATUS", "HEARTBEAT")
 _RANGE_MIN_M = 1.0
 _RANGE_MAX_M = 655.0  # DISTANCE_SENSOR counts centimetres in 16 bits
 _OUTLIER_M = (15.0, 90.0)

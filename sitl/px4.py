@@ -88,7 +88,7 @@ class Px4(Autopilot):
 
     @property
     def roll_limit_rad(self) -> float:
-        return math.radians(self.parameters["FW_R_LIM"])
+        return math.radians(self.parameters.within("FW_R_LIM", 5.0, 80.0))
 
     @property
     def base_mode(self) -> int:
@@ -162,7 +162,7 @@ class Px4(Autopilot):
     @property
     def airspeed_goal_m_s(self) -> float:
         ordered_m_s = self._ordered_airspeed_m_s
-        return self.parameters["FW_AIRSPD_TRIM"] if ordered_m_s is None else ordered_m_s
+        return self.parameters.within("FW_AIRSPD_TRIM", 5.0, 60.0) if ordered_m_s is None else ordered_m_s
 
     def navigate(self, dt_s: float) -> float:
         del dt_s  # the follower has no integral
@@ -383,9 +383,9 @@ class Px4(Autopilot):
         latitude_deg, longitude_deg, altitude_m = command.params[4:7]
         here = self.here
         east_m, north_m = here.ground_m
-        if not (math.isnan(latitude_deg) or math.isnan(longitude_deg)):
+        if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
             east_m, north_m = self.plane.east_north_m(latitude_deg, longitude_deg)
-        height_m = here.height_m if math.isnan(altitude_m) else altitude_m - self.home.altitude_m
+        height_m = altitude_m - self.home.altitude_m if math.isfinite(altitude_m) else here.height_m
         self.set_mode(Mode.HOLD)
         if self.craft.flying:
             self._circle_at(Place(east_m, north_m, height_m), signed_radius_m)
@@ -396,7 +396,7 @@ class Px4(Autopilot):
             return REJECTED
         self.set_mode(Mode.TAKEOFF)
         altitude_m = command.param(7)
-        if not math.isnan(altitude_m):
+        if math.isfinite(altitude_m):
             self._begin_takeoff(altitude_m - self.home.altitude_m)
         return ACCEPTED
 

@@ -39,8 +39,8 @@ class Px4Navigator:
         self.goal, self.circle, self._inside_since_s = goal, None, None
 
     def fly_around(self, centre: Place, signed_radius_m: float = math.nan) -> None:
-        """Circle: positive clockwise; NaN or 0 for the parameter's radius."""
-        if math.isnan(signed_radius_m) or signed_radius_m == 0.0:
+        """Circle: positive clockwise; 0 or no number for the parameter's radius."""
+        if not math.isfinite(signed_radius_m) or signed_radius_m == 0.0:
             signed_radius_m = self._parameters["NAV_LOITER_RAD"]
         self.goal, self._inside_since_s = centre, None
         self.circle = Circle(centre, abs(signed_radius_m), signed_radius_m > 0.0)
@@ -65,17 +65,19 @@ class Px4Navigator:
         return True, lateral_m_s2
 
     def fly_line(self) -> float:
+        if not self._craft.flying:
+            return 0.0
         self._tune()
         return self.follower.towards_line(self._craft, self._origin.ground_m, self.goal.ground_m)
 
     def fly_circle(self) -> float:
-        """Return the lateral acceleration; level flight when there is no circle."""
+        """Return the lateral acceleration, 0 on the ground and without a circle."""
         circle = self.circle
-        if circle is None:
+        if circle is None or not self._craft.flying:
             return 0.0
         self._tune()
         # A circle tighter than the roll limit allows is silently flown wider.
-        limit_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(self._parameters["FW_R_LIM"]))
+        limit_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(self._parameters.within("FW_R_LIM", 5.0, 80.0)))
         radius_m = max(circle.radius_m, self._craft.airspeed_m_s**2 / limit_m_s2)
         return self.follower.towards_circle(self._craft, circle.centre.ground_m, radius_m, circle.clockwise)
 
@@ -97,5 +99,5 @@ class Px4Navigator:
         return east_m * math.sin(course_rad) + north_m * math.cos(course_rad) > 0.0
 
     def _tune(self) -> None:
-        self.follower.period_s = self._parameters["NPFG_PERIOD"]
-        self.follower.damping = self._parameters["NPFG_DAMPING"]
+        self.follower.period_s = self._parameters.within("NPFG_PERIOD", 1.0, 100.0)
+        self.follower.damping = self._parameters.within("NPFG_DAMPING", 0.1, 2.0)

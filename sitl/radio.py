@@ -26,7 +26,6 @@ class Station:
         "interval_s",
         "parser",
         "sequence",
-        "sources",
         "wakes_s",
     )
 
@@ -35,7 +34,6 @@ class Station:
         self.expected = False  # was named beforehand: is sent to for ever, heard or not
         self.sequence: dict[int, int] = {}
         self.heard_s: float | None = None
-        self.sources: set[tuple[int, int]] = set()
         self.parser = mavlink.MAVLink(None)
         self.parser.robust_parsing = True
         self.interval_s: dict[int, float] = {}

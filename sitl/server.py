@@ -15,7 +15,6 @@ from sitl.simulation import STEP_S, Simulation
 Address = tuple[str, int]
 
 _WAKE_MIN_S = 0.004
-_WAKE_MAX_S = 0.02
 _LAG_MAX_S = 0.25  # of the wall clock; further behind, the simulation goes slower instead of catching up
 _DATAGRAM_MAX = 4096
 _LINK_STREAM = 2  # of the seed's children: 0 and 1 are the target's and the sensors'
@@ -58,8 +57,9 @@ def serve(
             for address, data in inward.take(now_s):
                 simulation.receive(address, data)
             _send(udp, simulation, outward, now_s)
-            wake_s = max(_WAKE_MIN_S, min(_WAKE_MAX_S, STEP_S / speed))
-            wake_s = min(wake_s, max(0.0, min(inward.next_s, outward.next_s) - now_s))
+            next_step_s = begin_s + (simulation.time_s + STEP_S) / speed
+            next_s = min(max(next_step_s, now_s + _WAKE_MIN_S), inward.next_s, outward.next_s)
+            wake_s = max(0.0, next_s - time.monotonic())
             if select.select([udp], [], [], wake_s)[0]:
                 _receive(udp, inward)
 

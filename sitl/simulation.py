@@ -11,7 +11,7 @@ import numpy as np
 from sitl.arduplane import ArduPlane
 from sitl.autopilot import Autopilot
 from sitl.motion import Motion, built_in_motion
-from sitl.payload import PERIOD_S, Payload, Sight
+from sitl.payload import PAYLOAD_MESSAGES, PERIOD_S, Payload, Sight
 from sitl.px4 import Px4
 from sitl.radio import PAYLOAD, Datagram, Station
 from sitl.settings import Flavour, Settings, TargetSettings
@@ -41,7 +41,7 @@ class Simulation:
         self.vehicle: Autopilot = Px4(settings) if settings.flavour is Flavour.PX4 else ArduPlane(settings)
         self.motion = target_motion(settings.target, np.random.default_rng(target_seed))
         self.payload = Payload(settings.payload, sensor_seed) if settings.payload is not None else None
-        self.payload_muted = False
+        self.muted: set[str] = set()  # payload messages withheld, by name
         self.on_truth: Callable[[TruthRow], None] = lambda _row: None
         self._latency_s = settings.payload.latency_s if settings.payload is not None else 0.0
         self._in_flight: deque[tuple[float, list[Any]]] = deque()
@@ -74,8 +74,8 @@ class Simulation:
         return taken
 
     def advance(self, to_s: float) -> None:
-        """Step until ``time_s`` has reached to_s."""
-        while self.time_s < to_s - 1e-9:
+        """Make every step that ends by to_s."""
+        while self.time_s + STEP_S <= to_s + 1e-9:
             self._step()
 
     def reboot(self) -> None:
@@ -85,6 +85,13 @@ class Simulation:
         """
         self._boot_step = self._steps + round(_REBOOT_S / STEP_S)
         self.vehicle.reboot()
+
+    def mute_payload(self, *kinds: str) -> None:
+        """Withhold these payload messages, by name; all of them without a name."""
+        self.muted |= set(kinds or PAYLOAD_MESSAGES)
+
+    def unmute_payload(self) -> None:
+        self.muted.clear()
 
     def pilot_takes_over(self) -> None:
         """Move the sticks: the flight mode changes without any station's command."""
@@ -121,12 +128,13 @@ class Simulation:
         valid = outlier = False
         if self.payload is not None:
             measured = self.payload.measure(self.time_s, vehicle.boot_ms, sight, craft.heading_rad)
-            if not self.payload_muted:
-                valid, outlier = measured.laser_valid, measured.laser_outlier
-                messages = measured.messages
-                if self._steps % _HEARTBEAT_EVERY == 0:
-                    messages.append(self.payload.heartbeat())
-                self._in_flight.append((self.time_s + self._latency_s - 1e-9, messages))
+            messages = measured.messages
+            if self._steps % _HEARTBEAT_EVERY == 0:
+                messages.append(self.payload.heartbeat())
+            if self.muted:
+                messages = [message for message in messages if message.get_type() not in self.muted]
+            self._in_flight.append((self.time_s + self._latency_s - 1e-9, messages))
+            valid, outlier = measured.laser_valid, measured.laser_outlier
         row = TruthRow(
             vehicle.now_s,
             target_m,

@@ -36,13 +36,13 @@ def test_the_recorded_quaternion_comes_out():
 
 
 def test_noise_outliers_and_dropouts_have_the_stated_size():
-    measured = measurements(PayloadSettings(), 60_000)
+    measured = measurements(PayloadSettings(), 20_000)
     ranges_m = np.array([m.current_distance / 100.0 for m in of_kind(measured, "DISTANCE_SENSOR")])
     wrong = np.abs(ranges_m - LOG_SIGHT.slant_range_m) > 6.0
-    assert wrong.mean() == pytest.approx(0.02, abs=0.003)
+    assert wrong.mean() == pytest.approx(0.02, abs=0.004)
     assert np.std(ranges_m[~wrong] - LOG_SIGHT.slant_range_m) == pytest.approx(0.8, abs=0.03)
     assert np.abs(ranges_m[wrong] - LOG_SIGHT.slant_range_m).min() > 14.0
-    assert len(ranges_m) / len(measured) == pytest.approx(0.85, abs=0.03)
+    assert len(ranges_m) / len(measured) == pytest.approx(0.85, abs=0.05)
     angles = np.array([yaw_pitch_rad(m) for m in of_kind(measured, "GIMBAL_DEVICE_ATTITUDE_STATUS")])
     error_deg = np.degrees(angles - [LOG_SIGHT.bearing_rad, LOG_SIGHT.elevation_rad])
     assert error_deg.mean(axis=0) == pytest.approx([0.4, 0.0], abs=0.01)
@@ -50,10 +50,10 @@ def test_noise_outliers_and_dropouts_have_the_stated_size():
 
 
 def test_dropouts_last_half_a_second_to_eight():
-    valid = np.array([m.laser_valid for m in measurements(PayloadSettings(range_sigma_m=0.0), 60_000)])
+    valid = np.array([m.laser_valid for m in measurements(PayloadSettings(range_sigma_m=0.0), 20_000)])
     edges = np.flatnonzero(np.diff(np.concatenate(([True], valid, [True])).astype(int)))
     lengths_s = 0.1 * (edges[1::2] - edges[0::2])
-    assert len(lengths_s) > 100
+    assert len(lengths_s) > 50
     assert 0.3 < lengths_s.min() < 1.0
     assert 7.0 < lengths_s.max() < 8.2
 
@@ -164,14 +164,25 @@ def test_without_payload_component_154_is_silent(simulate, station):
     assert not [m for m in ground.heard if m.get_srcComponent() == 154]
 
 
+def test_the_laser_can_fail_alone(simulate, station):
+    ground = station(simulate())
+    ground.run(5.0)
+    ground.simulation.mute_payload("DISTANCE_SENSOR")
+    ground.run(1.0)
+    lasers, gimbals = len(ground.all("DISTANCE_SENSOR")), len(ground.all("GIMBAL_DEVICE_ATTITUDE_STATUS"))
+    ground.run(5.0)
+    assert len(ground.all("DISTANCE_SENSOR")) == lasers
+    assert len(ground.all("GIMBAL_DEVICE_ATTITUDE_STATUS")) == gimbals + 50
+
+
 def test_a_muted_payload_comes_back(simulate, station):
     ground = station(simulate())
     ground.run(5.0)
-    ground.simulation.payload_muted = True
+    ground.simulation.mute_payload()
     ground.run(1.0)
     before = len(ground.all("GIMBAL_DEVICE_ATTITUDE_STATUS"))
     ground.run(10.0)
     assert len(ground.all("GIMBAL_DEVICE_ATTITUDE_STATUS")) == before
-    ground.simulation.payload_muted = False
+    ground.simulation.unmute_payload()
     ground.run(10.0)
     assert len(ground.all("GIMBAL_DEVICE_ATTITUDE_STATUS")) > before + 90
