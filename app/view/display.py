@@ -47,7 +47,7 @@ class ViewDisplay:
         self._trail_s = -math.inf
         self._sent_at_s = -math.inf
         self._heard_at_s = time.monotonic()
-        self._start_s = 0.0
+        self._start_s: float | None = None  # None: not engaged yet, and times mean nothing to a person
         self._request: Callable[[OperatorRequest], None] | None = None
 
     # -- life ----------------------------------------------------------------------------------------------
@@ -101,7 +101,8 @@ class ViewDisplay:
 
     def say(self, announcement: Announce) -> None:
         self._inner.say(announcement)
-        self._said.append([announcement.time_s, announcement.kind, announcement.text])
+        time_s = None if self._start_s is None else announcement.time_s
+        self._said.append([time_s, announcement.kind, announcement.text])
 
     def show(self, snapshot: Snapshot) -> None:
         self._inner.show(snapshot)

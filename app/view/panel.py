@@ -46,7 +46,7 @@ class PanelDisplay:
 
     def __init__(self, console: Console, requirement: Requirement, quiet: bool = False) -> None:
         self._console, self._requirement, self._quiet = console, requirement, quiet
-        self._start_s = 0.0
+        self._start_s: float | None = None  # None: not engaged yet, and times mean nothing to a person
         self._duration_s: float | None = None
         self._live: Live | None = None
         self._snapshot: Snapshot | None = None
@@ -78,8 +78,8 @@ class PanelDisplay:
         self._print(Text(text))
 
     def say(self, announcement: Announce) -> None:
-        since_s = max(announcement.time_s - self._start_s, 0.0)
-        self._print(Text(f"{clock(since_s):>7}  {announcement.text}", style=_STYLES.get(announcement.kind, "")))
+        since = "" if self._start_s is None else clock(max(announcement.time_s - self._start_s, 0.0))
+        self._print(Text(f"{since:>7}  {announcement.text}", style=_STYLES.get(announcement.kind, "")))
 
     def show(self, snapshot: Snapshot) -> None:
         self._snapshot = snapshot
@@ -105,7 +105,7 @@ class PanelDisplay:
         return "  ".join(parts)
 
     def _time(self, shown: Snapshot) -> str:
-        if not math.isfinite(shown.time_s):
+        if self._start_s is None or not math.isfinite(shown.time_s):
             return "-:--"
         of = "" if self._duration_s is None else f"/{clock(self._duration_s)}"
         return clock(max(shown.time_s - self._start_s, 0.0)) + of

@@ -129,7 +129,7 @@ export class FlightMap {
     if (!seen.length) reach([0, 0], 500);
     const [east, north] = [0, 1].map((k) => seen.map((p) => p[k]));
     const [w, e, s, n] = [Math.min(...east), Math.max(...east), Math.min(...north), Math.max(...north)];
-    const scale = Math.min((width - 70) / (e - w), (height - 60) / (n - s));
+    const scale = Math.min((width - 70) / (e - w), (height - 100) / (n - s)); // the legend stands above
     return { east: (w + e) / 2, north: (s + n) / 2, scale: Math.max(scale, 0.001) };
   }
 
