@@ -32,12 +32,14 @@ _UNSENT_MAX = 2000  # trail points and words kept while the page takes none
 class ViewDisplay:
     """A ``FlightDisplay`` around another. Use as ``with``; ``url`` is then the page's address.
 
-    Whatever the page's process does, every call returns at once: the page gets what fits.
+    Whatever the page's process does, every call returns at once: the page gets what fits. name: of what is shown, by
+    default the vehicle's.
     """
 
-    def __init__(self, inner: FlightDisplay, config: Config, address: Address) -> None:
+    def __init__(self, inner: FlightDisplay, config: Config, address: Address, name: str = "") -> None:
         self.url = ""
         self._inner, self._config, self._address = inner, config, address
+        self._name = name or config.link.url or f"simulated {config.simulation.autopilot}"
         self._stater = Stater(config.requirement.requirement(), config.aircraft.airspeed_m_s)
         self._feed: Feed | None = None
         self._snapshot: Snapshot | None = None
@@ -65,7 +67,7 @@ class ViewDisplay:
                 f"the page cannot be shown on {host}:{port}: {error}; try another --view-port."
             ) from error
         self.url = f"http://{host}:{ready['port']}/" + (f"?token={token}" if token else "")
-        self._setting = setting(self._config, None)
+        self._setting = setting(self._config, None, self._name)
         self.pump()
         return self
 
@@ -88,7 +90,7 @@ class ViewDisplay:
     def begin(self, plane: LocalPlane, request: Callable[[OperatorRequest], None]) -> None:
         self._inner.begin(plane, request)
         self._request = request
-        self._setting = setting(self._config, plane)
+        self._setting = setting(self._config, plane, self._name)
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         self._inner.engage(start_s, duration_s)

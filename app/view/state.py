@@ -24,8 +24,8 @@ _STANDING_M_S = 0.9  # below this an estimated course is noise: the last one sta
 _ON_TRANSITION = 1.2  # a transition is shown for this share of the time it takes
 
 
-def setting(config: Config, plane: LocalPlane | None) -> Json:
-    """Return what stays the same; the fences only once the plane is known."""
+def setting(config: Config, plane: LocalPlane | None, name: str) -> Json:
+    """Return what stays the same, ``name`` being what is shown; the fences only once the plane is known."""
     requirement = config.requirement.requirement()
 
     def outlines(polygons: list[list[tuple[float, float]]]) -> list[list[list[float]]]:
@@ -41,7 +41,7 @@ def setting(config: Config, plane: LocalPlane | None) -> Json:
         "bank_max_rad": math.radians(config.aircraft.bank_max_deg),
         "keep_in": outlines(config.fences.keep_in),
         "keep_out": outlines(config.fences.keep_out),
-        "vehicle": config.link.url or f"simulated {config.simulation.autopilot}",
+        "name": name,
     }
 
 

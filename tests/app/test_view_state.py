@@ -132,8 +132,8 @@ def test_a_yielded_mission_says_so(watching):
 def test_fences_are_drawn_once_the_plane_is_known():
     corners = [(47.0, 8.0), (47.001, 8.0), (47.001, 8.001)]
     config = Config.model_validate({"fences": {"keep_in": [corners]}})
-    assert setting(config, None)["keep_in"] == []
-    (outline,) = setting(config, LocalPlane(47.0, 8.0))["keep_in"]
+    assert setting(config, None, "")["keep_in"] == []
+    (outline,) = setting(config, LocalPlane(47.0, 8.0), "")["keep_in"]
     assert outline[0] == [0.0, 0.0]
     assert outline[1] == pytest.approx([0.0, 111.2], abs=0.2)
     assert outline[2] == pytest.approx([76.1, 111.2], abs=0.3)

@@ -51,7 +51,7 @@ function set(setting) {
   map.setting = plots.setting = setting;
   map.drawFences();
   byId("legend").querySelector(".fence").hidden = !(setting.keep_in.length + setting.keep_out.length);
-  byId("vehicle").textContent = setting.vehicle;
+  byId("name").textContent = setting.name;
 }
 
 function say(timeS, kind, text) {
