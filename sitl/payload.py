@@ -91,7 +91,7 @@ class Payload:
         return begin_s, begin_s + length_s
 
     def _range_message(self, boot_ms: int, range_m: float, outlier: bool) -> Any:
-        if self._settings.range_message is RangeMessage.RANGEFINDER:
+        if self._settings.range_message == RangeMessage.RANGEFINDER:
             return mavlink.MAVLink_rangefinder_message(range_m, 0.0)
         return mavlink.MAVLink_distance_sensor_message(
             boot_ms,
@@ -113,7 +113,7 @@ class Payload:
         yaw_noise, pitch_noise = self._gimbal_rng.standard_normal(2)
         yaw_rad = sight.bearing_rad + settings.gimbal_yaw_bias_rad + settings.gimbal_sigma_rad * float(yaw_noise)
         pitch_rad = sight.elevation_rad + settings.gimbal_sigma_rad * float(pitch_noise)
-        if settings.gimbal_frame is GimbalFrame.VEHICLE:
+        if settings.gimbal_frame == GimbalFrame.VEHICLE:
             yaw_rad -= heading_rad
         return mavlink.MAVLink_gimbal_device_attitude_status_message(
             0,

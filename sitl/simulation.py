@@ -38,7 +38,7 @@ class Simulation:
     def __init__(self, settings: Settings) -> None:
         target_seed, sensor_seed = np.random.SeedSequence(settings.seed).spawn(2)
         self.settings = settings
-        self.vehicle: Autopilot = Px4(settings) if settings.flavour is Flavour.PX4 else ArduPlane(settings)
+        self.vehicle: Autopilot = Px4(settings) if settings.flavour == Flavour.PX4 else ArduPlane(settings)
         self.motion = target_motion(settings.target, np.random.default_rng(target_seed))
         self.payload = Payload(settings.payload, sensor_seed) if settings.payload is not None else None
         self.muted: set[str] = set()  # payload messages withheld, by name

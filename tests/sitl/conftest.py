@@ -98,7 +98,7 @@ class Ground:
         return results[-1] if results else None
 
     def set_mode(self, mode: int) -> int | None:
-        px4 = self.simulation.settings.flavour is Flavour.PX4
+        px4 = self.simulation.settings.flavour == Flavour.PX4
         params = (mode >> 16 & 0xFF, mode >> 24) if px4 else (mode, 0)
         return self.command_long(mavlink.MAV_CMD_DO_SET_MODE, 1, *params)
 
@@ -161,7 +161,7 @@ class Ground:
     def mission(self, *flown: Any) -> list[Any]:
         """Number the items, after the home item that ArduPlane wants."""
         items = list(flown)
-        if self.simulation.settings.flavour is Flavour.ARDUPLANE:
+        if self.simulation.settings.flavour == Flavour.ARDUPLANE:
             items.insert(0, self.item(0, mavlink.MAV_CMD_NAV_WAYPOINT))
         for sequence, item in enumerate(items):
             item.seq, item.current = sequence, int(sequence == 0)
@@ -171,11 +171,11 @@ class Ground:
         """Upload, arm, start; PX4 is told to do without a landing."""
         vehicle = self.simulation.vehicle
         self.run(max(0.0, vehicle.ready_s + 1.0 - vehicle.now_s))
-        if self.simulation.settings.flavour is Flavour.PX4:
+        if self.simulation.settings.flavour == Flavour.PX4:
             vehicle.parameters.set("MIS_TKO_LAND_REQ", 0)
         assert self.upload(self.mission(*flown)) == mavlink.MAV_MISSION_ACCEPTED
         assert self.arm() == mavlink.MAV_RESULT_ACCEPTED
-        mode = 10 if self.simulation.settings.flavour is Flavour.ARDUPLANE else 4 << 16 | 4 << 24
+        mode = 10 if self.simulation.settings.flavour == Flavour.ARDUPLANE else 4 << 16 | 4 << 24
         assert self.set_mode(mode) == mavlink.MAV_RESULT_ACCEPTED
 
     def takeoff(self, height_m: float = 100.0) -> Any:

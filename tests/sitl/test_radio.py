@@ -65,7 +65,7 @@ def test_a_stream_can_be_stopped_and_put_back(pair):
 
 def test_unknown_messages_are_refused_as_by_the_real_ones(pair):
     ground, _ = pair
-    px4 = ground.simulation.settings.flavour is Flavour.PX4
+    px4 = ground.simulation.settings.flavour == Flavour.PX4
     expected = mavlink.MAV_RESULT_FAILED if px4 else mavlink.MAV_RESULT_DENIED
     assert interval(ground, 999, 1.0) == expected
 

@@ -66,7 +66,7 @@ def test_a_second_uploader_is_turned_away(ground, station):
     ground.run(0.1)
     other.send(count_message(2))
     ground.run(0.1)
-    px4 = ground.simulation.settings.flavour is Flavour.PX4
+    px4 = ground.simulation.settings.flavour == Flavour.PX4
     assert other.last("MISSION_ACK").type == (mavlink.MAV_MISSION_ERROR if px4 else mavlink.MAV_MISSION_DENIED)
     assert not other.all(REQUESTS[ground.simulation.settings.flavour])
 
@@ -79,7 +79,7 @@ def test_a_doubled_item_is_told_by_arduplane_and_ignored_by_px4(ground):
     ground.run(0.04)
     ground.send(items[0])
     ground.run(0.04)
-    px4 = ground.simulation.settings.flavour is Flavour.PX4
+    px4 = ground.simulation.settings.flavour == Flavour.PX4
     assert [m.type for m in ground.all("MISSION_ACK")] == ([] if px4 else [mavlink.MAV_MISSION_INVALID_SEQUENCE])
 
 
