@@ -64,6 +64,9 @@ class ArduPlane:
     async def arm(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
 
+    async def disarm(self, vehicle: Vehicle) -> Answer:
+        return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+
     async def start_mission(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO)
 

@@ -21,7 +21,7 @@ from app.link import RawItem, UploadResult
 from app.loop import ControlLoop, Display
 from app.mavsdk_link import FrameListener, MavsdkLink
 from app.performer import Performer
-from app.preflight import ask_for_streams, autopilot_of, checks, home_of, listen
+from app.preflight import ask_for_streams, autopilot_of, checks, home_of, listen, mode_of
 from app.recording import Recording
 from app.records.truth import read_truth
 from app.summary import Gatherer, Summary, summarise
@@ -40,6 +40,7 @@ _ARM_EVERY_S = 1.0
 _POLL_S = 0.1
 _READY_WITHIN_S, _ARM_WITHIN_S, _TAKE_OFF_WITHIN_S = 60.0, 120.0, 240.0  # of the vehicle's time
 _READY_WALL_S = 20.0  # a fast simulation's minute is over before every question is answered
+_MODE_WITHIN_S = 5.0
 _HIGH_ENOUGH = 0.7  # of the height wanted, to begin watching
 
 
@@ -172,7 +173,11 @@ class Flight:
             await self._autopilot.select(self._vehicle, performer.line_first)
         else:
             await self._arm()
-            await self._in_mission_mode()
+            try:
+                await self._in_mission_mode()
+            except FlightError:
+                await self._autopilot.disarm(self._vehicle)  # still on the ground; refused if it is not
+                raise
             self._display.note("taking off")
         await self._until_circling(performer.line_first)
         self._start_s = self._telemetry.now_s
@@ -212,8 +217,17 @@ class Flight:
 
     async def _in_mission_mode(self) -> None:
         answer = await self._autopilot.start_mission(self._vehicle)
-        if not answer.accepted:
+        # An accepted command proves nothing: PX4 accepts, and stays in HOLD with a mission it does not like.
+        if not answer.accepted or not await self._mode_is(self._autopilot.mission_mode):
             raise FlightError(f"the mission was not started ({answer}){self._last_words()}.")
+
+    async def _mode_is(self, mode: str) -> bool:
+        deadline_s = time.monotonic() + _MODE_WITHIN_S
+        while mode_of(self._vehicle) != mode:
+            if time.monotonic() > deadline_s:
+                return False
+            await asyncio.sleep(_POLL_S)
+        return True
 
     async def _until_circling(self, first: int) -> None:
         deadline_s, wall_s = self._telemetry.now_s + _TAKE_OFF_WITHIN_S, time.monotonic() + _TAKE_OFF_WITHIN_S

@@ -11,7 +11,7 @@ from app.autopilot import Autopilot, Home, Limits
 from app.config import Config
 from app.errors import InputError
 from app.message import Message
-from app.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, TYPE_FIXED_WING
+from app.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, TYPE_FIXED_WING, mode_name
 from app.px4 import Px4
 from app.telemetry import Telemetry, has_fix
 from app.vehicle import Vehicle
@@ -68,6 +68,12 @@ def autopilot_of(vehicle: Vehicle) -> Autopilot:
             "ArduPlane and PX4 are supported."
         )
     return autopilot
+
+
+def mode_of(vehicle: Vehicle) -> str:
+    """Return the flight mode by name, as the latest heartbeat tells it."""
+    fields = vehicle.latest["HEARTBEAT"].fields
+    return mode_name(int(fields["autopilot"]), int(fields["base_mode"]), int(fields["custom_mode"]))
 
 
 async def ask_for_streams(vehicle: Vehicle) -> None:

@@ -17,7 +17,8 @@ from mission.requirement import Wind
 _mav = mavutil.mavlink
 _CUSTOM_MODE_ENABLED = 1
 _AUTO, _MISSION, _RTL = 4, 4, 5
-_LANDING_HEIGHT_M = 50.0
+_APPROACH_M, _APPROACH_HEIGHT_M = 700.0, 40.0
+_METRES_PER_DEGREE = 111_000.0
 
 
 class Px4:
@@ -40,12 +41,14 @@ class Px4:
 
     def tail(self, home: Home) -> tuple[RawItem, ...]:
         # MIS_TKO_LAND_REQ 2, the fixed-wing default, drops a mission without a landing to HOLD. The circle before
-        # it never completes, so these items are only reached when somebody asks for the landing.
+        # it never completes, so these items are only reached when somebody asks for the landing: a straight approach
+        # to home from the south, flat enough and outside the circle where it begins, as PX4 demands.
         x, y = round(home.latitude_deg * 1e7), round(home.longitude_deg * 1e7)
+        south_x = x - round(_APPROACH_M / _METRES_PER_DEGREE * 1e7)
         frame, nan = _mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, float("nan")
         return (
             RawItem(_mav.MAV_CMD_DO_LAND_START, _mav.MAV_FRAME_MISSION, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0),
-            RawItem(_mav.MAV_CMD_NAV_LOITER_TO_ALT, frame, 0.0, 80.0, 0.0, 1.0, x, y, _LANDING_HEIGHT_M),
+            RawItem(_mav.MAV_CMD_NAV_LOITER_TO_ALT, frame, 0.0, 80.0, 0.0, 1.0, south_x, y, _APPROACH_HEIGHT_M),
             RawItem(_mav.MAV_CMD_NAV_LAND, frame, 0.0, 0.0, 0.0, nan, x, y, 0.0),
         )
 
@@ -57,6 +60,9 @@ class Px4:
 
     async def arm(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+
+    async def disarm(self, vehicle: Vehicle) -> Answer:
+        return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
 
     async def start_mission(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO, _MISSION)

@@ -14,8 +14,7 @@ from app.autopilot import parameter_notes
 from app.commands.output import JsonOption, checked_output, console, write_json
 from app.config import Config, load_config
 from app.flight import connected
-from app.modes import mode_name
-from app.preflight import ask_for_streams, checks, home_of, listen
+from app.preflight import ask_for_streams, checks, home_of, listen, mode_of
 
 
 def connect(
@@ -44,10 +43,8 @@ async def _report(url: str, config: Config, listen_s: float) -> dict[str, Any]:
         home = await home_of(vehicle)
         limits = await autopilot.limits(vehicle)
         notes = await parameter_notes(vehicle, autopilot)
-        heartbeat = vehicle.latest["HEARTBEAT"].fields
-        mode = mode_name(int(heartbeat["autopilot"]), int(heartbeat["base_mode"]), int(heartbeat["custom_mode"]))
         found = checks(config, vehicle, limits, home, rates)
-        console.print(f"{autopilot.name}, system {vehicle.system_id}, mode {mode}")
+        console.print(f"{autopilot.name}, system {vehicle.system_id}, mode {mode_of(vehicle)}")
         table = Table("requirement", "", "found", box=None, pad_edge=False)
         for check in found:
             remedy = f"; {check.remedy}" if check.remedy and not check.ready else ""
@@ -62,7 +59,7 @@ async def _report(url: str, config: Config, listen_s: float) -> dict[str, Any]:
         return {
             "autopilot": autopilot.name,
             "system_id": vehicle.system_id,
-            "mode": mode,
+            "mode": mode_of(vehicle),
             "ready": all(check.ready for check in found),
             "checks": [asdict(check) for check in found],
             "parameters": {note.name: note.value for note in notes},
