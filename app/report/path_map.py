@@ -93,4 +93,5 @@ def _ticks(axes: Axes, time_s: FloatArray, aircraft: FloatArray, target: FloatAr
                 va="center",
                 fontsize=8,
                 color=TARGET,
+                bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6},
             )
