@@ -10,7 +10,7 @@ from app.errors import InputError
 from app.value_cache import value_table
 from estimators.frames import LocalPlane
 from estimators.tracker import SourceChoice, Tracker, TrackerSettings
-from mission.fences import FenceError, Fences
+from mission.fences import FenceError, Fences, Outline
 from mission.paper_planner import PaperPlanner
 from mission.plan import Plan, Planner
 from mission.predictive_planner import PredictivePlanner, PredictiveSettings, table_configuration
@@ -72,17 +72,20 @@ def watch_of(config: Config, progress: Callable[[float], None] = lambda _share: 
     )
 
 
+def fence_outlines(config: Config, plane: LocalPlane) -> tuple[list[Outline], list[Outline]]:
+    """Return the configured keep-in and keep-out polygons in the plane."""
+
+    def outlines(polygons: Sequence[Polygon]) -> list[Outline]:
+        return [[plane.east_north_m(*corner) for corner in polygon] for polygon in polygons]
+
+    return outlines(config.fences.keep_in), outlines(config.fences.keep_out)
+
+
 def fence_check(config: Config, plane: LocalPlane) -> Callable[[Plan], str | None]:
     """Return what tells which fence a plan would break. Raises InputError naming a fence that is no polygon."""
     fences = config.fences
-
-    def outlines(polygons: Sequence[Polygon]) -> list[list[tuple[float, float]]]:
-        return [[plane.east_north_m(*corner) for corner in polygon] for polygon in polygons]
-
     try:
-        built = Fences(
-            outlines(fences.keep_in), outlines(fences.keep_out), fences.floor_m, fences.ceiling_m, fences.margin_m
-        )
+        built = Fences(*fence_outlines(config, plane), fences.floor_m, fences.ceiling_m, fences.margin_m)
     except FenceError as error:
         raise InputError(f"fences: {error}; correct its corners.") from error
     return built.check(config.aircraft.height_m)

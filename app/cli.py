@@ -8,6 +8,8 @@ import typer
 
 from app.commands.check import check
 from app.commands.connect import connect
+from app.commands.export import export
+from app.commands.init import init
 from app.commands.launch import launch
 from app.commands.replay import replay
 from app.commands.report import report
@@ -26,7 +28,7 @@ Begin with: sidelong launch
 app = typer.Typer(
     name="sidelong", help=_HELP, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
 )
-for command in (launch, connect, replay, check, report, study):
+for command in (launch, connect, replay, report, export, check, init, study):
     app.command()(command)
 app.command(name="sitl")(sitl)
 

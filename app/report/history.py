@@ -93,6 +93,7 @@ class History:
 
     asked: Asked
     start_s: float
+    positions: tuple[PositionReading, ...]
     aircraft: AircraftTrack
     estimates: tuple[TargetEstimate, ...]
     sightings: tuple[SightingOutcome, ...]
@@ -204,6 +205,7 @@ class HistoryBuilder:
         return History(
             asked,
             start_s,
+            tuple(self._positions),
             aircraft,
             tuple(self._estimates),
             tuple(self._sightings),

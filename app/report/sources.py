@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from app.assembly import tracker_of
+from app.assembly import fence_outlines, tracker_of
 from app.config import Config, load_config
 from app.errors import InputError
 from app.recording import JOURNAL_TYPES
@@ -19,7 +19,7 @@ from app.records.run_folder import RunFolder
 from app.records.truth import read_truth
 from app.records.windows import Progress
 from app.replay import require_sightings
-from app.report.history import Asked, History, HistoryBuilder, Outline
+from app.report.history import Asked, History, HistoryBuilder
 from app.report.results import read_summary, summary_of
 from app.summary import Summary
 from app.telemetry import Telemetry
@@ -107,13 +107,10 @@ def _built(
 
 def asked(config: Config, plane: LocalPlane) -> Asked:
     """Return what a configuration asks for, with its fences in the plane."""
-
-    def outlines(polygons: list[list[tuple[float, float]]]) -> tuple[Outline, ...]:
-        return tuple(tuple(plane.east_north_m(*corner) for corner in polygon) for polygon in polygons)
-
+    keep_in, keep_out = fence_outlines(config, plane)
     return Asked(
         config.requirement.requirement(),
         config.aircraft.aircraft(),
-        outlines(config.fences.keep_in),
-        outlines(config.fences.keep_out),
+        tuple(map(tuple, keep_in)),
+        tuple(map(tuple, keep_out)),
     )

@@ -74,6 +74,15 @@ def test_the_recorded_tlog_replays_like_a_foreign_one(flown, tmp_path):
     assert json.loads((tmp_path / "tlog.json").read_text())["estimate_rmse_m"] < 8.0
 
 
+def test_a_flight_exports_its_mission_and_its_tracks(flown, tmp_path):
+    run, _ = flown
+    for wanted, mark in (("plan", '"fileType": "Plan"'), ("waypoints", "QGC WPL 110"), ("gpx", "<trkpt")):
+        out = tmp_path / f"flight.{wanted}"
+        done = sidelong("export", run, "--format", wanted, "--out", out)
+        assert done.returncode == 0, done.stderr
+        assert mark in out.read_text()
+
+
 def test_an_interrupt_ends_in_order(tmp_path):
     command = [str(SIDELONG), "launch", "--duration", "900", "--planner", "paper", "--out", str(tmp_path)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
