@@ -153,6 +153,7 @@ def _accompany(companion: Companion, url: str) -> None:
             on_ready=lambda vehicle_id: print(
                 f"ready system {vehicle_id} component 154 payload -> {url}", flush=True
             ),
+            on_wait=lambda reason: print(reason, file=sys.stderr, flush=True),
             stopped=_stop_signal(),
         )
     except CompanionError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,9 @@ from sitl.truth import TruthRow
 _ASK_AGAIN_S = 2.0
 _HEARTBEAT_S = 1.0
 _WAIT_S = 0.05
-_SCHEMES = {"tcpout": "tcp", "udpin": "udpin", "udpout": "udpout"}
+_RETRY_S = 0.5
+_SCHEMES = ("tcpout", "udpin", "udpout")
+_STEP_BACK_S = 1.0  # a vehicle's clock that goes back further than this has been started anew
 
 
 class CompanionError(Exception):
@@ -32,7 +35,8 @@ class Companion:
     """Measures at each position the vehicle reports, stamped with that position's time.
 
     Pure: give it the vehicle's messages, send what it returns. The target's plane has its origin at the vehicle's
-    home; nothing is measured before home is known. The target sets off with the first measurement.
+    home; nothing is measured before home is known. The target sets off with the first measurement, and goes on from
+    where it is when the vehicle reboots.
     """
 
     def __init__(self, payload: PayloadSettings, target: TargetSettings, seed: int) -> None:
@@ -41,6 +45,7 @@ class Companion:
         self._motion: Motion = target_motion(target, np.random.default_rng(target_seed))
         self._plane: HomePlane | None = None
         self._begin_s: float | None = None
+        self._latest_s = 0.0
         self._heading_rad = 0.0
         self.vehicle_id: int | None = None
         self.on_truth: Callable[[TruthRow], None] = lambda _row: None
@@ -70,6 +75,9 @@ class Companion:
         time_s = position.time_boot_ms / 1000.0
         if self._begin_s is None:
             self._begin_s = time_s
+        elif time_s < self._latest_s - _STEP_BACK_S:
+            self._begin_s += time_s - self._latest_s
+        self._latest_s = time_s
         since_s = max(0.0, time_s - self._begin_s)
         aircraft_deg = (position.lat / 1e7, position.lon / 1e7)
         aircraft_m = (*plane.east_north_m(*aircraft_deg), position.relative_alt / 1000.0)
@@ -96,29 +104,49 @@ def accompany(
     url: str,
     *,
     on_ready: Callable[[int], None] = lambda _vehicle_id: None,
+    on_wait: Callable[[str], None] = lambda _reason: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
     """Join the vehicle at ``url`` as component 154 of its system until ``stopped``.
 
-    url: tcpout://HOST:PORT, udpin://HOST:PORT or udpout://HOST:PORT. Raises CompanionError.
+    url: tcpout://HOST:PORT, udpin://HOST:PORT or udpout://HOST:PORT. A vehicle that is not there yet, or goes, is
+    waited for: on_wait then hears once why, on_ready whenever it has been joined. Raises CompanionError for a URL
+    that can never be reached.
     """
-    scheme, _, rest = url.partition("://")
-    if scheme not in _SCHEMES or not rest.rpartition(":")[2].isdigit():
+    scheme, _, address = url.partition("://")
+    if scheme not in _SCHEMES or not address.rpartition(":")[2].isdigit():
         raise CompanionError(f"must look like {', '.join(f'{s}://HOST:PORT' for s in _SCHEMES)}, not {url!r}")
-    try:
-        link = mavutil.mavlink_connection(
-            f"{_SCHEMES[scheme]}:{rest}",
-            source_component=mavlink.MAV_COMP_ID_GIMBAL,
-            dialect="all",
-            autoreconnect=True,
-            retries=0,
-        )
-    except OSError as error:
-        raise CompanionError(f"cannot reach {url}: {error.strerror or error}") from error
-    try:
-        _converse(companion, link, on_ready, stopped)
-    finally:
-        link.close()
+    told = False
+    while not stopped():
+        try:
+            with closing(_connected(scheme, address)) as link:
+                told = False
+                _converse(companion, link, on_ready, stopped)
+        except (ConnectionError, TimeoutError) as error:
+            if not told:
+                on_wait(f"waiting for a vehicle at {url}: {error.strerror or error}")
+            told = True
+            time.sleep(_RETRY_S)
+        except OSError as error:
+            raise CompanionError(f"cannot reach {url}: {error.strerror or error}") from error
+
+
+class _TcpLink(mavutil.mavtcp):  # type: ignore[misc]  # pymavlink tells no types
+    """pymavlink's, but an end of the connection is an error instead of a line on the console."""
+
+    def handle_eof(self) -> None:
+        raise ConnectionResetError("the vehicle closed the connection")
+
+    handle_disconnect = handle_eof
+
+
+def _connected(scheme: str, address: str) -> Any:
+    if scheme == "tcpout":
+        mavutil.set_dialect("all")
+        return _TcpLink(address, source_component=mavlink.MAV_COMP_ID_GIMBAL, retries=1)
+    return mavutil.mavlink_connection(
+        f"{scheme}:{address}", source_component=mavlink.MAV_COMP_ID_GIMBAL, dialect="all"
+    )
 
 
 def _converse(companion: Companion, link: Any, on_ready: Callable[[int], None], stopped: Callable[[], bool]) -> None:

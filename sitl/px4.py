@@ -67,7 +67,7 @@ class Px4(Autopilot):
         self._item: Item | None = None  # being flown
         self._finished = False
         self._interrupted = False
-        self._refusal: str | None = refusal([], 0)
+        self._refusal: str | None = refusal([], self.home, 0)
         self._valid_from_s = 0.0
         self._reached: tuple[int, int, float] | None = None  # index, repeats left, next time
         self._relayed_range: Any = None
@@ -262,14 +262,16 @@ class Px4(Autopilot):
             self.set_mode(Mode.HOLD)
 
     def _check_mission(self, was_rejected: bool) -> None:
-        self._refusal = refusal(self.mission.items(), int(self.parameters["MIS_TKO_LAND_REQ"]))
+        self._refusal = refusal(
+            self.mission.items(), self.home, int(self.parameters["MIS_TKO_LAND_REQ"]), self.parameters["FW_LND_ANG"]
+        )
         if self._refusal is not None and self.mission.items():
             self.say(mavlink.MAV_SEVERITY_CRITICAL, f"{self._refusal}\t")
         elif was_rejected:
             self._valid_from_s = self.now_s + _RECHECK_S
 
     def _on_parameter(self, name: str, _value: float) -> None:
-        if name == "MIS_TKO_LAND_REQ":
+        if name in ("MIS_TKO_LAND_REQ", "FW_LND_ANG"):
             self._check_mission(was_rejected=False)
 
     def _begin_mission(self) -> None:

@@ -10,7 +10,9 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.items import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item, ItemRefused, checksum
+from sitl.geodesy import HomePlane
+from sitl.items import RELATIVE_FRAMES, Item, ItemRefused, checksum
+from sitl.settings import Home
 
 TAKEOFF = mavlink.MAV_CMD_NAV_TAKEOFF
 LAND = mavlink.MAV_CMD_NAV_LAND
@@ -23,6 +25,7 @@ NAVIGATION = {
     LAND,
     TAKEOFF,
 }
+_LANDING_ANGLE_SPARE_DEG = 0.1
 _IMMEDIATE = {mavlink.MAV_CMD_DO_CHANGE_SPEED, mavlink.MAV_CMD_DO_LAND_START}
 
 
@@ -106,17 +109,16 @@ def as_stored(item: Item) -> Item:
     return Item(item.command, frame, params, item.latitude_e7, item.longitude_e7, item.altitude_m, item.autocontinue)
 
 
-def refusal(items: list[Item], takeoff_land_required: int) -> str | None:
-    """Return why a mission cannot be flown, by MIS_TKO_LAND_REQ; None if it can."""
+def refusal(items: list[Item], home: Home, takeoff_land_required: int, landing_angle_deg: float = 5.0) -> str | None:
+    """Return why a mission cannot be flown, by MIS_TKO_LAND_REQ and FW_LND_ANG; None if it can."""
     commands = [item.command for item in items]
     if not any(command in NAVIGATION for command in commands):
         return "No valid mission available"
     has_takeoff, has_land = TAKEOFF in commands, LAND in commands
-    for i, item in enumerate(items):
-        if item.frame not in ABSOLUTE_FRAMES and item.frame not in RELATIVE_FRAMES:
-            continue
-        if item.command == LAND and (i == 0 or commands[i - 1] not in NAVIGATION):
-            return "Mission rejected: landing approach required."
+    if commands.count(mavlink.MAV_CMD_DO_LAND_START) > 1:
+        return "Mission rejected: more than one land start."
+    if has_land and (told := _landing_refusal(items, commands.index(LAND), home, landing_angle_deg)) is not None:
+        return told
     required = {
         1: (has_takeoff, "Mission rejected: Takeoff waypoint required."),
         2: (has_land, "Mission rejected: Landing waypoint/pattern required."),
@@ -125,6 +127,36 @@ def refusal(items: list[Item], takeoff_land_required: int) -> str | None:
     }
     met, text = required.get(takeoff_land_required, (True, ""))
     return None if met else text
+
+
+def _landing_refusal(items: list[Item], index: int, home: Home, landing_angle_deg: float) -> str | None:
+    """Return why a plane cannot land at item ``index``: what leads there must be flat, and outside of its circle."""
+    if index == 0:
+        return "Mission rejected: starts with land waypoint."
+    entrance, land = items[index - 1], items[index]
+    if entrance.has_position:
+        drop_m = _above_home_m(entrance, home) - _above_home_m(land, home)
+        if drop_m <= 0.0:
+            return "Mission rejected: the approach waypoint must be above the landing point."
+        if entrance.command not in (mavlink.MAV_CMD_NAV_LOITER_TO_ALT, mavlink.MAV_CMD_NAV_WAYPOINT):
+            return "Mission rejected: unsupported landing approach entrance waypoint type."
+        plane = HomePlane(land.latitude_deg, land.longitude_deg)
+        run_m = math.hypot(*plane.east_north_m(entrance.latitude_deg, entrance.longitude_deg))
+        if entrance.command == mavlink.MAV_CMD_NAV_LOITER_TO_ALT:
+            radius_m = abs(entrance.params[1])
+            if run_m <= radius_m:
+                return "Mission rejected: the landing point must be outside the orbit radius."
+            run_m = math.sqrt(run_m**2 - radius_m**2)  # it leaves the circle along the tangent
+        if drop_m > run_m * math.tan(math.radians(landing_angle_deg + _LANDING_ANGLE_SPARE_DEG)):
+            return (
+                "Mission rejected: the landing glide slope is steeper than the vehicle setting of "
+                f"{landing_angle_deg:.1f} degrees."
+            )
+    return None
+
+
+def _above_home_m(item: Item, home: Home) -> float:
+    return item.altitude_m if item.frame in RELATIVE_FRAMES else item.altitude_m - home.altitude_m
 
 
 def _compass_deg(angle_deg: float) -> float:

@@ -27,6 +27,7 @@ def px4_parameters(settings: Settings) -> Parameters:
         "COM_OF_LOSS_T": (REAL32, 1.0),
         "MIS_TKO_LAND_REQ": (INT32, 2),
         "MIS_TAKEOFF_ALT": (REAL32, 30.0),
+        "FW_LND_ANG": (REAL32, 5.0),
         "RTL_RETURN_ALT": (REAL32, 60.0),
         "RTL_LOITER_RAD": (REAL32, 80.0),
         "GF_ACTION": (INT32, 2),

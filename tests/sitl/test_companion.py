@@ -1,6 +1,8 @@
 """The payload for someone else's vehicle, joined to one of ours."""
 
 import math
+import socket
+import threading
 
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
@@ -55,3 +57,65 @@ def test_it_waits_for_home(simulate, station):
 def test_a_wrong_url_is_told(url):
     with pytest.raises(CompanionError, match="must look like"):
         accompany(Companion(EXACT, TargetSettings(), seed=1), url)
+
+
+def vehicle_heartbeat(system_id):
+    mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
+    return mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(mav)
+
+
+def test_it_waits_for_a_vehicle_and_joins_it_again_after_it_has_gone():
+    waited, ready, done = [], [], threading.Event()
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    first_wait = threading.Event()
+
+    def on_wait(reason):
+        waited.append(reason)
+        first_wait.set()
+
+    work = threading.Thread(
+        target=accompany,
+        args=(Companion(EXACT, TargetSettings(), seed=1), f"tcpout://127.0.0.1:{port}"),
+        kwargs={"on_wait": on_wait, "on_ready": ready.append, "stopped": done.is_set},
+    )
+    work.start()
+    try:
+        assert first_wait.wait(5.0)
+        with socket.socket() as server:
+            server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            server.bind(("127.0.0.1", port))
+            server.listen()
+            server.settimeout(5.0)
+            for _ in range(2):
+                link, _ = server.accept()
+                link.settimeout(5.0)
+                link.sendall(vehicle_heartbeat(7))
+                heard = link.recv(4096)
+                while b"\x07\x9a" not in heard:  # speaks as component 154 of system 7
+                    heard += link.recv(4096)
+                link.close()
+    finally:
+        done.set()
+        work.join(5.0)
+    assert not work.is_alive()
+    assert ready == [7, 7]
+    assert "refused" in waited[0]
+    assert "closed the connection" in waited[1]
+
+
+def test_the_target_goes_on_from_where_it_is_when_the_vehicle_reboots(flown):
+    ground, companion, rows, _ = flown
+    before = rows[-1]
+    ground.simulation.reboot()
+    heard = len(ground.heard)
+    ground.run(4.0)
+    ground.command_long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 1e5)
+    ground.run(3.0)
+    for message in ground.heard[heard:]:
+        companion.handle(message)
+    after = rows[-1]
+    assert after.time_s < before.time_s
+    moved_m = math.dist(after.target_m, before.target_m)
+    assert moved_m < 10.0 * 3.0

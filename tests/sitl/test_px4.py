@@ -36,7 +36,7 @@ def landing(ground):
     """Return the end of a mission that the default requirements accept."""
     return (
         ground.item(0, mavlink.MAV_CMD_DO_LAND_START),
-        ground.item(0, mavlink.MAV_CMD_NAV_LOITER_TO_ALT, 300.0, 0.0, 40.0, (0.0, 80.0, 0.0, 0.0)),
+        ground.item(0, mavlink.MAV_CMD_NAV_LOITER_TO_ALT, 700.0, 0.0, 40.0, (0.0, 80.0, 0.0, 0.0)),
         ground.item(0, mavlink.MAV_CMD_NAV_LAND, 0.0, 0.0, 0.0),
     )
 
@@ -72,6 +72,25 @@ def test_a_mission_without_landing_is_acknowledged_and_then_held(ground):
     assert ground.mode() == HOLD
     assert any("No valid mission available" in text for text in ground.texts())
     assert not ground.simulation.vehicle.craft.flying
+
+
+@pytest.mark.parametrize(
+    ("away_m", "height_m", "said"),
+    [
+        (75.0, 40.0, "the landing point must be outside the orbit radius"),
+        (300.0, 40.0, "the landing glide slope is steeper than the vehicle setting of 5.0 degrees"),
+        (700.0, 0.0, "the approach waypoint must be above the landing point"),
+    ],
+)
+def test_a_landing_no_plane_can_fly_is_acknowledged_and_then_refused(ground, away_m, height_m, said):
+    ground.run(10.0)
+    approach = ground.item(0, mavlink.MAV_CMD_NAV_LOITER_TO_ALT, away_m, 0.0, height_m, (0.0, 80.0, 0.0, 0.0))
+    begin, _, land = landing(ground)
+    items = ground.mission(ground.takeoff(60.0), ground.loiter(300.0, 300.0, 80.0, 60.0), begin, approach, land)
+    assert ground.upload(items) == ACCEPTED
+    ground.run(0.1)
+    assert any(said[:30] in text for text in ground.texts())
+    assert ground.command_long(mavlink.MAV_CMD_MISSION_START) == mavlink.MAV_RESULT_DENIED
 
 
 def test_mission_start_is_denied_without_a_valid_mission(ground):
