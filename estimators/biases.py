@@ -6,7 +6,7 @@ and fro, the shift turns with it, and a target cannot be in several places at on
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,10 @@ class Biases:
 
     mean: FloatArray
     covariance: FloatArray
+    estimated: npt.NDArray[np.intp] = field(init=False)  # which of the three are
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "estimated", np.flatnonzero(np.diag(self.covariance) > 0.0))
 
     @staticmethod
     def prior(settings: TrackerSettings) -> Biases:
@@ -43,11 +47,6 @@ class Biases:
             settings.range_bias_sigma_m,
         )
         return Biases(np.zeros(3), np.diag(np.square(sigmas)))
-
-    @property
-    def estimated(self) -> npt.NDArray[np.intp]:
-        """Which of the three are."""
-        return np.flatnonzero(np.diag(self.covariance) > 0.0)
 
     def updated(self, mean: FloatArray, covariance: FloatArray) -> Biases:
         """Return these with the estimated ones at a new mean (k,) and covariance (k, k)."""

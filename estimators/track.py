@@ -38,6 +38,7 @@ class Track:
         self._settings = settings
         self._start = _FILTERS[settings.filter]
         self._filter: TargetFilter | None = None
+        self._coasted: TargetFilter | None = None  # moved on from the last sighting by whole steps
         self._steps: list[_Step] = []
         self._astray: list[AnySighting] = []  # beyond the gate, since the last one within
         self._last_rejection = ""
@@ -52,6 +53,9 @@ class Track:
         if self._filter is None:
             self._restart([sighting], Biases.prior(settings))
             return SightingOutcome(sighting, True, math.nan, "first sighting")
+        if sighting.time_s - self._last_sighting_s > settings.lost_after_s:
+            self._restart([sighting], self._filter.biases())
+            return SightingOutcome(sighting, True, math.nan, "first sighting after the track was lost")
         if sighting.time_s < self._filter.time_s:
             return self._add_late(sighting)
         before = self._filter
@@ -90,7 +94,7 @@ class Track:
         return SightingOutcome(sighting, True, nis, "late")
 
     def _accept(self, sighting: AnySighting, before: TargetFilter, after: TargetFilter) -> None:
-        self._filter = after
+        self._filter, self._coasted = after, None
         self._steps.append(_Step(sighting, before))
         self._astray.clear()
         self._last_rejection = ""
@@ -133,7 +137,7 @@ class Track:
         """
         if self._filter is None:
             return None
-        ahead = self._filter if now_s <= self._filter.time_s else _predicted(self._filter, now_s)
+        ahead = self._filter if now_s <= self._filter.time_s else self._coasted_to(self._filter, now_s)
         mean, covariance = ahead.moments()
         east_m, north_m, velocity_east_m_s, velocity_north_m_s = mean.tolist()
         quality, reason = self._quality(ahead.time_s, covariance)
@@ -148,6 +152,14 @@ class Track:
             self._last_sighting_s,
             reason,
         )
+
+    def _coasted_to(self, last: TargetFilter, now_s: float) -> TargetFilter:
+        """Return the filter moved on to ``now_s``, the same whenever it was asked for before."""
+        start = self._coasted if self._coasted and self._coasted.time_s <= now_s else last
+        steps = math.floor((now_s - start.time_s) / _STEP_MAX_S)
+        if steps > 0:
+            start = self._coasted = _predicted(start, start.time_s + steps * _STEP_MAX_S)
+        return _predicted(start, now_s)
 
     def _quality(self, time_s: float, covariance: FloatArray) -> tuple[TrackQuality, str]:
         settings = self._settings
