@@ -11,6 +11,7 @@ import contextlib
 import json
 import shutil
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from urllib.request import urlopen
@@ -30,8 +31,9 @@ from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay
 
 CONFIG = Config.model_validate({"planner": {"name": "paper"}, "simulation": {"speed": 5.0}})
-FLOWN_S = 100.0  # of the vehicle's time
+FLOWN_S = 200.0  # of the vehicle's time
 PROBE_S = 0.005
+WINDOW_S = 2.5
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
@@ -53,56 +55,79 @@ def test_the_page_is_up_within_5_s():
     assert up_s < 5.0
 
 
+class Alternating:
+    """Shows a flight on the page in every other window of time, so that what else runs here disturbs both alike."""
+
+    def __init__(self, view: ViewDisplay) -> None:
+        self._view, self._panel = view, PanelDisplay(Console(), CONFIG.requirement.requirement(), quiet=True)
+
+    @property
+    def on_page(self) -> bool:
+        return int(time.monotonic() / WINDOW_S) % 2 == 0
+
+    def begin(self, plane, request):
+        self._view.begin(plane, request)
+
+    def engage(self, start_s, duration_s):
+        self._view.engage(start_s, duration_s)
+
+    def note(self, text):
+        self._view.note(text)
+
+    def say(self, announcement):
+        self._view.say(announcement)
+
+    def show(self, snapshot):
+        (self._view if self.on_page else self._panel).show(snapshot)
+
+
 @pytest.fixture(scope="module")
-def flights(tmp_path_factory):
-    """Return the loop's delays, s, without and with the page, and the times at which the page was told, s."""
+def flown(tmp_path_factory):
+    """Return the loop's delays without and with the page, s, and the times at which the page was told, s."""
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine (Debian: apt-get install chromium)")
-    folder = tmp_path_factory.mktemp("runs")
-    without, _ = asyncio.run(_flown(folder, with_page=False))
-    with_page, told_s = asyncio.run(_flown(folder, with_page=True))
-    return without, with_page, told_s
+    return asyncio.run(_flown(tmp_path_factory.mktemp("runs")))
 
 
-def test_the_page_is_told_at_least_five_times_a_second(flights):
-    told_s = flights[2]
-    rate_hz = (len(told_s) - 1) / (told_s[-1] - told_s[0])
-    print(f"{rate_hz:.1f} states a second, longest gap {1e3 * np.diff(told_s).max():.0f} ms")
-    assert rate_hz >= 5.0
+def test_the_page_is_told_at_least_five_times_a_second(flown):
+    gaps_s = np.diff(flown[2])
+    gaps_s = gaps_s[gaps_s < 0.5 * WINDOW_S]  # the others are windows without the page
+    print(f"{1.0 / gaps_s.mean():.1f} states a second, longest gap {1e3 * gaps_s.max():.0f} ms")
+    assert gaps_s.mean() <= 0.2
 
 
-def test_the_control_loop_is_not_held_up(flights):
-    without_ms, with_ms = (1e3 * np.percentile(delays_s, 99) for delays_s in flights[:2])
+def test_the_control_loop_is_not_held_up(flown):
+    without_ms, with_ms = (1e3 * np.percentile(delays_s, 99) for delays_s in flown[:2])
     print(f"delay of the loop, p99: {without_ms:.2f} ms without the page, {with_ms:.2f} ms with it")
     assert with_ms - without_ms < 5.0
 
 
-async def _flown(parent: Path, *, with_page: bool) -> tuple[list[float], list[float]]:
+async def _flown(parent: Path) -> tuple[list[float], list[float], list[float]]:
     run = RunFolder.create(parent, datetime.now(UTC))
     recording = Recording(run, CONFIG, pytest.fail)
-    delays_s: list[float] = []
+    without_s: list[float] = []
+    with_s: list[float] = []
     told_s: list[float] = []
     async with contextlib.AsyncExitStack() as stack:
         stack.callback(recording.close)
-        display = PanelDisplay(Console(), CONFIG.requirement.requirement(), quiet=True)
-        if with_page:
-            display = stack.enter_context(shown())
-            await stack.enter_async_context(_browser(display.url, parent / "profile"))
-            stack.enter_context(_running(_listen(display.url, told_s)))
+        view = stack.enter_context(shown())
+        display = Alternating(view)
+        await stack.enter_async_context(_browser(view.url, parent / "profile"))
+        stack.enter_context(_running(_listen(view.url, told_s)))
         vehicle = await stack.enter_async_context(SimulatedVehicle(CONFIG, run.truth))
         session = await stack.enter_async_context(connected(vehicle.url, 10.0, recording.frame))
-        stack.enter_context(_running(_probe(delays_s)))
+        stack.enter_context(_running(_probe(lambda: with_s if display.on_page else without_s)))
         flight = Flight(session, CONFIG, watch_of(CONFIG), recording, display, FLOWN_S)
         await flight.fly(run.truth, asyncio.Event())
-    return delays_s, told_s
+    return without_s, with_s, told_s
 
 
-async def _probe(delays_s: list[float]) -> None:
+async def _probe(where: Callable[[], list[float]]) -> None:
     """Note how much later than asked for the loop comes back to a task: so long an event would wait."""
     while True:
-        due_s = time.monotonic() + PROBE_S
+        noted, due_s = where(), time.monotonic() + PROBE_S
         await asyncio.sleep(PROBE_S)
-        delays_s.append(time.monotonic() - due_s)
+        noted.append(time.monotonic() - due_s)
 
 
 async def _listen(url: str, told_s: list[float]) -> None:
