@@ -2,6 +2,13 @@
 
 Pure: time comes in as an argument, nothing here reads a clock, a socket or a file.
 
+    readings -> sources -> pairing -> sighting -> track (gate, history, quality) -> estimate
+                              ^                     |
+                             pose              imm, ekf or ukf
+
+:class:`estimators.tracker.Tracker` is the whole of it; who has sightings already begins at
+:class:`estimators.track.Track`.
+
 Frames
 ------
 plane    local plane: x east, y north, metres, origin at home.  Names end in ``_east_m``, ``_north_m``.
