@@ -40,6 +40,8 @@ def write_report(
     run: Path, out: Path, png: Path | None = None, truth: Path | None = None, config: Path | None = None
 ) -> None:
     """Write the page, and the figures if asked for. Raises InputError naming the file that is at fault."""
+    if not out.parent.is_dir():
+        raise InputError(f"{out}: there is no folder {out.parent}; create it or give another file to --out.")
     # Only a report needs matplotlib, which takes a second to load.
     from app.report.page import report_page, save_png  # noqa: PLC0415
     from app.report.sources import read_flight  # noqa: PLC0415

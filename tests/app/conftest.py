@@ -129,9 +129,12 @@ def run_folder(config, flight, tmp_path_factory) -> Path:
     return folder.path
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser():
-    """Return a headless Chromium that asks nobody for anything; skips where there is none."""
+    """Return a headless Chromium that asks nobody for anything; skips where there is none.
+
+    While it is there its event loop counts as running: no other test module may meet it.
+    """
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     executable = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if executable is None:

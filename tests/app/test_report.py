@@ -145,7 +145,7 @@ def test_what_is_no_flight_is_told_in_a_sentence(name, tmp_path):
         write_report(tmp_path / name, tmp_path / "out.html")
 
 
-def test_a_page_that_cannot_be_written_is_told(run_folder, tmp_path):
+def test_a_page_that_cannot_be_written_is_told_before_the_work(run_folder, tmp_path):
     with pytest.raises(InputError, match="--out"):
         write_report(run_folder, tmp_path / "no" / "folder.html")
 
