@@ -35,7 +35,7 @@ def breach_words(seen: Outlook, side: Side, requirement: Requirement, lead_s: fl
     return None
 
 
-def range_words(seen: Outlook, line: int) -> str:
-    """Return the ranges met along one line of ``seen``."""
-    range_m = np.hypot(seen.x_m[line], seen.y_m[line])
-    return f"the target stays {range_m.min():.0f} to {range_m.max():.0f} m away for {seen.time_s[line, -1]:.0f} s"
+def range_words(seen: Outlook) -> str:
+    """Return the ranges met along the first line of ``seen``."""
+    range_m = np.hypot(seen.x_m[0], seen.y_m[0])
+    return f"the target stays {range_m.min():.0f} to {range_m.max():.0f} m away for {seen.time_s[0, -1]:.0f} s"

@@ -11,6 +11,7 @@ Rules
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,18 +21,19 @@ from mission.cost import WatchCost
 from mission.course_hold import velocity_sigma_m_s
 from mission.forecast import breach_words, range_words
 from mission.moves import moves_from, staying_on
-from mission.path import FloatArray
 from mission.plan import AircraftState, Decision, Plan
 from mission.progress import dead_reckoned, line_at, nearest_arc_m, point_at, strayed
 from mission.requirement import Aircraft, Requirement, Side, Wind
-from mission.rollout import Outlook, Situation, WatchFrame, outlook, outlook_of_trapezoids, scores
+from mission.rollout import Outlook, RollOut, Situation, Start, WatchFrame, outlook
 from mission.side_policy import SidePolicy, Viewpoint
-from mission.trapezoid import Trapezoids, end_circle, ramp_1_m2
+from mission.trapezoid import end_circle, ramp_1_m2
 from mission.value_table import TableConfiguration, ValueTable
 from mission.wind import WindError, least_radius_m
 from mission.wording import move_words
 
 _STEP_S = 1.0
+_UNCERTAIN_M = 10.0
+_OTHER_WIND = 0.15  # of the airspeed
 _NO_BREACH = "a better place should the target turn"
 # The table's classes need some speed, even for a target that is said to stand.
 _LEAST_TARGET_SPEED_M_S = 0.5
@@ -47,24 +49,33 @@ class PredictiveSettings:
     lost_after_s: float = 60.0
 
 
-def table_configuration(aircraft: Aircraft, requirement: Requirement) -> TableConfiguration:
+def table_configuration(
+    aircraft: Aircraft, requirement: Requirement, wind_speed_m_s: float = 0.0
+) -> TableConfiguration:
     """Return the configuration of the value table that a planner for this aircraft and requirement needs."""
     sector = requirement.sector
+    simple = sector is None and wind_speed_m_s == 0.0
     half_width_rad = math.pi / 2 if sector is None else sector.half_width_rad
     return TableConfiguration(
         aircraft.airspeed_m_s,
         aircraft.radius_m,
-        ramp_1_m2(aircraft, aircraft.airspeed_m_s),
+        ramp_1_m2(aircraft, aircraft.airspeed_m_s + wind_speed_m_s),
         max(requirement.target_speed_max_m_s, _LEAST_TARGET_SPEED_M_S),
         WatchCost.inside(requirement.range_min_m, requirement.range_max_m, half_width_rad),
         follows_course=sector is None,
-        # A sector needs classes for every direction of motion; fewer cells keep the table's cost in bounds.
-        cells=28 if sector is None else 20,
+        # A sector or wind needs classes for every direction; fewer cells keep the table's cost in bounds.
+        wind_speed_m_s=wind_speed_m_s,
+        cells=28 if simple else 20,
+        improvements=(8, 5) if simple else (5, 3),
     )
 
 
 class PredictivePlanner:
-    """Implements :class:`mission.plan.Planner`. ``table`` is that of :func:`table_configuration`."""
+    """Implements :class:`mission.plan.Planner`.
+
+    table is that of :func:`table_configuration`; windy are more of them, for other winds. The one nearest to the
+    present wind is used.
+    """
 
     def __init__(
         self,
@@ -72,8 +83,9 @@ class PredictivePlanner:
         requirement: Requirement,
         table: ValueTable,
         settings: PredictiveSettings | None = None,
+        windy: Sequence[ValueTable] = (),
     ) -> None:
-        self._aircraft, self._requirement, self._table = aircraft, requirement, table
+        self._aircraft, self._requirement, self._tables = aircraft, requirement, (table, *windy)
         self._settings = settings or PredictiveSettings()
         self._policy = SidePolicy(requirement, aircraft.radius_m)
 
@@ -107,40 +119,42 @@ class PredictivePlanner:
 
         view = self._policy.viewpoint(start.east_m, start.north_m, target)
         frame, situation = self._situation(view, target, wind, departure_s)
-        motion = self._table.for_velocity(*situation.velocity_m_s)
-        x_m, y_m = frame.place(start.east_m, start.north_m)
-        heading_rad = frame.heading_rad(start.course_rad)
-
-        def rolled_out(lines: Trapezoids) -> tuple[Outlook, FloatArray]:
-            seen = outlook_of_trapezoids(lines, x_m, y_m, heading_rad, airspeed_m_s * _STEP_S, situation)
-            return seen, scores(seen, situation, self._table.configuration.cost, motion)
+        table = min(self._tables, key=lambda t: abs(t.configuration.wind_speed_m_s - wind.speed_m_s))
+        c = table.configuration
+        motion = table.under(situation.velocity_m_s, (situation.wind.east_m_s, situation.wind.north_m_s))
+        other_wind = abs(wind.speed_m_s - c.wind_speed_m_s) > _OTHER_WIND * airspeed_m_s
+        here = Start(*frame.place(start.east_m, start.north_m), frame.heading_rad(start.course_rad))
+        # The table knows nothing of uncertainty, nor of another wind than its own. Where there is much of either,
+        # all lines are followed for a lap more: else moves seem cheaper later than they ever turn out.
+        doubtful = situation.sigma_position_m > _UNCERTAIN_M or other_wind
+        beyond_m = 2.0 * math.pi * radius_m if doubtful else 0.0
+        roll_out = RollOut(situation, c.cost, motion, airspeed_m_s * _STEP_S, beyond_m)
 
         moves = moves_from(frame.mirror * start.curvature_1_m, radius_m, ramp)
-        _, costs = rolled_out(moves)
+        costs = roll_out.costs(moves, here)
         path = present.transition
         if path is not None and arc_m < path.length_m - _NEARLY_FLOWN_S * airspeed_m_s:
-            staying = _along(present, arc_m, path.length_m - arc_m, aircraft, frame, situation)
-            stay_cost = float(scores(staying, situation, self._table.configuration.cost, motion)[0])
-            price, stay_line = self._settings.change_cost, 0
+            rest = _along(present, arc_m, path.length_m - arc_m + beyond_m, aircraft, frame, situation)
+            stay_cost, price = float(roll_out.costs_of(rest)[0]), self._settings.change_cost
         else:
-            staying, stay_costs = rolled_out(staying_on(frame.mirror * present.circle.curvature_1_m, radius_m, ramp))
-            stay_cost, price, stay_line = float(stay_costs.min()), self._table.configuration.leave_cost, -1
+            stays = staying_on(frame.mirror * present.circle.curvature_1_m, radius_m, ramp)
+            stay_costs = roll_out.costs(stays, here)
+            stay_cost, price = float(stay_costs.min()), c.leave_cost
             costs[-1] = np.inf  # "back to the circle" is staying
         best = int(np.argmin(costs))
         values = {"stay_cost_s": stay_cost, "move_cost_s": float(costs[best]), "move": float(best)}
+        going_on = _along(present, arc_m, 4.0 * math.pi * radius_m, aircraft, frame, situation)
+        breach = breach_words(going_on, view.side, self._requirement, latency_s)
         if costs[best] + price >= stay_cost:
-            return Decision(aircraft.time_s, None, f"staying: {range_words(staying, stay_line)}", values)
+            reason = f"staying until a better moment: {breach}" if breach else f"staying: {range_words(going_on)}"
+            return Decision(aircraft.time_s, None, reason, values)
 
         lines = moves if frame.mirror > 0.0 else moves.mirrored()
         line = lines.path(best, start.east_m, start.north_m, start.course_rad)
         circle = end_circle(line, radius_m)
-        two_laps_m = 4.0 * math.pi * radius_m
-        going_on = _along(present, arc_m, two_laps_m, aircraft, frame, situation)
-        breach = breach_words(going_on, view.side, self._requirement, latency_s)
         shift = move_words(circle.east_m - present.circle.east_m, circle.north_m - present.circle.north_m)
-        return Decision(
-            aircraft.time_s, Plan(circle, line, departure_s), f"moving {shift}: {breach or _NO_BREACH}", values
-        )
+        reason = f"moving {shift}: {breach or _NO_BREACH}"
+        return Decision(aircraft.time_s, Plan(circle, line, departure_s), reason, values)
 
     def _situation(
         self, view: Viewpoint, target: TargetEstimate, wind: Wind, departure_s: float

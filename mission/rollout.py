@@ -74,6 +74,15 @@ class Outlook:
     time_s: FloatArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Where lines begin in the watch frame."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+
 def outlook(
     x_m: FloatArray, y_m: FloatArray, heading_rad: FloatArray, arc_m: FloatArray, situation: Situation
 ) -> Outlook:
@@ -91,32 +100,51 @@ def outlook(
     return Outlook(x_m - velocity_x * time, y_m - velocity_y * time, heading_rad, time)
 
 
-def outlook_of_trapezoids(
-    trapezoids: Trapezoids, x_m: float, y_m: float, heading_rad: float, step_m: float, situation: Situation
-) -> Outlook:
-    """Return the outlook of trapezoids that all start at one place and heading."""
-    arc = trapezoids.coarse_arcs_m(step_m)
-    east, north = trapezoids.displaced_m(arc, heading_rad)
-    return outlook(x_m + east, y_m + north, heading_rad + trapezoids.turned_rad(arc), arc, situation)
+@dataclass(frozen=True, slots=True, eq=False)
+class RollOut:
+    """Rolls lines forward in one situation. All costs are expected, discounted, and include the end's worth.
 
+    step_m: between samples. beyond_m: how far each line follows its circle before the table is believed.
+    """
 
-def scores(seen: Outlook, situation: Situation, cost: WatchCost, table: MotionTable) -> FloatArray:
-    """Return the expected discounted cost (n,) of flying each line and going on from its end as well as can be."""
-    habits_rate_1_s = 1.0 / table.mean_leg_s
-    weight = np.exp(-(table.discount_1_s + habits_rate_1_s) * seen.time_s)
-    step = np.zeros_like(seen.time_s)
-    half = 0.5 * np.diff(seen.time_s, axis=1)
-    step[:, 1:] += half
-    step[:, :-1] += half
-    sigma = np.hypot(situation.sigma_position_m, situation.sigma_velocity_m_s * seen.time_s)
-    blur = 1.0 + np.hypot(sigma, situation.sigma_course_rad * seen.y_m)
-    total: FloatArray = np.sum(cost.rate(seen.x_m, seen.y_m, sigma, blur) * weight * step, axis=1)
-    # A sample stands for its stride; the last of a row may stand for less, which the hazard's smallness forgives.
-    every = slice(0, None, _TURN_STRIDE)
-    turned = table.expected_after_turn(seen.x_m[:, every], seen.y_m[:, every], seen.heading_rad[:, every])
-    time = seen.time_s[:, every]
-    held = np.diff(time, axis=1, append=seen.time_s[:, -1:])
-    total += habits_rate_1_s * np.sum(turned * weight[:, every] * held, axis=1)
-    end = table.value(seen.x_m[:, -1], seen.y_m[:, -1], seen.heading_rad[:, -1])
-    total += weight[:, -1] * end
-    return total
+    situation: Situation
+    cost: WatchCost
+    table: MotionTable
+    step_m: float
+    beyond_m: float = 0.0
+
+    def outlook(self, lines: Trapezoids, start: Start) -> Outlook:
+        """Return the outlook of trapezoids."""
+        arc = lines.coarse_arcs_m(self.step_m, self.beyond_m)
+        east, north = lines.displaced_m(arc, start.heading_rad)
+        heading = start.heading_rad + lines.turned_rad(arc)
+        return outlook(start.x_m + east, start.y_m + north, heading, arc, self.situation)
+
+    def costs(self, lines: Trapezoids, start: Start) -> FloatArray:
+        """Return the cost (n,) of flying each trapezoid."""
+        return self.costs_of(self.outlook(lines, start))
+
+    def costs_of(self, seen: Outlook) -> FloatArray:
+        """Return the cost (n,) of flying each line of an outlook."""
+        running, end_weight = self._running_costs(seen)
+        end = self.table.value(seen.x_m[:, -1], seen.y_m[:, -1], seen.heading_rad[:, -1])
+        total: FloatArray = running + end_weight * end
+        return total
+
+    def _running_costs(self, seen: Outlook) -> tuple[FloatArray, FloatArray]:
+        """Return the cost (n,) along each line, and what a cost at its end counts."""
+        hazard_1_s = 1.0 / self.table.mean_leg_s
+        weight = np.exp(-(self.table.discount_1_s + hazard_1_s) * seen.time_s)
+        step = np.zeros_like(seen.time_s)
+        half = 0.5 * np.diff(seen.time_s, axis=1)
+        step[:, 1:] += half
+        step[:, :-1] += half
+        situation = self.situation
+        sigma = np.hypot(situation.sigma_position_m, situation.sigma_velocity_m_s * seen.time_s)
+        blur = 1.0 + np.hypot(sigma, situation.sigma_course_rad * seen.y_m)
+        total: FloatArray = np.sum(self.cost.rate(seen.x_m, seen.y_m, sigma, blur) * weight * step, axis=1)
+        every = slice(0, None, _TURN_STRIDE)
+        turned = self.table.expected_after_turn(seen.x_m[:, every], seen.y_m[:, every], seen.heading_rad[:, every])
+        held = np.diff(seen.time_s[:, every], axis=1, append=seen.time_s[:, -1:])
+        total += hazard_1_s * np.sum(turned * weight[:, every] * held, axis=1)
+        return total, weight[:, -1]

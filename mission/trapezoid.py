@@ -100,10 +100,14 @@ class Trapezoids:
     def _into_last_m(self, arc_m: FloatArray) -> FloatArray:
         return np.clip(arc_m - self.last_start_m[:, None], 0.0, (self.last_end_m - self.last_start_m)[:, None])
 
-    def coarse_arcs_m(self, step_m: float) -> FloatArray:
-        """Return arc lengths (n, k) at ``step_m``, each row repeating its end once it is reached."""
-        steps = math.ceil(float(self.last_end_m.max()) / step_m) + 1
-        arcs: FloatArray = np.minimum(step_m * np.arange(steps + 1), self.last_end_m[:, None])
+    def coarse_arcs_m(self, step_m: float, beyond_m: float = 0.0) -> FloatArray:
+        """Return arc lengths (n, k) at ``step_m``, each row repeating its end once it is reached.
+
+        beyond_m: how far each row follows its circle.
+        """
+        ends_m = self.last_end_m + beyond_m
+        steps = math.ceil(float(ends_m.max()) / step_m) + 1
+        arcs: FloatArray = np.minimum(step_m * np.arange(steps + 1), ends_m[:, None])
         return arcs
 
     def displaced_m(self, arc_m: FloatArray, course_rad: float) -> tuple[FloatArray, FloatArray]:

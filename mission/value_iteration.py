@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from mission.moves import moves_from, staying_on
 from mission.path import FloatArray
+from mission.requirement import Wind
 from mission.value_table import (
     HEADING_STEP_RAD,
     HEADINGS,
@@ -23,15 +24,17 @@ from mission.value_table import (
     TableConfiguration,
     ValueTable,
     completed,
+    corners,
     expected_after_turn,
 )
+from mission.wind import ground_speeds_m_s
 
 Progress = Callable[[float], None]
 
 _EVALUATIONS = 9  # after each improvement
 _TURN_EVERY = 3  # evaluations between two updates of the expectation after a turn
 _COST_PER_CELL = 4  # the running cost has a finer grid of its own
-_COST_STEP_S = 1.0
+_SAMPLES_PER_CELL = 2  # of a move's running cost
 # Turns of the target on the way count at the Gauss nodes of each move.
 _NODES, _NODE_WEIGHTS = (
     np.array([0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)]),
@@ -66,35 +69,29 @@ def _halved_cells(values: Float32) -> Float32:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Move:
-    """A move from the circle, as flown from heading 0."""
+    """A move from the circle, as flown from heading 0: ends and middles (2 k + 1,) of k samples."""
 
     price: float
-    end_s: float
-    # Middles of the running cost's samples, then the Gauss nodes, then the end.
-    time_s: FloatArray
+    arc_m: FloatArray
     east_m: FloatArray
     north_m: FloatArray
     turned_rad: FloatArray
 
 
-def _moves(c: TableConfiguration) -> list[_Move]:
+def _moves(c: TableConfiguration, step_m: float) -> list[_Move]:
     curvature_1_m = 1.0 / c.radius_m
+    ramp = c.ramp_1_m2
     moves = []
     # "Back to the circle at once", the last of the moves, is none when flown from the circle.
-    leaving = moves_from(curvature_1_m, c.radius_m, c.ramp_1_m2).subset(slice(None, -1))
-    for family, price in ((leaving, c.leave_cost), (staying_on(curvature_1_m, c.radius_m, c.ramp_1_m2), 0.0)):
-        for k in range(family.last_end_m.shape[0]):
+    leaving = moves_from(curvature_1_m, c.radius_m, ramp).subset(slice(None, -1))
+    for family, price in ((leaving, c.leave_cost), (staying_on(curvature_1_m, c.radius_m, ramp), 0.0)):
+        for k in range(family.last_end_m.size):
             one = family.subset(slice(k, k + 1))
-            end_s = float(one.last_end_m[0]) / c.airspeed_m_s
-            count = max(1, round(end_s / _COST_STEP_S))
-            times = np.concatenate(((np.arange(count) + 0.5) / count, _NODES, [1.0])) * end_s
-            order = np.argsort(times)
-            arc = np.append(0.0, times[order] * c.airspeed_m_s)[None, :]
+            length_m = float(one.last_end_m[0])
+            samples = max(1, round(length_m / step_m))
+            arc = np.linspace(0.0, length_m, 2 * samples + 1)[None, :]
             east, north = one.displaced_m(arc, 0.0)
-            back = np.empty_like(order)
-            back[order] = np.arange(order.size)
-            turned = one.turned_rad(arc)
-            moves.append(_Move(price, end_s, times, *(a[0, 1:][back] for a in (east, north, turned))))
+            moves.append(_Move(price, arc[0], east[0], north[0], one.turned_rad(arc)[0]))
     return moves
 
 
@@ -103,24 +100,19 @@ class _Solver:
 
     def __init__(self, configuration: TableConfiguration, cell_m: float, n: int) -> None:
         self._c, self._cell_m, self._n = configuration, cell_m, n
-        self._velocities = configuration.velocities_m_s()
-        self._rate_1_s = configuration.discount_1_s + 1.0 / configuration.habits.mean_leg_s
-        moves = _moves(configuration)
-        reach_m = max(m.end_s for m in moves) * (configuration.airspeed_m_s + configuration.target_speed_max_m_s)
-        self._pad = math.ceil(reach_m / cell_m) + 2
-        self.shape = (len(self._velocities), HEADINGS, n, n)
-        self._own = np.empty((*self.shape[:2], len(moves), n, n), np.float32)
-        # Where each move leads, in cells: last axis three nodes and the end.
-        places = (*self.shape[:2], len(moves), 4)
-        self._to_x, self._to_y = np.empty(places), np.empty(places)
-        self._to_heading = np.empty(places[1:])
-        ends_s = np.array([m.end_s for m in moves])
-        node_s = ends_s[:, None] * _NODES
-        self._end_weight = np.exp(-self._rate_1_s * ends_s)
-        self._node_weight = (
-            ends_s[:, None] * _NODE_WEIGHTS * np.exp(-self._rate_1_s * node_s) / configuration.habits.mean_leg_s
+        moves = _moves(configuration, cell_m / _SAMPLES_PER_CELL)
+        targets, winds = configuration.classes()
+        self.shape = (len(targets), HEADINGS, n, n)
+        places = (*self.shape[:2], len(moves))
+        # Where each move leads, in cells and steps of heading, and what counts there: at three nodes and at its end.
+        self._to_x, self._to_y, self._weight = (np.empty((*places, 4)) for _ in range(3))
+        self._to_heading = np.empty((*places[1:], 4))
+        self._own = np.empty((*places, n, n), np.float32)
+        reach_m = max(float(m.arc_m[-1]) for m in moves) * (
+            1.0 + configuration.target_speed_max_m_s / (configuration.airspeed_m_s - configuration.wind_speed_m_s)
         )
-        self._add_up_own_costs(moves)
+        self._pad = math.ceil(reach_m / cell_m) + 2
+        self._lay_out(moves, targets, [Wind(*wind) for wind in winds.tolist()])
 
     def solve(self, values: Float32, improvements: int, progress: Progress) -> None:
         """Iterate ``values`` in place."""
@@ -129,36 +121,66 @@ class _Solver:
             policy = self._improve(values)
             self._evaluate(values, policy)
 
-    def _add_up_own_costs(self, moves: list[_Move]) -> None:
-        """Fill in each move's discounted running cost, with its price, and where it leads."""
-        n, per_cell, step_m = self._n, _COST_PER_CELL, self._cell_m / _COST_PER_CELL
-        margin = per_cell * self._pad
-        axis = (np.arange(per_cell * (n - 1) + 1 + 2 * margin) - per_cell * (n - 1) / 2 - margin) * step_m
-        rate = self._c.cost.rate(axis[:, None], axis[None, :], 0.0, 0.5 * self._cell_m).astype(np.float32)
-        # Contiguous for each offset within a cell: a move's samples are then plain slices.
-        grids = [
-            [np.ascontiguousarray(rate[a::per_cell, b::per_cell]) for b in range(per_cell)] for a in range(per_cell)
-        ]
+    def _lay_out(self, moves: list[_Move], targets: FloatArray, winds: list[Wind]) -> None:
+        """Fill in where each move leads, and its discounted running cost with its price."""
+        grids = self._cost_grids()
         for h in range(HEADINGS):
             sin_h, cos_h = math.sin(h * HEADING_STEP_RAD), math.cos(h * HEADING_STEP_RAD)
             for m, move in enumerate(moves):
                 x_m, y_m = move.east_m * cos_h + move.north_m * sin_h, move.north_m * cos_h - move.east_m * sin_h
-                self._to_heading[h, m] = h + move.turned_rad[-4:] / HEADING_STEP_RAD
-                samples = move.time_s.size - 4
-                weights = move.end_s / samples * np.exp(-self._rate_1_s * move.time_s[:samples])
-                for v, velocity in enumerate(self._velocities):
-                    to_x, to_y = x_m - velocity[0] * move.time_s, y_m - velocity[1] * move.time_s
-                    self._to_x[v, h, m], self._to_y[v, h, m] = to_x[-4:] / self._cell_m, to_y[-4:] / self._cell_m
-                    column = (np.rint(to_x[:samples] / step_m).astype(int) + margin).tolist()
-                    row = (np.rint(to_y[:samples] / step_m).astype(int) + margin).tolist()
-                    total = self._own[v, h, m]
-                    total[:] = move.price
-                    for i, j, weight in zip(column, row, weights.tolist(), strict=True):
-                        grid = grids[i % per_cell][j % per_cell]
-                        total += (
-                            np.float32(weight)
-                            * grid[i // per_cell : i // per_cell + n, j // per_cell : j // per_cell + n]
-                        )
+                nodes = np.append(_NODES, 1.0) * move.arc_m[-1]
+                self._to_heading[h, m] = h + np.interp(nodes, move.arc_m, move.turned_rad) / HEADING_STEP_RAD
+                heading_rad = h * HEADING_STEP_RAD + move.turned_rad
+                times = {wind: self._times(heading_rad, move.arc_m, wind) for wind in dict.fromkeys(winds)}
+                for v, wind in enumerate(winds):
+                    time_s, slowness_s_m = times[wind]
+                    to_x, to_y = x_m - targets[v, 0] * time_s, y_m - targets[v, 1] * time_s
+                    self._to_x[v, h, m] = np.interp(nodes, move.arc_m, to_x) / self._cell_m
+                    self._to_y[v, h, m] = np.interp(nodes, move.arc_m, to_y) / self._cell_m
+                    counts = np.exp(-self._rate_1_s * time_s)
+                    self._weight[v, h, m] = np.interp(nodes, move.arc_m, counts)
+                    node_s = _NODE_WEIGHTS * move.arc_m[-1] * np.interp(nodes[:3], move.arc_m, slowness_s_m)
+                    self._weight[v, h, m, :3] *= node_s / self._c.habits.mean_leg_s
+                    weights = np.diff(time_s[::2]) * counts[1::2]
+                    self._add_up(self._own[v, h, m], move.price, grids, (to_x[1::2], to_y[1::2]), weights)
+
+    @property
+    def _rate_1_s(self) -> float:
+        return self._c.discount_1_s + 1.0 / self._c.habits.mean_leg_s
+
+    def _times(self, heading_rad: FloatArray, arc_m: FloatArray, wind: Wind) -> tuple[FloatArray, FloatArray]:
+        """Return the time at each arc, and the time for each metre there."""
+        slowness_s_m = 1.0 / ground_speeds_m_s(heading_rad, self._c.airspeed_m_s, wind)
+        steps_s = np.diff(arc_m) * 0.5 * (slowness_s_m[1:] + slowness_s_m[:-1])
+        return np.concatenate(([0.0], np.cumsum(steps_s))), slowness_s_m
+
+    def _cost_grids(self) -> list[list[Float32]]:
+        """Return the running cost on its finer grid, a contiguous part for each offset within a cell."""
+        per_cell = _COST_PER_CELL
+        half = per_cell * ((self._n - 1) // 2 + self._pad)
+        axis = np.arange(-half, half + 1) * (self._cell_m / per_cell)
+        rate = self._c.cost.rate(axis[:, None], axis[None, :], 0.0, 0.5 * self._cell_m).astype(np.float32)
+        offsets = range(per_cell)
+        return [[np.ascontiguousarray(rate[a::per_cell, b::per_cell]) for b in offsets] for a in offsets]
+
+    def _add_up(
+        self,
+        total: Float32,
+        price: float,
+        grids: list[list[Float32]],
+        places_m: tuple[FloatArray, FloatArray],
+        weights: FloatArray,
+    ) -> None:
+        """Fill in the sum of the running cost's grids, each moved by a place."""
+        n, per_cell = self._n, _COST_PER_CELL
+        columns, rows = (
+            (np.rint(a / (self._cell_m / per_cell)).astype(int) + per_cell * self._pad).tolist() for a in places_m
+        )
+        total[:] = price
+        for fine_i, fine_j, weight in zip(columns, rows, weights.tolist(), strict=True):
+            i, j = fine_i // per_cell, fine_j // per_cell
+            grid = grids[fine_i % per_cell][fine_j % per_cell]
+            total += np.float32(weight) * grid[i : i + n, j : j + n]
 
     def _improve(self, values: Float32) -> npt.NDArray[np.intp]:
         """Take the best move everywhere: update ``values`` in place and return the moves' indices, as ``values``."""
@@ -188,77 +210,54 @@ class _Solver:
             self._to_y[v, h, m].tolist(),
             self._to_heading[h, m].tolist(),
         )
+        weight = self._weight[v, h, m].tolist()
         for node in range(3):  # the nearest node of the grid will do for a small, smooth term
             i, j = round(to_x[node]) + pad, round(to_y[node]) + pad
             plane = after[round(to_heading[node]) % HEADINGS]
-            total += np.float32(self._node_weight[m, node]) * plane[i : i + n, j : j + n]
+            total += np.float32(weight[node]) * plane[i : i + n, j : j + n]
         i, j, k = math.floor(to_x[3]), math.floor(to_y[3]), math.floor(to_heading[3])
         across, along, turn = to_x[3] - i, to_y[3] - j, to_heading[3] - k
         i, j = i + pad, j + pad
-        for plane, plane_weight in ((padded[k % HEADINGS], 1.0 - turn), (padded[(k + 1) % HEADINGS], turn)):
-            weight = plane_weight * self._end_weight[m]
-            total += np.float32(weight * (1.0 - across) * (1.0 - along)) * plane[i : i + n, j : j + n]
-            total += np.float32(weight * (1.0 - across) * along) * plane[i : i + n, j + 1 : j + 1 + n]
-            total += np.float32(weight * across * (1.0 - along)) * plane[i + 1 : i + 1 + n, j : j + n]
-            total += np.float32(weight * across * along) * plane[i + 1 : i + 1 + n, j + 1 : j + 1 + n]
+        for plane, part in ((padded[k % HEADINGS], 1.0 - turn), (padded[(k + 1) % HEADINGS], turn)):
+            for near, across_part in ((plane[i : i + n], 1.0 - across), (plane[i + 1 : i + 1 + n], across)):
+                share = part * across_part * weight[3]
+                total += np.float32(share * (1.0 - along)) * near[:, j : j + n]
+                total += np.float32(share * along) * near[:, j + 1 : j + 1 + n]
         return total
 
     def _evaluate(self, values: Float32, policy: npt.NDArray[np.intp]) -> None:
         """Follow the policy for some more moves: update ``values`` in place."""
-        own = np.take_along_axis(self._own, policy[:, :, None], axis=2)[:, :, 0]
-        v, h = np.indices(self.shape[:2])
-        v, h = v[:, :, None, None], h[:, :, None, None]
-        x = np.arange(self._n)[:, None, None] + self._to_x[v, h, policy]
-        y = np.arange(self._n)[:, None] + self._to_y[v, h, policy]
-        heading = self._to_heading[h, policy]
-        ends = _corners(v, heading[..., 3], x[..., 3], y[..., 3], self._n)
-        ends = [(index, (weight * self._end_weight[policy]).astype(np.float32)) for index, weight in ends]
-        nodes = [
-            (
-                _flat(
-                    v,
-                    np.rint(heading[..., k]).astype(int),
-                    np.clip(np.rint(x[..., k]), 0, self._n - 1).astype(int),
-                    np.clip(np.rint(y[..., k]), 0, self._n - 1).astype(int),
-                    self._n,
-                ),
-                self._node_weight[policy, k].astype(np.float32),
+        n = self._n
+        headings = np.arange(HEADINGS)[:, None, None]
+        axis = np.arange(n) - (n - 1) / 2
+        follow = []
+        for v in range(self.shape[0]):
+            chosen = policy[v]
+            x, y, heading, weight = (
+                a[headings, chosen] for a in (self._to_x[v], self._to_y[v], self._to_heading, self._weight[v])
             )
-            for k in range(3)
-        ]
-        fixed = own
+            x, y = x + axis[:, None, None], y + axis[:, None]
+            ends = corners(heading[..., 3], x[..., 3], y[..., 3], n)
+            nodes = [
+                (_nearest(heading[..., k], x[..., k], y[..., k], n), weight[..., k].astype(np.float32))
+                for k in range(3)
+            ]
+            own = np.take_along_axis(self._own[v], chosen[:, None], axis=1)[:, 0]
+            end_weight = weight[..., 3].astype(np.float32)
+            follow.append((own, nodes, [(index, part * end_weight) for index, part in ends]))
         for k in range(_EVALUATIONS):
             if k % _TURN_EVERY == 0:
-                after = expected_after_turn(self._c, values).ravel()
-                fixed = own.copy()
-                for index, weight in nodes:
-                    fixed += weight * after[index]
-            flat = values.ravel()
-            total = fixed.copy()
-            for index, weight in ends:
-                total += weight * flat[index]
-            values[:] = total
+                after = expected_after_turn(self._c, values)
+                fixed = [
+                    own + sum(weight * after[v].ravel()[index] for index, weight in nodes)
+                    for v, (own, nodes, _) in enumerate(follow)
+                ]
+            for v, (_, _, led_to) in enumerate(follow):
+                flat = values[v].ravel()
+                values[v] = fixed[v] + sum(weight * flat[index] for index, weight in led_to)
 
 
-def _flat(
-    v: npt.NDArray[np.intp], heading: npt.NDArray[np.intp], i: npt.NDArray[np.intp], j: npt.NDArray[np.intp], n: int
-) -> npt.NDArray[np.intp]:
-    return ((v * HEADINGS + heading % HEADINGS) * n + i) * n + j
-
-
-def _corners(
-    v: npt.NDArray[np.intp], heading: FloatArray, x: FloatArray, y: FloatArray, n: int
-) -> list[tuple[npt.NDArray[np.intp], FloatArray]]:
-    """Return flat indices and weights of the eight nodes about each point; points beyond the grid go to its edge."""
-    x, y = np.clip(x, 0.0, n - 1.001), np.clip(y, 0.0, n - 1.001)
-    k, i, j = np.floor(heading).astype(int), x.astype(int), y.astype(int)
-    turn, across, along = heading - k, x - i, y - j
-    return [
-        (
-            _flat(v, k + a, i + b, j + c, n),
-            (turn if a else 1.0 - turn) * (across if b else 1.0 - across) * (along if c else 1.0 - along),
-        )
-        for a in (0, 1)
-        for b in (0, 1)
-        for c in (0, 1)
-    ]
+def _nearest(heading: FloatArray, x: FloatArray, y: FloatArray, n: int) -> npt.NDArray[np.intp]:
+    """Return the flat index, in a table (headings, n, n), of the node nearest to each point; as :func:`corners`."""
+    i, j = (np.clip(np.rint(a + (n - 1) / 2), 0, n - 1).astype(np.intp) for a in (x, y))
+    return (np.rint(heading).astype(np.intp) % HEADINGS * n + i) * n + j

@@ -75,7 +75,7 @@ def study(
 
 def _value_table(settings: StudySettings, bar: Progress) -> ValueTable:
     computing = bar.add_task("value table", total=100)
-    configuration = table_configuration(settings.aircraft(), settings.requirement())
+    configuration = table_configuration(settings.aircraft(), settings.requirement(), settings.wind_speed_m_s)
     table = value_table(configuration, lambda share: bar.update(computing, completed=round(100 * share)))
     bar.remove_task(computing)
     return table

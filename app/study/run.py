@@ -12,7 +12,7 @@ from app.study.airframe import KinematicAircraft
 from app.study.pilots import LawPilot, Pilot, PlanPilot
 from app.study.sensors import PayloadErrors, PayloadSensing, PerfectSensing, Sensing
 from app.study.settings import PlannerName, StudySettings
-from app.study.target import RandomTarget
+from app.study.target import RandomTarget, Target
 from mission.circle import Circle
 from mission.lateral_guidance import LateralGuidance
 from mission.paper_planner import PaperPlanner
@@ -97,22 +97,21 @@ def run(
     pilot = _pilot(settings, planner, table, circle)
     sensing: Sensing = PerfectSensing() if settings.perfect_sensors else PayloadSensing(sensor_rng, PayloadErrors())
 
-    steps = round(settings.duration_s / _STEP_S)
+    log = fly(target, body, pilot, sensing, settings.duration_s)
+    return _summed_up(settings, pilot, log, keep_track)
+
+
+def fly(target: Target, body: KinematicAircraft, pilot: Pilot, sensing: Sensing, duration_s: float) -> FloatArray:
+    """Fly from the aircraft's present state; return (n, 6): time, aircraft, target (east, north), target's course."""
+    steps = round(duration_s / _STEP_S)
     log = np.empty((steps, 6))
     state = body.state
     for k in range(steps):
         truth = target.at(state.time_s)
         sensing.observe(state, body.bank_rad, truth)
-        log[k] = (
-            state.time_s,
-            state.east_m,
-            state.north_m,
-            truth.east_m,
-            truth.north_m,
-            truth.course_rad + requirement.side.normal_turn_rad,
-        )
+        log[k] = (state.time_s, state.east_m, state.north_m, truth.east_m, truth.north_m, truth.course_rad)
         state = body.step(pilot.curvature_1_m(state, sensing.estimate), _STEP_S)
-    return _summed_up(settings, pilot, log, keep_track)
+    return log
 
 
 def _pilot(settings: StudySettings, planner: PlannerName, table: ValueTable | None, circle: Circle) -> Pilot:
@@ -133,9 +132,10 @@ def _pilot(settings: StudySettings, planner: PlannerName, table: ValueTable | No
 
 
 def _summed_up(settings: StudySettings, pilot: Pilot, log: FloatArray, keep_track: bool) -> RunResult:
-    time_s, east_m, north_m, target_east_m, target_north_m, normal_rad = log.T
+    time_s, east_m, north_m, target_east_m, target_north_m, course_rad = log.T
     range_m = np.hypot(east_m - target_east_m, north_m - target_north_m)
-    observation_rad = np.arctan2(east_m - target_east_m, north_m - target_north_m) - normal_rad
+    observation_rad = np.arctan2(east_m - target_east_m, north_m - target_north_m) - course_rad
+    observation_rad -= settings.requirement().side.normal_turn_rad
     observation_rad = (observation_rad + math.pi) % (2.0 * math.pi) - math.pi
     in_band = (range_m >= settings.range_min_m) & (range_m <= settings.range_max_m)
     return RunResult(

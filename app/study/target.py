@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -25,6 +26,14 @@ class TargetTruth:
     velocity_east_m_s: float
     velocity_north_m_s: float
     course_rad: float
+
+
+class Target(Protocol):
+    """A target whose whole motion is known beforehand."""
+
+    def at(self, time_s: float) -> TargetTruth:
+        """Return the truth at a time from 0 to the end of the motion."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +73,7 @@ class RandomTarget:
         self._starts_s = [leg.start_s for leg in self._legs]
 
     def at(self, time_s: float) -> TargetTruth:
-        """Return the truth at a time from 0 to the duration."""
+        """See :class:`Target`."""
         leg = self._legs[max(bisect_right(self._starts_s, time_s) - 1, 0)]
         velocity_east = leg.speed_m_s * math.sin(leg.heading_rad)
         velocity_north = leg.speed_m_s * math.cos(leg.heading_rad)

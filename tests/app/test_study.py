@@ -1,0 +1,121 @@
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from app.errors import InputError
+from app.study.command import study
+from app.study.figure import write_figure
+from app.study.report import study_json
+from app.study.settings import PlannerName, StudySettings
+from app.study.study import run_study
+
+LAWS = (PlannerName.PAPER, PlannerName.LVFG, PlannerName.PARK)
+
+
+@pytest.fixture(scope="module")
+def small():
+    settings = StudySettings(LAWS, runs=3, perfect_sensors=True, duration_s=150.0)
+    finished = []
+    return run_study(settings, None, jobs=1, progress=finished.append), finished
+
+
+@pytest.fixture
+def command():
+    app = typer.Typer()
+    app.command()(study)
+    return lambda *words: CliRunner().invoke(app, words)
+
+
+def test_the_result_does_not_depend_on_the_number_of_processes(small):
+    result, finished = small
+    again = run_study(result.settings, None, jobs=2)
+    assert sum(finished) == 9
+    for name in LAWS:
+        np.testing.assert_array_equal(result.planners[name].time_on_side, again.planners[name].time_on_side)
+        np.testing.assert_array_equal(
+            result.planners[name].observation_histogram, again.planners[name].observation_histogram
+        )
+
+
+def test_the_summary_has_every_key(small):
+    result, _ = small
+    summary = json.loads(json.dumps(study_json(result), allow_nan=False))
+    assert set(summary) == {"planners", "runs", "seed", "simulated_s", "wall_s"}
+    assert summary["runs"] == 3
+    assert summary["simulated_s"] == 3 * 3 * 150.0
+    for planner in summary["planners"].values():
+        assert {"mean", "p5", "worst"} == set(planner["time_in_band"]) == set(planner["time_on_side"])
+        assert planner["time_on_side"]["worst"] <= planner["time_on_side"]["p5"] <= planner["time_on_side"]["mean"]
+        assert planner["min_range_m"]["worst"] <= planner["max_range_m"]["worst"]
+        assert 0.0 <= planner["decision_ms"]["p50"] <= planner["decision_ms"]["p99"]
+        assert planner["moves_per_hour"] >= 0.0
+
+
+@pytest.mark.parametrize(("suffix", "begin"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")])
+def test_the_figure_is_drawn(small, tmp_path, suffix, begin):
+    file = tmp_path / f"study{suffix}"
+    write_figure(small[0], file)
+    assert file.read_bytes().startswith(begin)
+    assert file.stat().st_size > 10_000
+
+
+def test_the_command_prints_a_table_and_writes_its_files(command, tmp_path):
+    summary, figure = tmp_path / "study.json", tmp_path / "study.png"
+    result = command(
+        *("--runs", "1", "--duration", "60", "--planner", "lvfg", "--planner", "park", "--perfect-sensors"),
+        *("--jobs", "1", "--json", str(summary), "--out", str(figure)),
+    )
+    assert result.exit_code == 0, result.output
+    assert "time on side, %" in result.output
+    assert set(json.loads(summary.read_text())["planners"]) == {"lvfg", "park"}
+    assert figure.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("--target-speed-max", "10"), "--target-speed-max"),
+        (("--target-speed-max", "nan"), "--target-speed-max"),
+        (("--wind", "9"), "--wind"),
+        (("--legs", "200-40"), "--legs"),
+        (("--legs", "fast"), "--legs"),
+        (("--duration", "0"), "--duration"),
+        (("--out", "figure.doc"), "figure.doc"),
+        (("--out", "nowhere/figure.png"), "nowhere"),
+        (("--json", "nowhere/study.json"), "nowhere"),
+    ],
+)
+def test_wrong_input_is_one_sentence(command, words, named):
+    result = command(*words)
+    assert isinstance(result.exception, InputError)
+    assert named in str(result.exception)
+    assert "\n" not in str(result.exception)
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at processes in /proc")
+def test_an_interrupt_ends_all_processes():
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+        "from app.study.study import run_study; from app.study.settings import *;"
+        "s = StudySettings((PlannerName.LVFG,), runs=2000, perfect_sensors=True, duration_s=20.0);"
+        "run_study(s, None, jobs=2, progress=lambda runs: print(runs, flush=True))"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as whole:
+        try:
+            assert whole.stdout is not None
+            assert whole.stdout.readline() == b"1\n"
+            children = Path(f"/proc/{whole.pid}/task/{whole.pid}/children").read_text().split()
+            whole.send_signal(signal.SIGINT)
+            _, complaint = whole.communicate(timeout=60.0)
+        finally:
+            whole.kill()
+    assert complaint.rstrip().endswith(b"KeyboardInterrupt")
+    assert len(children) == 2
+    assert not any(Path(f"/proc/{child}").exists() for child in children)

@@ -1,0 +1,273 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from estimators.estimate import TargetEstimate, TrackQuality
+from mission.circle import Circle
+from mission.plan import AircraftState, Plan
+from mission.predictive_planner import PredictivePlanner, PredictiveSettings, table_configuration
+from mission.progress import nearest_arc_m, point_at
+from mission.requirement import Side, Wind
+from mission.side_policy import watching_from
+from mission.trapezoid import ramp_1_m2
+from mission.wind import ground_speed_m_s
+
+CALM = Wind()
+LATENCY_S = 0.5
+
+
+def seen(time_s, place, velocity, sigma_m=0.5, quality=TrackQuality.GOOD, last_sighting_s=None):
+    covariance = np.diag([sigma_m**2, sigma_m**2, (0.1 * sigma_m) ** 2, (0.1 * sigma_m) ** 2])
+    last_s = time_s if last_sighting_s is None else last_sighting_s
+    return TargetEstimate(time_s, *place, *velocity, covariance, quality, last_s)
+
+
+def straight(velocity):
+    return lambda time_s: ((velocity[0] * time_s, velocity[1] * time_s), velocity)
+
+
+def turning_back(velocity, turn_s, turn_rad=math.pi):
+    sin_t, cos_t = math.sin(turn_rad), math.cos(turn_rad)
+    after = velocity[0] * cos_t + velocity[1] * sin_t, velocity[1] * cos_t - velocity[0] * sin_t
+
+    def at(time_s):
+        since_s = max(time_s - turn_s, 0.0)
+        before_s = min(time_s, turn_s)
+        place = tuple(v * before_s + w * since_s for v, w in zip(velocity, after, strict=True))
+        return place, (after if time_s >= turn_s else velocity)
+
+    return at
+
+
+class Flight:
+    """Flies a planner's plans exactly, in steps of half a second, with a decision every second."""
+
+    def __init__(self, planner, circle, course_rad, wind=CALM, airspeed_m_s=10.0):
+        self.planner, self.wind, self.airspeed_m_s = planner, wind, airspeed_m_s
+        self.present, self.coming = Plan(circle), None
+        east_m, north_m = circle.position_at_course(course_rad)
+        self.aircraft = AircraftState(
+            0.0, east_m, north_m, course_rad, ground_speed_m_s(course_rad, airspeed_m_s, wind), circle.curvature_1_m
+        )
+        self.plans, self.reasons = [], []
+
+    def fly(self, target_at, duration_s, step_s=0.5):
+        """Return target-relative places (n, 2) and target velocities (n, 2)."""
+        relative, velocities = [], []
+        for k in range(round(duration_s / step_s)):
+            place, velocity = target_at(self.aircraft.time_s)
+            relative.append((self.aircraft.east_m - place[0], self.aircraft.north_m - place[1]))
+            velocities.append(velocity)
+            if self.coming is None and k % round(1.0 / step_s) == 0:
+                decision = self.planner.decide(
+                    self.aircraft, seen(self.aircraft.time_s, place, velocity), self.present, self.wind, LATENCY_S
+                )
+                self.reasons.append(decision.reason)
+                if decision.plan is not None:
+                    self.coming = decision.plan
+                    self.plans.append((self.present, self.aircraft, decision.plan))
+            self._step(step_s)
+        return np.array(relative), np.array(velocities)
+
+    def _step(self, step_s):
+        arc_m = nearest_arc_m(self.present, self.aircraft)
+        point = point_at(self.present, arc_m + self.aircraft.ground_speed_m_s * step_s, self.aircraft)
+        time_s = self.aircraft.time_s + step_s
+        if self.coming is not None and time_s >= self.coming.departure_s - 1e-9:
+            self.present, self.coming = self.coming, None
+            point = point_at(self.present, 0.0, self.aircraft)
+        speed_m_s = ground_speed_m_s(point.course_rad, self.airspeed_m_s, self.wind)
+        self.aircraft = AircraftState(
+            time_s,
+            point.east_m,
+            point.north_m,
+            math.remainder(point.course_rad, 2.0 * math.pi),
+            speed_m_s,
+            point.curvature_1_m,
+        )
+
+
+def side_share(relative, velocities, side):
+    """Return the share of the time on a side of a target that always moves."""
+    right = relative[:, 0] * velocities[:, 1] - relative[:, 1] * velocities[:, 0]
+    return float(np.mean(right > 0.0 if side is Side.RIGHT else right < 0.0))
+
+
+BESIDE = Circle(-250.0, 0.0, 50.0, clockwise=True)  # on the left of a target at the origin that moves north
+
+
+@pytest.fixture
+def planner(paper_aircraft, paper_requirement, paper_table):
+    return PredictivePlanner(paper_aircraft, paper_requirement, paper_table)
+
+
+def assert_flyable(plan, present, aircraft, radius_m, ramp):
+    path = plan.transition
+    assert plan.departure_s == pytest.approx(aircraft.time_s + LATENCY_S)
+    start = point_at(present, nearest_arc_m(present, aircraft) + aircraft.ground_speed_m_s * LATENCY_S, aircraft)
+    assert (path.east_m[0], path.north_m[0]) == pytest.approx((start.east_m, start.north_m), abs=1e-6)
+    assert path.curvature_1_m[0] == pytest.approx(start.curvature_1_m, abs=1e-9)
+    assert np.abs(path.curvature_1_m).max() <= 1.0 / radius_m + 1e-9
+    assert np.all(np.abs(np.diff(path.curvature_1_m)) <= ramp * np.diff(path.arc_m) + 1e-12)
+    end_m = math.hypot(path.east_m[-1] - plan.circle.east_m, path.north_m[-1] - plan.circle.north_m)
+    assert end_m == pytest.approx(radius_m, abs=1e-6)
+    assert path.curvature_1_m[-1] == pytest.approx(plan.circle.curvature_1_m, abs=1e-9)
+
+
+def test_keeps_up_with_a_target_that_drives_straight(planner):
+    flight = Flight(planner, BESIDE, 0.0)
+    relative, velocities = flight.fly(straight((0.0, 4.0)), 600.0)
+    range_m = np.hypot(*relative.T)
+    assert range_m.min() > 100.0
+    assert range_m.max() < 500.0
+    assert side_share(relative, velocities, Side.LEFT) == 1.0
+    assert 2 <= len(flight.plans) <= 15
+
+
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.floats(1.0, 5.0),
+    st.floats(60.0, 120.0),
+    st.floats(-math.pi, math.pi),
+    st.sampled_from([math.pi, math.pi, math.pi / 2, -math.pi / 2, 2.5]),
+)
+def test_a_target_that_turns_back_is_never_approached_or_crossed(planner, speed_m_s, turn_s, course_rad, turn_rad):
+    planner = fresh(planner)
+    flight = Flight(planner, BESIDE, course_rad)
+    relative, velocities = flight.fly(turning_back((0.0, speed_m_s), turn_s, turn_rad), turn_s + 180.0)
+    range_m = np.hypot(*relative.T)
+    assert range_m.min() >= 100.0
+    assert range_m.max() <= 500.0
+    assert side_share(relative[-120:], velocities[-120:], Side.LEFT) == 1.0  # back on the side after two minutes
+    for present, aircraft, plan in flight.plans:
+        assert_flyable(plan, present, aircraft, 50.0, ramp_1_m2(planner_aircraft(planner), 10.0))
+
+
+def fresh(planner):
+    """A planner without memory of earlier examples."""
+    return PredictivePlanner(planner._aircraft, planner._requirement, planner._tables[0])
+
+
+def planner_aircraft(planner):
+    return planner._aircraft
+
+
+def test_right_is_the_mirror_of_left(paper_aircraft, paper_requirement, paper_table):
+    flights = []
+    for side, sign in ((Side.LEFT, 1.0), (Side.RIGHT, -1.0)):
+        requirement = replace(paper_requirement, side=side)
+        circle = replace(BESIDE, east_m=sign * BESIDE.east_m, clockwise=side.clockwise)
+        flight = Flight(PredictivePlanner(paper_aircraft, requirement, paper_table), circle, sign * 0.7)
+        relative, _ = flight.fly(turning_back((0.0, 4.0), 40.0), 120.0)
+        flights.append(relative * (sign, 1.0))
+    np.testing.assert_allclose(flights[0], flights[1], atol=0.01)
+
+
+def test_a_change_under_way_is_continuous(planner, paper_aircraft):
+    flight = Flight(planner, BESIDE, 0.0)
+    while flight.present.transition is None:
+        flight.fly(straight((0.0, 4.5)), 1.0)
+    # The target turns back while the aircraft is on its way.
+    flight.fly(turning_back((0.0, 4.5), flight.aircraft.time_s), 120.0)
+    under_way = 0
+    for present, aircraft, plan in flight.plans:
+        assert_flyable(plan, present, aircraft, 50.0, ramp_1_m2(paper_aircraft, 10.0))
+        if present.transition is not None:
+            under_way += nearest_arc_m(present, aircraft) < present.transition.length_m
+    assert under_way >= 1
+
+
+def test_an_aircraft_beside_its_line_departs_from_the_line(planner, paper_aircraft, on_circle):
+    plans = 0
+    for course_rad in np.linspace(0.0, 6.0, 25):
+        beside = on_circle(replace(BESIDE, radius_m=53.0), course_rad)
+        decision = planner.decide(beside, seen(0.0, (150.0, 100.0), (3.0, 0.0)), Plan(BESIDE), CALM, LATENCY_S)
+        if decision.plan is not None:
+            plans += 1
+            assert_flyable(decision.plan, Plan(BESIDE), beside, 50.0, ramp_1_m2(paper_aircraft, 10.0))
+    assert plans >= 3
+
+
+def test_an_aircraft_that_left_its_line_departs_from_where_it_is(planner):
+    aircraft = AircraftState(0.0, -400.0, 300.0, math.pi, 10.0, 0.5)
+    decision = planner.decide(aircraft, seen(0.0, (0.0, 0.0), (0.0, 4.0)), Plan(BESIDE), CALM, 0.0)
+    path = decision.plan.transition
+    assert (path.east_m[0], path.north_m[0]) == pytest.approx((-400.0, 300.0))
+    assert path.curvature_1_m[0] == pytest.approx(1.0 / 50.0)
+
+
+def test_reasons_tell_what_would_happen(planner):
+    flight = Flight(planner, BESIDE, 0.0)
+    flight.fly(straight((0.0, 5.0)), 100.0)
+    moves = [reason for reason in flight.reasons if reason.startswith("moving")]
+    stays = [reason for reason in flight.reasons if not reason.startswith("moving")]
+    assert all(
+        reason.startswith(("staying: the target stays ", "staying until a better moment: in ")) for reason in stays
+    )
+    assert any("north" in reason and ": in " in reason and " s the target would be " in reason for reason in moves)
+
+
+def test_a_lost_target_is_not_moved_after(planner):
+    aircraft = AircraftState(100.0, -300.0, 0.0, 0.0, 10.0, 0.02)
+    lost = seen(100.0, (400.0, 0.0), (5.0, 0.0), quality=TrackQuality.LOST, last_sighting_s=70.0)
+    decision = planner.decide(aircraft, lost, Plan(BESIDE), CALM, LATENCY_S)
+    assert decision.plan is None
+    assert decision.reason == "holding the circle: the target has not been seen for 30 s"
+    unseen = seen(100.0, (400.0, 0.0), (5.0, 0.0), quality=TrackQuality.COASTING, last_sighting_s=39.0)
+    assert planner.decide(aircraft, unseen, Plan(BESIDE), CALM, LATENCY_S).plan is None
+
+
+def test_uncertainty_keeps_the_aircraft_further_away(paper_aircraft, paper_requirement, paper_table):
+    least_m = []
+    for sigma_m in (1.0, 60.0):
+        planner = PredictivePlanner(paper_aircraft, paper_requirement, paper_table, PredictiveSettings(1.0, 60.0))
+        present = Plan(Circle(-180.0, 0.0, 50.0, clockwise=True))
+        aircraft = AircraftState(0.0, -230.0, 0.0, 0.0, 10.0, 0.02)
+        target = seen(0.0, (0.0, 0.0), (0.0, 0.0), sigma_m, TrackQuality.COASTING, -20.0)
+        decision = planner.decide(aircraft, target, present, CALM, LATENCY_S)
+        circle = (decision.plan or present).circle
+        least_m.append(math.hypot(circle.east_m, circle.north_m) - 50.0)
+    assert least_m[0] == pytest.approx(130.0)
+    assert least_m[1] > 160.0
+
+
+def test_either_side_takes_the_new_one_when_the_target_turns_back(paper_aircraft, paper_requirement, paper_table):
+    planner = PredictivePlanner(paper_aircraft, watching_from(paper_requirement, "either"), paper_table)
+    flight = Flight(planner, BESIDE, 0.0)
+    relative, velocities = flight.fly(turning_back((0.0, 3.0), 60.0), 240.0)
+    assert np.hypot(*relative.T).min() >= 100.0
+    assert side_share(relative[120:], velocities[120:], Side.RIGHT) == 1.0
+    assert flight.present.circle.clockwise is False
+
+
+def test_a_wind_that_the_table_does_not_know_is_flown_in(paper_requirement, paper_table, paper_aircraft):
+    aircraft = replace(paper_aircraft, radius_m=84.5)
+    planner = PredictivePlanner(aircraft, paper_requirement, paper_table)
+    flight = Flight(planner, replace(BESIDE, radius_m=84.5), 0.0, Wind(3.0, 0.0))
+    relative, velocities = flight.fly(straight((0.0, 4.0)), 400.0)
+    assert np.hypot(*relative.T).min() >= 100.0
+    assert np.hypot(*relative.T).max() <= 500.0
+    assert side_share(relative, velocities, Side.LEFT) > 0.9
+    for present, state, plan in flight.plans:
+        assert_flyable(plan, present, state, 84.5, ramp_1_m2(aircraft, 13.0))
+
+
+def test_too_strong_a_wind_is_a_reason_to_hold(planner):
+    aircraft = AircraftState(0.0, -300.0, 0.0, 0.0, 10.0, 0.02)
+    decision = planner.decide(aircraft, seen(0.0, (0.0, 0.0), (0.0, 3.0)), Plan(BESIDE), Wind(11.0, 0.0), LATENCY_S)
+    assert decision.plan is None
+    assert "wind" in decision.reason
+
+
+def test_the_table_of_a_requirement(paper_aircraft, paper_requirement):
+    left = table_configuration(paper_aircraft, paper_requirement)
+    assert left == table_configuration(paper_aircraft, replace(paper_requirement, side=Side.RIGHT))
+    sector = table_configuration(paper_aircraft, watching_from(paper_requirement, "120-200"))
+    assert not sector.follows_course
+    assert sector.cost.half_width_rad == pytest.approx(math.radians(40.0))
+    standing = table_configuration(paper_aircraft, replace(paper_requirement, target_speed_max_m_s=0.0))
+    assert standing.target_speed_max_m_s > 0.0

@@ -1,0 +1,69 @@
+import math
+
+import numpy as np
+import pytest
+
+from estimators.estimate import TargetEstimate, TrackQuality
+from mission.requirement import Requirement, Sector, Side
+from mission.side_policy import SidePolicy, watching_from
+
+LEFT = Requirement(100.0, 500.0, Side.LEFT, 5.0)
+
+
+def target(east_m_s, north_m_s, time_s=0.0):
+    return TargetEstimate(
+        time_s, 0.0, 0.0, east_m_s, north_m_s, np.diag([1.0, 1.0, 0.01, 0.01]), TrackQuality.GOOD, time_s
+    )
+
+
+def test_a_side_follows_the_course():
+    policy = SidePolicy(LEFT, 50.0)
+    assert policy.viewpoint(-300.0, 0.0, target(0.0, 3.0)).course_rad == pytest.approx(0.0)
+    turned = policy.viewpoint(-300.0, 0.0, target(3.0, 0.0, 1.0))
+    assert (turned.course_rad, turned.side) == (pytest.approx(math.pi / 2), Side.LEFT)
+
+
+def test_a_target_that_never_moved_is_watched_from_where_the_aircraft_began():
+    policy = SidePolicy(LEFT, 50.0)
+    began = policy.viewpoint(0.0, 300.0, target(0.0, 0.0))
+    # Left of a course to the east is north.
+    assert began.course_rad == pytest.approx(math.pi / 2)
+    assert policy.viewpoint(200.0, 200.0, target(0.0, 0.0, 30.0)).course_rad == began.course_rad
+
+
+def test_either_side_changes_only_well_beyond_the_line():
+    policy = SidePolicy(watching_from(LEFT, "either"), 50.0)
+    sides = [policy.viewpoint(east_m, 200.0, target(0.0, 3.0)).side for east_m in (-300.0, 40.0, 60.0, -40.0, -60.0)]
+    assert sides == [Side.LEFT, Side.LEFT, Side.RIGHT, Side.RIGHT, Side.LEFT]
+
+
+def test_a_fixed_side_never_changes():
+    policy = SidePolicy(LEFT, 50.0)
+    assert policy.viewpoint(400.0, 0.0, target(0.0, 3.0)).side is Side.LEFT
+
+
+def test_a_sector_does_not_follow_the_course():
+    policy = SidePolicy(watching_from(LEFT, "120-200"), 50.0)
+    for moving in (target(0.0, 3.0), target(3.0, 0.0, 1.0), target(0.0, 0.0, 2.0)):
+        view = policy.viewpoint(0.0, -300.0, moving)
+        # Its left normal is the middle of the sector.
+        assert view.course_rad + Side.LEFT.normal_turn_rad == pytest.approx(math.radians(160.0))
+
+
+def test_sides_as_a_person_writes_them():
+    assert watching_from(LEFT, "right").side is Side.RIGHT
+    assert watching_from(LEFT, "either").either_side
+    wrapped = watching_from(LEFT, "340-20").sector
+    assert wrapped is not None
+    assert wrapped.half_width_rad == pytest.approx(math.radians(20.0))
+    assert math.remainder(wrapped.middle_rad, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("words", ["", "up", "120", "120-120", "0-360", "10-400", "-5-20"])
+def test_other_words_are_refused_by_name(words):
+    with pytest.raises(ValueError, match="side: "):
+        watching_from(LEFT, words)
+
+
+def test_a_sector_knows_its_middle():
+    assert Sector(0.0, math.pi / 2).middle_rad == pytest.approx(math.pi / 4)

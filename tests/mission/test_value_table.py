@@ -1,0 +1,113 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mission.cost import WatchCost
+from mission.moves import moves_from, staying_on
+from mission.requirement import Wind
+from mission.rollout import RollOut, Situation, Start
+from mission.value_table import TableConfiguration, TargetHabits, completed, expected_after_turn
+
+SMALL = TableConfiguration(10.0, 50.0, 0.0008, 5.0, WatchCost.inside(100.0, 500.0), cells=8)
+SECTOR = replace(SMALL, cost=WatchCost.inside(100.0, 500.0, math.radians(60.0)), follows_course=False)
+
+
+def test_values_are_lowest_beside_the_target_on_the_side(paper_table):
+    motion = paper_table.under((0.0, 4.0))
+    beside = float(motion.value(-250.0, 0.0, 0.0))
+    assert 0.0 < beside < float(motion.value(-120.0, 0.0, 0.0))
+    assert beside < float(motion.value(-470.0, 0.0, 0.0))
+    assert float(motion.value(250.0, 0.0, 0.0)) > beside + 15.0  # it takes about half a minute to come round
+    assert float(motion.value(-50.0, 0.0, 0.0)) > 100.0
+
+
+def test_a_place_ahead_is_worth_more_the_faster_the_target(paper_table):
+    """A fast target runs up to the aircraft ahead and away from the one behind."""
+    ahead, behind = ((-150.0, y) for y in (300.0, -300.0))
+    gain = [
+        float(paper_table.under((0.0, speed)).value(*behind, 0.0))
+        - float(paper_table.under((0.0, speed)).value(*ahead, 0.0))
+        for speed in (0.0, 5.0)
+    ]
+    assert gain[1] > gain[0] + 0.5
+
+
+def test_the_table_interpolates_between_its_nodes_and_speeds(paper_table):
+    motion = paper_table.under((0.0, 2.5))
+    node = motion.values[3, 10, 20]
+    half = motion.values.shape[1] // 2
+    x_m, y_m, heading_rad = (10 - half) * motion.cell_m, (20 - half) * motion.cell_m, 3 * math.pi / 12
+    assert float(motion.value(x_m, y_m, heading_rad)) == pytest.approx(node, rel=1e-4)
+    assert float(motion.value(x_m, y_m, heading_rad - 2.0 * math.pi)) == pytest.approx(node, rel=1e-4)
+    between = paper_table.under((0.0, 1.25)).value(-200.0, 30.0, 1.0)
+    slow, fast = (paper_table.under((0.0, speed)).value(-200.0, 30.0, 1.0) for speed in (0.0, 2.5))
+    assert float(between) == pytest.approx(0.5 * (float(slow) + float(fast)), rel=1e-4)
+
+
+def test_the_table_agrees_with_roll_outs_from_it(paper_aircraft, paper_table):
+    """Bellman's equation, by another road: the best roll-out from a place costs what the table says of it."""
+    c = paper_table.configuration
+    rng = np.random.default_rng(1)
+    for speed_m_s in (0.0, 2.5, 5.0):
+        situation = Situation((0.0, speed_m_s), Wind(), paper_aircraft.airspeed_m_s, 0.0, 0.0, 0.0)
+        motion = paper_table.under((0.0, speed_m_s))
+        roll_out = RollOut(situation, c.cost, motion, 10.0)
+        off = []
+        for _ in range(40):
+            range_m, aside_rad, heading_rad = rng.uniform(180, 420), rng.uniform(-1.2, 1.2), rng.uniform(-3, 3)
+            place = Start(-range_m * math.cos(aside_rad), range_m * math.sin(aside_rad), heading_rad)
+            leaving = moves_from(1.0 / c.radius_m, c.radius_m, c.ramp_1_m2).subset(slice(None, -1))
+            staying = staying_on(1.0 / c.radius_m, c.radius_m, c.ramp_1_m2)
+            best = min(c.leave_cost + roll_out.costs(leaving, place).min(), roll_out.costs(staying, place).min())
+            off.append(float(best) - float(motion.value(place.x_m, place.y_m, place.heading_rad)))
+        assert abs(np.median(off)) < 0.3
+        assert np.percentile(np.abs(off), 80) < 0.5  # a few places lie where the table is steep
+
+
+def test_a_stop_keeps_the_side_and_a_turn_back_swaps_the_sides():
+    values = np.random.default_rng(1).random((3, 24, 17, 17)).astype(np.float32)
+    stops = replace(SMALL, habits=TargetHabits(stop=1.0))
+    np.testing.assert_allclose(expected_after_turn(stops, values)[1], values[0], rtol=1e-5)
+    back = replace(SMALL, habits=TargetHabits(stop=0.0, least_speed=1.0, turns_deg=(180.0,), chances=(1.0,)))
+    after = completed(back, values).under((0.0, 5.0)).after_turn
+    # Half a turn of the frame: places and headings all swap.
+    np.testing.assert_allclose(after[3], values[2, 15, ::-1, ::-1], atol=3e-3)
+
+
+def test_what_never_changes_is_expected_after_any_turn():
+    for configuration, classes in ((SMALL, 3), (SECTOR, 17)):
+        values = np.full((classes, 24, 17, 17), 7.0, np.float32)
+        np.testing.assert_allclose(expected_after_turn(configuration, values), 7.0, rtol=1e-5)
+
+
+def test_the_key_tells_configurations_apart():
+    keys = {
+        SMALL.key(),
+        replace(SMALL, airspeed_m_s=11.0).key(),
+        replace(SMALL, cost=WatchCost.inside(100.0, 400.0)).key(),
+        replace(SMALL, habits=TargetHabits(mean_leg_s=60.0)).key(),
+        replace(SMALL, cells=10).key(),
+    }
+    assert len(keys) == 5
+    assert SMALL.key() == replace(SMALL).key()
+
+
+def test_stored_values_of_another_shape_are_refused():
+    with pytest.raises(ValueError, match="values: expected"):
+        completed(SMALL, np.zeros((3, 24, 5, 5), np.float32))
+    with pytest.raises(ValueError, match="values: expected"):
+        completed(SMALL, np.full((3, 24, 17, 17), np.nan, np.float32))
+
+
+def test_a_sector_interpolates_between_directions_and_speeds():
+    values = np.random.default_rng(1).random((17, 24, 17, 17)).astype(np.float32)
+    table = completed(SECTOR, values)
+    # Half way between north and north-east, and between half and full speed.
+    motion = table.under((3.75 * math.sin(math.pi / 8), 3.75 * math.cos(math.pi / 8)))
+    np.testing.assert_allclose(motion.values, values[[1, 2, 9, 10]].mean(axis=0), rtol=1e-4)
+    np.testing.assert_allclose(table.under((0.0, 0.0)).values, values[0], rtol=1e-6)
+    # Half a turn takes the class of motion to the south to that of motion to the north.
+    back = replace(SECTOR, habits=TargetHabits(stop=0.0, least_speed=1.0, turns_deg=(180.0,), chances=(1.0,)))
+    np.testing.assert_allclose(expected_after_turn(back, values)[9 + 4], values[9], rtol=1e-5)
