@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import tomllib
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from app.errors import InputError
 from mission.feasibility import feasibility, unflyable
@@ -204,7 +206,7 @@ def _validated(values: dict[str, Any], overrides: dict[str, dict[str, Any]], nam
 
 
 def _sentence(error: ValidationError) -> str:
-    """Return the first problem as one sentence that names the field and what would be right."""
+    """Return the first problem as one sentence that names the field, what is wrong, and the nearest that is right."""
     problem = error.errors()[0]
     where = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
@@ -212,7 +214,20 @@ def _sentence(error: ValidationError) -> str:
     if problem["type"] == "value_error":
         return f"{where}: {problem['ctx']['error']}."
     message = problem["msg"][0].lower() + problem["msg"][1:]
-    return f"{where} = {problem['input']!r}: {message}."
+    return f"{where} = {problem['input']!r}: {message}{_nearest(problem)}."
+
+
+def _nearest(problem: ErrorDetails) -> str:
+    """Return the nearest valid value in words, '' where there is no such thing."""
+    bounds = problem.get("ctx", {})
+    for bound in ("ge", "le"):
+        if bound in bounds:
+            return f"; the nearest valid value is {bounds[bound]:g}"
+    if problem["type"] == "literal_error":
+        choices = [choice.strip("' ") for choice in bounds["expected"].replace(" or ", ",").split(",")]
+        alike = get_close_matches(str(problem["input"]), choices, n=1)
+        return f"; the nearest is {alike[0]!r}" if alike else ""
+    return ""
 
 
 def _known_keys(location: tuple[int | str, ...]) -> list[str]:

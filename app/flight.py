@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,12 +15,14 @@ from pymavlink import mavutil
 from app.assembly import fence_check
 from app.autopilot import Autopilot, Home
 from app.config import Config
-from app.console import ConsoleDisplay
+from app.cot import CotOutput
+from app.display import FlightDisplay
 from app.errors import FlightError, InputError
 from app.link import RawItem, UploadResult
 from app.loop import ControlLoop, Display
 from app.mavsdk_link import FrameListener, MavsdkLink
 from app.performer import Performer
+from app.point_gimbal import GimbalPointer
 from app.preflight import ask_for_streams, autopilot_of, checks, home_of, listen, mode_of
 from app.recording import Recording
 from app.records.truth import read_truth
@@ -42,6 +44,14 @@ _READY_WITHIN_S, _ARM_WITHIN_S, _TAKE_OFF_WITHIN_S = 60.0, 120.0, 240.0  # of th
 _READY_WALL_S = 20.0  # a fast simulation's minute is over before every question is answered
 _MODE_WITHIN_S = 5.0
 _HIGH_ENOUGH = 0.7  # of the height wanted, to begin watching
+
+
+@dataclass(frozen=True, slots=True)
+class Sharing:
+    """Who else is told of the estimate. cot: udp://HOST:PORT; point_gimbal: the vehicle, for its gimbal."""
+
+    cot: str | None = None
+    point_gimbal: bool = False
 
 
 @dataclass(slots=True)
@@ -78,12 +88,13 @@ class Flight:
         config: Config,
         watch: Watch,
         recording: Recording,
-        display: ConsoleDisplay,
+        display: FlightDisplay,
         duration_s: float | None,
+        sharing: Sharing = Sharing(),
     ) -> None:
         self._vehicle, self._autopilot, self._telemetry = session.vehicle, session.autopilot, session.telemetry
         self._config, self._recording, self._display = config, recording, display
-        self._duration_s = duration_s
+        self._duration_s, self._sharing = duration_s, sharing
         self._watch = watch
         self._gatherer = Gatherer(config.requirement.requirement())
         self._start_s = math.inf
@@ -110,6 +121,14 @@ class Flight:
             report=queue.put_nowait,
             now_s=lambda: self._telemetry.now_s,
         )
+        observers: list[Display] = [self._display]
+        shared = contextlib.ExitStack()
+        if self._sharing.cot is not None:
+            observers.append(shared.enter_context(CotOutput(self._sharing.cot, plane)))
+        if self._sharing.point_gimbal:
+            pointer = GimbalPointer(self._vehicle, plane, home.altitude_m, self._display.note)
+            shared.callback(pointer.stop)
+            observers.append(pointer)
         loop = ControlLoop(
             queue,
             self._vehicle,
@@ -117,8 +136,9 @@ class Flight:
             self._watch,
             performer,
             self._recording,
-            _Observed(self._display, self._gatherer),
+            _Observed(observers, self._gatherer),
         )
+        self._display.begin(plane, loop.put)
         running = asyncio.create_task(loop.run())
         flying = asyncio.create_task(self._fly(loop, performer, plane, home))
         interrupt = asyncio.create_task(stopped.wait())
@@ -132,6 +152,7 @@ class Flight:
             loop.stop()
             await asyncio.gather(running, flying, interrupt, return_exceptions=True)
             await performer.drain()
+            shared.close()
         running.result()
         outcome = loop.outcome or ("interrupted" if stopped.is_set() else "completed")
         return self._summary(outcome, plane, truth)
@@ -181,7 +202,7 @@ class Flight:
             self._display.note("taking off")
         await self._until_circling(performer.line_first)
         self._start_s = self._telemetry.now_s
-        self._display.start_s, self._display.duration_s = self._start_s, self._duration_s
+        self._display.engage(self._start_s, self._duration_s)
         loop.put(Engaged(self._start_s, circle, self._autopilot.mission_mode))
         self._display.note("circling: the target is watched from now on")
 
@@ -269,14 +290,16 @@ class Flight:
 
 
 class _Observed:
-    """A display that also gathers what the summary needs."""
+    """All who watch, as one display; also gathers what the summary needs."""
 
-    def __init__(self, display: Display, gatherer: Gatherer) -> None:
-        self._display, self._gatherer = display, gatherer
+    def __init__(self, displays: Sequence[Display], gatherer: Gatherer) -> None:
+        self._displays, self._gatherer = displays, gatherer
 
     def say(self, announcement: Announce) -> None:
-        self._display.say(announcement)
+        for display in self._displays:
+            display.say(announcement)
 
     def show(self, snapshot: Snapshot) -> None:
         self._gatherer.observe(snapshot)
-        self._display.show(snapshot)
+        for display in self._displays:
+            display.show(snapshot)

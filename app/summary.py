@@ -87,10 +87,12 @@ class Gatherer:
             )
         )
 
-    def rmse_m(self, truth: Truth, plane: LocalPlane) -> float | None:
-        """Return the root mean square of the estimate's distance from the truth."""
+    def rmse_m(self, truth: Truth, plane: LocalPlane, start_s: float) -> float | None:
+        """Return the root mean square of the estimate's distance from the truth since ``start_s``."""
         squares = []
         for one in self._estimated:
+            if one.time_s < start_s:
+                continue
             target = truth.at(one.time_s, plane)
             if target is not None:
                 squares.append(
@@ -134,7 +136,7 @@ def summarise(
 ) -> Summary:
     """Return the summary of a mission that ended at ``snapshot``."""
     result = gatherer.scored(truth, plane, start_s)
-    rmse_m = gatherer.rmse_m(truth, plane) if truth is not None and plane is not None else None
+    rmse_m = gatherer.rmse_m(truth, plane, start_s) if truth is not None and plane is not None else None
     return Summary(
         **asdict(result),
         moves=snapshot.moves,

@@ -240,13 +240,15 @@ class Watch:
         )
         if self._commanded is not None:
             self._flown_radius.observe(self._aircraft, self._commanded)
-        if self._swap is None and self.time_s < self._next_decision_s:
-            return ()
+        told: tuple[Command, ...] = ()
+        due = self.time_s >= self._next_decision_s
+        if due:
+            self._next_decision_s = self.time_s + self.settings.decision_period_s
+            self.estimate = self.tracker.estimate(self.time_s)
+            told = self._track_commands()
         if self._swap is not None:
-            return self._drive_swap(self._swap)
-        self._next_decision_s = self.time_s + self.settings.decision_period_s
-        self.estimate = self.tracker.estimate(self.time_s)
-        return self._track_commands() + self._decide()
+            return told + self._drive_swap(self._swap)
+        return told + self._decide() if due else ()
 
     def _track_commands(self) -> tuple[Command, ...]:
         quality = self.estimate.quality if self.estimate else None

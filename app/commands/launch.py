@@ -8,6 +8,7 @@ import os
 import shutil
 import signal
 import sys
+from collections.abc import AsyncIterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -16,14 +17,18 @@ import typer
 
 from app.assembly import watch_of
 from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
+from app.commands.report import write_report
 from app.config import Config, check_flyable, load_config
-from app.console import ConsoleDisplay
+from app.display import FlightDisplay
 from app.errors import InputError
-from app.flight import Flight, connected
+from app.flight import Flight, Sharing, connected
 from app.recording import Recording
 from app.records.run_folder import RunFolder
 from app.simulated import SimulatedVehicle
 from app.summary import Summary
+from app.view.address import DEFAULT_PORT, LOOPBACK, Address
+from app.view.display import ViewDisplay
+from app.view.panel import PanelDisplay
 
 _DURATION_S = 1200.0
 
@@ -46,6 +51,18 @@ def launch(
         str | None, typer.Option(help="Simulated autopilot: arduplane or px4.", show_default=False)
     ] = None,
     planner: Annotated[str | None, typer.Option(help="predictive or paper.", show_default=False)] = None,
+    view: Annotated[bool, typer.Option("--view", help="Show a live map in the browser.")] = False,
+    view_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the live map.")] = DEFAULT_PORT,
+    view_host: Annotated[
+        str, typer.Option(help="Address the live map is served at; anything but loopback asks for a token.")
+    ] = LOOPBACK[0],
+    cot: Annotated[
+        str | None, typer.Option(help="Send the estimate as cursor on target: udp://HOST:PORT.", show_default=False)
+    ] = None,
+    point_gimbal: Annotated[
+        bool, typer.Option("--point-gimbal", help="Tell the vehicle's gimbal where the target is.")
+    ] = False,
+    report: Annotated[bool, typer.Option("--report", help="Write report.html into the run folder.")] = False,
     out: Annotated[Path, typer.Option(help="Where run folders are made.")] = Path("runs"),
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
@@ -67,31 +84,43 @@ def launch(
         },
     )
     check_flyable(settings)
-    folder, summary, stuck = asyncio.run(_launch(settings, duration, out, quiet))
+    folder, summary, stuck = asyncio.run(
+        _launch(
+            settings,
+            duration,
+            out,
+            quiet,
+            Address(view_host, view_port) if view else None,
+            Sharing(cot, point_gimbal),
+        )
+    )
     console.print(summary.table())
     console.print(f"run folder: {folder.path}")
+    if report:
+        write_report(folder.path, folder.path / "report.html")
     write_json(json, summary.as_json())
     if stuck:  # a MAVSDK call never came back; leaving the ordinary way would wait for it for ever
         sys.stdout.flush()
         os._exit(0)
 
 
-async def _launch(config: Config, duration_s: float, out: Path, quiet: bool) -> tuple[RunFolder, Summary, bool]:
+async def _launch(
+    config: Config, duration_s: float, out: Path, quiet: bool, address: Address | None, sharing: Sharing
+) -> tuple[RunFolder, Summary, bool]:
     stopped = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stopped.set)
     folder = RunFolder.create(out, datetime.now(UTC))
-    display = ConsoleDisplay(console, quiet)
     try:
-        with display:
+        async with _displayed(config, quiet, address) as display:
 
             def warn(text: str) -> None:
                 loop.call_soon_threadsafe(display.note, text)
 
             recording = Recording(folder, config, warn)
             try:
-                summary, stuck = await _fly(config, duration_s, folder, recording, display, stopped)
+                summary, stuck = await _fly(config, duration_s, folder, recording, display, sharing, stopped)
             finally:
                 recording.close()
     except InputError:
@@ -101,12 +130,29 @@ async def _launch(config: Config, duration_s: float, out: Path, quiet: bool) -> 
     return folder, summary, stuck
 
 
+@contextlib.asynccontextmanager
+async def _displayed(config: Config, quiet: bool, address: Address | None) -> AsyncIterator[FlightDisplay]:
+    """Show the flight on the terminal, and in the browser if it has an address there."""
+    with PanelDisplay(console, config.requirement.requirement(), quiet) as panel:
+        if address is None:
+            yield panel
+            return
+        with ViewDisplay(panel, config, address) as view:
+            console.print(f"live map: {view.url}", soft_wrap=True)
+            fresh = asyncio.create_task(view.keep_fresh())
+            try:
+                yield view
+            finally:
+                fresh.cancel()
+
+
 async def _fly(
     config: Config,
     duration_s: float,
     folder: RunFolder,
     recording: Recording,
-    display: ConsoleDisplay,
+    display: FlightDisplay,
+    sharing: Sharing,
     stopped: asyncio.Event,
 ) -> tuple[Summary, bool]:
     async with contextlib.AsyncExitStack() as stack:
@@ -119,5 +165,5 @@ async def _fly(
         display.note(f"connecting to {url}")
         session = await stack.enter_async_context(connected(url, config.link.heartbeat_timeout_s, recording.frame))
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
-        summary = await Flight(session, config, watch, recording, display, duration_s).fly(truth, stopped)
+        summary = await Flight(session, config, watch, recording, display, duration_s, sharing).fly(truth, stopped)
     return summary, session.vehicle.link.stuck

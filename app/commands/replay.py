@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,7 +15,6 @@ from rich.text import Text
 from app.assembly import fence_check, watch_of
 from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
 from app.config import Config, load_config, with_values
-from app.console import clock
 from app.errors import FlightError, InputError
 from app.recording import JOURNAL_TYPES
 from app.records.journal import JournalReader
@@ -25,6 +24,10 @@ from app.records.truth import Truth, read_truth
 from app.replay import JournalReplay, LogReplay, Replayed, announcements, require_sightings
 from app.summary import Gatherer, Summary, summarise
 from app.telemetry import Telemetry
+from app.view.address import DEFAULT_PORT, Address
+from app.view.display import ViewDisplay
+from app.view.panel import PanelDisplay, clock
+from app.view.playback import Playback
 from estimators.frames import LocalPlane
 from mission.events import Engaged
 from mission.watch import Watch
@@ -46,6 +49,9 @@ def replay(
     verify: Annotated[
         bool, typer.Option("--verify", help="Compare every decision with the run's own; exit 1 at a difference.")
     ] = False,
+    view: Annotated[bool, typer.Option("--view", help="Show the replay on a live map in the browser.")] = False,
+    view_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the live map.")] = DEFAULT_PORT,
+    view_speed: Annotated[float, typer.Option(min=0.1, help="Recorded time over wall time with --view.")] = 10.0,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
 ) -> None:
@@ -58,12 +64,15 @@ def replay(
     changes = _changes(change or [], planner)
     if not log.exists():
         raise InputError(f"{log}: there is no such file; give the path of a run folder or a recorded log.")
+    if view and verify:
+        raise InputError("--verify repeats the flight exactly; leave out --view, whose buttons would change it.")
+    shown = _Shown(f"replay of {log.name}", Address(port=view_port), view_speed) if view else None
     if log.is_dir() or log.suffix == ".jsonl":
-        result = _replay_run(log, truth, config, changes, verify, quiet)
+        result = _replay_run(log, truth, config, changes, verify, quiet, shown)
     elif verify:
         raise InputError(f"{log}: --verify needs a run folder of ours; a log holds no decisions to compare.")
     else:
-        result = _replay_log(log, truth, load_config(config, changes), quiet)
+        result = _replay_log(log, truth, load_config(config, changes), quiet, shown)
     console.print(result.table())
     write_json(json, result.as_json())
 
@@ -79,7 +88,7 @@ def _changes(given: list[str], planner: str | None) -> dict[str, dict[str, Any]]
     return changes
 
 
-def _replay_log(path: Path, truth: Path | None, settings: Config, quiet: bool) -> Summary:
+def _replay_log(path: Path, truth: Path | None, settings: Config, quiet: bool, shown: _Shown | None) -> Summary:
     log = open_log(path)
     telemetry = Telemetry()
     watch = watch_of(settings, table_progress(console.print))
@@ -92,7 +101,7 @@ def _replay_log(path: Path, truth: Path | None, settings: Config, quiet: bool) -
         task = progress.add_task(path.name, total=1.0)
         messages = log.messages(telemetry.wanted, lambda share: progress.update(task, completed=share))
         judged = _Judged(settings, watch, progress, quiet)
-        judged.follow(steps.run(messages))
+        _follow(judged, steps.run(messages), shown, settings, lambda: steps.plane)
     require_sightings(watch.tracker.sightings, log)
     result = judged.summary(read_truth(truth) if truth is not None else None, steps.plane, judged.first_estimate_s)
     # Nothing was uploaded here: what the planner would have sent counts as moves.
@@ -100,7 +109,13 @@ def _replay_log(path: Path, truth: Path | None, settings: Config, quiet: bool) -
 
 
 def _replay_run(
-    path: Path, truth: Path | None, config: Path | None, changes: dict[str, dict[str, Any]], verify: bool, quiet: bool
+    path: Path,
+    truth: Path | None,
+    config: Path | None,
+    changes: dict[str, dict[str, Any]],
+    verify: bool,
+    quiet: bool,
+    shown: _Shown | None,
 ) -> Summary:
     folder = RunFolder.open(path if path.is_dir() else path.parent)
     with _progress() as progress:
@@ -115,7 +130,7 @@ def _replay_run(
             watch.check = fence_check(settings, journal.header.plane)
         steps = JournalReplay(watch)
         judged = _Judged(settings, steps.watch, progress, quiet or verify)
-        judged.follow(steps.run(journal))
+        _follow(judged, steps.run(journal), shown, settings, lambda: journal.header.plane)
     if verify:
         if steps.difference is not None:
             raise FlightError(f"{folder.path}: the replay differs from the flight {steps.difference}")
@@ -128,16 +143,42 @@ def _replay_run(
     return judged.summary(read_truth(truth) if truth is not None else None, journal.header.plane, start_s)
 
 
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """Where and how fast a replay is shown."""
+
+    name: str
+    address: Address
+    speed: float
+
+
+def _follow(
+    judged: _Judged,
+    steps: Iterable[Replayed],
+    shown: _Shown | None,
+    settings: Config,
+    plane: Callable[[], LocalPlane | None],
+) -> None:
+    """Follow the steps, on a live map if they are to be shown."""
+    if shown is None:
+        judged.follow(steps)
+        return
+    silent = PanelDisplay(console, settings.requirement.requirement(), quiet=True)
+    with ViewDisplay(silent, settings, shown.address, shown.name) as view:
+        console.print(f"live map: {view.url}", soft_wrap=True)
+        judged.follow(Playback(view, judged.watch, plane, shown.speed, view.pump_if_due).shown(steps))
+
+
 class _Judged:
     """Follows a replay: prints what is said, and gathers what the summary needs."""
 
     def __init__(self, settings: Config, watch: Watch, progress: Progress, quiet: bool) -> None:
         self.first_estimate_s: float | None = None
         self.engaged_s: float | None = None
-        self._watch, self._progress, self._quiet = watch, progress, quiet
+        self.watch, self._progress, self._quiet = watch, progress, quiet
         self._gatherer = Gatherer(settings.requirement.requirement())
 
-    def follow(self, steps: Iterator[Replayed] | Iterable[Replayed]) -> None:
+    def follow(self, steps: Iterable[Replayed]) -> None:
         for step in steps:
             self._gatherer.observe(step.snapshot)
             if self.first_estimate_s is None and step.snapshot.estimate is not None:
@@ -149,10 +190,10 @@ class _Judged:
                     self._progress.console.print(Text(f"{clock(said.time_s):>7}  {said.text}"))
 
     def summary(self, truth: Truth | None, plane: LocalPlane | None, start_s: float | None) -> Summary:
-        tracker = self._watch.tracker
+        tracker = self.watch.tracker
         return summarise(
             self._gatherer,
-            self._watch.snapshot(),
+            self.watch.snapshot(),
             truth=truth,
             plane=plane,
             start_s=start_s if start_s is not None else -math.inf,
