@@ -8,8 +8,9 @@ from typing import ClassVar
 
 from pymavlink import mavutil
 
-from app.autopilot import Home, Limits, raw_item, select_by_message
+from app.autopilot import CircleOrder, Home, Limits, raw_item, select_by_message
 from app.link import RawItem
+from app.message import Message
 from app.vehicle import Answer, Vehicle
 from mission.items import Item
 from mission.line_tracking import LineTracking, arduplane
@@ -18,13 +19,14 @@ from mission.requirement import Wind
 _mav = mavutil.mavlink
 _CUSTOM_MODE_ENABLED = 1
 _AUTO, _RTL = 10, 11
+_SPEED_UNCHANGED = -1.0
 
 
 class ArduPlane:
     """``Autopilot`` for ArduPlane 4.x."""
 
     name = "ArduPlane"
-    mission_mode = "AUTO"
+    mission_mode, circle_mode = "AUTO", "GUIDED"
     meanings: ClassVar[Mapping[str, Mapping[float, str]]] = {
         "WP_LOITER_RAD": {},
         "WP_RADIUS": {},
@@ -70,8 +72,31 @@ class ArduPlane:
     async def start_mission(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO)
 
-    async def select(self, vehicle: Vehicle, index: int) -> bool:
-        return await select_by_message(vehicle, index)
+    async def select(self, vehicle: Vehicle, first: int, end: int) -> bool:
+        return await select_by_message(vehicle, first, end)
+
+    async def fly_circle(self, vehicle: Vehicle, order: CircleOrder, take_over: bool) -> Answer:
+        # Only COMMAND_INT is understood, the sign of a radius says nothing, and it is kept in whole metres. Without
+        # the flag it is refused in any other mode, so it cannot take the aircraft out of somebody's hands.
+        return await vehicle.command_int(
+            _mav.MAV_CMD_DO_REPOSITION,
+            _mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+            (
+                _SPEED_UNCHANGED,
+                float(_mav.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE if take_over else 0),
+                float(max(1, round(abs(order.signed_radius_m)))),
+                float(order.signed_radius_m < 0.0),
+            ),
+            order.x,
+            order.y,
+            order.height_m,
+        )
+
+    def told_circle(self, message: Message) -> CircleOrder | None:
+        if message.name != "POSITION_TARGET_GLOBAL_INT":
+            return None
+        fields = message.fields
+        return CircleOrder(fields["lat_int"], fields["lon_int"], 0.0, fields["alt"], 0.0)
 
     async def return_home(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _RTL)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from app.link import RawItem
+from app.message import Message
 from app.vehicle import Answer, Vehicle
 from mission.items import Item
 from mission.line_tracking import LineTracking
@@ -27,6 +28,20 @@ class Home:
     latitude_deg: float
     longitude_deg: float
     altitude_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class CircleOrder:
+    """A circle on the globe: centre in 1e-7 degrees, a negative radius is flown counter-clockwise.
+
+    height_m is above home, altitude_m above the sea.
+    """
+
+    x: int
+    y: int
+    height_m: float
+    altitude_m: float
+    signed_radius_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +79,11 @@ class Autopilot(Protocol):
         """The parameters that matter for the mission, and which values deserve a word."""
         ...
 
+    @property
+    def circle_mode(self) -> str:
+        """The flight mode, by name, in which it flies a circle given by one command."""
+        ...
+
     def head(self, home: Home) -> tuple[RawItem, ...]:
         """Return the items that stand in front of every mission."""
         ...
@@ -86,8 +106,16 @@ class Autopilot(Protocol):
 
     async def start_mission(self, vehicle: Vehicle) -> Answer: ...
 
-    async def select(self, vehicle: Vehicle, index: int) -> bool:
-        """Fly mission item ``index`` from now on; True when the vehicle says that it does."""
+    async def select(self, vehicle: Vehicle, first: int, end: int) -> bool:
+        """Fly the mission items [first, end) from now on; True when the vehicle says that it flies one of them."""
+        ...
+
+    async def fly_circle(self, vehicle: Vehicle, order: CircleOrder, take_over: bool) -> Answer:
+        """Fly a circle from now on, without a mission. take_over: from another mode too, where that can be told."""
+        ...
+
+    def told_circle(self, message: Message) -> CircleOrder | None:
+        """Return the circle that a message says is flown in ``circle_mode``; radius 0: not told."""
         ...
 
     async def return_home(self, vehicle: Vehicle) -> Answer: ...
@@ -138,15 +166,15 @@ def _same(a: RawItem, b: RawItem) -> bool:
     )
 
 
-async def select_by_message(vehicle: Vehicle, index: int) -> bool:
-    """Send MISSION_SET_CURRENT until MISSION_CURRENT tells that the item, or a later one of its line, is flown."""
+async def select_by_message(vehicle: Vehicle, first: int, end: int) -> bool:
+    """Send MISSION_SET_CURRENT until MISSION_CURRENT tells that an item of [first, end) is flown."""
     for _ in range(5):
         await vehicle.link.send(
             "MISSION_SET_CURRENT",
-            {"target_system": vehicle.system_id, "target_component": 1, "seq": index},
+            {"target_system": vehicle.system_id, "target_component": 1, "seq": first},
         )
         said = await vehicle.wait_for(
-            lambda message: message.name == "MISSION_CURRENT" and message.fields["seq"] >= index, 0.4
+            lambda message: message.name == "MISSION_CURRENT" and first <= message.fields["seq"] < end, 0.4
         )
         if said is not None:
             return True

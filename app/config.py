@@ -79,6 +79,8 @@ class PlannerSection(_Section):
 
     name: Literal["predictive", "paper"] = "predictive"
     """predictive: decides every second by looking ahead; paper: the published method, once a lap."""
+    guidance: Literal["mission", "command"] = "mission"
+    """mission: plans are uploaded as mission items; command: the circle is moved by one command, again and again."""
     tolerance_m: float = Field(15.0, ge=1, le=200)
     """How far the flown line of a transition may leave the planned one, m."""
     lost_after_s: float = Field(60.0, ge=1, le=3600)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import ClassVar
 
 from pymavlink import mavutil
 
-from app.autopilot import Home, Limits, raw_item, select_by_message
+from app.autopilot import CircleOrder, Home, Limits, raw_item, select_by_message
 from app.link import RawItem
+from app.message import Message
 from app.vehicle import Answer, Vehicle
 from mission.items import Item
 from mission.line_tracking import LineTracking, px4
@@ -25,7 +27,7 @@ class Px4:
     """``Autopilot`` for PX4 1.15 and later."""
 
     name = "PX4"
-    mission_mode = "MISSION"
+    mission_mode, circle_mode = "MISSION", "LOITER"
     meanings: ClassVar[Mapping[str, Mapping[float, str]]] = {
         "NAV_LOITER_RAD": {},
         "NAV_DLL_ACT": {
@@ -67,8 +69,25 @@ class Px4:
     async def start_mission(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO, _MISSION)
 
-    async def select(self, vehicle: Vehicle, index: int) -> bool:
-        return await select_by_message(vehicle, index)
+    async def select(self, vehicle: Vehicle, first: int, end: int) -> bool:
+        return await select_by_message(vehicle, first, end)
+
+    async def fly_circle(self, vehicle: Vehicle, order: CircleOrder, take_over: bool) -> Answer:
+        # DO_REPOSITION ignores the radius. Frames other than 5 are answered with a result that crashes MAVSDK 4.1.
+        return await vehicle.command_int(
+            _mav.MAV_CMD_DO_ORBIT,
+            _mav.MAV_FRAME_GLOBAL_INT,
+            (order.signed_radius_m, math.nan, 0.0, math.nan),
+            order.x,
+            order.y,
+            order.altitude_m,
+        )
+
+    def told_circle(self, message: Message) -> CircleOrder | None:
+        if message.name != "ORBIT_EXECUTION_STATUS":
+            return None
+        fields = message.fields
+        return CircleOrder(fields["x"], fields["y"], 0.0, fields["z"], fields["radius"])
 
     async def return_home(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO, _RTL)

@@ -42,11 +42,15 @@ class ModeReported:
 
 @dataclass(frozen=True, slots=True)
 class Engaged:
-    """The aircraft flies ``circle`` in ``mode``, by our command: from now on the step may move the circle."""
+    """The aircraft flies ``circle`` in ``mode``, by our command: from now on the step may move the circle.
+
+    commanded is the circle as the autopilot was told to fly it, where that is another one.
+    """
 
     time_s: float
     circle: Circle
     mode: str
+    commanded: Circle | None = None
 
 
 @dataclass(frozen=True, slots=True)

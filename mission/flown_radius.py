@@ -15,13 +15,13 @@ _LEAST_RATIO, _GREATEST_RATIO = 0.7, 1.5
 
 
 class FlownRadius:
-    """Ratio of flown to commanded radius, averaged over the last lap; 1 until the first whole lap is flown.
+    """Ratio of flown to commanded radius, averaged over the last lap; as given until the first whole lap is flown.
 
     Only samples near the circle and along it count, so that transitions do not spoil the average.
     """
 
-    def __init__(self) -> None:
-        self.ratio = 1.0
+    def __init__(self, ratio: float = 1.0) -> None:
+        self.ratio = ratio
         self._circle: Circle | None = None
         self._turned_rad = 0.0
         self._sum_m = 0.0

@@ -182,7 +182,9 @@ class Watch:
                 return self._mode_reported(event)
             case Engaged() if self.phase in (Phase.WAITING, Phase.WATCHING):
                 self.phase, self._engaged_mode = Phase.WATCHING, event.mode
-                self.present, self._commanded = Plan(event.circle, None, event.time_s), event.circle
+                self.present = Plan(event.circle, None, event.time_s)
+                self._commanded = event.commanded or event.circle
+                self._flown_radius = FlownRadius(event.circle.radius_m / self._commanded.radius_m)
             case SwapReported():
                 return self._swap_reported(event)
             case LinkReported():

@@ -63,6 +63,10 @@ def launch(
         bool, typer.Option("--point-gimbal", help="Tell the vehicle's gimbal where the target is.")
     ] = False,
     report: Annotated[bool, typer.Option("--report", help="Write report.html into the run folder.")] = False,
+    guidance: Annotated[
+        str | None,
+        typer.Option(help="Plans as mission items, or one command a circle: mission or command.", show_default=False),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Where run folders are made.")] = Path("runs"),
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
@@ -80,7 +84,7 @@ def launch(
             "link": {"url": connect},
             "simulation": {"target": target, "speed": speed, "seed": seed, "autopilot": autopilot},
             "requirement": {"side": side},
-            "planner": {"name": planner},
+            "planner": {"name": planner, "guidance": guidance},
         },
     )
     check_flyable(settings)

@@ -1,0 +1,232 @@
+"""Plans as mission items: check, upload, read back where there is doubt, make current at the departure, look."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from app.autopilot import Autopilot, Home, same_items
+from app.guidance import SwapError
+from app.link import RawItem, UploadResult
+from app.message import Message
+from app.slots import Slots
+from app.telemetry import AUTOPILOT_COMPONENT
+from app.vehicle import Vehicle
+from estimators.frames import LocalPlane
+from mission.circle import Circle
+from mission.events import Prepare
+from mission.items import NAV_LOITER_UNLIM, NAV_WAYPOINT, UnflyableError, plan_items
+from mission.plan import Plan
+from mission.requirement import Wind
+from mission.wind import STILL_AIR
+
+_UPLOAD_S, _DOWNLOAD_S = 8.0, 5.0
+_SETTLED_S = 2.0  # of the vehicle's time after an upload: by then its own words about the mission are up to date
+_SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
+_DURATION_WEIGHT = 0.5
+_LATE_MAX_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Ready:
+    """A plan that the vehicle holds beside the line it flies."""
+
+    command: Prepare
+    slots: Slots
+
+
+@dataclass(slots=True)
+class _Foreign:
+    """What the vehicle says of its mission while it is ours; anything else is somebody else's doing."""
+
+    ours: set[tuple[int, int]]
+    settled_s: float = math.inf  # until then every word is taken for an answer to our own upload
+
+
+class MissionGuidance:
+    """``Guidance`` by uploads. ``load`` or ``adopt`` comes first.
+
+    now_s is the vehicle's clock; tolerance_m is how far the flown line may leave the plan.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        autopilot: Autopilot,
+        plane: LocalPlane,
+        home: Home,
+        *,
+        airspeed_m_s: float,
+        height_m: float,
+        tolerance_m: float,
+        now_s: Callable[[], float],
+    ) -> None:
+        self._vehicle, self._autopilot, self._plane, self._home = vehicle, autopilot, plane, home
+        self._airspeed_m_s, self._height_m, self._tolerance_m = airspeed_m_s, height_m, tolerance_m
+        self._now_s = now_s
+        self._slots: Slots | None = None
+        self._next: _Ready | None = None
+        self._upload_took_s = 0.0
+        self._foreign = _Foreign(set())
+        self._stopped = False
+
+    @property
+    def mode(self) -> str:
+        return self._autopilot.mission_mode
+
+    # -- the first mission ---------------------------------------------------------------------------------
+
+    async def load(self, line: tuple[RawItem, ...], lead_in: tuple[RawItem, ...] = ()) -> UploadResult:
+        """Upload the first mission: ``lead_in`` (a take-off), then ``line``, which ends in a circle."""
+        head = self._autopilot.head(self._home)
+        first = len(head) + len(lead_in)
+        slots = Slots((*head, *lead_in, *line), len(head), first, first + len(line))
+        result = await self._upload(slots, current=len(head))
+        if result is UploadResult.ACCEPTED:
+            self._slots = slots
+        return result
+
+    async def adopt(self) -> Circle | None:
+        """Take over the line that the vehicle flies in its mission mode, and return the circle it ends in.
+
+        None when the mission cannot be read, or what is flown does not end in a circle that needs no one.
+        """
+        current = await self._vehicle.heard("MISSION_CURRENT", 2.0)
+        held = await self._vehicle.link.download(_DOWNLOAD_S)
+        if current is None or held is None:
+            return None
+        first = int(current.fields["seq"])
+        last = next((i for i in range(first, len(held)) if held[i].command != NAV_WAYPOINT), None)
+        if last is None or held[last].command != NAV_LOITER_UNLIM:
+            return None
+        head = len(self._autopilot.head(self._home))
+        self._slots = Slots(held[: last + 1], head, max(first, head), last + 1)
+        self._foreign.settled_s = self._now_s() + _SETTLED_S
+        item = held[last]
+        east_m, north_m = self._plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
+        return Circle(east_m, north_m, abs(item.param3), item.param3 > 0.0) if item.param3 else None
+
+    async def select(self) -> bool:
+        """Fly the line that was loaded."""
+        assert self._slots is not None
+        return await self._autopilot.select(self._vehicle, self._slots.first, self._slots.end)
+
+    @property
+    def line_first(self) -> int:
+        """Index of the first item of the line that is flown."""
+        assert self._slots is not None
+        return self._slots.first
+
+    def line(self, plan: Plan, wind: Wind = STILL_AIR) -> tuple[RawItem, ...]:
+        """Return the items of a plan as the autopilot stores them. Raises UnflyableError."""
+        tracking = self._autopilot.tracking(self._airspeed_m_s, wind)
+        items = plan_items(plan, self._plane, self._height_m, self._tolerance_m, tracking)
+        return tuple(self._autopilot.raw(item) for item in items)
+
+    # -- swapping ------------------------------------------------------------------------------------------
+
+    async def prepare(self, command: Prepare) -> None:
+        """Upload the plan beside the line that is flown; again, while there is time, when an upload times out."""
+        assert self._slots is not None
+        try:
+            # Laying out waypoints simulates how they are flown: some tens of milliseconds, beside the loop.
+            plan = replace(command.plan, circle=command.commanded)
+            line = await asyncio.to_thread(self.line, plan, command.wind)
+        except UnflyableError as error:
+            raise SwapError(str(error)) from error
+        slots = self._slots.with_line(line)
+        result = await self._upload(slots, self._flown_index())
+        while result is UploadResult.TIMEOUT and self._now_s() + self._upload_took_s < command.plan.departure_s:
+            result = await self._upload(slots, self._flown_index())
+        if result is not UploadResult.ACCEPTED:
+            raise SwapError(f"upload {result}")
+        self._next = _Ready(command, slots)
+
+    async def depart(self, number: int) -> None:
+        ready = self._next
+        if ready is None or ready.command.number != number:
+            raise SwapError("it is not on board")
+        slots = ready.slots
+        entry = slots.first + self._passed(ready)
+        if not await self._autopilot.select(self._vehicle, entry, slots.end):
+            raise SwapError("the autopilot did not switch to it")
+        self._slots = slots
+
+    def _passed(self, ready: _Ready) -> int:
+        """Return how many waypoints of the line lie behind, the departure being late: never turn back."""
+        path, slots = ready.command.plan.transition, ready.slots
+        late_s = self._now_s() - ready.command.plan.departure_s
+        if path is None or not 0.0 < late_s < _LATE_MAX_S:
+            return 0
+        flown_m = late_s * self._airspeed_m_s + _SWITCH_M
+        passed = 0
+        for item in slots.items[slots.first : slots.end - 1]:
+            east_m, north_m = self._plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
+            nearest = int(np.argmin(np.hypot(path.east_m - east_m, path.north_m - north_m)))
+            if path.arc_m[nearest] > flown_m:
+                break
+            passed += 1
+        return passed
+
+    def stop(self) -> None:
+        self._stopped = True
+
+    def foreign(self, message: Message) -> str | None:
+        """Notice another station's mission: other contents, or an item made current that is none of our lines'."""
+        if message.name != "MISSION_CURRENT" or message.component_id != AUTOPILOT_COMPONENT or self._slots is None:
+            return None
+        fields = message.fields
+        said = (int(fields.get("total") or 0), int(fields.get("mission_id") or 0))
+        if self._now_s() < self._foreign.settled_s or not self._foreign.ours:
+            self._foreign.ours.add(said)
+            return None
+        if said not in self._foreign.ours:
+            return "another station has changed the mission"
+        lines = [self._slots] if self._next is None else [self._slots, self._next.slots]
+        if not any(line.first <= int(fields["seq"]) < line.end for line in lines):
+            return f"another station has chosen item {fields['seq']} of the mission"
+        return None
+
+    def _flown_index(self) -> int:
+        """Return the item to mark as current in an upload: PX4 goes there at once when the last item has come.
+
+        That is the item flown then, so a waypoint which is passed meanwhile does not count any more.
+        """
+        assert self._slots is not None
+        said = self._vehicle.latest.get("MISSION_CURRENT")
+        index = int(said.fields["seq"]) if said is not None else self._slots.first
+        index = min(max(index, self._slots.first), self._slots.end - 1)
+        position = self._vehicle.latest.get("GLOBAL_POSITION_INT")
+        if position is None or index == self._slots.end - 1:
+            return index
+        fields, item = position.fields, self._slots.items[index]
+        east_m, north_m = self._plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
+        goal_east_m, goal_north_m = self._plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
+        speed_m_s = math.hypot(fields["vx"], fields["vy"]) * 1e-2
+        reach_m = _SWITCH_M + speed_m_s * self._upload_took_s
+        return index + (math.hypot(goal_east_m - east_m, goal_north_m - north_m) < reach_m)
+
+    async def _upload(self, slots: Slots, current: int) -> UploadResult:
+        if self._stopped:
+            return UploadResult.DENIED
+        items = slots.closed_by(self._autopilot.tail(self._home)).items
+        self._foreign = _Foreign(set(), math.inf)
+        begin_s = self._now_s()
+        result = await self._vehicle.link.upload(items, current, _UPLOAD_S)
+        if result is UploadResult.TIMEOUT and await self._holds(items):
+            result = UploadResult.ACCEPTED
+        if result is UploadResult.ACCEPTED:
+            self._upload_took_s += _DURATION_WEIGHT * (self._now_s() - begin_s - self._upload_took_s)
+        # After a failure the vehicle may hold a part of it: that is ours as well.
+        self._foreign.settled_s = self._now_s() + _SETTLED_S
+        return result
+
+    async def _holds(self, items: tuple[RawItem, ...]) -> bool:
+        """Tell whether the vehicle has the items: often only the last acknowledgement was lost."""
+        held = await self._vehicle.link.download(_DOWNLOAD_S)
+        head = len(self._autopilot.head(self._home))  # ArduPlane keeps its own home there
+        return held is not None and same_items(items[head:], held[head:])
