@@ -8,8 +8,10 @@ Rules
 3. A plan that breaks a fence is not sent; the present circle goes on.
 4. What is sent is the wanted circle with the radius that makes the autopilot fly it; when the measured ratio of
    flown to commanded radius changes, the present circle is sent again.
-5. Any flight mode but the one engaged in means that somebody else flies: Yield, latched.
-6. A target lost for ``give_up_after_s`` ends the mission.
+5. An aircraft that has left its transition for some seconds (circling a waypoint that it cannot reach, say) is sent
+   to the transition's circle directly.
+6. Any flight mode but the one engaged in means that somebody else flies: Yield, latched.
+7. A target lost for ``give_up_after_s`` ends the mission.
 
 The clock is the vehicle's: the latest time of a position reading.
 """
@@ -54,10 +56,15 @@ from mission.events import (
 from mission.flown_radius import FlownRadius
 from mission.gauges import Gauges
 from mission.plan import AircraftState, Decision, Plan, Planner
+from mission.progress import nearest_arc_m, point_at, strayed
 from mission.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 
 # A plan may depart this much after its time: at 15 m/s it then starts 8 m beside its line.
 _LATE_S = 0.5
+# So long after a departure the aircraft has to be seen on the planned line.
+_CONFIRM_AFTER_S = 5.0
+# Off its transition for so long, an aircraft does not come back by itself.
+_STRAYED_S = 6.0
 # The present circle is sent again when its flown radius is off by more than this share.
 _RADIUS_TOLERANCE = 0.03
 # Weight of the newest upload in the expected latency, and the margin kept above it.
@@ -161,10 +168,13 @@ class Watch:
     _counts: _Counts = field(default_factory=_Counts)
     _latency_s: float = field(init=False)
     _next_decision_s: float = -math.inf
+    _confirm_s: float = math.inf  # when the flown line is compared with the plan
+    _astray: bool = False  # it was not the plan's: another plan is needed
     _number: int = 0
     _flown_radius: FlownRadius = field(default_factory=FlownRadius)
     _commanded: Circle | None = None  # as the autopilot was told to fly the present circle
     _quality: TrackQuality | None = None
+    _on_line_s: float = math.inf  # when the aircraft was last seen on its transition; inf: it flies none
 
     def __post_init__(self) -> None:
         self._requirement = self.settings.requirement
@@ -269,6 +279,10 @@ class Watch:
             return ()
         assert self.present is not None
         assert self._aircraft is not None
+        if self._has_strayed(self._aircraft, self.present):
+            reason = "the aircraft has left its line: going to the circle directly"
+            plan = Plan(self.present.circle, None, self.time_s + self._latency_s)
+            return (Announce(self.time_s, "swap", reason), self._prepared(plan, self.present, reason))
         unseen_s = self.time_s - self.estimate.last_sighting_s
         if unseen_s > self.settings.give_up_after_s:
             self.phase = Phase.ENDED
@@ -290,6 +304,14 @@ class Watch:
             return (decided, Announce(self.time_s, "decision", decision.reason))
         return (decided, *self._corrected_radius(self.present))
 
+    def _has_strayed(self, aircraft: AircraftState, present: Plan) -> bool:
+        if present.transition is None:
+            return False
+        nearest = point_at(present, nearest_arc_m(present, aircraft), aircraft)
+        if not strayed(aircraft, nearest):
+            self._on_line_s = self.time_s
+        return self.time_s - self._on_line_s > _STRAYED_S
+
     def _prepared(self, plan: Plan, present: Plan, reason: str) -> Prepare:
         self._number += 1
         self._counts.uploads += 1
@@ -310,17 +332,25 @@ class Watch:
         range_m = math.hypot(aircraft.east_m - estimate.east_m, aircraft.north_m - estimate.north_m)
         if range_m > self._requirement.range_max_m:
             return self._approach(aircraft, estimate, present, range_m)
-        return self._planner.decide(aircraft, estimate, present, self._wind, self._latency_s)
+        decision = self._planner.decide(aircraft, estimate, present, self._wind, self._latency_s)
+        if decision.plan is None and self._astray:
+            plan = self._approach_plan(aircraft, estimate)
+            decision = Decision(self.time_s, plan, "not on the line of the plan: to a circle from here")
+        self._astray = False
+        return decision
 
     def _approach(self, aircraft: AircraftState, estimate: TargetEstimate, present: Plan, range_m: float) -> Decision:
         """Out of the planners' range: go to a circle beside the target, unless one is already being flown to."""
-        departure_s = aircraft.time_s + self._latency_s
-        start = _advanced(aircraft, self._latency_s)
-        plan = replace(approach(start, estimate, self.settings.aircraft, self._requirement), departure_s=departure_s)
+        plan = self._approach_plan(aircraft, estimate)
         off_m = math.hypot(plan.circle.east_m - present.circle.east_m, plan.circle.north_m - present.circle.north_m)
         if off_m < 0.5 * self.settings.aircraft.radius_m:
             return Decision(self.time_s, None, f"on the way to the target, {range_m:.0f} m to go")
         return Decision(self.time_s, plan, f"approaching: the target is {range_m:.0f} m away")
+
+    def _approach_plan(self, aircraft: AircraftState, estimate: TargetEstimate) -> Plan:
+        start = _advanced(aircraft, self._latency_s)
+        plan = approach(start, estimate, self.settings.aircraft, self._requirement)
+        return replace(plan, departure_s=aircraft.time_s + self._latency_s)
 
     # -- swapping ------------------------------------------------------------------------------------------
 
@@ -354,6 +384,8 @@ class Watch:
         assert self.present is not None
         self._counts.moves += swap.plan.circle != self.present.circle
         self.present, self._commanded, self._swap = swap.plan, swap.commanded, None
+        self._on_line_s = event.time_s
+        self._confirm_s = event.time_s + _CONFIRM_AFTER_S if swap.plan.transition is not None else math.inf
         return (Announce(event.time_s, "swap", f"flying plan {event.number}"),)
 
     # -- other hands ---------------------------------------------------------------------------------------

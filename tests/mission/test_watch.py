@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
@@ -24,6 +26,7 @@ from mission.events import (
     Yield,
     YieldRequested,
 )
+from mission.path import Path
 from mission.plan import Decision, Plan
 from mission.requirement import Aircraft, Requirement, Side
 from mission.watch import Phase, Watch, WatchSettings
@@ -167,6 +170,24 @@ def test_a_report_about_another_plan_is_ignored():
     (prepare,) = kinds(engaged(watch, 3.0), Prepare)
     assert watch.step(SwapReported(3.0, prepare.number + 7, "departed")) == ()
     assert watch.snapshot().present.circle == HERE
+
+
+def test_an_aircraft_that_leaves_its_transition_is_sent_to_the_circle():
+    far = Circle(900.0, 0.0, RADIUS_M, True)
+    planner = Scripted([far], ahead_s=1.0)
+    watch = make(planner)
+    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
+    start = watch.snapshot().aircraft
+    # A straight line away from the circle that the aircraft goes on flying.
+    arc = np.linspace(0.0, 600.0, 50)
+    course = np.full(50, start.course_rad)
+    line = Path(arc, start.east_m + arc * np.sin(course), start.north_m + arc * np.cos(course), course, 0.0 * arc)
+    watch.step(SwapReported(prepare.plan.departure_s, prepare.number, "ready"))
+    watch._swap.plan = replace(prepare.plan, transition=line)
+    watch.step(SwapReported(3.1, prepare.number, "departed"))
+    (again,) = kinds(fly(watch, 3.0, 20.0), Prepare)
+    assert again.plan.circle == far
+    assert again.plan.transition is None
 
 
 def test_a_plan_that_breaks_a_fence_is_not_sent():
