@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
+from math import radians
 
 from app.config import Config, Polygon
 from app.errors import InputError
@@ -24,7 +24,7 @@ _COASTING_AFTER_S = 3.0
 
 def tracker_of(config: Config) -> Tracker:
     """Return the target tracker for the configured sensors."""
-    sensors = config.sensors
+    sensors, mount = config.sensors, config.sensors.mount_deg
 
     def chosen(component_id: int | None) -> SourceChoice | None:
         return None if component_id is None else SourceChoice(component_id=component_id)
@@ -33,9 +33,14 @@ def tracker_of(config: Config) -> Tracker:
         TrackerSettings(
             filter=sensors.filter,
             range_sigma_m=sensors.range_sigma_m,
-            yaw_sigma_rad=math.radians(sensors.angle_sigma_deg),
-            pitch_sigma_rad=math.radians(sensors.angle_sigma_deg),
+            yaw_sigma_rad=radians(sensors.angle_sigma_deg),
+            pitch_sigma_rad=radians(sensors.angle_sigma_deg),
             latency_s=sensors.latency_s,
+            lever_arm_body_m=sensors.lever_arm_m,
+            mount_roll_pitch_yaw_rad=(radians(mount[0]), radians(mount[1]), radians(mount[2])),
+            yaw_bias_sigma_rad=radians(sensors.yaw_bias_sigma_deg),
+            pitch_bias_sigma_rad=radians(sensors.pitch_bias_sigma_deg),
+            range_bias_sigma_m=sensors.range_bias_sigma_m,
             range_source=chosen(sensors.range_component),
             gimbal_source=chosen(sensors.gimbal_component),
             coasting_after_s=_COASTING_AFTER_S,

@@ -94,9 +94,9 @@ class PlannerSection(_Section):
 class SensorsSection(_Section):
     """Laser and gimbal."""
 
-    range_sigma_m: float = Field(1.0, gt=0, le=100)
+    range_sigma_m: float = Field(0.8, gt=0, le=100)
     """Standard deviation of the slant range where the sensor does not tell, m."""
-    angle_sigma_deg: float = Field(0.5, gt=0, le=20)
+    angle_sigma_deg: float = Field(0.35, gt=0, le=20)
     """Standard deviation of the gimbal's yaw and pitch, degrees."""
     latency_s: float = Field(0.0, ge=0, le=5)
     """How much later than the truth the payload stamps its messages, s."""
@@ -104,6 +104,16 @@ class SensorsSection(_Section):
     """MAVLink component of the laser; found by itself when not given."""
     gimbal_component: int | None = Field(None, ge=0, le=255)
     """MAVLink component of the gimbal; found by itself when not given."""
+    lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where the gimbal sits from the autopilot: forward, right, down, m."""
+    mount_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """How a gimbal that is fixed to the airframe is turned against it: roll, pitch, yaw, degrees."""
+    yaw_bias_sigma_deg: float = Field(1.0, ge=0, le=20)
+    """What is known beforehand of the gimbal's constant yaw error; 0: none is estimated, degrees."""
+    pitch_bias_sigma_deg: float = Field(0.5, ge=0, le=20)
+    """The same of its pitch error, degrees."""
+    range_bias_sigma_m: float = Field(0.0, ge=0, le=50)
+    """The same of the laser's constant error; 0: none is estimated, m."""
     filter: Literal["imm", "ekf", "ukf"] = "imm"
     """Motion model of the target filter."""
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from importlib.metadata import version
+from pathlib import Path
 from typing import get_args
 
+from app.assembly import tracker_of
 from app.config import Config
-from app.records.journal import Header, JournalWriter
+from app.errors import InputError
+from app.records.journal import Header, JournalReader, JournalWriter
+from app.records.mcap import McapLog
 from app.records.recorder import TlogWriter
 from app.records.run_folder import RunFolder
 from estimators.frames import LocalPlane
@@ -52,3 +56,23 @@ class Recording:
         if self._journal is not None:
             self._journal.close()
         self._tlog.close()
+
+
+def write_mcap(folder: RunFolder, config: Config, on_trouble: Callable[[str], None]) -> Path:
+    """Write a finished run's journal as MCAP too, for Foxglove and PlotJuggler; return the file.
+
+    It is done after the flight, so that the flight does not carry a second tracker. Raises InputError when the
+    package mcap is not installed, or the run has no journal.
+    """
+    path = folder.path / "flight.mcap"
+    journal = JournalReader(folder.journal, JOURNAL_TYPES)
+    if journal.header.plane is None:
+        raise InputError(f"{folder.path} holds no flight: the vehicle told no position.")
+    log = McapLog(path, journal.header.plane, tracker_of(config), on_trouble)
+    for record in journal:
+        if isinstance(record, Command):
+            log.command(record)
+        else:
+            log.event(record)
+    log.close()
+    return path

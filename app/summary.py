@@ -11,6 +11,7 @@ from rich.table import Table
 
 from app.records.truth import Truth
 from app.score import Moment, Score, score
+from estimators.biases import Calibration
 from estimators.frames import LocalPlane
 from mission.requirement import Requirement, Side
 from mission.watch import Snapshot
@@ -155,3 +156,13 @@ def _percent(fraction: float | None) -> str:
 
 def _between(least: float | None, greatest: float | None) -> str:
     return "-" if least is None or greatest is None else f"{least:.0f} to {greatest:.0f} m"
+
+
+def calibration_words(calibration: Calibration) -> str:
+    """Return what was learnt of the gimbal's constant errors, with one standard deviation."""
+    yaw_deg, yaw_sigma_deg = math.degrees(calibration.yaw_bias_rad), math.degrees(calibration.yaw_sigma_rad)
+    pitch_deg, pitch_sigma_deg = math.degrees(calibration.pitch_bias_rad), math.degrees(calibration.pitch_sigma_rad)
+    return (
+        f"gimbal errors found: yaw {yaw_deg:+.2f} +- {yaw_sigma_deg:.2f} degrees, "
+        f"pitch {pitch_deg:+.2f} +- {pitch_sigma_deg:.2f} degrees"
+    )

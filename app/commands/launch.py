@@ -22,7 +22,7 @@ from app.config import Config, check_flyable, load_config
 from app.display import FlightDisplay
 from app.errors import InputError
 from app.flight import Flight, Sharing, connected
-from app.recording import Recording
+from app.recording import Recording, write_mcap
 from app.records.run_folder import RunFolder
 from app.simulated import SimulatedVehicle
 from app.summary import Summary
@@ -67,6 +67,9 @@ def launch(
         str | None,
         typer.Option(help="Plans as mission items, or one command a circle: mission or command.", show_default=False),
     ] = None,
+    mcap: Annotated[
+        bool, typer.Option("--mcap", help="Also write flight.mcap, for Foxglove and PlotJuggler (package mcap).")
+    ] = False,
     out: Annotated[Path, typer.Option(help="Where run folders are made.")] = Path("runs"),
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
@@ -100,6 +103,8 @@ def launch(
     )
     console.print(summary.table())
     console.print(f"run folder: {folder.path}")
+    if mcap:
+        console.print(f"mcap: {write_mcap(folder, settings, console.print)}", soft_wrap=True)
     if report:
         write_report(folder.path, folder.path / "report.html")
     write_json(json, summary.as_json())

@@ -22,7 +22,7 @@ from app.records.log import open_log
 from app.records.run_folder import RunFolder
 from app.records.truth import Truth, read_truth
 from app.replay import JournalReplay, LogReplay, Replayed, announcements, require_sightings
-from app.summary import Gatherer, Summary, summarise
+from app.summary import Gatherer, Summary, calibration_words, summarise
 from app.telemetry import Telemetry
 from app.view.address import DEFAULT_PORT, Address
 from app.view.display import ViewDisplay
@@ -104,6 +104,7 @@ def _replay_log(path: Path, truth: Path | None, settings: Config, quiet: bool, s
         _follow(judged, steps.run(messages), shown, settings, lambda: steps.plane)
     require_sightings(watch.tracker.sightings, log)
     result = judged.summary(read_truth(truth) if truth is not None else None, steps.plane, judged.first_estimate_s)
+    console.print(calibration_words(watch.tracker.calibration))
     # Nothing was uploaded here: what the planner would have sent counts as moves.
     return replace(result, moves=result.uploads, uploads=0, upload_failures=0)
 
