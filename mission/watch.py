@@ -61,8 +61,6 @@ from mission.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 
 # A plan may depart this much after its time: at 15 m/s it then starts 8 m beside its line.
 _LATE_S = 0.5
-# So long after a departure the aircraft has to be seen on the planned line.
-_CONFIRM_AFTER_S = 5.0
 # Off its transition for so long, an aircraft does not come back by itself.
 _STRAYED_S = 6.0
 # The present circle is sent again when its flown radius is off by more than this share.
@@ -168,8 +166,6 @@ class Watch:
     _counts: _Counts = field(default_factory=_Counts)
     _latency_s: float = field(init=False)
     _next_decision_s: float = -math.inf
-    _confirm_s: float = math.inf  # when the flown line is compared with the plan
-    _astray: bool = False  # it was not the plan's: another plan is needed
     _number: int = 0
     _flown_radius: FlownRadius = field(default_factory=FlownRadius)
     _commanded: Circle | None = None  # as the autopilot was told to fly the present circle
@@ -332,25 +328,17 @@ class Watch:
         range_m = math.hypot(aircraft.east_m - estimate.east_m, aircraft.north_m - estimate.north_m)
         if range_m > self._requirement.range_max_m:
             return self._approach(aircraft, estimate, present, range_m)
-        decision = self._planner.decide(aircraft, estimate, present, self._wind, self._latency_s)
-        if decision.plan is None and self._astray:
-            plan = self._approach_plan(aircraft, estimate)
-            decision = Decision(self.time_s, plan, "not on the line of the plan: to a circle from here")
-        self._astray = False
-        return decision
+        return self._planner.decide(aircraft, estimate, present, self._wind, self._latency_s)
 
     def _approach(self, aircraft: AircraftState, estimate: TargetEstimate, present: Plan, range_m: float) -> Decision:
         """Out of the planners' range: go to a circle beside the target, unless one is already being flown to."""
-        plan = self._approach_plan(aircraft, estimate)
+        departure_s = aircraft.time_s + self._latency_s
+        start = _advanced(aircraft, self._latency_s)
+        plan = replace(approach(start, estimate, self.settings.aircraft, self._requirement), departure_s=departure_s)
         off_m = math.hypot(plan.circle.east_m - present.circle.east_m, plan.circle.north_m - present.circle.north_m)
         if off_m < 0.5 * self.settings.aircraft.radius_m:
             return Decision(self.time_s, None, f"on the way to the target, {range_m:.0f} m to go")
         return Decision(self.time_s, plan, f"approaching: the target is {range_m:.0f} m away")
-
-    def _approach_plan(self, aircraft: AircraftState, estimate: TargetEstimate) -> Plan:
-        start = _advanced(aircraft, self._latency_s)
-        plan = approach(start, estimate, self.settings.aircraft, self._requirement)
-        return replace(plan, departure_s=aircraft.time_s + self._latency_s)
 
     # -- swapping ------------------------------------------------------------------------------------------
 
@@ -385,7 +373,6 @@ class Watch:
         self._counts.moves += swap.plan.circle != self.present.circle
         self.present, self._commanded, self._swap = swap.plan, swap.commanded, None
         self._on_line_s = event.time_s
-        self._confirm_s = event.time_s + _CONFIRM_AFTER_S if swap.plan.transition is not None else math.inf
         return (Announce(event.time_s, "swap", f"flying plan {event.number}"),)
 
     # -- other hands ---------------------------------------------------------------------------------------
