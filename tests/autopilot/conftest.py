@@ -1,0 +1,197 @@
+"""The application as a process of its own, on a simulated vehicle whose fate the test holds in its hands."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import queue
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import all as mavlink
+
+from app.simulated import free_udp_port
+from sitl.items import Item
+from sitl.server import serve
+from sitl.settings import Flavour, Settings, TargetSettings
+from sitl.simulation import Simulation
+
+SIDELONG = Path(sys.executable).with_name("sidelong")
+SPEED = 10.0
+RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
+PATIENCE_S = 90.0
+OURS = 245  # the application's MAVLink system
+COMMANDING = {"COMMAND_LONG", "COMMAND_INT", "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_SET_CURRENT", "SET_MODE"}
+
+
+class Vehicle:
+    """A simulated vehicle in a thread, circling at home when it begins, and everything that is commanded to it."""
+
+    def __init__(self, flavour: str, seed: int = 1) -> None:
+        self.simulation = simulation = Simulation(
+            Settings(
+                flavour=Flavour(flavour),
+                seed=seed,
+                target=TargetSettings(speed_max_m_s=4.0),
+                link_rate=SPEED,
+                boot_unix_s=time.time(),
+            )
+        )
+        self.autopilot = vehicle = simulation.vehicle
+        self.mission_mode = 10 if flavour == "arduplane" else 0x04040000
+        simulation.advance(30.0)
+        if flavour == "px4":
+            vehicle.parameters.set("MIS_TKO_LAND_REQ", 0)
+        self.put_mission(self.circle_mission(50.0))
+        vehicle.arm()
+        vehicle.set_mode(self.mission_mode)
+        while vehicle.craft.height_m < 95.0:
+            simulation.advance(simulation.time_s + 1.0)
+        self.port = free_udp_port()
+        self.url = f"udpin://127.0.0.1:{self.port}"
+        self.commanded: list[tuple[float, str]] = []  # (simulated time, message) from the application
+        self.before_item: int | None = None  # the application is killed when it sends this item
+        self.deaf = False
+        self._kill = lambda: None
+        self._work: queue.Queue = queue.Queue()
+        self._ended = threading.Event()
+        self._parser = mavlink.MAVLink(None)
+        self._receive, self._take = simulation.receive, simulation.take
+        simulation.receive, simulation.take = self._listen, self._talk
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def circle_mission(self, radius_m, east_m=0.0, north_m=0.0):
+        latitude_deg, longitude_deg = self.autopilot.plane.latitude_longitude_deg(east_m, north_m)
+        place = (round(latitude_deg * 1e7), round(longitude_deg * 1e7))
+        home = Item(mavlink.MAV_CMD_NAV_WAYPOINT, 0, (0.0,) * 4, *place, self.autopilot.home.altitude_m)
+        takeoff = Item(mavlink.MAV_CMD_NAV_TAKEOFF, RELATIVE, (15.0, 0.0, 0.0, 0.0), *place, 50.0)
+        circle = Item(mavlink.MAV_CMD_NAV_LOITER_UNLIM, RELATIVE, (0.0, 0.0, radius_m, 0.0), *place, 100.0)
+        return [takeoff, circle] if self.mission_mode != 10 else [home, takeoff, circle]
+
+    def put_mission(self, items):
+        """Store a mission as another station's upload would."""
+        mission = self.autopilot.mission
+        mission.begin(len(items))
+        for index, item in enumerate(items):
+            mission.put(index, item, current=index == 0)
+        mission.finish()
+
+    def do(self, action):
+        """Let the simulation's thread do something, and return what it returns."""
+        answer: queue.Queue = queue.Queue()
+        self._work.put((action, answer))
+        return answer.get(timeout=30.0)
+
+    def kill_at_item(self, index, kill):
+        self._kill, self.before_item = kill, index
+
+    def wait(self, seconds):
+        """Wait for so much of the vehicle's time."""
+        end_s = self.simulation.time_s + seconds
+        deadline_s = time.monotonic() + PATIENCE_S
+        while self.simulation.time_s < end_s:
+            assert time.monotonic() < deadline_s, "the simulation does not go on"
+            time.sleep(0.02)
+
+    def off_circle_m(self, centre_m):
+        craft = self.autopilot.craft
+        return math.hypot(craft.east_m - centre_m[0], craft.north_m - centre_m[1])
+
+    def close(self):
+        self._ended.set()
+        self._thread.join(10.0)
+
+    def _serve(self):
+        serve(self.simulation, [("127.0.0.1", self.port)], speed=SPEED, stopped=self._stopped)
+
+    def _stopped(self):
+        while not self._work.empty():
+            action, answer = self._work.get()
+            answer.put(action())
+        return self._ended.is_set()
+
+    def _listen(self, address, data):
+        if self.deaf:
+            return
+        for message in self._parser.parse_buffer(bytes(data)) or ():
+            kind = message.get_type()
+            if message.get_srcSystem() == OURS and kind in COMMANDING:
+                self.commanded.append((self.simulation.time_s, kind))
+                if kind == "MISSION_ITEM_INT" and message.seq == self.before_item:
+                    self.before_item = None
+                    self._kill()
+        self._receive(address, data)
+
+    def _talk(self):
+        sent = self._take()
+        return [] if self.deaf else sent
+
+
+class Application:
+    """``sidelong launch`` on a vehicle."""
+
+    def __init__(self, url, out, *options):
+        self.out = out
+        arguments = ["launch", "--connect", url, "--duration", "3000", "--out", str(out), *options]
+        # A pipe that nobody empties would stop it: the lines go into a file.
+        self._log = out.with_suffix(".log")
+        with self._log.open("w") as log:
+            self.process = subprocess.Popen([SIDELONG, *arguments], stdout=log, stderr=subprocess.STDOUT)
+
+    @property
+    def said(self):
+        return re.sub(r"\s+", " ", self._log.read_text())
+
+    def wait_for(self, words, limit_s=PATIENCE_S):
+        deadline_s = time.monotonic() + limit_s
+        while words not in self.said:
+            assert self.process.poll() is None, self.said
+            assert time.monotonic() < deadline_s, f"never said {words!r}: {self.said}"
+            time.sleep(0.05)
+
+    def kill(self):
+        os.kill(self.process.pid, signal.SIGKILL)
+
+    def end(self):
+        """Interrupt it, and return its summary."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        self.process.wait(40.0)
+        runs = sorted(self.out.iterdir())
+        return json.loads((runs[-1] / "summary.json").read_text())
+
+
+@pytest.fixture
+def vehicle_of():
+    made = []
+
+    def make(flavour, seed=1):
+        made.append(Vehicle(flavour, seed))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
+def launch(tmp_path):
+    made = []
+
+    def make(url, *options):
+        made.append(Application(url, tmp_path / f"runs{len(made)}", *options))
+        return made[-1]
+
+    yield make
+    for one in made:
+        if one.process.poll() is None:
+            one.kill()
+        one.process.wait(10.0)

@@ -1,0 +1,65 @@
+"""What fails and comes back: the aircraft goes on circling meanwhile, and the mission goes on afterwards."""
+
+import math
+
+import pytest
+
+pytestmark = pytest.mark.udp
+
+WATCHED = "watched from now on"
+
+
+def assert_circles(vehicle, seconds):
+    """The aircraft stays within a lap's size of where it is."""
+    craft = vehicle.autopilot.craft
+    here_m = (craft.east_m, craft.north_m)
+    vehicle.wait(seconds)
+    assert math.hypot(craft.east_m - here_m[0], craft.north_m - here_m[1]) < 500.0
+    assert craft.height_m > 80.0
+
+
+def test_the_link_is_cut_for_a_while(vehicle_of, launch):
+    vehicle = vehicle_of("arduplane")
+    application = launch(vehicle.url)
+    application.wait_for(WATCHED)
+    vehicle.deaf = True
+    application.wait_for("link lost")
+    assert_circles(vehicle, 30.0)
+    vehicle.deaf = False
+    application.wait_for("the link is back")
+    vehicle.wait(20.0)
+    assert application.end()["outcome"] == "interrupted"
+
+
+@pytest.mark.parametrize("kind", ["DISTANCE_SENSOR", "GIMBAL_DEVICE_ATTITUDE_STATUS"])
+def test_the_payload_fails_and_comes_back(vehicle_of, launch, kind):
+    vehicle = vehicle_of("px4")
+    application = launch(vehicle.url)
+    application.wait_for(WATCHED)
+    application.wait_for("target track good")
+    vehicle.do(lambda: vehicle.simulation.mute_payload(kind))
+    application.wait_for("target track coasting")
+    application.wait_for("target track lost")
+    lost_s = vehicle.simulation.time_s
+    assert_circles(vehicle, 30.0)
+    vehicle.do(vehicle.simulation.unmute_payload)
+    vehicle.wait(15.0)
+    assert application.said.rindex("target track good") > application.said.rindex("target track lost")
+    assert application.end()["outcome"] == "interrupted"
+    assert not [kind for time_s, kind in vehicle.commanded if lost_s < time_s < lost_s + 30.0]
+
+
+def test_the_position_fails_and_comes_back(vehicle_of, launch):
+    vehicle = vehicle_of("arduplane")
+    application = launch(vehicle.url)
+    application.wait_for(WATCHED)
+    silenced = vehicle.autopilot.silenced
+    position = 33
+    vehicle.do(lambda: silenced.add(position))
+    vehicle.wait(3.0)
+    blind_s = vehicle.simulation.time_s
+    assert_circles(vehicle, 30.0)
+    assert not [kind for time_s, kind in vehicle.commanded if blind_s < time_s]
+    vehicle.do(lambda: silenced.discard(position))
+    vehicle.wait(20.0)
+    assert application.end()["outcome"] == "interrupted"

@@ -1,0 +1,57 @@
+"""The application is killed while it uploads, and started again: the vehicle circles meanwhile."""
+
+import time
+
+import pytest
+
+pytestmark = pytest.mark.udp
+
+WATCHED = "watched from now on"
+NAV_WAYPOINT, NAV_LOITER_UNLIM = 16, 17
+
+
+def flown_line(vehicle):
+    """Return the items from the one flown to the end of its line."""
+    mission = vehicle.autopilot.mission
+    items = mission.items()
+    end = mission.index
+    while items[end].command == NAV_WAYPOINT:
+        end += 1
+    return items[mission.index : end + 1]
+
+
+@pytest.mark.parametrize(("flavour", "item"), [("arduplane", 3), ("px4", 2)])
+def test_killed_during_an_upload_and_started_again(vehicle_of, launch, flavour, item):
+    vehicle = vehicle_of(flavour)
+    first = launch(vehicle.url)
+    first.wait_for(WATCHED)
+    before = []
+    vehicle.kill_at_item(item, lambda: (first.kill(), before.extend(flown_line(vehicle))))
+    first.process.wait(90.0)
+    vehicle.wait(30.0)
+    after = vehicle.do(lambda: flown_line(vehicle))
+    assert after[-1].command == NAV_LOITER_UNLIM
+    assert after[-1] == before[-1]
+    centre_m = vehicle.autopilot.plane.east_north_m(after[-1].latitude_deg, after[-1].longitude_deg)
+    assert vehicle.off_circle_m(centre_m) < 2.0 * abs(after[-1].params[2])
+
+    begin_s = time.monotonic()
+    second = launch(vehicle.url)
+    second.wait_for(WATCHED)
+    resumed_s = time.monotonic() - begin_s
+    assert "taking over the circle that is flown" in second.said
+    assert resumed_s < 15.0
+    assert vehicle.do(lambda: flown_line(vehicle))[-1] == before[-1]
+    assert second.end()["outcome"] == "interrupted"
+
+
+def test_killed_while_it_commands_circles_and_started_again(vehicle_of, launch):
+    vehicle = vehicle_of("arduplane")
+    first = launch(vehicle.url, "--guidance", "command")
+    first.wait_for(WATCHED)
+    first.kill()
+    vehicle.wait(30.0)
+    second = launch(vehicle.url, "--guidance", "command")
+    second.wait_for(WATCHED)
+    assert "taking over the circle that is flown" in second.said
+    assert second.end()["outcome"] == "interrupted"
