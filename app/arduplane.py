@@ -11,6 +11,7 @@ from pymavlink import mavutil
 from app.autopilot import CircleOrder, Home, Limits, raw_item, select_by_message
 from app.link import RawItem
 from app.message import Message
+from app.parameters import Need, airspeed_need
 from app.vehicle import Answer, Vehicle
 from mission.items import Item
 from mission.line_tracking import LineTracking, arduplane
@@ -22,18 +23,34 @@ _AUTO, _RTL = 10, 11
 _SPEED_UNCHANGED = -1.0
 
 
+_FAILSAFE = "without heartbeats of system MAV_GCS_SYSID (not sidelong's) the failsafe takes the aircraft"
+
+
 class ArduPlane:
     """``Autopilot`` for ArduPlane 4.x."""
 
     name = "ArduPlane"
     mission_mode, circle_mode = "AUTO", "GUIDED"
     meanings: ClassVar[Mapping[str, Mapping[float, str]]] = {
+        "AIRSPEED_CRUISE": {},
+        "AIRSPEED_MIN": {},
+        "AIRSPEED_MAX": {},
+        "ROLL_LIMIT_DEG": {},
         "WP_LOITER_RAD": {},
         "WP_RADIUS": {},
-        "FS_GCS_ENABL": {0.0: "losing the link does nothing: it circles on for ever"},
-        "FS_LONG_ACTN": {},
-        "FENCE_ENABLE": {},
+        "MAV_GCS_SYSID": {},
+        "FS_GCS_ENABL": {
+            0.0: "losing the link does nothing: it circles on for ever",
+            1.0: _FAILSAFE,
+            2.0: _FAILSAFE,
+            3.0: _FAILSAFE,
+        },
+        "FS_LONG_ACTN": {1.0: "in a failsafe it flies home", 2.0: "in a failsafe it glides"},
+        "FENCE_ENABLE": {1.0: "a fence is active: give it in [fences] too, or it ends the mission"},
     }
+
+    def needs(self, values: Mapping[str, float], airspeed_m_s: float) -> tuple[Need, ...]:
+        return airspeed_need(values, "AIRSPEED_CRUISE", airspeed_m_s)
 
     def head(self, home: Home) -> tuple[RawItem, ...]:
         # Whatever is put at 0 is silently replaced by home: put home there.

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from app.link import RawItem
 from app.message import Message
+from app.parameters import Need
 from app.vehicle import Answer, Vehicle
 from mission.items import Item
 from mission.line_tracking import LineTracking
@@ -84,6 +85,10 @@ class Autopilot(Protocol):
         """The flight mode, by name, in which it flies a circle given by one command."""
         ...
 
+    def needs(self, values: Mapping[str, float], airspeed_m_s: float) -> tuple[Need, ...]:
+        """Return the parameters that stand in the way of a mission at an airspeed, of those in ``meanings``."""
+        ...
+
     def head(self, home: Home) -> tuple[RawItem, ...]:
         """Return the items that stand in front of every mission."""
         ...
@@ -123,13 +128,12 @@ class Autopilot(Protocol):
     async def limits(self, vehicle: Vehicle) -> Limits: ...
 
 
-async def parameter_notes(vehicle: Vehicle, autopilot: Autopilot) -> tuple[ParameterNote, ...]:
+def parameter_notes(autopilot: Autopilot, values: Mapping[str, float]) -> tuple[ParameterNote, ...]:
     """Return the parameters that matter, with what their values mean."""
-    notes = []
-    for name, meanings in autopilot.meanings.items():
-        value = await vehicle.link.parameter(name)
-        notes.append(ParameterNote(name, value, "" if value is None else meanings.get(value, "")))
-    return tuple(notes)
+    return tuple(
+        ParameterNote(name, values.get(name), meanings.get(values.get(name, math.nan), ""))
+        for name, meanings in autopilot.meanings.items()
+    )
 
 
 def raw_item(item: Item) -> RawItem:

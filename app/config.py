@@ -125,6 +125,8 @@ class LinkSection(_Section):
     """MAVSDK URL (udpin://0.0.0.0:14540, tcpout://host:port, serial:///dev/ttyUSB0:57600); none: simulate."""
     heartbeat_timeout_s: float = Field(10.0, ge=1, le=600)
     """How long to wait for the autopilot's first heartbeat, s."""
+    set_parameters: bool = False
+    """Set the autopilot's parameters that stand in the way, and set them back at the end."""
 
 
 class FencesSection(_Section):

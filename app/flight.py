@@ -22,6 +22,7 @@ from app.guidance import Guidance
 from app.loop import ControlLoop, Display
 from app.mavsdk_link import FrameListener, MavsdkLink
 from app.mission_guidance import MissionGuidance
+from app.parameters import Need, borrowed, read_parameters
 from app.performer import Performer
 from app.point_gimbal import GimbalPointer
 from app.preflight import ask_for_streams, autopilot_of, checks, home_of, listen
@@ -32,7 +33,7 @@ from app.telemetry import Telemetry
 from app.vehicle import Vehicle
 from estimators.frames import LocalPlane
 from mission.events import Announce, Engaged, Event
-from mission.watch import Snapshot, Watch
+from mission.watch import Phase, Snapshot, Watch
 
 _LISTEN_S = 1.0
 _POLL_S = 0.1
@@ -97,8 +98,15 @@ class Flight:
         """Check, take off if need be, watch for the duration or until ``stopped`` is set, and sum up."""
         self._vehicle.listeners.append(self._telemetry.event)  # the clock and the plane, from the start
         await ask_for_streams(self._vehicle)
-        home = await self._check()
+        home, needs = await self._check()
         self._vehicle.listeners.remove(self._telemetry.event)
+        wanted = needs if self._config.link.set_parameters else ()
+        async with borrowed(
+            self._vehicle, wanted, self._display.note, lambda: self._watch.phase is not Phase.YIELDED
+        ):
+            return await self._watched(home, truth, stopped)
+
+    async def _watched(self, home: Home, truth: Path | None, stopped: asyncio.Event) -> Summary:
         plane = self._telemetry.plane
         assert plane is not None  # the position check has passed
         self._watch.check = fence_check(self._config, plane)
@@ -181,17 +189,21 @@ class Flight:
         self._display.note("circling: the target is watched from now on")
         await self._until_over()
 
-    async def _check(self) -> Home:
+    async def _check(self) -> tuple[Home, tuple[Need, ...]]:
         self._display.note("checking the vehicle and its sensors")
         limits = await self._autopilot.limits(self._vehicle)
+        values = await read_parameters(self._vehicle, self._autopilot.meanings)
+        needs = self._autopilot.needs(values, self._config.aircraft.airspeed_m_s)
         deadline_s, wall_s = self._telemetry.now_s + _READY_WITHIN_S, time.monotonic() + _READY_WALL_S
         while True:
             rates = await listen(self._vehicle, _LISTEN_S)
             home = await home_of(self._vehicle)
-            missing = [check for check in checks(self._config, self._vehicle, limits, home, rates) if not check.ready]
+            unmet = () if self._config.link.set_parameters else needs
+            found = checks(self._config, self._vehicle, limits, home, rates, unmet)
+            missing = [check for check in found if not check.ready]
             if not missing:
                 assert home is not None
-                return home
+                return home, needs
             if self._telemetry.now_s > deadline_s and time.monotonic() > wall_s:
                 raise InputError("not ready, " + "; ".join(map(str, missing)) + ".")
 

@@ -12,6 +12,7 @@ from app.config import Config
 from app.errors import InputError
 from app.message import Message
 from app.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, TYPE_FIXED_WING, mode_name
+from app.parameters import Need
 from app.px4 import Px4
 from app.telemetry import Telemetry, has_fix
 from app.vehicle import Vehicle
@@ -24,6 +25,16 @@ _HOME_POSITION_ID = 242
 _STREAMS_HZ = {30: 20.0, 33: 10.0, 42: 5.0, 87: 2.0, 168: 1.0, 231: 1.0, 360: 2.0}
 """ATTITUDE, GLOBAL_POSITION_INT, MISSION_CURRENT, POSITION_TARGET_GLOBAL_INT, WIND, WIND_COV, and
 ORBIT_EXECUTION_STATUS."""
+
+
+_SENSORS = {
+    0x1: "gyroscope",
+    0x2: "accelerometer",
+    0x4: "compass",
+    0x8: "barometer",
+    0x20: "GPS",
+    0x200000: "attitude and position",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,17 +136,37 @@ async def listen(vehicle: Vehicle, wall_s: float) -> tuple[SourceRate, ...]:
 
 
 def checks(
-    config: Config, vehicle: Vehicle, limits: Limits, home: Home | None, rates: tuple[SourceRate, ...]
+    config: Config,
+    vehicle: Vehicle,
+    limits: Limits,
+    home: Home | None,
+    rates: tuple[SourceRate, ...],
+    needs: tuple[Need, ...] = (),
 ) -> tuple[Check, ...]:
-    """Return every requirement with whether it is met."""
+    """Return every requirement with whether it is met; ``needs`` are those of the parameters that are not."""
     aircraft = config.aircraft.aircraft()
     return (
+        _health_check(vehicle),
         _position_check(vehicle),
         Check("home", home is not None, "known" if home else "not known", "wait for the GPS fix that sets it"),
         *_limit_checks(config, aircraft, limits),
+        *(
+            Check(need.name, False, f"{need.present:g}: {need.why}", f"set {need.value:g}, or give --set-parameters")
+            for need in needs
+        ),
         _rate_check("range", rates, "send DISTANCE_SENSOR or RANGEFINDER from the laser"),
         _rate_check("gimbal", rates, "send GIMBAL_DEVICE_ATTITUDE_STATUS from the gimbal"),
     )
+
+
+def _health_check(vehicle: Vehicle) -> Check:
+    message = vehicle.latest.get("SYS_STATUS")
+    if message is None:
+        return Check("health", True, "not told")
+    fields = message.fields
+    used = int(fields["onboard_control_sensors_present"]) & int(fields["onboard_control_sensors_enabled"])
+    ill = [name for bit, name in _SENSORS.items() if used & ~int(fields["onboard_control_sensors_health"]) & bit]
+    return Check("health", not ill, f"unhealthy: {', '.join(ill)}" if ill else "good", "wait, or see what is wrong")
 
 
 def _position_check(vehicle: Vehicle) -> Check:

@@ -11,6 +11,7 @@ from pymavlink import mavutil
 from app.autopilot import CircleOrder, Home, Limits, raw_item, select_by_message
 from app.link import RawItem
 from app.message import Message
+from app.parameters import Need, airspeed_need
 from app.vehicle import Answer, Vehicle
 from mission.items import Item
 from mission.line_tracking import LineTracking, px4
@@ -20,6 +21,8 @@ _mav = mavutil.mavlink
 _CUSTOM_MODE_ENABLED = 1
 _AUTO, _MISSION, _RTL = 4, 4, 5
 _APPROACH_M, _APPROACH_HEIGHT_M = 700.0, 40.0
+_ENDS_FLIGHT = (5.0, 6.0)  # of NAV_DLL_ACT
+_WANTS_TAKE_OFF, _WANTS_LANDING = (1.0, 3.0, 4.0), 2.0  # of MIS_TKO_LAND_REQ
 _METRES_PER_DEGREE = 111_000.0
 
 
@@ -29,14 +32,32 @@ class Px4:
     name = "PX4"
     mission_mode, circle_mode = "MISSION", "LOITER"
     meanings: ClassVar[Mapping[str, Mapping[float, str]]] = {
+        "FW_AIRSPD_TRIM": {},
+        "FW_AIRSPD_MIN": {},
+        "FW_AIRSPD_MAX": {},
+        "FW_R_LIM": {},
         "NAV_LOITER_RAD": {},
         "NAV_DLL_ACT": {
             0.0: "losing the link does nothing: it circles on for ever",
-            5.0: "losing the link ends the flight: set 0 or 2",
+            1.0: "losing the link holds the aircraft where it is",
+            2.0: "losing the link holds it, then flies it home",
+            3.0: "losing the link lands it",
         },
+        "COM_DL_LOSS_T": {},
         "MIS_TKO_LAND_REQ": {},
         "GF_ACTION": {},
+        "GF_MAX_HOR_DIST": {},
     }
+
+    def needs(self, values: Mapping[str, float], airspeed_m_s: float) -> tuple[Need, ...]:
+        needs = list(airspeed_need(values, "FW_AIRSPD_TRIM", airspeed_m_s))
+        link_loss, landing = values.get("NAV_DLL_ACT"), values.get("MIS_TKO_LAND_REQ")
+        if link_loss in _ENDS_FLIGHT:
+            needs.append(Need("NAV_DLL_ACT", link_loss, 0.0, "losing the link would end the flight"))
+        if landing in _WANTS_TAKE_OFF:
+            why = "it asks for a take-off in every mission, and those in flight have none"
+            needs.append(Need("MIS_TKO_LAND_REQ", landing, _WANTS_LANDING, why))
+        return tuple(needs)
 
     def head(self, home: Home) -> tuple[RawItem, ...]:
         return ()

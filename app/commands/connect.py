@@ -14,6 +14,7 @@ from app.autopilot import parameter_notes
 from app.commands.output import JsonOption, checked_output, console, write_json
 from app.config import Config, load_config
 from app.flight import connected
+from app.parameters import read_parameters
 from app.preflight import ask_for_streams, checks, home_of, listen, mode_of
 
 
@@ -42,8 +43,10 @@ async def _report(url: str, config: Config, listen_s: float) -> dict[str, Any]:
         rates = await listen(vehicle, listen_s)
         home = await home_of(vehicle)
         limits = await autopilot.limits(vehicle)
-        notes = await parameter_notes(vehicle, autopilot)
-        found = checks(config, vehicle, limits, home, rates)
+        values = await read_parameters(vehicle, autopilot.meanings)
+        notes = parameter_notes(autopilot, values)
+        needs = autopilot.needs(values, config.aircraft.airspeed_m_s)
+        found = checks(config, vehicle, limits, home, rates, needs)
         console.print(f"{autopilot.name}, system {vehicle.system_id}, mode {mode_of(vehicle)}")
         table = Table("requirement", "", "found", box=None, pad_edge=False)
         for check in found:

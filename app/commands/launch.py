@@ -70,6 +70,9 @@ def launch(
     mcap: Annotated[
         bool, typer.Option("--mcap", help="Also write flight.mcap, for Foxglove and PlotJuggler (package mcap).")
     ] = False,
+    set_parameters: Annotated[
+        bool, typer.Option("--set-parameters", help="Set the parameters that stand in the way; back at the end.")
+    ] = False,
     out: Annotated[Path, typer.Option(help="Where run folders are made.")] = Path("runs"),
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
@@ -84,7 +87,7 @@ def launch(
     settings = load_config(
         config,
         {
-            "link": {"url": connect},
+            "link": {"url": connect, "set_parameters": set_parameters or None},
             "simulation": {"target": target, "speed": speed, "seed": seed, "autopilot": autopilot},
             "requirement": {"side": side},
             "planner": {"name": planner, "guidance": guidance},

@@ -1,0 +1,58 @@
+"""What stands in the way of a mission, by the autopilots' parameters and their own words."""
+
+import pytest
+
+from app.arduplane import ArduPlane
+from app.config import Config
+from app.message import Message
+from app.preflight import checks
+from app.px4 import Px4
+
+GOOD_ARDUPLANE = {"AIRSPEED_CRUISE": 15.0}
+GOOD_PX4 = {"FW_AIRSPD_TRIM": 15.0, "NAV_DLL_ACT": 0.0, "MIS_TKO_LAND_REQ": 2.0}
+
+
+class Silent:
+    """A vehicle of which nothing but its latest messages matters."""
+
+    system_id = 1
+
+    def __init__(self, **messages):
+        self.latest = {name: Message(name, 1, 1, fields, 0.0) for name, fields in messages.items()}
+
+
+def test_good_parameters_need_nothing():
+    assert ArduPlane().needs(GOOD_ARDUPLANE, 15.0) == ()
+    assert Px4().needs(GOOD_PX4, 15.0) == ()
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "name", "present", "wanted"),
+    [
+        (ArduPlane(), "AIRSPEED_CRUISE", 22.0, 15.0),
+        (Px4(), "FW_AIRSPD_TRIM", 12.0, 15.0),
+        (Px4(), "NAV_DLL_ACT", 5.0, 0.0),
+        (Px4(), "MIS_TKO_LAND_REQ", 4.0, 2.0),
+    ],
+)
+def test_what_stands_in_the_way_is_named_with_its_remedy(autopilot, name, present, wanted):
+    (need,) = autopilot.needs(GOOD_ARDUPLANE | GOOD_PX4 | {name: present}, 15.0)
+    assert (need.name, need.present, need.value) == (name, present, wanted)
+    limits = type("Limits", (), dict.fromkeys(("bank_max_deg", "airspeed_min_m_s", "airspeed_max_m_s")))
+    found = checks(Config(), Silent(), limits, None, (), (need,))
+    (check,) = (check for check in found if check.name == name)
+    assert not check.ready
+    assert "--set-parameters" in str(check)
+
+
+def test_an_unhealthy_sensor_is_named():
+    used, compass = 0x2F, 0x4
+    fields = {
+        "onboard_control_sensors_present": used,
+        "onboard_control_sensors_enabled": used,
+        "onboard_control_sensors_health": used & ~compass,
+    }
+    limits = type("Limits", (), dict.fromkeys(("bank_max_deg", "airspeed_min_m_s", "airspeed_max_m_s")))
+    (health,) = (c for c in checks(Config(), Silent(SYS_STATUS=fields), limits, None, ()) if c.name == "health")
+    assert not health.ready
+    assert "compass" in health.found
