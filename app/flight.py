@@ -31,7 +31,6 @@ from app.records.truth import read_truth
 from app.summary import Gatherer, Summary, summarise
 from app.telemetry import Telemetry
 from app.vehicle import Vehicle
-from estimators.frames import LocalPlane
 from mission.events import Announce, Engaged, Event
 from mission.watch import Phase, Snapshot, Watch
 
@@ -94,8 +93,8 @@ class Flight:
         self._gatherer = Gatherer(config.requirement.requirement())
         self._start_s = math.inf
 
-    async def fly(self, truth: Path | None, stopped: asyncio.Event) -> Summary:
-        """Check, take off if need be, watch for the duration or until ``stopped`` is set, and sum up."""
+    async def fly(self, stopped: asyncio.Event) -> str:
+        """Check, take off if need be, watch for the duration or until ``stopped`` is set; return the outcome."""
         self._vehicle.listeners.append(self._telemetry.event)  # the clock and the plane, from the start
         await ask_for_streams(self._vehicle)
         home, needs = await self._check()
@@ -104,9 +103,9 @@ class Flight:
         async with borrowed(
             self._vehicle, wanted, self._display.note, lambda: self._watch.phase is not Phase.YIELDED
         ):
-            return await self._watched(home, truth, stopped)
+            return await self._watched(home, stopped)
 
-    async def _watched(self, home: Home, truth: Path | None, stopped: asyncio.Event) -> Summary:
+    async def _watched(self, home: Home, stopped: asyncio.Event) -> str:
         plane = self._telemetry.plane
         assert plane is not None  # the position check has passed
         self._watch.check = fence_check(self._config, plane)
@@ -178,8 +177,7 @@ class Flight:
             await performer.drain()
             shared.close()
         running.result()
-        outcome = loop.outcome or ("interrupted" if stopped.is_set() else "completed")
-        return self._summary(outcome, plane, truth)
+        return loop.outcome or ("interrupted" if stopped.is_set() else "completed")
 
     async def _fly(self, loop: ControlLoop, engaging: Awaitable[Engaged]) -> None:
         engaged = await engaging
@@ -211,13 +209,14 @@ class Flight:
         while self._duration_s is None or self._telemetry.now_s < self._start_s + self._duration_s:
             await asyncio.sleep(_POLL_S)
 
-    def _summary(self, outcome: str, plane: LocalPlane, truth: Path | None) -> Summary:
+    def summary(self, outcome: str, truth: Path | None) -> Summary:
+        """Return the summary, judged by a truth file once that is whole."""
         tracker = self._watch.tracker
         return summarise(
             self._gatherer,
             self._watch.snapshot(),
             truth=read_truth(truth) if truth is not None and truth.exists() else None,
-            plane=plane,
+            plane=self._telemetry.plane,
             start_s=self._start_s,
             sightings=tracker.sightings,
             rejected=tracker.rejected,

@@ -177,5 +177,7 @@ async def _fly(
         display.note(f"connecting to {url}")
         session = await stack.enter_async_context(connected(url, config.link.heartbeat_timeout_s, recording.frame))
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
-        summary = await Flight(session, config, watch, recording, display, duration_s, sharing).fly(truth, stopped)
-    return summary, session.vehicle.link.stuck
+        flight = Flight(session, config, watch, recording, display, duration_s, sharing)
+        outcome = await flight.fly(stopped)
+    # Only now, with the simulated vehicle ended, is its truth file whole.
+    return flight.summary(outcome, truth), session.vehicle.link.stuck
