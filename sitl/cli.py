@@ -15,6 +15,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from sitl.airframe import Wind
+from sitl.binary import Binary, BinaryError
 from sitl.companion import Companion, CompanionError, accompany
 from sitl.link import LinkFaults
 from sitl.motion import MOTIONS
@@ -57,6 +58,10 @@ def run(
         str | None,
         typer.Option(metavar="URL", help="No vehicle, only laser, gimbal and target for the vehicle at this URL."),
     ] = None,
+    binary: Annotated[
+        Path | None,
+        typer.Option(metavar="PATH", help="Your own SITL program of the --autopilot instead of the simulated one."),
+    ] = None,
     range_sigma: Annotated[float, typer.Option(help="Laser noise, m.")] = 0.8,
     range_outliers: Annotated[float, typer.Option(help="Fraction of wrong ranges.")] = 0.02,
     range_message: Annotated[RangeMessage, typer.Option()] = RangeMessage.DISTANCE_SENSOR,
@@ -74,6 +79,7 @@ def run(
     Example: sidelong sitl --autopilot px4 --target walk --target-speed 4 --speed 10 --truth truth.csv
 
     A real vehicle's simulator gets the payload by: sidelong sitl --payload-for tcpout://127.0.0.1:5763
+    or is started with it by: sidelong sitl --autopilot px4 --binary build/px4_sitl_default/bin/px4
     """
     _check_ranges(
         {
@@ -121,7 +127,8 @@ def run(
     with ExitStack() as stack:
         try:
             simulation = Simulation(settings)
-            companion = Companion(sensors, settings.target, seed) if payload_for is not None else None
+            alone = payload_for is None and binary is None
+            companion = None if alone else Companion(sensors, settings.target, seed)
         except TrackError as error:
             _refuse("--target", str(error))
         if truth is not None:
@@ -130,8 +137,11 @@ def run(
             except OSError as error:
                 _refuse("--truth", f"{truth} cannot be written: {error.strerror}")
             (companion or simulation).on_truth = file.write
+        if companion is not None and binary is not None:
+            _run_binary(companion, autopilot, binary, speed, settings.home)
+            return
         if companion is not None and payload_for is not None:
-            _accompany(companion, payload_for)
+            _accompany(companion, payload_for, _stop_signal())
             return
         where = ", ".join(f"{host}:{port}" for host, port in stations)
         serve(
@@ -145,7 +155,19 @@ def run(
         )
 
 
-def _accompany(companion: Companion, url: str) -> None:
+def _run_binary(companion: Companion, flavour: Flavour, path: Path, speed: float, home: Home | None) -> None:
+    stopped = _stop_signal()
+    try:
+        with Binary(flavour, path, speed, home) as binary:
+            print(f"fly it by: sidelong launch --connect {binary.run.url}", flush=True)
+            _accompany(companion, binary.run.payload_url, lambda: stopped() or binary.ended)
+            if not stopped():
+                raise BinaryError(binary.last_words)
+    except BinaryError as error:
+        _refuse("--binary", str(error))
+
+
+def _accompany(companion: Companion, url: str, stopped: Callable[[], bool]) -> None:
     try:
         accompany(
             companion,
@@ -154,7 +176,7 @@ def _accompany(companion: Companion, url: str) -> None:
                 f"ready system {vehicle_id} component 154 payload -> {url}", flush=True
             ),
             on_wait=lambda reason: print(reason, file=sys.stderr, flush=True),
-            stopped=_stop_signal(),
+            stopped=stopped,
         )
     except CompanionError as error:
         _refuse("--payload-for", str(error))

@@ -1,0 +1,141 @@
+"""Starting someone's own simulator binary of ArduPlane or PX4, by the command lines the two projects document."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from sitl.settings import DEFAULT_HOMES, Flavour, Home
+
+_STOP_S = 5.0
+_INSTANCES = 10
+_HEADING_DEG = 353
+_ARDUPLANE_TCP, _PX4_GROUND_UDP, _PX4_OFFBOARD_UDP = 5760, 18570, 14540
+_LAST_WORDS = 400
+
+
+class BinaryError(Exception):
+    """The binary cannot be run; the message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """How an instance is started, and where it is then met by the application and by the payload."""
+
+    command: list[str]
+    environment: dict[str, str]
+    url: str
+    payload_url: str
+
+
+def run_of(flavour: Flavour, binary: Path, folder: Path, instance: int, speed: float, home: Home | None) -> Run:
+    """Return the stock command line of an instance that keeps its files in ``folder``."""
+    if flavour is Flavour.ARDUPLANE:
+        place = home or DEFAULT_HOMES[flavour]
+        where = f"{place.latitude_deg},{place.longitude_deg},{place.altitude_m},{_HEADING_DEG}"
+        command = [str(binary), "--model", "plane", "--speedup", f"{speed:g}", "--home", where]
+        command += ["-I", str(instance), "--sysid", str(instance + 1)]
+        # Where the binary still lies in its source tree, so do the parameters of its stock aircraft.
+        defaults = binary.parents[min(3, len(binary.parents) - 1)] / "Tools/autotest/models/plane.parm"
+        if defaults.exists():
+            command += ["--defaults", str(defaults)]
+        port = _ARDUPLANE_TCP + 10 * instance
+        return Run(command, {}, f"tcpout://127.0.0.1:{port}", f"tcpout://127.0.0.1:{port + 2}")
+    # At sea level by default: PX4's height control starts there, and is late at a higher home.
+    place = home or Home(DEFAULT_HOMES[flavour].latitude_deg, DEFAULT_HOMES[flavour].longitude_deg, 0.0)
+    environment = {
+        "PX4_SIM_MODEL": "sihsim_airplane",
+        "PX4_SIMULATOR": "sihsim",
+        "PX4_SIM_SPEED_FACTOR": f"{speed:g}",
+        "PX4_HOME_LAT": str(place.latitude_deg),
+        "PX4_HOME_LON": str(place.longitude_deg),
+        "PX4_HOME_ALT": str(place.altitude_m),
+    }
+    command = [str(binary), "-i", str(instance), "-d", "-w", str(folder), str(binary.parent.parent / "etc")]
+    return Run(
+        command,
+        environment,
+        f"udpin://127.0.0.1:{_PX4_OFFBOARD_UDP + instance}",
+        f"udpout://127.0.0.1:{_PX4_GROUND_UDP + instance}",
+    )
+
+
+class Binary:
+    """A running simulator in a process group of its own, with a working folder that goes with it. Use as ``with``."""
+
+    def __init__(self, flavour: Flavour, binary: Path, speed: float, home: Home | None) -> None:
+        self._binary = binary.resolve()
+        if not os.access(self._binary, os.X_OK) or self._binary.is_dir():
+            raise BinaryError(f"{binary} is no program that can be run")
+        self._folder = tempfile.TemporaryDirectory(prefix="sidelong-sitl-", ignore_cleanup_errors=True)
+        folder = Path(self._folder.name)
+        self.run = run_of(flavour, self._binary, folder, _free_instance(flavour), speed, home)
+        self._log = folder / "output.log"
+        with self._log.open("wb") as log:
+            try:
+                self._process = subprocess.Popen(
+                    self.run.command,
+                    cwd=folder,
+                    env=os.environ | self.run.environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,
+                )
+            except OSError as error:
+                self._folder.cleanup()
+                raise BinaryError(f"{binary} does not run: {error.strerror or error}") from error
+
+    def __enter__(self) -> Binary:
+        return self
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            if self.ended:
+                break
+            os.killpg(self._process.pid, number)
+            try:
+                self._process.wait(_STOP_S)
+            except subprocess.TimeoutExpired:
+                continue
+        self._folder.cleanup()
+
+    @property
+    def ended(self) -> bool:
+        return self._process.poll() is not None
+
+    @property
+    def last_words(self) -> str:
+        """What it said before it ended."""
+        text = self._log.read_text(errors="replace").strip()
+        return f"it ended with code {self._process.returncode}: {text[-_LAST_WORDS:]}"
+
+
+def _free_instance(flavour: Flavour) -> int:
+    for instance in range(_INSTANCES):
+        if flavour is Flavour.ARDUPLANE:
+            if _free(socket.SOCK_STREAM, _ARDUPLANE_TCP + 10 * instance):
+                return instance
+        elif _free(socket.SOCK_DGRAM, _PX4_GROUND_UDP + instance) and _free(
+            socket.SOCK_DGRAM, _PX4_OFFBOARD_UDP + instance
+        ):
+            return instance
+    raise BinaryError(f"the ports of {_INSTANCES} instances are all in use")
+
+
+def _free(kind: socket.SocketKind, port: int) -> bool:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(kind is socket.SOCK_STREAM))
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+        return True

@@ -1,0 +1,60 @@
+"""Somebody's own simulator program: its command line, its life and its end."""
+
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sitl.binary import Binary, BinaryError, run_of
+from sitl.settings import Flavour, Home
+
+HOME = Home(47.0, 8.0, 400.0)
+
+
+def program(path, text):
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return path
+
+
+def test_arduplane_is_met_over_tcp_with_the_payload_on_its_third_port(tmp_path):
+    run = run_of(Flavour.ARDUPLANE, tmp_path / "arduplane", tmp_path, 2, 3.0, HOME)
+    assert run.url == "tcpout://127.0.0.1:5780"
+    assert run.payload_url == "tcpout://127.0.0.1:5782"
+    assert run.command[1:9] == ["--model", "plane", "--speedup", "3", "--home", "47.0,8.0,400.0,353", "-I", "2"]
+
+
+def test_px4_is_met_over_udp_and_finds_its_start_files_beside_it(tmp_path):
+    run = run_of(Flavour.PX4, tmp_path / "bin" / "px4", tmp_path / "work", 1, 5.0, None)
+    assert (run.url, run.payload_url) == ("udpin://127.0.0.1:14541", "udpout://127.0.0.1:18571")
+    assert run.command[1:] == ["-i", "1", "-d", "-w", str(tmp_path / "work"), str(tmp_path / "etc")]
+    assert run.environment["PX4_SIM_SPEED_FACTOR"] == "5"
+
+
+def test_what_cannot_be_run_is_told(tmp_path):
+    with pytest.raises(BinaryError, match="no program that can be run"):
+        Binary(Flavour.PX4, tmp_path / "px4", 1.0, None)
+
+
+def test_it_ends_with_us_and_its_folder_too(tmp_path):
+    told = tmp_path / "told"
+    binary = program(tmp_path / "arduplane", f"pwd > {told}\nsleep 60")
+    with Binary(Flavour.ARDUPLANE, binary, 1.0, None) as running:
+        while not (told.exists() and told.read_text()):
+            assert not running.ended
+        folder = Path(told.read_text().strip())
+        assert folder.is_dir()
+    assert running.ended
+    assert not folder.exists()
+
+
+def test_the_command_tells_why_a_program_has_ended(tmp_path):
+    binary = program(tmp_path / "arduplane", "echo no such model; exit 3")
+    done = subprocess.run(
+        [sys.executable, "-m", "sitl", "--binary", binary], capture_output=True, text=True, timeout=30, check=False
+    )
+    assert done.returncode == 2
+    assert "sidelong launch --connect tcpout://127.0.0.1:" in done.stdout
+    assert "code 3: no such model" in done.stderr
