@@ -5,13 +5,14 @@ Rules
 1. It plans from where the present plan has brought the aircraft by the time a new plan can depart.
 2. All moves are rolled out from there against the estimate; the cheapest departs if it beats going on as planned by
    more than a change costs.
-3. A target unseen for lost_after_s is not moved after: the circle is held.
+3. A move that breaks a fence gives way to the next cheapest.
+4. A target unseen for lost_after_s is not moved after: the circle is held.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,20 +22,25 @@ from mission.cost import WatchCost
 from mission.course_hold import velocity_sigma_m_s
 from mission.forecast import breach_words, range_words
 from mission.moves import moves_from, staying_on
+from mission.path import FloatArray
 from mission.plan import AircraftState, Decision, Plan
-from mission.progress import dead_reckoned, line_at, nearest_arc_m, point_at, strayed
+from mission.progress import LinePoint, dead_reckoned, line_at, nearest_arc_m, point_at, strayed
 from mission.requirement import Aircraft, Requirement, Side, Wind
 from mission.rollout import Outlook, RollOut, Situation, Start, WatchFrame, outlook
-from mission.side_policy import SidePolicy, Viewpoint
-from mission.trapezoid import end_circle, ramp_1_m2
+from mission.side_policy import SidePolicy
+from mission.trapezoid import Trapezoids, end_circle, ramp_1_m2, ramps_1_m2
 from mission.value_table import TableConfiguration, ValueTable
-from mission.wind import WindError, least_radius_m
+from mission.wind import WindError, ground_speeds_m_s, least_radius_m
 from mission.wording import move_words
 
 _STEP_S = 1.0
 _UNCERTAIN_M = 10.0
 _OTHER_WIND = 0.15  # of the airspeed
+# So many moves are tried against the fences, the cheapest first.
+_MOST_TRIES = 30
 _NO_BREACH = "a better place should the target turn"
+# A ramp turns the aircraft by less than this either way.
+_RAMP_TURNS_RAD = np.linspace(-0.5, 0.5, 5)
 # The table's classes need some speed, even for a target that is said to stand.
 _LEAST_TARGET_SPEED_M_S = 0.5
 # A transition within this of its end counts as flown.
@@ -70,11 +76,51 @@ def table_configuration(
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """What one decision looks at: where the present plan will have led by the departure, and the target from there.
+
+    arc_m counts along the present plan as :mod:`mission.progress` does.
+    """
+
+    aircraft: AircraftState
+    present: Plan
+    departure_s: float
+    arc_m: float
+    start: LinePoint
+    side: Side
+    frame: WatchFrame
+    situation: Situation
+    radius_m: float
+
+    @property
+    def here(self) -> Start:
+        return Start(
+            *self.frame.place(self.start.east_m, self.start.north_m), self.frame.heading_rad(self.start.course_rad)
+        )
+
+    @property
+    def left_m(self) -> float:
+        """Return what is left of the transition under way; 0 on the circle."""
+        path = self.present.transition
+        left_m = 0.0 if path is None else path.length_m - self.arc_m
+        return left_m if left_m > _NEARLY_FLOWN_S * self.situation.airspeed_m_s else 0.0
+
+    def going_on(self, length_m: float) -> Outlook:
+        """Return the outlook of flying on along the present plan for a length."""
+        arc = np.linspace(0.0, length_m, max(2, math.ceil(length_m / (self.situation.airspeed_m_s * _STEP_S)) + 1))
+        east_m, north_m, course_rad = line_at(self.present, self.arc_m + arc, self.aircraft)
+        x_m, y_m = self.frame.places(east_m, north_m)
+        heading_rad = self.frame.mirror * (course_rad - self.frame.course_rad)
+        return outlook(x_m[None, :], y_m[None, :], heading_rad[None, :], arc[None, :], self.situation)
+
+
 class PredictivePlanner:
     """Implements :class:`mission.plan.Planner`.
 
     table is that of :func:`table_configuration`; windy are more of them, for other winds. The one nearest to the
-    present wind is used.
+    present wind is used. check tells which fence a plan would break, or None: the best plan that breaks none is
+    taken.
     """
 
     def __init__(
@@ -84,10 +130,12 @@ class PredictivePlanner:
         table: ValueTable,
         settings: PredictiveSettings | None = None,
         windy: Sequence[ValueTable] = (),
+        check: Callable[[Plan], str | None] = lambda _plan: None,
     ) -> None:
         self._aircraft, self._requirement, self._tables = aircraft, requirement, (table, *windy)
         self._settings = settings or PredictiveSettings()
         self._policy = SidePolicy(requirement, aircraft.radius_m)
+        self._check = check
 
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
@@ -98,92 +146,107 @@ class PredictivePlanner:
             reason = f"holding the circle: the target has not been seen for {unseen_s:.0f} s"
             return Decision(aircraft.time_s, None, reason)
         try:
-            return self._look_ahead(aircraft, target, present, wind, latency_s)
+            return self._look_ahead(self._scene(aircraft, target, present, wind, latency_s), wind)
         except WindError as error:
             return Decision(aircraft.time_s, None, f"holding the circle: {error}")
 
-    def _look_ahead(
+    def _scene(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
-    ) -> Decision:
+    ) -> _Scene:
         airspeed_m_s = self._aircraft.airspeed_m_s
         radius_m = max(self._aircraft.radius_m, least_radius_m(airspeed_m_s, wind, self._aircraft.bank_max_rad))
-        ramp = ramp_1_m2(self._aircraft, airspeed_m_s + wind.speed_m_s)
-        departure_s = aircraft.time_s + latency_s
         arc_m = nearest_arc_m(present, aircraft)
-        start = point_at(present, arc_m, aircraft)
-        arc_m += aircraft.ground_speed_m_s * latency_s
-        if strayed(aircraft, start):
+        if strayed(aircraft, point_at(present, arc_m, aircraft)):
             start = dead_reckoned(aircraft, latency_s, 1.0 / radius_m)
         else:
+            arc_m += aircraft.ground_speed_m_s * latency_s
             start = point_at(present, arc_m, aircraft)
-
+        departure_s = aircraft.time_s + latency_s
         view = self._policy.viewpoint(start.east_m, start.north_m, target)
-        frame, situation = self._situation(view, target, wind, departure_s)
-        table = min(self._tables, key=lambda t: abs(t.configuration.wind_speed_m_s - wind.speed_m_s))
-        c = table.configuration
-        motion = table.under(situation.velocity_m_s, (situation.wind.east_m_s, situation.wind.north_m_s))
-        other_wind = abs(wind.speed_m_s - c.wind_speed_m_s) > _OTHER_WIND * airspeed_m_s
-        here = Start(*frame.place(start.east_m, start.north_m), frame.heading_rad(start.course_rad))
-        # The table knows nothing of uncertainty, nor of another wind than its own. Where there is much of either,
-        # all lines are followed for a lap more: else moves seem cheaper later than they ever turn out.
-        doubtful = situation.sigma_position_m > _UNCERTAIN_M or other_wind
-        beyond_m = 2.0 * math.pi * radius_m if doubtful else 0.0
-        roll_out = RollOut(situation, c.cost, motion, airspeed_m_s * _STEP_S, beyond_m)
-
-        moves = moves_from(frame.mirror * start.curvature_1_m, radius_m, ramp)
-        costs = roll_out.costs(moves, here)
-        path = present.transition
-        if path is not None and arc_m < path.length_m - _NEARLY_FLOWN_S * airspeed_m_s:
-            rest = _along(present, arc_m, path.length_m - arc_m + beyond_m, aircraft, frame, situation)
-            stay_cost, price = float(roll_out.costs_of(rest)[0]), self._settings.change_cost
-        else:
-            stays = staying_on(frame.mirror * present.circle.curvature_1_m, radius_m, ramp)
-            stay_costs = roll_out.costs(stays, here)
-            stay_cost, price = float(stay_costs.min()), c.leave_cost
-            costs[-1] = np.inf  # "back to the circle" is staying
-        best = int(np.argmin(costs))
-        values = {"stay_cost_s": stay_cost, "move_cost_s": float(costs[best]), "move": float(best)}
-        going_on = _along(present, arc_m, 4.0 * math.pi * radius_m, aircraft, frame, situation)
-        breach = breach_words(going_on, view.side, self._requirement, latency_s)
-        if costs[best] + price >= stay_cost:
-            reason = f"staying until a better moment: {breach}" if breach else f"staying: {range_words(going_on)}"
-            return Decision(aircraft.time_s, None, reason, values)
-
-        lines = moves if frame.mirror > 0.0 else moves.mirrored()
-        line = lines.path(best, start.east_m, start.north_m, start.course_rad)
-        circle = end_circle(line, radius_m)
-        shift = move_words(circle.east_m - present.circle.east_m, circle.north_m - present.circle.north_m)
-        reason = f"moving {shift}: {breach or _NO_BREACH}"
-        return Decision(aircraft.time_s, Plan(circle, line, departure_s), reason, values)
-
-    def _situation(
-        self, view: Viewpoint, target: TargetEstimate, wind: Wind, departure_s: float
-    ) -> tuple[WatchFrame, Situation]:
-        """Return the watch frame and what is known in it when a new plan departs."""
+        # An estimate overshoots when the target turns: it is not believed to be faster than the target can be, unless
+        # it is sure of it.
+        sigma_m_s = velocity_sigma_m_s(target)
+        fastest_m_s = max(self._requirement.target_speed_max_m_s, target.speed_m_s - 2.0 * sigma_m_s)
+        share = min(1.0, fastest_m_s / max(target.speed_m_s, 1e-6))
+        east_m_s, north_m_s = share * target.velocity_east_m_s, share * target.velocity_north_m_s
         lead_s = departure_s - target.time_s
         frame = WatchFrame(
-            target.east_m + target.velocity_east_m_s * lead_s,
-            target.north_m + target.velocity_north_m_s * lead_s,
+            target.east_m + east_m_s * lead_s,
+            target.north_m + north_m_s * lead_s,
             view.course_rad,
             1.0 if view.side is Side.LEFT else -1.0,
         )
         situation = Situation(
-            frame.vector(target.velocity_east_m_s, target.velocity_north_m_s),
+            frame.vector(east_m_s, north_m_s),
             Wind(*frame.vector(wind.east_m_s, wind.north_m_s)),
-            self._aircraft.airspeed_m_s,
+            airspeed_m_s,
             math.sqrt(max(float(target.covariance[0, 0]), float(target.covariance[1, 1]), 0.0)),
-            velocity_sigma_m_s(target),
+            sigma_m_s,
             view.course_sigma_rad,
         )
-        return frame, situation
+        return _Scene(aircraft, present, departure_s, arc_m, start, view.side, frame, situation, radius_m)
+
+    def _look_ahead(self, scene: _Scene, wind: Wind) -> Decision:
+        situation, here, radius_m = scene.situation, scene.here, scene.radius_m
+        airspeed_m_s = situation.airspeed_m_s
+        table = min(self._tables, key=lambda t: abs(t.configuration.wind_speed_m_s - wind.speed_m_s))
+        c = table.configuration
+        # The table knows nothing of uncertainty, nor of another wind than its own. Where there is much of either,
+        # all lines are followed for a lap more: else moves seem cheaper later than they ever turn out.
+        other_wind = abs(wind.speed_m_s - c.wind_speed_m_s) > _OTHER_WIND * airspeed_m_s
+        doubtful = other_wind or situation.sigma_position_m > _UNCERTAIN_M
+        beyond_m = 2.0 * math.pi * radius_m if doubtful else 0.0
+        motion = table.under(situation.velocity_m_s, (situation.wind.east_m_s, situation.wind.north_m_s))
+        roll_out = RollOut(situation, c.cost, motion, airspeed_m_s * _STEP_S, beyond_m)
+
+        ramp = float(self._ramps_1_m2(np.array([here.heading_rad]), situation.wind)[0])
+        moves = moves_from(scene.frame.mirror * scene.start.curvature_1_m, radius_m, ramp)
+        last_rad = here.heading_rad + moves.turned_rad(moves.last_start_m[:, None])[:, 0]
+        moves = moves.with_last_ramps(self._ramps_1_m2(last_rad, situation.wind))
+        costs = roll_out.costs(moves, here)
+        if scene.left_m > 0.0:
+            stay_cost = float(roll_out.costs_of(scene.going_on(scene.left_m + beyond_m))[0])
+            price = self._settings.change_cost
+        else:
+            stays = staying_on(scene.frame.mirror * scene.present.circle.curvature_1_m, radius_m, ramp)
+            stay_cost, price = float(roll_out.costs(stays, here).min()), c.leave_cost
+            costs[-1] = np.inf  # "back to the circle" is staying
+        return self._choice(scene, moves, costs + price, stay_cost)
+
+    def _ramps_1_m2(self, heading_rad: FloatArray, wind: Wind) -> FloatArray:
+        """Return the ramps (n,) for the greatest ground speed met on them when they begin on headings (n,)."""
+        around_rad = heading_rad[:, None] + _RAMP_TURNS_RAD
+        speed_m_s = ground_speeds_m_s(around_rad, self._aircraft.airspeed_m_s, wind).max(axis=1)
+        return ramps_1_m2(self._aircraft, speed_m_s)
+
+    def _choice(self, scene: _Scene, moves: Trapezoids, costs: FloatArray, stay_cost: float) -> Decision:
+        """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
+        now_s, start, present = scene.aircraft.time_s, scene.start, scene.present
+        ahead = scene.going_on(4.0 * math.pi * scene.radius_m)
+        breach = breach_words(ahead, scene.side, self._requirement, scene.departure_s - now_s)
+        lines = moves if scene.frame.mirror > 0.0 else moves.mirrored()
+        order = np.argsort(costs, kind="stable")
+        broken: str | None = None
+        for move in order[: min(np.count_nonzero(costs < stay_cost), _MOST_TRIES)].tolist():
+            line = lines.path(move, start.east_m, start.north_m, start.course_rad)
+            plan = Plan(end_circle(line, scene.radius_m), line, scene.departure_s)
+            rejection = self._check(plan)
+            if rejection is None:
+                east_m, north_m = (
+                    plan.circle.east_m - present.circle.east_m,
+                    plan.circle.north_m - present.circle.north_m,
+                )
+                reason = f"moving {move_words(east_m, north_m)}: {breach or _NO_BREACH}"
+                return Decision(now_s, plan, reason, _values(stay_cost, costs, move))
+            broken = broken or rejection
+        if broken is not None:
+            reason = f"staying: {broken}"
+        elif breach is not None:
+            reason = f"staying until a better moment: {breach}"
+        else:
+            reason = f"staying: {range_words(ahead)}"
+        return Decision(now_s, None, reason, _values(stay_cost, costs, int(order[0])))
 
 
-def _along(
-    plan: Plan, arc_m: float, length_m: float, aircraft: AircraftState, frame: WatchFrame, situation: Situation
-) -> Outlook:
-    """Return the outlook of flying on along a plan for a length."""
-    arc = np.linspace(0.0, length_m, max(2, math.ceil(length_m / (situation.airspeed_m_s * _STEP_S)) + 1))
-    east_m, north_m, course_rad = line_at(plan, arc_m + arc, aircraft)
-    x_m, y_m = frame.places(east_m, north_m)
-    heading_rad = frame.mirror * (course_rad - frame.course_rad)
-    return outlook(x_m[None, :], y_m[None, :], heading_rad[None, :], arc[None, :], situation)
+def _values(stay_cost: float, costs: FloatArray, move: int) -> dict[str, float]:
+    return {"stay_cost_s": stay_cost, "move_cost_s": float(costs[move]), "move": float(move)}

@@ -26,21 +26,33 @@ from mission.circle import Circle
 from mission.path import FloatArray, Path
 from mission.requirement import GRAVITY_M_S2, Aircraft
 
-# Planned lines use this share of the aircraft's roll rate: the rest is left to the autopilot for gusts and
-# corrections. At 30 deg/s a transition rolls at 5 deg/s.
-_ROLL_RATE_SHARE = 1.0 / 6.0
+# Planned lines roll from one turn into the opposite one in this time, with at least and at most these shares of the
+# aircraft's roll rate: the rest is left to the autopilot for gusts and corrections.
+_REVERSAL_S = 5.0
+_LEAST_SHARE, _GREATEST_SHARE = 1.0 / 6.0, 1.0 / 2.0
 _FINE_STEP_M = 2.0
 # Gauss-Legendre on [0, 1]: three nodes make steps of 2 m exact to 1e-12 m, two make steps of 10 m exact to 1 mm.
 _NODES_3, _WEIGHTS_3 = np.array([0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)]), np.array([5.0, 8.0, 5.0]) / 18.0
 _NODES_2, _WEIGHTS_2 = 0.5 + np.array([-0.5, 0.5]) / math.sqrt(3.0), np.array([0.5, 0.5])
 
 
-def ramp_1_m2(aircraft: Aircraft, ground_speed_max_m_s: float) -> float:
-    """Return the change of curvature per metre that keeps the roll rate within its share at that ground speed.
+def ramps_1_m2(aircraft: Aircraft, ground_speed_m_s: FloatArray) -> FloatArray:
+    """Return the change of curvature per metre that keeps the roll rate within its share at each ground speed.
 
     tan(bank) = v^2 curvature / g, so the roll rate is greatest at wings level: v^3 ramp / g.
     """
-    return _ROLL_RATE_SHARE * aircraft.roll_rate_max_rad_s * GRAVITY_M_S2 / ground_speed_max_m_s**3
+    bank_rad = np.arctan(ground_speed_m_s**2 / (GRAVITY_M_S2 * aircraft.radius_m))
+    greatest_rad_s = aircraft.roll_rate_max_rad_s
+    roll_rad_s = np.clip(
+        2.0 * bank_rad / _REVERSAL_S, _LEAST_SHARE * greatest_rad_s, _GREATEST_SHARE * greatest_rad_s
+    )
+    ramps: FloatArray = roll_rad_s * GRAVITY_M_S2 / ground_speed_m_s**3
+    return ramps
+
+
+def ramp_1_m2(aircraft: Aircraft, ground_speed_m_s: float) -> float:
+    """Return one of :func:`ramps_1_m2`."""
+    return float(ramps_1_m2(aircraft, np.asarray(ground_speed_m_s)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +159,18 @@ class Trapezoids:
             self.last_rate_1_m2[chosen],
             self.last_start_m[chosen],
             self.last_end_m[chosen],
+        )
+
+    def with_last_ramps(self, ramps_1_m2: FloatArray) -> Trapezoids:
+        """Return the trapezoids with other last ramps (n,): those begin where they did."""
+        change_1_m = np.abs(self.last_rate_1_m2) * (self.last_end_m - self.last_start_m)
+        return Trapezoids(
+            self.start_1_m,
+            self.first_rate_1_m2,
+            self.first_end_m,
+            np.sign(self.last_rate_1_m2) * ramps_1_m2,
+            self.last_start_m,
+            self.last_start_m + change_1_m / ramps_1_m2,
         )
 
     def mirrored(self) -> Trapezoids:

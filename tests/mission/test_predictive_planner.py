@@ -13,8 +13,8 @@ from mission.predictive_planner import PredictivePlanner, PredictiveSettings, ta
 from mission.progress import nearest_arc_m, point_at
 from mission.requirement import Side, Wind
 from mission.side_policy import watching_from
-from mission.trapezoid import ramp_1_m2
-from mission.wind import ground_speed_m_s
+from mission.trapezoid import ramps_1_m2
+from mission.wind import ground_speed_m_s, ground_speeds_m_s
 
 CALM = Wind()
 LATENCY_S = 0.5
@@ -105,14 +105,18 @@ def planner(paper_aircraft, paper_requirement, paper_table):
     return PredictivePlanner(paper_aircraft, paper_requirement, paper_table)
 
 
-def assert_flyable(plan, present, aircraft, radius_m, ramp):
+def assert_flyable(plan, present, aircraft, airframe, wind=CALM):
+    """No part is tighter than the circle, and the roll rate is what the airframe's ramp allows at its speed."""
+    radius_m = airframe.radius_m
     path = plan.transition
     assert plan.departure_s == pytest.approx(aircraft.time_s + LATENCY_S)
     start = point_at(present, nearest_arc_m(present, aircraft) + aircraft.ground_speed_m_s * LATENCY_S, aircraft)
     assert (path.east_m[0], path.north_m[0]) == pytest.approx((start.east_m, start.north_m), abs=1e-6)
     assert path.curvature_1_m[0] == pytest.approx(start.curvature_1_m, abs=1e-9)
     assert np.abs(path.curvature_1_m).max() <= 1.0 / radius_m + 1e-9
-    assert np.all(np.abs(np.diff(path.curvature_1_m)) <= ramp * np.diff(path.arc_m) + 1e-12)
+    speed_m_s = ground_speeds_m_s(0.5 * (path.course_rad[1:] + path.course_rad[:-1]), airframe.airspeed_m_s, wind)
+    ramps = ramps_1_m2(airframe, speed_m_s)
+    assert np.all(np.abs(np.diff(path.curvature_1_m)) <= 1.01 * ramps * np.diff(path.arc_m) + 1e-12)
     end_m = math.hypot(path.east_m[-1] - plan.circle.east_m, path.north_m[-1] - plan.circle.north_m)
     assert end_m == pytest.approx(radius_m, abs=1e-6)
     assert path.curvature_1_m[-1] == pytest.approx(plan.circle.curvature_1_m, abs=1e-9)
@@ -144,16 +148,12 @@ def test_a_target_that_turns_back_is_never_approached_or_crossed(planner, speed_
     assert range_m.max() <= 500.0
     assert side_share(relative[-120:], velocities[-120:], Side.LEFT) == 1.0  # back on the side after two minutes
     for present, aircraft, plan in flight.plans:
-        assert_flyable(plan, present, aircraft, 50.0, ramp_1_m2(planner_aircraft(planner), 10.0))
+        assert_flyable(plan, present, aircraft, planner._aircraft)
 
 
 def fresh(planner):
     """A planner without memory of earlier examples."""
     return PredictivePlanner(planner._aircraft, planner._requirement, planner._tables[0])
-
-
-def planner_aircraft(planner):
-    return planner._aircraft
 
 
 def test_right_is_the_mirror_of_left(paper_aircraft, paper_requirement, paper_table):
@@ -175,7 +175,7 @@ def test_a_change_under_way_is_continuous(planner, paper_aircraft):
     flight.fly(turning_back((0.0, 4.5), flight.aircraft.time_s), 120.0)
     under_way = 0
     for present, aircraft, plan in flight.plans:
-        assert_flyable(plan, present, aircraft, 50.0, ramp_1_m2(paper_aircraft, 10.0))
+        assert_flyable(plan, present, aircraft, paper_aircraft)
         if present.transition is not None:
             under_way += nearest_arc_m(present, aircraft) < present.transition.length_m
     assert under_way >= 1
@@ -188,7 +188,7 @@ def test_an_aircraft_beside_its_line_departs_from_the_line(planner, paper_aircra
         decision = planner.decide(beside, seen(0.0, (150.0, 100.0), (3.0, 0.0)), Plan(BESIDE), CALM, LATENCY_S)
         if decision.plan is not None:
             plans += 1
-            assert_flyable(decision.plan, Plan(BESIDE), beside, 50.0, ramp_1_m2(paper_aircraft, 10.0))
+            assert_flyable(decision.plan, Plan(BESIDE), beside, paper_aircraft)
     assert plans >= 3
 
 
@@ -253,7 +253,7 @@ def test_a_wind_that_the_table_does_not_know_is_flown_in(paper_requirement, pape
     assert np.hypot(*relative.T).max() <= 500.0
     assert side_share(relative, velocities, Side.LEFT) > 0.9
     for present, state, plan in flight.plans:
-        assert_flyable(plan, present, state, 84.5, ramp_1_m2(aircraft, 13.0))
+        assert_flyable(plan, present, state, aircraft, Wind(3.0, 0.0))
 
 
 def test_too_strong_a_wind_is_a_reason_to_hold(planner):
@@ -261,6 +261,35 @@ def test_too_strong_a_wind_is_a_reason_to_hold(planner):
     decision = planner.decide(aircraft, seen(0.0, (0.0, 0.0), (0.0, 3.0)), Plan(BESIDE), Wind(11.0, 0.0), LATENCY_S)
     assert decision.plan is None
     assert "wind" in decision.reason
+
+
+def test_a_fence_leaves_the_next_best_move_or_none(paper_aircraft, paper_requirement, paper_table, on_circle):
+    target = seen(0.0, (150.0, 100.0), (3.0, 0.0))
+
+    def decisions(check):
+        planner = PredictivePlanner(paper_aircraft, paper_requirement, paper_table, check=check)
+        states = [on_circle(BESIDE, course_rad) for course_rad in np.linspace(0.0, 6.0, 25)]
+        return [planner.decide(state, target, Plan(BESIDE), CALM, LATENCY_S) for state in states]
+
+    free = next(k for k, decision in enumerate(decisions(lambda plan: None)) if decision.plan is not None)
+    wanted = decisions(lambda plan: None)[free].plan.circle
+    walled = decisions(lambda plan: "a wall" if plan.circle.east_m > wanted.east_m - 10.0 else None)[free]
+    assert walled.plan is None or walled.plan.circle.east_m <= wanted.east_m - 10.0
+    shut = decisions(lambda plan: "the circle crosses keep_out polygon 1")[free]
+    assert shut.plan is None
+    assert shut.reason == "staying: the circle crosses keep_out polygon 1"
+
+
+def test_an_overshooting_speed_is_not_believed(paper_aircraft, paper_requirement, paper_table, on_circle):
+    """Right after a turn the estimate reads 7 m/s, give or take 1.5; the target can do 5."""
+
+    def decide(speed_m_s, sigma_m):
+        planner = PredictivePlanner(paper_aircraft, paper_requirement, paper_table)
+        target = seen(0.0, (0.0, 0.0), (0.0, speed_m_s), sigma_m)
+        return planner.decide(on_circle(BESIDE, 1.0), target, Plan(BESIDE), CALM, LATENCY_S).values["move_cost_s"]
+
+    assert decide(7.0, 15.0) == pytest.approx(decide(5.0, 15.0))
+    assert decide(7.0, 1.0) != pytest.approx(decide(5.0, 1.0))
 
 
 def test_the_table_of_a_requirement(paper_aircraft, paper_requirement):

@@ -97,8 +97,16 @@ def test_a_quarter_circle_comes_out():
     assert path.course_rad[-1] == pytest.approx(math.pi / 2)
 
 
-def test_ramp_keeps_the_planned_roll_rate():
-    # A sixth of 30 degrees/s at 10 m/s: 0.0856 rad/s of roll, tan(bank) = v^2 curvature / g.
-    per_second = RAMP * 10.0
-    roll_rad_s = 10.0**2 * per_second / GRAVITY_M_S2
-    assert math.degrees(roll_rad_s) == pytest.approx(5.0)
+@pytest.mark.parametrize(
+    ("speed_m_s", "radius_m", "roll_deg_s"),
+    [
+        (10.0, 50.0, 5.0),  # a gentle turn: a sixth of 30 degrees/s
+        (22.0, 90.0, 2.0 * 28.73 / 5.0),  # from 28.7 degrees of bank to the opposite in 5 s
+        (30.0, 60.0, 15.0),  # a steep one: no more than half the roll rate
+    ],
+)
+def test_ramp_keeps_the_planned_roll_rate(speed_m_s, radius_m, roll_deg_s):
+    # tan(bank) = v^2 curvature / g, differentiated at wings level.
+    per_second = ramp_1_m2(Aircraft(speed_m_s, radius_m), speed_m_s) * speed_m_s
+    roll_rad_s = speed_m_s**2 * per_second / GRAVITY_M_S2
+    assert math.degrees(roll_rad_s) == pytest.approx(roll_deg_s, rel=1e-3)
