@@ -138,6 +138,7 @@ class MissionGuidance:
             line = await asyncio.to_thread(self.line, plan, command.wind)
         except UnflyableError as error:
             raise SwapError(str(error)) from error
+        self._settle()
         slots = self._slots.with_line(line)
         result = await self._upload(slots, self._flown_index())
         while result is UploadResult.TIMEOUT and self._now_s() + self._upload_took_s < command.plan.departure_s:
@@ -155,6 +156,14 @@ class MissionGuidance:
         if not await self._autopilot.select(self._vehicle, entry, slots.end):
             raise SwapError("the autopilot did not switch to it")
         self._slots = slots
+
+    def _settle(self) -> None:
+        """Find out which line is flown where a departure was not confirmed: an upload must leave that one alone."""
+        said = self._vehicle.latest.get("MISSION_CURRENT")
+        if said is not None and self._next is not None:
+            slots = self._next.slots
+            if slots.first <= int(said.fields["seq"]) < slots.end:
+                self._slots = slots
 
     def _passed(self, ready: _Ready) -> int:
         """Return how many waypoints of the line lie behind, the departure being late: never turn back."""

@@ -1,11 +1,13 @@
 """The application is killed while it uploads, and started again: the vehicle circles meanwhile."""
 
+import os
 import time
 
 import pytest
 
 pytestmark = pytest.mark.udp
 
+TIMES = int(os.environ.get("TIMES", "1"))  # more of the same, with other seeds
 WATCHED = "watched from now on"
 NAV_WAYPOINT, NAV_LOITER_UNLIM = 16, 17
 
@@ -20,9 +22,11 @@ def flown_line(vehicle):
     return items[mission.index : end + 1]
 
 
-@pytest.mark.parametrize(("flavour", "item"), [("arduplane", 3), ("px4", 2)])
-def test_killed_during_an_upload_and_started_again(vehicle_of, launch, flavour, item):
-    vehicle = vehicle_of(flavour)
+@pytest.mark.parametrize("seed", range(1, TIMES + 1))
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_killed_during_an_upload_and_started_again(vehicle_of, launch, flavour, seed):
+    vehicle = vehicle_of(flavour, seed)
+    item = 1 + seed % 3
     first = launch(vehicle.url)
     first.wait_for(WATCHED)
     before = []

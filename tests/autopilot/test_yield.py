@@ -1,9 +1,12 @@
 """Somebody else takes the vehicle: not one command after its next heartbeat, and none ever again."""
 
+import os
+
 import pytest
 
 pytestmark = pytest.mark.udp
 
+TIMES = int(os.environ.get("TIMES", "1"))  # more of the same, with other seeds
 WATCHED = "watched from now on"
 A_HEARTBEAT_S = 1.0
 ON_THE_WAY_S = 2.5  # of the vehicle's time: a quarter of a second at ten times the clock, on a busy machine
@@ -13,9 +16,9 @@ def commands_after(vehicle, happened_s):
     return [kind for time_s, kind in vehicle.commanded if time_s > happened_s + A_HEARTBEAT_S + ON_THE_WAY_S]
 
 
-def assert_yielded(vehicle, application, act, words):
+def assert_yielded(vehicle, application, act, words, seed=1):
     application.wait_for(WATCHED)
-    vehicle.wait(5.0)
+    vehicle.wait(5.0 + 3.0 * seed)
     happened_s = vehicle.do(lambda: (act(), vehicle.simulation.time_s)[1])
     application.wait_for("commanding nothing more")
     vehicle.wait(30.0)
@@ -26,6 +29,7 @@ def assert_yielded(vehicle, application, act, words):
     return happened_s
 
 
+@pytest.mark.parametrize("seed", range(1, TIMES + 1))
 @pytest.mark.parametrize(
     ("flavour", "guidance", "mode", "name"),
     [
@@ -33,10 +37,10 @@ def assert_yielded(vehicle, application, act, words):
         ("px4", "command", 0x05040000, "RTL"),
     ],
 )
-def test_another_station_changes_the_mode(vehicle_of, launch, flavour, guidance, mode, name):
-    vehicle = vehicle_of(flavour)
+def test_another_station_changes_the_mode(vehicle_of, launch, flavour, guidance, mode, name, seed):
+    vehicle = vehicle_of(flavour, seed)
     application = launch(vehicle.url, "--guidance", guidance)
-    assert_yielded(vehicle, application, lambda: vehicle.autopilot.set_mode(mode), f"changed to {name}")
+    assert_yielded(vehicle, application, lambda: vehicle.autopilot.set_mode(mode), f"changed to {name}", seed)
 
 
 def test_the_pilot_takes_over_and_gives_back_and_is_left_alone(vehicle_of, launch):

@@ -1,0 +1,105 @@
+"""What a line's departure proves, and what somebody else's mission looks like, at the boundary to the autopilot."""
+
+import asyncio
+
+import pytest
+
+from app.arduplane import ArduPlane
+from app.autopilot import Home, select_by_message
+from app.link import UploadResult
+from app.message import Message
+from app.mission_guidance import MissionGuidance
+from app.vehicle import Vehicle
+from estimators.frames import LocalPlane
+from mission.circle import Circle
+from mission.plan import Plan
+
+
+class Wire:
+    """A vehicle's side of the link: it answers the ``heeded``-th MISSION_SET_CURRENT, and streams its item."""
+
+    system_id, stuck = 1, False
+
+    def __init__(self, item, heeded=1):
+        self.item, self.heeded, self.asked = item, heeded, 0
+        self.held = ()
+
+    async def messages(self):
+        while True:
+            await asyncio.sleep(0.01)
+            fields = {"seq": self.item, "total": max(0, len(self.held) - 1), "mission_id": 0}
+            yield Message("MISSION_CURRENT", 1, 1, fields, 0.0)
+
+    async def send(self, name, fields):
+        self.asked += 1
+        if name == "MISSION_SET_CURRENT" and self.asked >= self.heeded:
+            self.item = fields["seq"]
+
+    async def upload(self, items, current, timeout_s):
+        self.held = tuple(items)
+        return UploadResult.ACCEPTED
+
+
+def selected(wire, first, end):
+    async def go():
+        vehicle = Vehicle(wire)
+        running = asyncio.create_task(vehicle.run())
+        try:
+            return await select_by_message(vehicle, first, end)
+        finally:
+            running.cancel()
+
+    return asyncio.run(go())
+
+
+def test_an_item_behind_the_wanted_line_proves_no_departure():
+    wire = Wire(item=9, heeded=2)  # the present line stands behind the new one, and the first request is lost
+    assert selected(wire, 1, 5)
+    assert wire.asked == 2
+    assert wire.item == 1
+
+
+def test_a_vehicle_that_does_not_switch_is_not_believed_to():
+    assert not selected(Wire(item=9, heeded=99), 1, 5)
+
+
+@pytest.fixture
+def guidance():
+    clock = {"now_s": 0.0}
+    wire = Wire(item=1)
+    plane = LocalPlane(47.0, 8.0)
+    made = MissionGuidance(
+        Vehicle(wire),
+        ArduPlane(),
+        plane,
+        Home(47.0, 8.0, 400.0),
+        airspeed_m_s=15.0,
+        height_m=100.0,
+        tolerance_m=15.0,
+        now_s=lambda: clock["now_s"],
+    )
+    line = made.line(Plan(Circle(0.0, 0.0, 60.0, True)))
+    assert asyncio.run(made.load(line)) is UploadResult.ACCEPTED
+    return made, clock
+
+
+def current(seq, total):
+    return Message("MISSION_CURRENT", 1, 1, {"seq": seq, "total": total, "mission_id": 0}, 0.0)
+
+
+def test_another_mission_and_another_item_are_somebody_elses(guidance):
+    made, clock = guidance
+    assert made.foreign(current(1, 1)) is None
+    clock["now_s"] = 10.0
+    assert made.foreign(current(1, 1)) is None
+    assert "changed the mission" in made.foreign(current(1, 4))
+    assert "item 3" in made.foreign(current(3, 1))
+
+
+def test_what_the_vehicle_says_right_after_an_upload_is_no_surprise(guidance):
+    made, clock = guidance
+    clock["now_s"] = 1.0
+    assert made.foreign(current(1, 7)) is None  # still told of the mission before
+    assert made.foreign(current(1, 1)) is None
+    clock["now_s"] = 10.0
+    assert made.foreign(current(1, 1)) is None
