@@ -11,19 +11,30 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from estimators.biases import Biases, Calibration
-from estimators.ekf import TargetEkf
 from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.imm import TargetImm
 from estimators.settings import TrackerSettings
 from estimators.sighting import AnySighting, SightingOutcome
 from estimators.target_filter import FloatArray, TargetFilter
-from estimators.ukf import TargetUkf
 
 _HISTORY_S = 5.0
 _STEP_MAX_S = 1.0  # longer predictions go by steps, so that the motion models can mix on the way
 
 FilterStart = Callable[[TrackerSettings, AnySighting, Biases], TargetFilter]
-_FILTERS: dict[str, FilterStart] = {"ekf": TargetEkf, "imm": TargetImm, "ukf": TargetUkf}
+
+
+def _filter_start(name: str) -> FilterStart:
+    # filterpy, which two of them stand on, takes a second to load: only who wants it waits for it.
+    if name == "imm":
+        from estimators.imm import TargetImm  # noqa: PLC0415
+
+        return TargetImm
+    if name == "ekf":
+        from estimators.ekf import TargetEkf  # noqa: PLC0415
+
+        return TargetEkf
+    from estimators.ukf import TargetUkf  # noqa: PLC0415
+
+    return TargetUkf
 
 
 class _Step(NamedTuple):
@@ -36,7 +47,7 @@ class Track:
 
     def __init__(self, settings: TrackerSettings) -> None:
         self._settings = settings
-        self._start = _FILTERS[settings.filter]
+        self._start = _filter_start(settings.filter)
         self._filter: TargetFilter | None = None
         self._coasted: TargetFilter | None = None  # moved on from the last sighting by whole steps
         self._steps: list[_Step] = []

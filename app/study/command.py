@@ -12,7 +12,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from app.commands.output import JsonOption, checked_output, console, write_json
 from app.errors import InputError
-from app.study.figure import write_figure
 from app.study.report import study_json, study_table, study_title
 from app.study.settings import PlannerName, StudySettings
 from app.study.study import run_study
@@ -67,6 +66,9 @@ def study(
         console.print(study_table(result))
     write_json(json, study_json(result))
     if out is not None:
+        # Only the figure needs matplotlib, which takes a second to load.
+        from app.study.figure import write_figure  # noqa: PLC0415
+
         try:
             write_figure(result, out)
         except OSError as error:
