@@ -15,7 +15,7 @@ from app.config import Config
 from app.errors import FlightError, InputError
 from app.link import RawItem, UploadResult
 from app.mission_guidance import MissionGuidance
-from app.preflight import mode_of
+from app.preflight import is_flying, mode_of
 from app.telemetry import Telemetry
 from app.vehicle import Vehicle
 from estimators.frames import LocalPlane
@@ -24,7 +24,7 @@ from mission.events import Engaged
 from mission.plan import Plan
 
 _mav = mavutil.mavlink
-_FLYING_HEIGHT_M = 25.0
+_TAKE_OFF_HEIGHT_M = 50.0
 _ARM_EVERY_S = 1.0
 _POLL_S = 0.1
 _ARM_WITHIN_S, _TAKE_OFF_WITHIN_S = 120.0, 240.0  # of the vehicle's time
@@ -56,7 +56,7 @@ class Engaging:
     async def engage(self, missions: MissionGuidance, commands: CommandGuidance) -> Engaged:
         """Return what is engaged in, once it is flown. Raises InputError or FlightError."""
         guided = self._config.planner.guidance == "command"
-        if not self._flying:
+        if not is_flying(self._vehicle):
             circle = commanded = self._circle_at_home()
             self._refuse_broken(circle)
             await self._take_off(missions, circle)
@@ -72,11 +72,6 @@ class Engaging:
             raise FlightError(f"the circle was not taken over{self._last_words()}.")
         mode = self._autopilot.circle_mode if guided else self._autopilot.mission_mode
         return Engaged(self._telemetry.now_s, circle, mode, commanded)
-
-    @property
-    def _flying(self) -> bool:
-        armed = bool(self._vehicle.latest["HEARTBEAT"].fields["base_mode"] & _mav.MAV_MODE_FLAG_SAFETY_ARMED)
-        return armed and self._height_m > _FLYING_HEIGHT_M
 
     @property
     def _height_m(self) -> float:
@@ -169,7 +164,7 @@ class Engaging:
             math.nan,
             round(self._home.latitude_deg * 1e7),
             round(self._home.longitude_deg * 1e7),
-            min(_FLYING_HEIGHT_M * 2.0, self._config.aircraft.height_m),
+            min(_TAKE_OFF_HEIGHT_M, self._config.aircraft.height_m),
         )
 
     async def _arm(self) -> None:

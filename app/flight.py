@@ -25,7 +25,7 @@ from app.mission_guidance import MissionGuidance
 from app.parameters import Need, borrowed, read_parameters
 from app.performer import Performer
 from app.point_gimbal import GimbalPointer
-from app.preflight import ask_for_streams, autopilot_of, checks, home_of, listen
+from app.preflight import ask_for_streams, autopilot_of, checks, home_of, is_flying, listen
 from app.recording import Recording
 from app.records.truth import read_truth
 from app.summary import Gatherer, Summary, summarise
@@ -198,7 +198,8 @@ class Flight:
             home = await home_of(self._vehicle)
             unmet = () if self._config.link.set_parameters else needs
             found = checks(self._config, self._vehicle, limits, home, rates, unmet)
-            missing = [check for check in found if not check.ready]
+            flying = is_flying(self._vehicle)
+            missing = [check for check in found if not (check.ready or (flying and check.before_take_off))]
             if not missing:
                 assert home is not None
                 return home, needs

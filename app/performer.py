@@ -10,6 +10,7 @@ from app.autopilot import Autopilot
 from app.guidance import Guidance, SwapError
 from app.link import LinkError
 from app.message import Message
+from app.preflight import mode_of
 from app.vehicle import Vehicle
 from mission.events import Depart, End, Event, Prepare, SwapReported, Yield, YieldRequested
 
@@ -78,5 +79,10 @@ class Performer:
             self._report(SwapReported(self._now_s(), number, stage, detail))  # type: ignore[arg-type]  # a literal
 
     def _heard(self, message: Message) -> None:
-        if not self._silent and (reason := self._guidance.foreign(message)) is not None:
+        if self._silent:
+            return
+        reason = self._guidance.foreign(message)
+        if message.name == "CURRENT_MODE" and mode_of(self._vehicle) != self._guidance.mode:
+            reason = f"the flight mode was changed to {mode_of(self._vehicle)}"
+        if reason is not None:
             self._report(YieldRequested(self._now_s(), reason))

@@ -11,7 +11,7 @@ from app.autopilot import Autopilot, Home, Limits
 from app.config import Config
 from app.errors import InputError
 from app.message import Message
-from app.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, TYPE_FIXED_WING, mode_name
+from app.modes import ARMED_FLAG, AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, TYPE_FIXED_WING, mode_name
 from app.parameters import Need
 from app.px4 import Px4
 from app.telemetry import Telemetry, has_fix
@@ -21,10 +21,11 @@ from mission.requirement import Aircraft
 
 _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _LEAST_RATE_HZ = 0.5
+_FLYING_HEIGHT_M = 25.0
 _HOME_POSITION_ID = 242
-_STREAMS_HZ = {30: 20.0, 33: 10.0, 42: 5.0, 87: 2.0, 168: 1.0, 231: 1.0, 360: 2.0}
+_STREAMS_HZ = {30: 20.0, 33: 10.0, 42: 5.0, 87: 2.0, 168: 1.0, 231: 1.0, 360: 2.0, 436: 20.0}
 """ATTITUDE, GLOBAL_POSITION_INT, MISSION_CURRENT, POSITION_TARGET_GLOBAL_INT, WIND, WIND_COV, and
-ORBIT_EXECUTION_STATUS."""
+ORBIT_EXECUTION_STATUS, CURRENT_MODE."""
 
 
 _SENSORS = {
@@ -39,12 +40,16 @@ _SENSORS = {
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One requirement: ready or not, what was found, and the way out when it is not."""
+    """One requirement: ready or not, what was found, and the way out when it is not.
+
+    An aircraft that flies already is taken over without those that are only ``before_take_off``.
+    """
 
     name: str
     ready: bool
     found: str
     remedy: str = ""
+    before_take_off: bool = False
 
     def __str__(self) -> str:
         return f"{self.name}: {self.found}" + (f"; {self.remedy}" if self.remedy and not self.ready else "")
@@ -83,9 +88,18 @@ def autopilot_of(vehicle: Vehicle) -> Autopilot:
 
 
 def mode_of(vehicle: Vehicle) -> str:
-    """Return the flight mode by name, as the latest heartbeat tells it."""
-    fields = vehicle.latest["HEARTBEAT"].fields
-    return mode_name(int(fields["autopilot"]), int(fields["base_mode"]), int(fields["custom_mode"]))
+    """Return the flight mode by name, as the vehicle told it last: in a heartbeat, or at once where it can."""
+    heartbeat, told = vehicle.latest["HEARTBEAT"], vehicle.latest.get("CURRENT_MODE")
+    newer = told if told is not None and told.received_s > heartbeat.received_s else heartbeat
+    fields = heartbeat.fields
+    return mode_name(int(fields["autopilot"]), int(fields["base_mode"]), int(newer.fields["custom_mode"]))
+
+
+def is_flying(vehicle: Vehicle) -> bool:
+    """Tell whether the vehicle is armed and well above its home."""
+    armed = int(vehicle.latest["HEARTBEAT"].fields["base_mode"]) & ARMED_FLAG
+    position = vehicle.latest.get("GLOBAL_POSITION_INT")
+    return bool(armed) and position is not None and position.fields["relative_alt"] * 1e-3 > _FLYING_HEIGHT_M
 
 
 async def ask_for_streams(vehicle: Vehicle) -> None:
@@ -202,7 +216,7 @@ def _limit_checks(config: Config, aircraft: Aircraft, limits: Limits) -> tuple[C
 
 def _rate_check(kind: str, rates: tuple[SourceRate, ...], remedy: str) -> Check:
     heard = [rate for rate in rates if rate.kind == kind and rate.rate_hz >= _LEAST_RATE_HZ]
-    return Check(f"{kind} source", bool(heard), "; ".join(map(str, heard)) or "none heard", remedy)
+    return Check(f"{kind} source", bool(heard), "; ".join(map(str, heard)) or "none heard", remedy, True)
 
 
 def _number(value: float | None) -> str:
