@@ -58,13 +58,24 @@ def watch_of(config: Config, progress: Callable[[float], None] = lambda _share: 
     requirement = config.requirement.requirement()
     settings = PredictiveSettings(lost_after_s=config.planner.lost_after_s)
 
+    winds_m_s = {*config.planner.winds_m_s}
+    if config.link.url is None and config.simulation.wind_speed_m_s > 0.0:
+        winds_m_s.add(config.simulation.wind_speed_m_s)
+
     def planner(wanted: Requirement) -> Planner:
         if config.planner.name == "paper":
             return PaperPlanner(aircraft, wanted, largest_psi_c_rad(aircraft, wanted))
-        table = value_table(table_configuration(aircraft, wanted), progress)
-        return PredictivePlanner(aircraft, wanted, table, settings)
+        calm, *windy = (
+            value_table(table_configuration(aircraft, wanted, wind_m_s), progress)
+            for wind_m_s in (0.0, *sorted(winds_m_s))
+        )
 
-    return Watch(
+        def check(plan: Plan) -> str | None:
+            return watch.check(plan)  # asked each time: the fences are known only when the plane is
+
+        return PredictivePlanner(aircraft, wanted, calm, settings, windy, check)
+
+    watch = Watch(
         WatchSettings(
             requirement,
             aircraft,
@@ -75,6 +86,7 @@ def watch_of(config: Config, progress: Callable[[float], None] = lambda _share: 
         tracker_of(config),
         planner,
     )
+    return watch
 
 
 def fence_outlines(config: Config, plane: LocalPlane) -> tuple[list[Outline], list[Outline]]:

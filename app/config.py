@@ -83,6 +83,8 @@ class PlannerSection(_Section):
     """mission: plans are uploaded as mission items; command: the circle is moved by one command, again and again."""
     tolerance_m: float = Field(15.0, ge=1, le=200)
     """How far the flown line of a transition may leave the planned one, m."""
+    winds_m_s: list[Annotated[float, Field(gt=0, le=30)]] = Field(default_factory=list)
+    """Steady winds to be prepared for with value tables of their own, m/s; the nearest one is used."""
     lost_after_s: float = Field(60.0, ge=1, le=3600)
     """The circle is held when the target has been unseen for this long, s."""
     give_up_after_s: float = Field(300.0, ge=5, le=36000)
