@@ -158,12 +158,18 @@ class MissionGuidance:
         self._slots = slots
 
     def _settle(self) -> None:
-        """Find out which line is flown where a departure was not confirmed: an upload must leave that one alone."""
+        """Find out what is left of the line that is flown, be it that of an unconfirmed departure.
+
+        An upload must leave that alone; the rest is free.
+        """
+        assert self._slots is not None
         said = self._vehicle.latest.get("MISSION_CURRENT")
-        if said is not None and self._next is not None:
-            slots = self._next.slots
-            if slots.first <= int(said.fields["seq"]) < slots.end:
-                self._slots = slots
+        if said is None:
+            return
+        index = int(said.fields["seq"])
+        if self._next is not None and self._next.slots.first <= index < self._next.slots.end:
+            self._slots = self._next.slots
+        self._slots = self._slots.since(index)
 
     def _passed(self, ready: _Ready) -> int:
         """Return how many waypoints of the line lie behind, the departure being late: never turn back."""

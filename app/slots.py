@@ -25,6 +25,10 @@ class Slots:
     first: int
     end: int
 
+    def since(self, index: int) -> Slots:
+        """Return the same mission with what lies before ``index`` flown: its places are free for a new line."""
+        return replace(self, first=index) if self.first <= index < self.end else self
+
     def with_line(self, line: Sequence[RawItem]) -> Slots:
         """Return the mission that holds the present line where it is and ``line`` as the next; first is its start."""
         present = self.items[self.first : self.end]

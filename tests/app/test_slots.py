@@ -40,6 +40,7 @@ def test_every_prefix_of_every_upload_leaves_the_present_line_whole(lengths, dat
     slots = start()
     stored = list(slots.items)
     for tag, waypoints in enumerate(lengths, 2):
+        slots = slots.since(data.draw(st.integers(slots.first, slots.end - 1)))
         present = slots.items[slots.first : slots.end]
         following = slots.with_line(line(tag, waypoints))
         cut = data.draw(st.integers(0, len(following.items)))
@@ -60,6 +61,13 @@ def test_the_mission_does_not_grow_with_the_number_of_moves(lengths):
         slots = slots.with_line(line(tag, waypoints))
         assert len(slots.items) <= 1 + 3 * 7
         assert slots.items[0].command == HOME
+
+
+def test_a_line_flown_to_its_circle_leaves_room_for_the_next():
+    slots = start(5)
+    following = slots.since(slots.end - 1).with_line(line(2, 4))
+    assert len(following.items) == len(slots.items)
+    assert (following.first, following.end) == (1, 6)
 
 
 def test_items_that_close_the_mission_come_last():
