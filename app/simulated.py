@@ -40,6 +40,7 @@ class SimulatedVehicle:
             *("--wind-speed", f"{simulation.wind_speed_m_s:g}"),
             *("--wind-from-deg", f"{simulation.wind_from_deg:g}"),
             *("--truth", str(truth)),
+            "--while-input",  # so that it does not outlive this program, however that ends
         ]
         self._process: asyncio.subprocess.Process | None = None
 
@@ -47,7 +48,7 @@ class SimulatedVehicle:
         # A session of its own keeps the terminal's Ctrl-C from ending it before the mission has been wound up.
         self._process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "sitl", *self._options),
-            stdin=asyncio.subprocess.DEVNULL,
+            stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
             start_new_session=True,

@@ -6,6 +6,7 @@ import math
 import signal
 import socket
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -73,6 +74,9 @@ def run(
     loss: Annotated[float, typer.Option(help="Fraction of packets lost, each way.")] = 0.0,
     delay_ms: Annotated[float, typer.Option(help="Wall-clock delay, each way.")] = 0.0,
     duplicate: Annotated[float, typer.Option(help="Fraction of packets doubled, each way.")] = 0.0,
+    while_input: Annotated[
+        bool, typer.Option("--while-input", help="End when standard input does, and so with a program that dies.")
+    ] = False,
 ) -> None:
     """Fly a simulated vehicle that speaks MAVLink over UDP, with a laser and a gimbal on a moving target.
 
@@ -151,7 +155,7 @@ def run(
             duration_s=math.inf if duration is None else duration,
             faults=LinkFaults(loss, duplicate, delay_ms / 1000.0),
             on_ready=lambda: print(f"ready system {system_id} component 1 {autopilot} -> {where}", flush=True),
-            stopped=_stop_signal(),
+            stopped=_stop_signal(while_input),
         )
 
 
@@ -182,11 +186,19 @@ def _accompany(companion: Companion, url: str, stopped: Callable[[], bool]) -> N
         _refuse("--payload-for", str(error))
 
 
-def _stop_signal() -> Callable[[], bool]:
-    """Return whether SIGINT or SIGTERM has come since now."""
+def _stop_signal(while_input: bool = False) -> Callable[[], bool]:
+    """Return what tells whether SIGINT or SIGTERM has come since now, or standard input has ended where it counts."""
     received: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda caught, _frame: received.append(caught))
+    if while_input:
+
+        def wait_for_end() -> None:
+            while sys.stdin.buffer.read(1):
+                pass
+            received.append(0)
+
+        threading.Thread(target=wait_for_end, daemon=True).start()
     return lambda: bool(received)
 
 
