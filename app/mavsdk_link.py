@@ -181,6 +181,9 @@ class MavsdkLink:
             except TimeoutError:
                 await self._cancel(self._mission.cancel_mission_upload)
                 return UploadResult.TIMEOUT
+            except asyncio.CancelledError:  # somebody else flies: not one item more
+                await self._cancel(self._mission.cancel_mission_upload)
+                raise
             except MissionRawError as error:
                 if error.result in (MissionRawResult.TIMEOUT, MissionRawResult.BUSY, MissionRawResult.NO_SYSTEM):
                     await self._cancel(self._mission.cancel_mission_upload)

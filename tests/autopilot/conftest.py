@@ -57,9 +57,9 @@ class Vehicle:
         self.port = free_udp_port()
         self.url = f"udpin://127.0.0.1:{self.port}"
         self.commanded: list[tuple[float, str]] = []  # (simulated time, message) from the application
-        self.before_item: int | None = None  # the application is killed when it sends this item
+        self.before_item: int | None = None  # something happens when the application sends this item
         self.deaf = False
-        self._kill = lambda: None
+        self._act = lambda: None
         self._work: queue.Queue = queue.Queue()
         self._ended = threading.Event()
         self._parser = mavlink.MAVLink(None)
@@ -90,8 +90,8 @@ class Vehicle:
         self._work.put((action, answer))
         return answer.get(timeout=30.0)
 
-    def kill_at_item(self, index, kill):
-        self._kill, self.before_item = kill, index
+    def at_item(self, index, act):
+        self._act, self.before_item = act, index
 
     def wait(self, seconds):
         """Wait for so much of the vehicle's time."""
@@ -127,7 +127,7 @@ class Vehicle:
                 self.commanded.append((self.simulation.time_s, kind))
                 if kind == "MISSION_ITEM_INT" and message.seq == self.before_item:
                     self.before_item = None
-                    self._kill()
+                    self._act()
         self._receive(address, data)
 
     def _talk(self):

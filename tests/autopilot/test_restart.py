@@ -30,7 +30,7 @@ def test_killed_during_an_upload_and_started_again(vehicle_of, launch, flavour, 
     first = launch(vehicle.url)
     first.wait_for(WATCHED)
     before = []
-    vehicle.kill_at_item(item, lambda: (first.kill(), before.extend(flown_line(vehicle))))
+    vehicle.at_item(item, lambda: (first.kill(), before.extend(flown_line(vehicle))))
     first.process.wait(90.0)
     vehicle.wait(30.0)
     after = vehicle.do(lambda: flown_line(vehicle))

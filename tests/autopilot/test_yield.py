@@ -79,3 +79,20 @@ def test_the_autopilot_starts_anew(vehicle_of, launch):
     vehicle = vehicle_of("px4")
     application = launch(vehicle.url)
     assert_yielded(vehicle, application, vehicle.simulation.reboot, "")
+
+
+def test_an_upload_under_way_stops_with_the_mode_change(vehicle_of, launch):
+    vehicle = vehicle_of("arduplane")
+    application = launch(vehicle.url)
+    application.wait_for(WATCHED)
+    changed_s = []
+
+    def change():
+        vehicle.autopilot.set_mode(12)
+        changed_s.append(vehicle.simulation.time_s)
+
+    vehicle.at_item(1, change)
+    application.wait_for("commanding nothing more")
+    vehicle.wait(30.0)
+    assert commands_after(vehicle, changed_s[0]) == []
+    assert application.end()["outcome"].startswith("yielded")
