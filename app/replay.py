@@ -18,12 +18,14 @@ from app.records.journal import encode
 from app.records.log import Log
 from app.telemetry import Telemetry
 from estimators.frames import LocalPlane
-from estimators.readings import PositionReading
+from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
 from mission.circle import Circle
 from mission.events import Announce, Command, Engaged, Event, LinkReported, ModeReported, Prepare, SwapReported
 from mission.watch import Snapshot, Watch
 
 _MODE = "as recorded"
+# Between two positions these only feed the filter: nothing to show or to judge changes.
+_UNSEEN = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading)
 _LEAST_BANKED_CURVATURE = 0.25  # of the circle's own; a straighter flight is taken as the circle
 
 
@@ -49,7 +51,7 @@ class LogReplay:
         return self._telemetry.plane
 
     def run(self, messages: Iterable[Message]) -> Iterator[Replayed]:
-        """Yield every event of the log with what the step made of it."""
+        """Yield the events of the log with what the step made of them; those that nobody sees are passed over."""
         for message in messages:
             known = self.plane is not None
             event = self._telemetry.event(message)
@@ -62,6 +64,8 @@ class LogReplay:
             for command in commands:
                 if isinstance(command, Prepare):
                     self.watch.step(SwapReported(command.time_s, command.number, "failed", "not flown in this log"))
+            if isinstance(event, _UNSEEN) and not commands:
+                continue
             snapshot = self.watch.snapshot()
             if isinstance(event, PositionReading):
                 self._engage(snapshot)
@@ -122,7 +126,7 @@ class JournalReplay:
         self._expected: deque[Command] = deque()
 
     def run(self, records: Iterable[Event | Command]) -> Iterator[Replayed]:
-        """Yield every event of the journal with what the step made of it now."""
+        """Yield the events of the journal with what the step made of them now, without those that nobody sees."""
         for record in records:
             if isinstance(record, Command):
                 self._compare(record)
@@ -132,7 +136,8 @@ class JournalReplay:
             commands = self.watch.step(record)
             self._cause = record
             self._expected.extend(commands)
-            yield Replayed(record, commands, self.watch.snapshot())
+            if commands or not isinstance(record, _UNSEEN):
+                yield Replayed(record, commands, self.watch.snapshot())
         # A flight that was cut off may lack the commands of its last event: those are not held against it.
 
     def _compare(self, flown: Command | None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 from estimators.biases import Calibration
 from estimators.estimate import TargetEstimate
@@ -23,6 +24,8 @@ from estimators.sources import SourceSelector, range_rank, sight_rank
 from estimators.track import Track
 
 __all__ = ["SourceChoice", "Tracker", "TrackerSettings"]
+
+_Stamped = TypeVar("_Stamped", GimbalReading, RangeReading)
 
 
 class Tracker:
@@ -59,7 +62,12 @@ class Tracker:
 
     def _add_gimbal(self, reading: GimbalReading) -> None:
         if self._gimbals.accepts(reading.source, reading.time_s):
-            self._pairing.add_gimbal(replace(reading, time_s=reading.time_s - self._settings.latency_s))
+            self._pairing.add_gimbal(self._measured(reading))
+
+    def _measured(self, reading: _Stamped) -> _Stamped:
+        """Return the reading at the time it was really measured."""
+        latency_s = self._settings.latency_s
+        return replace(reading, time_s=reading.time_s - latency_s) if latency_s else reading
 
     def _add_range(self, reading: RangeReading) -> None:
         if not self._ranges.accepts(reading.source, reading.time_s):
@@ -68,7 +76,7 @@ class Tracker:
         # The null rotation is what senders put there who know no better.
         if pointing is not None and pointing != (1.0, 0.0, 0.0, 0.0):
             self._add_gimbal(GimbalReading(reading.time_s, pointing, "body", reading.source))
-        self._pairing.add_range(replace(reading, time_s=reading.time_s - self._settings.latency_s))
+        self._pairing.add_range(self._measured(reading))
 
     def _add_fix(self, reading: TargetFixReading) -> tuple[SightingOutcome, ...]:
         """Use a camera's fix where it was asked for, or while there is no laser that it may be made from."""
