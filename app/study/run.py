@@ -148,7 +148,7 @@ def _summed_up(settings: StudySettings, pilot: Pilot, log: FloatArray, keep_trac
         pilot.moves * 3600.0 / settings.duration_s,
         float(np.degrees(observation_rad).std()),
         np.histogram(np.degrees(observation_rad), bins=72, range=(-180.0, 180.0))[0],
-        np.asarray(pilot.decision_s, np.float32),
+        np.asarray(pilot.watch.taken_s, np.float32),
         Track(time_s, east_m, north_m, target_east_m, target_north_m, range_m, observation_rad)
         if keep_track
         else None,

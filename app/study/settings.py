@@ -59,5 +59,5 @@ class StudySettings:
         return Aircraft(self.airspeed_m_s, self.radius_m)
 
     def requirement(self) -> Requirement:
-        """Return what is asked for: the left side."""
-        return Requirement(self.range_min_m, self.range_max_m, Side.LEFT, self.target_speed_max_m_s)
+        """Return what is asked for: the left side. The threshold is the paper's C that keeps the band longest."""
+        return Requirement(self.range_min_m, self.range_max_m, Side.LEFT, self.target_speed_max_m_s, threshold=1.0)
