@@ -35,7 +35,7 @@ from mission.wording import move_words
 
 _STEP_S = 1.0
 _UNCERTAIN_M = 10.0
-_OTHER_WIND = 0.15  # of the airspeed
+_WINDY, _OTHER_WIND = 0.25, 0.15  # of the airspeed
 # So many moves are tried against the fences, the cheapest first.
 _MOST_TRIES = 30
 _NO_BREACH = "a better place should the target turn"
@@ -74,6 +74,17 @@ def table_configuration(
         cells=28 if simple else 20,
         improvements=(8, 5) if simple else (5, 3),
     )
+
+
+def table_configurations(aircraft: Aircraft, requirement: Requirement) -> tuple[TableConfiguration, ...]:
+    """Return the configurations that serve in any wind: still air first, then a wind of a quarter of the airspeed.
+
+    Of a sector there is the first only.
+    """
+    calm = table_configuration(aircraft, requirement)
+    if requirement.sector is not None:
+        return (calm,)
+    return calm, table_configuration(aircraft, requirement, _WINDY * aircraft.airspeed_m_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,67 @@
+"""Run by name: python -m pytest -s tests/bench/test_planner.py."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from app.study.airframe import KinematicAircraft
+from app.study.pilots import PlanPilot
+from app.study.run import fly
+from app.study.sensors import PerfectSensing
+from app.study.settings import PlannerName, StudySettings
+from app.study.study import run_study
+from app.study.target import RandomTarget
+from mission.circle import Circle
+from mission.plan import AircraftState
+from mission.predictive_planner import PredictivePlanner, table_configuration
+from mission.requirement import Wind
+from mission.side_policy import watching_from
+from mission.value_iteration import compute
+
+SETTINGS = StudySettings((PlannerName.PREDICTIVE,), runs=4)
+
+
+@pytest.fixture(scope="module")
+def timed_table():
+    begun_s = time.process_time()
+    table = compute(table_configuration(SETTINGS.aircraft(), SETTINGS.requirement()))
+    return table, time.process_time() - begun_s
+
+
+def test_the_value_table_takes_seconds(timed_table):
+    print(f"\nvalue table: {timed_table[1]:.1f} s of the processor")
+    assert timed_table[1] < 15.0
+
+
+def test_decisions_take_milliseconds(timed_table):
+    taken_ms = 1e3 * run_study(SETTINGS, timed_table[0], jobs=1).planners[PlannerName.PREDICTIVE].decision_s
+    p50_ms, p99_ms = np.percentile(taken_ms, (50, 99))
+    print(f"\ndecision: {p50_ms:.2f} ms, p99 {p99_ms:.2f} ms of the processor")
+    assert p99_ms < 5.0
+
+
+def test_a_sector_is_kept():
+    requirement = watching_from(SETTINGS.requirement(), "120-200")
+    aircraft = SETTINGS.aircraft()
+    table = compute(table_configuration(aircraft, requirement))
+    sector = requirement.sector
+    circle = Circle(
+        250.0 * math.sin(sector.middle_rad), 250.0 * math.cos(sector.middle_rad), aircraft.radius_m, clockwise=True
+    )
+    start = AircraftState(0.0, *circle.position_at_course(0.0), 0.0, 10.0, circle.curvature_1_m)
+    shares = []
+    for seed in range(4):
+        body = KinematicAircraft(start, 10.0, math.radians(13.0), aircraft.roll_rate_max_rad_s, Wind())
+        pilot = PlanPilot(PredictivePlanner(aircraft, requirement, table), circle, Wind(), 0.2)
+        target = RandomTarget(np.random.default_rng(seed), 1200.0, 5.0, (40.0, 200.0))
+        log = fly(target, body, pilot, PerfectSensing(), 1200.0)
+        east_m, north_m = log[:, 1] - log[:, 3], log[:, 2] - log[:, 4]
+        off_rad = np.arctan2(east_m, north_m) - sector.middle_rad
+        off_rad = np.abs((off_rad + math.pi) % (2.0 * math.pi) - math.pi)
+        shares.append(float(np.mean(off_rad <= sector.half_width_rad)))
+        assert np.hypot(east_m, north_m).min() >= 100.0
+        assert np.hypot(east_m, north_m).max() <= 500.0
+    print(f"\nin the sector: {100.0 * np.mean(shares):.1f} % of the time, worst {100.0 * min(shares):.1f} %")
+    assert np.mean(shares) > 0.98
