@@ -43,6 +43,7 @@ _NO_BREACH = "a better place should the target turn"
 _RAMP_TURNS_RAD = np.linspace(-0.5, 0.5, 5)
 # The table's classes need some speed, even for a target that is said to stand.
 _LEAST_TARGET_SPEED_M_S = 0.5
+_LEAST_MOVE = 0.4  # of the radius: the length of a transition
 # A transition within this of its end counts as flown.
 _NEARLY_FLOWN_S = 0.2
 
@@ -221,7 +222,8 @@ class PredictivePlanner:
         else:
             stays = staying_on(scene.frame.mirror * scene.present.circle.curvature_1_m, radius_m, ramp)
             stay_cost, price = float(roll_out.costs(stays, here).min()), c.leave_cost
-            costs[-1] = np.inf  # "back to the circle" is staying
+            # "Back to the circle" is staying, and so is hardly leaving it: the table is not that fine.
+            costs[moves.last_end_m < _LEAST_MOVE * radius_m] = np.inf
         return self._choice(scene, moves, costs + price, stay_cost)
 
     def _ramps_1_m2(self, heading_rad: FloatArray, wind: Wind) -> FloatArray:
