@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar
 
 from pymavlink import mavutil
 
+from app.arduplane_transfer import write_items
 from app.autopilot import CircleOrder, Home, Limits, raw_item, select_by_message
-from app.link import RawItem
+from app.link import RawItem, UploadResult
 from app.message import Message
 from app.parameters import Need, airspeed_need
 from app.vehicle import Answer, Vehicle
@@ -21,6 +22,7 @@ _mav = mavutil.mavlink
 _CUSTOM_MODE_ENABLED = 1
 _AUTO, _RTL = 10, 11
 _SPEED_UNCHANGED = -1.0
+_STORE_S = 8.0
 
 
 _FAILSAFE = "without heartbeats of system MAV_GCS_SYSID (not sidelong's) the failsafe takes the aircraft"
@@ -31,6 +33,7 @@ class ArduPlane:
 
     name = "ArduPlane"
     mission_mode, circle_mode = "AUTO", "GUIDED"
+    least_items = 24
     meanings: ClassVar[Mapping[str, Mapping[float, str]]] = {
         "AIRSPEED_CRUISE": {},
         "AIRSPEED_MIN": {},
@@ -79,6 +82,16 @@ class ArduPlane:
         if item.command == _mav.MAV_CMD_NAV_LOITER_UNLIM:
             return replace(raw, param3=float(round(raw.param3)))
         return raw
+
+    async def store(
+        self, vehicle: Vehicle, held: Sequence[RawItem | None], items: Sequence[RawItem], current: int
+    ) -> UploadResult:
+        if len(held) != len(items):
+            return await write_items(vehicle, items, range(len(items)), _STORE_S)
+        differing = [seq for seq in range(len(items)) if items[seq] != held[seq]]
+        if not differing:
+            return UploadResult.ACCEPTED
+        return await write_items(vehicle, items, range(differing[0], differing[-1] + 1), _STORE_S)
 
     async def arm(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)

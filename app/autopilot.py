@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from app.link import RawItem
+from app.link import RawItem, UploadResult
 from app.message import Message
 from app.parameters import Need
 from app.vehicle import Answer, Vehicle
@@ -97,12 +97,27 @@ class Autopilot(Protocol):
         """Return the items that close every mission without ever being reached."""
         ...
 
+    @property
+    def least_items(self) -> int:
+        """How long its mission is kept at least, see ``Slots``."""
+        ...
+
     def tracking(self, airspeed_m_s: float, wind: Wind) -> LineTracking:
         """Return how it flies along waypoints, for laying them out."""
         ...
 
     def raw(self, item: Item) -> RawItem:
         """Return the item as this autopilot stores it."""
+        ...
+
+    async def store(
+        self, vehicle: Vehicle, held: Sequence[RawItem | None], items: Sequence[RawItem], current: int
+    ) -> UploadResult:
+        """Make the vehicle hold ``items``; it holds ``held`` (None: not known), and flies on the while.
+
+        current: the item flown. ACCEPTED only where the vehicle does hold them; after DENIED and TIMEOUT it may hold
+        any mixture of both.
+        """
         ...
 
     async def arm(self, vehicle: Vehicle) -> Answer: ...
@@ -154,10 +169,11 @@ def raw_item(item: Item) -> RawItem:
 
 def same_items(sent: Sequence[RawItem], held: Sequence[RawItem]) -> bool:
     """Tell whether the vehicle holds what was sent, up to its own rounding."""
-    return len(sent) == len(held) and all(map(_same, sent, held))
+    return len(sent) == len(held) and all(map(same_item, sent, held))
 
 
-def _same(a: RawItem, b: RawItem) -> bool:
+def same_item(a: RawItem, b: RawItem) -> bool:
+    """Tell whether the items are the same up to the vehicle's rounding."""
     return (
         a.command == b.command
         and abs(a.x - b.x) <= _COMPARED_METRES_AS_DEGREES_E7

@@ -1,4 +1,4 @@
-"""Plans as mission items: check, upload, read back where there is doubt, make current at the departure, look."""
+"""Plans as mission items: check, upload, make current at the departure, look."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from app.autopilot import Autopilot, Home, same_items
+from app.autopilot import Autopilot, Home
 from app.guidance import SwapError
 from app.link import RawItem, UploadResult
 from app.message import Message
@@ -24,7 +24,7 @@ from mission.plan import Plan
 from mission.requirement import Wind
 from mission.wind import STILL_AIR
 
-_UPLOAD_S, _DOWNLOAD_S = 8.0, 5.0
+_DOWNLOAD_S = 5.0
 _SETTLED_S = 2.0  # of the vehicle's time after an upload: by then its own words about the mission are up to date
 _SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
 _DURATION_WEIGHT = 0.5
@@ -69,6 +69,7 @@ class MissionGuidance:
         self._airspeed_m_s, self._height_m, self._tolerance_m = airspeed_m_s, height_m, tolerance_m
         self._now_s = now_s
         self._slots: Slots | None = None
+        self._held: tuple[RawItem | None, ...] = ()  # by the vehicle; None where a failed upload leaves doubt
         self._next: _Ready | None = None
         self._upload_took_s = 0.0
         self._foreign = _Foreign(set())
@@ -84,7 +85,8 @@ class MissionGuidance:
         """Upload the first mission: ``lead_in`` (a take-off), then ``line``, which ends in a circle."""
         head = self._autopilot.head(self._home)
         first = len(head) + len(lead_in)
-        slots = Slots((*head, *lead_in, *line), len(head), first, first + len(line))
+        items = (*head, *lead_in, *line)
+        slots = Slots(items, len(head), first, len(items), self._autopilot.least_items).filled()
         result = await self._upload(slots, current=len(head))
         if result is UploadResult.ACCEPTED:
             self._slots = slots
@@ -104,7 +106,9 @@ class MissionGuidance:
         if last is None or held[last].command != NAV_LOITER_UNLIM:
             return None
         head = len(self._autopilot.head(self._home))
-        self._slots = Slots(held[: last + 1], head, max(first, head), last + 1)
+        kept = max(last + 1, self._autopilot.least_items)
+        self._slots = Slots(held[:kept], head, max(first, head), last + 1, self._autopilot.least_items).filled()
+        self._held = held
         self._foreign.settled_s = self._now_s() + _SETTLED_S
         item = held[last]
         east_m, north_m = self._plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
@@ -231,17 +235,14 @@ class MissionGuidance:
         items = slots.closed_by(self._autopilot.tail(self._home)).items
         self._foreign = _Foreign(set(), math.inf)
         begin_s = self._now_s()
-        result = await self._vehicle.link.upload(items, current, _UPLOAD_S)
-        if result is UploadResult.TIMEOUT and await self._holds(items):
-            result = UploadResult.ACCEPTED
+        result = await self._autopilot.store(self._vehicle, self._held, items, current)
         if result is UploadResult.ACCEPTED:
+            self._held = items
             self._upload_took_s += _DURATION_WEIGHT * (self._now_s() - begin_s - self._upload_took_s)
+        elif len(items) == len(self._held):
+            self._held = tuple(b if a == b else None for a, b in zip(items, self._held, strict=True))
+        else:
+            self._held = ()
         # After a failure the vehicle may hold a part of it: that is ours as well.
         self._foreign.settled_s = self._now_s() + _SETTLED_S
         return result
-
-    async def _holds(self, items: tuple[RawItem, ...]) -> bool:
-        """Tell whether the vehicle has the items: often only the last acknowledgement was lost."""
-        held = await self._vehicle.link.download(_DOWNLOAD_S)
-        head = len(self._autopilot.head(self._home))  # ArduPlane keeps its own home there
-        return held is not None and same_items(items[head:], held[head:])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from pymavlink import mavutil
 
-from app.autopilot import CircleOrder, Home, Limits, raw_item, select_by_message
-from app.link import RawItem
+from app.autopilot import CircleOrder, Home, Limits, raw_item, same_items, select_by_message
+from app.link import RawItem, UploadResult
 from app.message import Message
 from app.parameters import Need, airspeed_need
 from app.vehicle import Answer, Vehicle
@@ -24,6 +24,7 @@ _APPROACH_M, _APPROACH_HEIGHT_M = 700.0, 40.0
 _ENDS_FLIGHT = (5.0, 6.0)  # of NAV_DLL_ACT
 _WANTS_TAKE_OFF, _WANTS_LANDING = (1.0, 3.0, 4.0), 2.0  # of MIS_TKO_LAND_REQ
 _METRES_PER_DEGREE = 111_000.0
+_UPLOAD_S, _DOWNLOAD_S = 8.0, 5.0
 
 
 class Px4:
@@ -31,6 +32,7 @@ class Px4:
 
     name = "PX4"
     mission_mode, circle_mode = "MISSION", "LOITER"
+    least_items = 0
     meanings: ClassVar[Mapping[str, Mapping[float, str]]] = {
         "FW_AIRSPD_TRIM": {},
         "FW_AIRSPD_MIN": {},
@@ -80,6 +82,17 @@ class Px4:
 
     def raw(self, item: Item) -> RawItem:
         return raw_item(item)
+
+    async def store(
+        self, vehicle: Vehicle, held: Sequence[RawItem | None], items: Sequence[RawItem], current: int
+    ) -> UploadResult:
+        # Partial writes are ignored, and a list is taken whole or not at all.
+        result = await vehicle.link.upload(items, current, _UPLOAD_S)
+        if result is UploadResult.TIMEOUT:  # often only the last acknowledgement was lost
+            downloaded = await vehicle.link.download(_DOWNLOAD_S)
+            if downloaded is not None and same_items(items, downloaded):
+                return UploadResult.ACCEPTED
+        return result
 
     async def arm(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)

@@ -6,6 +6,8 @@ a circle that never completes. Wherever the upload is cut, the vehicle flies on 
 
     [head] [present line ...circle] [new line ...circle]      after it, or
     [head] [new line ...circle] [present line ...circle]      before it, if it fits into the room there
+
+What is left over between and behind them is never reached.
 """
 
 from __future__ import annotations
@@ -18,12 +20,16 @@ from app.link import RawItem
 
 @dataclass(frozen=True, slots=True)
 class Slots:
-    """The vehicle's mission: ``items`` with the present line at [first, end). ``head`` items stay in front."""
+    """The vehicle's mission: ``items`` with the present line at [first, end). ``head`` items stay in front.
+
+    least_items: it is kept that long, so that a new line finds places to be written to without a new list.
+    """
 
     items: tuple[RawItem, ...]
     head: int
     first: int
     end: int
+    least_items: int = 0
 
     def since(self, index: int) -> Slots:
         """Return the same mission with what lies before ``index`` flown: its places are free for a new line."""
@@ -31,14 +37,16 @@ class Slots:
 
     def with_line(self, line: Sequence[RawItem]) -> Slots:
         """Return the mission that holds the present line where it is and ``line`` as the next; first is its start."""
-        present = self.items[self.first : self.end]
-        room = self.first - self.head
-        if len(line) <= room:
-            padding = (line[-1],) * (room - len(line))
-            items = (*self.items[: self.head], *line, *padding, *present)
-            return Slots(items, self.head, self.head, self.head + len(line))
-        items = (*self.items[: self.end], *line)
-        return Slots(items, self.head, self.end, self.end + len(line))
+        fits = len(line) <= self.first - self.head
+        first = self.head if fits else self.end
+        end = first + len(line)
+        kept = max(self.end, self.least_items)
+        return replace(self, items=(*self.items[:first], *line, *self.items[end:kept]), first=first, end=end)
+
+    def filled(self) -> Slots:
+        """Return the mission with the circle that the present line ends in repeated until it has ``least_items``."""
+        missing = self.least_items - len(self.items)
+        return replace(self, items=(*self.items, *(self.items[self.end - 1 : self.end] * missing)))
 
     def closed_by(self, tail: Sequence[RawItem]) -> Slots:
         """Return the mission with items after it that are never reached (PX4 wants a landing)."""

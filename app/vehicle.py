@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from app.link import Link
@@ -79,6 +80,21 @@ class Vehicle:
             return None
         finally:
             self._waiting.remove(entry)
+
+    @contextmanager
+    def hearing(self, *names: str) -> Iterator[asyncio.Queue[Message]]:
+        """Collect the autopilot's messages of these names meanwhile."""
+        queue: asyncio.Queue[Message] = asyncio.Queue()
+
+        def hear(message: Message) -> None:
+            if message.name in names and message.component_id == AUTOPILOT_COMPONENT:
+                queue.put_nowait(message)
+
+        self.listeners.append(hear)
+        try:
+            yield queue
+        finally:
+            self.listeners.remove(hear)
 
     async def heard(self, name: str, timeout_s: float) -> Message | None:
         """Return the latest message of that name from the autopilot, waiting for the first one if need be."""

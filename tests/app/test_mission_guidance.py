@@ -4,11 +4,11 @@ import asyncio
 
 import pytest
 
-from app.arduplane import ArduPlane
 from app.autopilot import Home, select_by_message
 from app.link import UploadResult
 from app.message import Message
 from app.mission_guidance import MissionGuidance
+from app.px4 import Px4
 from app.vehicle import Vehicle
 from estimators.frames import LocalPlane
 from mission.circle import Circle
@@ -70,7 +70,7 @@ def guidance():
     plane = LocalPlane(47.0, 8.0)
     made = MissionGuidance(
         Vehicle(wire),
-        ArduPlane(),
+        Px4(),
         plane,
         Home(47.0, 8.0, 400.0),
         airspeed_m_s=15.0,
@@ -89,17 +89,17 @@ def current(seq, total):
 
 def test_another_mission_and_another_item_are_somebody_elses(guidance):
     made, clock = guidance
-    assert made.foreign(current(1, 1)) is None
+    assert made.foreign(current(0, 1)) is None
     clock["now_s"] = 10.0
-    assert made.foreign(current(1, 1)) is None
-    assert "changed the mission" in made.foreign(current(1, 4))
+    assert made.foreign(current(0, 1)) is None
+    assert "changed the mission" in made.foreign(current(0, 4))
     assert "item 3" in made.foreign(current(3, 1))
 
 
 def test_what_the_vehicle_says_right_after_an_upload_is_no_surprise(guidance):
     made, clock = guidance
     clock["now_s"] = 1.0
-    assert made.foreign(current(1, 7)) is None  # still told of the mission before
-    assert made.foreign(current(1, 1)) is None
+    assert made.foreign(current(0, 7)) is None  # still told of the mission before
+    assert made.foreign(current(0, 1)) is None
     clock["now_s"] = 10.0
-    assert made.foreign(current(1, 1)) is None
+    assert made.foreign(current(0, 1)) is None

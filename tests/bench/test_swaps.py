@@ -16,6 +16,8 @@ import time
 
 import pytest
 
+from app.arduplane import ArduPlane
+from app.arduplane_transfer import read_items
 from app.autopilot import same_items
 from app.flight import connected
 from app.guidance import SwapError
@@ -79,15 +81,21 @@ async def swapped(flavour, url):
             else:
                 durations_s.append((ready_s - begin_s, time.monotonic() - ready_s))
                 here = there
-            held = None
-            while held is None:
-                held = await vehicle.link.download(8.0)
+            held = await read_back(vehicle, flavour)
             slots = guidance._slots
             index = vehicle.latest["MISSION_CURRENT"].fields["seq"]
             line = slice(slots.first, slots.end)
             mixtures += not same_items(slots.items[line], held[line]) or not slots.first <= index < slots.end
             await asyncio.sleep(0.3)
         return durations_s, failures, mixtures
+
+
+async def read_back(vehicle, flavour):
+    if flavour == "arduplane":
+        return [item for _, item in sorted((await read_items(vehicle, range(ArduPlane.least_items))).items())]
+    while (held := await vehicle.link.download(8.0)) is None:
+        pass
+    return held
 
 
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])
