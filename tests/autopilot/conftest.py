@@ -28,7 +28,8 @@ SPEED = 10.0
 RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 PATIENCE_S = 90.0
 OURS = 245  # the application's MAVLink system
-COMMANDING = {"COMMAND_LONG", "COMMAND_INT", "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_SET_CURRENT", "SET_MODE"}
+WRITING = {"MISSION_COUNT", "MISSION_WRITE_PARTIAL_LIST", "MISSION_ITEM_INT"}
+COMMANDING = WRITING | {"COMMAND_LONG", "COMMAND_INT", "MISSION_SET_CURRENT", "SET_MODE"}
 
 
 class Vehicle:
@@ -57,7 +58,7 @@ class Vehicle:
         self.port = free_udp_port()
         self.url = f"udpin://127.0.0.1:{self.port}"
         self.commanded: list[tuple[float, str]] = []  # (simulated time, message) from the application
-        self.before_item: int | None = None  # something happens when the application sends this item
+        self.items_until_act = 0  # something happens when the application sends the item that ends the count
         self.deaf = False
         self._act = lambda: None
         self._work: queue.Queue = queue.Queue()
@@ -90,8 +91,9 @@ class Vehicle:
         self._work.put((action, answer))
         return answer.get(timeout=30.0)
 
-    def at_item(self, index, act):
-        self._act, self.before_item = act, index
+    def at_item(self, count, act):
+        """Do something just before the count-th item from now on reaches the vehicle."""
+        self._act, self.items_until_act = act, count
 
     def wait(self, seconds):
         """Wait for so much of the vehicle's time."""
@@ -125,9 +127,10 @@ class Vehicle:
             kind = message.get_type()
             if message.get_srcSystem() == OURS and kind in COMMANDING:
                 self.commanded.append((self.simulation.time_s, kind))
-                if kind == "MISSION_ITEM_INT" and message.seq == self.before_item:
-                    self.before_item = None
-                    self._act()
+                if kind == "MISSION_ITEM_INT" and self.items_until_act:
+                    self.items_until_act -= 1
+                    if self.items_until_act == 0:
+                        self._act()
         self._receive(address, data)
 
     def _talk(self):
