@@ -36,6 +36,7 @@ _SCHEMES = "udpin://HOST:PORT, udpout://HOST:PORT, tcpout://HOST:PORT, tcpin://H
 _NETWORK_URL = re.compile(r"(udpin|udpout|tcpin|tcpout)://([^:/]+):(\d{1,5})")
 _SERIAL_URL = re.compile(r"serial(_flowcontrol)?:///[^:]+:\d+")
 _PENDING_AT_CLOSE_S = 8.0
+_ENDED = {"target_component": 1, "type": mavlink.MAV_MISSION_ACCEPTED, "mission_type": 0}
 
 FrameListener = Callable[[bytes], None]
 
@@ -200,6 +201,9 @@ class MavsdkLink:
                 return None
             except MissionRawError as error:
                 return () if error.result == MissionRawResult.NO_MISSION_AVAILABLE else None
+            # A vehicle that misses the end of it takes no other mission for seconds: MAVSDK tells it only once.
+            for _ in range(2):
+                await self.send("MISSION_ACK", _ENDED | {"target_system": self.system_id})
         return tuple(
             RawItem(
                 item.command,

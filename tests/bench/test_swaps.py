@@ -28,6 +28,7 @@ from app.simulated import free_udp_port
 from mission.approach import turn_straight_turn
 from mission.circle import Circle
 from mission.events import Prepare
+from mission.items import NAV_LOITER_UNLIM
 from mission.plan import AircraftState, Plan
 from mission.requirement import Wind
 
@@ -82,12 +83,18 @@ async def swapped(flavour, url):
                 durations_s.append((ready_s - begin_s, time.monotonic() - ready_s))
                 here = there
             held = await read_back(vehicle, flavour)
-            slots = guidance._slots
-            index = vehicle.latest["MISSION_CURRENT"].fields["seq"]
-            line = slice(slots.first, slots.end)
-            mixtures += not same_items(slots.items[line], held[line]) or not slots.first <= index < slots.end
+            mixtures += not flies_one_of(held, vehicle.latest["MISSION_CURRENT"].fields["seq"], guidance)
             await asyncio.sleep(0.3)
         return durations_s, failures, mixtures
+
+
+def flies_one_of(held, index, guidance):
+    """Tell whether what is flown from now on is the rest of the present line, or of one that was set current unheard."""
+    circle = next((i for i in range(index, len(held)) if held[i].command == NAV_LOITER_UNLIM), len(held))
+    flown = held[index : circle + 1]
+    slots = [guidance._slots, *([guidance._next.slots] if guidance._next is not None else [])]
+    lines = [one.items[one.first : one.end] for one in slots]
+    return bool(flown) and any(same_items(line[-len(flown) :], flown) for line in lines)
 
 
 async def read_back(vehicle, flavour):
