@@ -89,7 +89,7 @@ async def swapped(flavour, url):
 
 
 def flies_one_of(held, index, guidance):
-    """Tell whether what is flown from now on is the rest of the present line, or of one that was set current unheard."""
+    """Tell whether the rest of the present line is flown, or that of one which was set current unheard."""
     circle = next((i for i in range(index, len(held)) if held[i].command == NAV_LOITER_UNLIM), len(held))
     flown = held[index : circle + 1]
     slots = [guidance._slots, *([guidance._next.slots] if guidance._next is not None else [])]
