@@ -102,8 +102,8 @@ class ArduPlane:
     async def start_mission(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO)
 
-    async def select(self, vehicle: Vehicle, first: int, end: int) -> bool:
-        return await select_by_message(vehicle, first, end)
+    async def select(self, vehicle: Vehicle, first: int, line: Sequence[RawItem]) -> bool:
+        return await select_by_message(vehicle, first, first + len(line))
 
     async def fly_circle(self, vehicle: Vehicle, order: CircleOrder, take_over: bool) -> Answer:
         # Only COMMAND_INT is understood, the sign of a radius says nothing, and it is kept in whole metres. Without

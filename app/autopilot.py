@@ -6,7 +6,7 @@ The rest of the program does not know which one it flies.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -126,8 +126,8 @@ class Autopilot(Protocol):
 
     async def start_mission(self, vehicle: Vehicle) -> Answer: ...
 
-    async def select(self, vehicle: Vehicle, first: int, end: int) -> bool:
-        """Fly the mission items [first, end) from now on; True when the vehicle says that it flies one of them."""
+    async def select(self, vehicle: Vehicle, first: int, line: Sequence[RawItem]) -> bool:
+        """Fly the items of ``line``, from the mission's ``first`` on; True when the vehicle says that it flies one."""
         ...
 
     async def fly_circle(self, vehicle: Vehicle, order: CircleOrder, take_over: bool) -> Answer:
@@ -167,6 +167,11 @@ def raw_item(item: Item) -> RawItem:
     )
 
 
+def at_place(x: int, y: int, item: RawItem) -> bool:
+    """Tell whether 1e-7 degrees are an item's place."""
+    return max(abs(x - item.x), abs(y - item.y)) <= _COMPARED_METRES_AS_DEGREES_E7
+
+
 def same_items(sent: Sequence[RawItem], held: Sequence[RawItem]) -> bool:
     """Tell whether the vehicle holds what was sent, up to its own rounding."""
     return len(sent) == len(held) and all(map(same_item, sent, held))
@@ -176,8 +181,7 @@ def same_item(a: RawItem, b: RawItem) -> bool:
     """Tell whether the items are the same up to the vehicle's rounding."""
     return (
         a.command == b.command
-        and abs(a.x - b.x) <= _COMPARED_METRES_AS_DEGREES_E7
-        and abs(a.y - b.y) <= _COMPARED_METRES_AS_DEGREES_E7
+        and at_place(a.x, a.y, b)
         and abs(a.z - b.z) <= _COMPARED_PARAM
         and all(
             math.isnan(x) or math.isnan(y) or abs(x - y) <= _COMPARED_PARAM
@@ -186,16 +190,19 @@ def same_item(a: RawItem, b: RawItem) -> bool:
     )
 
 
-async def select_by_message(vehicle: Vehicle, first: int, end: int) -> bool:
-    """Send MISSION_SET_CURRENT until MISSION_CURRENT tells that an item of [first, end) is flown."""
+async def select_by_message(
+    vehicle: Vehicle, first: int, end: int, proves: Callable[[Message], bool] = lambda _message: False
+) -> bool:
+    """Send MISSION_SET_CURRENT until MISSION_CURRENT, or what else ``proves`` it, is in [first, end)."""
+
+    def tells(message: Message) -> bool:
+        return proves(message) or (message.name == "MISSION_CURRENT" and first <= message.fields["seq"] < end)
+
     for _ in range(5):
         await vehicle.link.send(
             "MISSION_SET_CURRENT",
             {"target_system": vehicle.system_id, "target_component": 1, "seq": first},
         )
-        said = await vehicle.wait_for(
-            lambda message: message.name == "MISSION_CURRENT" and first <= message.fields["seq"] < end, 0.4
-        )
-        if said is not None:
+        if await vehicle.wait_for(tells, 0.4) is not None:
             return True
     return False

@@ -117,7 +117,7 @@ class MissionGuidance:
     async def select(self) -> bool:
         """Fly the line that was loaded."""
         assert self._slots is not None
-        return await self._autopilot.select(self._vehicle, self._slots.first, self._slots.end)
+        return await self._autopilot.select(self._vehicle, self._slots.first, self._slots.line())
 
     @property
     def line_first(self) -> int:
@@ -156,8 +156,8 @@ class MissionGuidance:
         if ready is None or ready.command.number != number:
             raise SwapError("it is not on board")
         slots = ready.slots
-        entry = slots.first + self._passed(ready)
-        if not await self._autopilot.select(self._vehicle, entry, slots.end):
+        passed = self._passed(ready)
+        if not await self._autopilot.select(self._vehicle, slots.first + passed, slots.line()[passed:]):
             raise SwapError("the autopilot did not switch to it")
         self._slots = slots
 

@@ -8,10 +8,11 @@ from typing import ClassVar
 
 from pymavlink import mavutil
 
-from app.autopilot import CircleOrder, Home, Limits, raw_item, same_items, select_by_message
+from app.autopilot import CircleOrder, Home, Limits, at_place, raw_item, same_items, select_by_message
 from app.link import RawItem, UploadResult
 from app.message import Message
 from app.parameters import Need, airspeed_need
+from app.telemetry import AUTOPILOT_COMPONENT
 from app.vehicle import Answer, Vehicle
 from mission.items import Item
 from mission.line_tracking import LineTracking, px4
@@ -24,6 +25,7 @@ _APPROACH_M, _APPROACH_HEIGHT_M = 700.0, 40.0
 _ENDS_FLIGHT = (5.0, 6.0)  # of NAV_DLL_ACT
 _WANTS_TAKE_OFF, _WANTS_LANDING = (1.0, 3.0, 4.0), 2.0  # of MIS_TKO_LAND_REQ
 _METRES_PER_DEGREE = 111_000.0
+_TARGET = "POSITION_TARGET_GLOBAL_INT"
 _UPLOAD_S, _DOWNLOAD_S = 8.0, 5.0
 
 
@@ -103,8 +105,17 @@ class Px4:
     async def start_mission(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO, _MISSION)
 
-    async def select(self, vehicle: Vehicle, first: int, end: int) -> bool:
-        return await select_by_message(vehicle, first, end)
+    async def select(self, vehicle: Vehicle, first: int, line: Sequence[RawItem]) -> bool:
+        # MISSION_CURRENT comes once a second only; where it flies to is told at once, if that is a new place.
+        def on_line(message: Message | None) -> bool:
+            if message is None or message.name != _TARGET or message.component_id != AUTOPILOT_COMPONENT:
+                return False
+            return any(at_place(message.fields["lat_int"], message.fields["lon_int"], item) for item in line)
+
+        was_on_line = on_line(vehicle.latest.get(_TARGET))
+        return await select_by_message(
+            vehicle, first, first + len(line), lambda message: not was_on_line and on_line(message)
+        )
 
     async def fly_circle(self, vehicle: Vehicle, order: CircleOrder, take_over: bool) -> Answer:
         # DO_REPOSITION ignores the radius. Frames other than 5 are answered with a result that crashes MAVSDK 4.1.

@@ -31,6 +31,10 @@ class Slots:
     end: int
     least_items: int = 0
 
+    def line(self) -> tuple[RawItem, ...]:
+        """Return the items of the present line."""
+        return self.items[self.first : self.end]
+
     def since(self, index: int) -> Slots:
         """Return the same mission with what lies before ``index`` flown: its places are free for a new line."""
         return replace(self, first=index) if self.first <= index < self.end else self

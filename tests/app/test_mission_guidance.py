@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from app.autopilot import Home, select_by_message
-from app.link import UploadResult
+from app.link import RawItem, UploadResult
 from app.message import Message
 from app.mission_guidance import MissionGuidance
 from app.px4 import Px4
@@ -103,3 +103,28 @@ def test_what_the_vehicle_says_right_after_an_upload_is_no_surprise(guidance):
     assert made.foreign(current(0, 1)) is None
     clock["now_s"] = 10.0
     assert made.foreign(current(0, 1)) is None
+
+
+@pytest.mark.parametrize(("goes_to", "switched"), [((47_0000000, 8_0010000), True), ((47_0000000, 8_0000000), False)])
+def test_px4_tells_by_where_it_flies_to_unless_the_line_goes_on_there(goes_to, switched):
+    """The vehicle's MISSION_CURRENT stays behind; its target does not."""
+    line = (RawItem(17, 6, 0.0, 0.0, 60.0, 0.0, *goes_to, 100.0),)
+
+    class Flying(Wire):
+        async def messages(self):
+            place = (47_0000000, 8_0000000)
+            while True:
+                await asyncio.sleep(0.01)
+                place = goes_to if self.asked else place
+                yield Message("POSITION_TARGET_GLOBAL_INT", 1, 1, {"lat_int": place[0], "lon_int": place[1]}, 0.0)
+
+    async def go():
+        vehicle = Vehicle(Flying(item=9, heeded=99))
+        running = asyncio.create_task(vehicle.run())
+        await asyncio.sleep(0.05)
+        try:
+            return await Px4().select(vehicle, 1, line)
+        finally:
+            running.cancel()
+
+    assert asyncio.run(go()) is switched

@@ -93,8 +93,7 @@ def flies_one_of(held, index, guidance):
     circle = next((i for i in range(index, len(held)) if held[i].command == NAV_LOITER_UNLIM), len(held))
     flown = held[index : circle + 1]
     slots = [guidance._slots, *([guidance._next.slots] if guidance._next is not None else [])]
-    lines = [one.items[one.first : one.end] for one in slots]
-    return bool(flown) and any(same_items(line[-len(flown) :], flown) for line in lines)
+    return bool(flown) and any(same_items(one.line()[-len(flown) :], flown) for one in slots)
 
 
 async def read_back(vehicle, flavour):
