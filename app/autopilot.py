@@ -127,7 +127,7 @@ class Autopilot(Protocol):
     async def start_mission(self, vehicle: Vehicle) -> Answer: ...
 
     async def select(self, vehicle: Vehicle, first: int, line: Sequence[RawItem]) -> bool:
-        """Fly the items of ``line``, from the mission's ``first`` on; True when the vehicle says that it flies one."""
+        """Fly the items of ``line``, from the mission's ``first`` on; True when the vehicle says so."""
         ...
 
     async def fly_circle(self, vehicle: Vehicle, order: CircleOrder, take_over: bool) -> Answer:
