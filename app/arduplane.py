@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from pymavlink import mavutil
 
-from app.arduplane_transfer import write_items
+from app.arduplane_transfer import read_mission, write_items
 from app.autopilot import CircleOrder, Home, Limits, raw_item, select_by_message
 from app.link import RawItem, UploadResult
 from app.message import Message
@@ -92,6 +92,9 @@ class ArduPlane:
         if not differing:
             return UploadResult.ACCEPTED
         return await write_items(vehicle, items, range(differing[0], differing[-1] + 1), _STORE_S)
+
+    async def stored(self, vehicle: Vehicle) -> tuple[RawItem, ...] | None:
+        return await read_mission(vehicle, _STORE_S)
 
     async def arm(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)

@@ -84,6 +84,25 @@ async def _say(vehicle: Vehicle, items: Sequence[RawItem], changed: range, await
         await _send(vehicle, "MISSION_WRITE_PARTIAL_LIST", **ends)
 
 
+async def read_mission(vehicle: Vehicle, timeout_s: float) -> tuple[RawItem, ...] | None:
+    """Return all the items that the vehicle holds, or None when they did not come in time."""
+    try:
+        async with asyncio.timeout(timeout_s):
+            held = await read_items(vehicle, range(await _count(vehicle)))
+    except TimeoutError:
+        return None
+    return tuple(held[seq] for seq in range(len(held)))
+
+
+async def _count(vehicle: Vehicle) -> int:
+    with vehicle.hearing("MISSION_COUNT") as heard:
+        while True:
+            await _send(vehicle, "MISSION_REQUEST_LIST")
+            message = await _next(heard, asyncio.get_running_loop().time() + _AGAIN_S)
+            if message is not None and message.fields["mission_type"] == mavlink.MAV_MISSION_TYPE_MISSION:
+                return int(message.fields["count"])
+
+
 async def read_items(vehicle: Vehicle, wanted: Collection[int]) -> dict[int, RawItem]:
     """Return the items at ``wanted`` as the vehicle holds them; asks until it has them all, so bound it."""
     clock = asyncio.get_running_loop().time

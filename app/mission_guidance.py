@@ -24,7 +24,6 @@ from mission.plan import Plan
 from mission.requirement import Wind
 from mission.wind import STILL_AIR
 
-_DOWNLOAD_S = 5.0
 _SETTLED_S = 2.0  # of the vehicle's time after an upload: by then its own words about the mission are up to date
 _SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
 _DURATION_WEIGHT = 0.5
@@ -98,7 +97,7 @@ class MissionGuidance:
         None when the mission cannot be read, or what is flown does not end in a circle that needs no one.
         """
         current = await self._vehicle.heard("MISSION_CURRENT", 2.0)
-        held = await self._vehicle.link.download(_DOWNLOAD_S)
+        held = await self._autopilot.stored(self._vehicle)
         if current is None or held is None:
             return None
         first = int(current.fields["seq"])

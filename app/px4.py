@@ -91,10 +91,13 @@ class Px4:
         # Partial writes are ignored, and a list is taken whole or not at all.
         result = await vehicle.link.upload(items, current, _UPLOAD_S)
         if result is UploadResult.TIMEOUT:  # often only the last acknowledgement was lost
-            downloaded = await vehicle.link.download(_DOWNLOAD_S)
+            downloaded = await self.stored(vehicle)
             if downloaded is not None and same_items(items, downloaded):
                 return UploadResult.ACCEPTED
         return result
+
+    async def stored(self, vehicle: Vehicle) -> tuple[RawItem, ...] | None:
+        return await vehicle.link.download(_DOWNLOAD_S)
 
     async def arm(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from app.arduplane_transfer import write_items
+from app.arduplane_transfer import read_mission, write_items
 from app.autopilot import same_item
 from app.link import RawItem, UploadResult
 from app.message import Message
@@ -154,3 +154,10 @@ def test_places_that_the_vehicle_does_not_have_are_a_refusal():
     results, items, _ = fly(0.0, 1, whole, lambda v: write_items(v, longer, range(COUNT, COUNT + 6), 8.0))
     assert results[1] in (DENIED, TIMEOUT)
     assert len(items) <= COUNT + 1
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_the_mission_is_read_as_it_is_held(loss):
+    results, _, took_s = fly(loss, 5, whole, lambda v: read_mission(v, 20.0))
+    assert all(map(same_item, results[1][1:], OLD[1:]))
+    assert took_s < (0.3 if loss == 0.0 else 3.0)  # of the link's clock

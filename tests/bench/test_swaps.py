@@ -16,8 +16,6 @@ import time
 
 import pytest
 
-from app.arduplane import ArduPlane
-from app.arduplane_transfer import read_items
 from app.autopilot import same_items
 from app.flight import connected
 from app.guidance import SwapError
@@ -37,7 +35,7 @@ BOUND_S = 600.0
 RADIUS_M, SPEED_M_S, TAKE_OFF = 50.0, 15.0, 22
 
 
-async def swapped(flavour, url):
+async def swapped(url):
     """Make swaps; return (durations of the good ones, failures, mixtures)."""
     rng = random.Random(1)
     async with connected(url, 30.0) as session:
@@ -82,7 +80,8 @@ async def swapped(flavour, url):
             else:
                 durations_s.append((ready_s - begin_s, time.monotonic() - ready_s))
                 here = there
-            held = await read_back(vehicle, flavour)
+            while (held := await session.autopilot.stored(vehicle)) is None:
+                pass
             mixtures += not flies_one_of(held, vehicle.latest["MISSION_CURRENT"].fields["seq"], guidance)
             await asyncio.sleep(0.3)
         return durations_s, failures, mixtures
@@ -96,14 +95,6 @@ def flies_one_of(held, index, guidance):
     return bool(flown) and any(same_items(one.line()[-len(flown) :], flown) for one in slots)
 
 
-async def read_back(vehicle, flavour):
-    if flavour == "arduplane":
-        return [item for _, item in sorted((await read_items(vehicle, range(ArduPlane.least_items))).items())]
-    while (held := await vehicle.link.download(8.0)) is None:
-        pass
-    return held
-
-
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])
 @pytest.mark.parametrize(("loss", "round_trip_ms", "goal_s"), [(0.0, 0.0, 0.5), (0.05, 50.0, 2.0), (0.2, 50.0, None)])
 def test_swaps(flavour, loss, round_trip_ms, goal_s):
@@ -111,7 +102,7 @@ def test_swaps(flavour, loss, round_trip_ms, goal_s):
     options = ["--autopilot", flavour, "--to", f"127.0.0.1:{port}", "--loss", loss, "--delay-ms", round_trip_ms / 2.0]
     vehicle = subprocess.Popen([sys.executable, "-m", "sitl", *map(str, options)], stdout=subprocess.DEVNULL)
     try:
-        durations_s, failures, mixtures = asyncio.run(swapped(flavour, f"udpin://127.0.0.1:{port}"))
+        durations_s, failures, mixtures = asyncio.run(swapped(f"udpin://127.0.0.1:{port}"))
     finally:
         vehicle.terminate()
         vehicle.wait(10.0)
