@@ -27,6 +27,10 @@ SIDELONG = Path(sys.executable).with_name("sidelong")
 SPEED = 10.0
 RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 PATIENCE_S = 90.0
+WIND_UP_S = 60.0  # the application's own bound
+# Runs a program that the kernel ends after so many seconds, should its test not have lived to do it.
+MORTAL = "import os, signal, sys; signal.alarm(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
+LIFE_S = 300
 OURS = 245  # the application's MAVLink system
 COMMANDING = {"COMMAND_LONG", "COMMAND_INT", "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_SET_CURRENT", "SET_MODE"}
 
@@ -65,7 +69,7 @@ class Vehicle:
         self._parser = mavlink.MAVLink(None)
         self._receive, self._take = simulation.receive, simulation.take
         simulation.receive, simulation.take = self._listen, self._talk
-        self._thread = threading.Thread(target=self._serve)
+        self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
 
     def circle_mission(self, radius_m, east_m=0.0, north_m=0.0):
@@ -144,7 +148,8 @@ class Application:
         # A pipe that nobody empties would stop it: the lines go into a file.
         self._log = out.with_suffix(".log")
         with self._log.open("w") as log:
-            self.process = subprocess.Popen([SIDELONG, *arguments], stdout=log, stderr=subprocess.STDOUT)
+            command = [sys.executable, "-c", MORTAL, str(LIFE_S), SIDELONG, *arguments]
+            self.process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
 
     @property
     def said(self):
@@ -164,7 +169,7 @@ class Application:
         """Interrupt it, and return its summary."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        self.process.wait(40.0)
+        self.process.wait(WIND_UP_S + 10.0)
         runs = sorted(self.out.iterdir())
         return json.loads((runs[-1] / "summary.json").read_text())
 
