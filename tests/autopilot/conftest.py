@@ -17,7 +17,6 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from app.simulated import free_udp_port
 from sitl.items import Item
 from sitl.server import serve
 from sitl.settings import Flavour, Settings, TargetSettings
@@ -38,7 +37,7 @@ COMMANDING = {"COMMAND_LONG", "COMMAND_INT", "MISSION_COUNT", "MISSION_ITEM_INT"
 class Vehicle:
     """A simulated vehicle in a thread, circling at home when it begins, and everything that is commanded to it."""
 
-    def __init__(self, flavour: str, seed: int = 1) -> None:
+    def __init__(self, flavour: str, port: int, seed: int = 1) -> None:
         self.simulation = simulation = Simulation(
             Settings(
                 flavour=Flavour(flavour),
@@ -58,7 +57,7 @@ class Vehicle:
         vehicle.set_mode(self.mission_mode)
         while vehicle.craft.height_m < 95.0:
             simulation.advance(simulation.time_s + 1.0)
-        self.port = free_udp_port()
+        self.port = port
         self.url = f"udpin://127.0.0.1:{self.port}"
         self.commanded: list[tuple[float, str]] = []  # (simulated time, message) from the application
         self.before_item: int | None = None  # something happens when the application sends this item
@@ -175,11 +174,11 @@ class Application:
 
 
 @pytest.fixture
-def vehicle_of():
+def vehicle_of(free_port):
     made = []
 
     def make(flavour, seed=1):
-        made.append(Vehicle(flavour, seed))
+        made.append(Vehicle(flavour, free_port(), seed))
         return made[-1]
 
     yield make
