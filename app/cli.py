@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+import traceback
+from typing import NoReturn
 
 import typer
 
@@ -13,6 +15,7 @@ from app.commands.init import init
 from app.commands.launch import launch
 from app.commands.replay import replay
 from app.commands.report import report
+from app.ending import leave
 from app.errors import FlightError, InputError
 from app.study.command import study
 from sitl.cli import run as sitl
@@ -33,20 +36,27 @@ for command in (launch, connect, replay, report, export, check, init, study):
 app.command(name="sitl")(sitl)
 
 
-def main() -> None:
+def main() -> NoReturn:
     """Run the command line. Exit codes: 0 done, 1 the flight failed, 2 wrong input, 130 interrupted."""
+    code = 0
     try:
         app()
+    except SystemExit as end:
+        code = int(end.code or 0)
     except InputError as error:
-        _complain(error, 2)
+        code = _complain(error, 2)
     except FlightError as error:
-        _complain(error, 1)
+        code = _complain(error, 1)
     except KeyboardInterrupt:
-        sys.exit(130)
+        code = 130
     except BrokenPipeError:
-        sys.exit(0)
+        code = 0
+    except Exception:
+        traceback.print_exc()
+        code = 1
+    leave(code)
 
 
-def _complain(error: Exception, code: int) -> None:
+def _complain(error: Exception, code: int) -> int:
     print(f"sidelong: {error}", file=sys.stderr)
-    sys.exit(code)
+    return code

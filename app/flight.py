@@ -16,6 +16,7 @@ from app.command_guidance import CommandGuidance
 from app.config import Config
 from app.cot import CotOutput
 from app.display import FlightDisplay
+from app.ending import ends_within
 from app.engaging import Engaging
 from app.errors import InputError
 from app.guidance import Guidance
@@ -34,6 +35,7 @@ from app.vehicle import Vehicle
 from mission.events import Announce, Engaged, Event
 from mission.watch import Phase, Snapshot, Watch
 
+_CLOSE_S = 30.0
 _LISTEN_S = 1.0
 _POLL_S = 0.1
 _READY_WITHIN_S = 60.0  # of the vehicle's time
@@ -68,7 +70,8 @@ async def connected(url: str, timeout_s: float, on_frame: FrameListener | None =
             raise InputError(f"{url!r}: the autopilot stopped talking; check the link.")
         yield Session(vehicle, autopilot_of(vehicle), Telemetry(vehicle.system_id))
     finally:
-        await link.close()
+        with ends_within(_CLOSE_S, "closing the link"):
+            await link.close()
         pump.cancel()
         await asyncio.gather(pump, return_exceptions=True)
 

@@ -38,8 +38,6 @@ class Link(Protocol):
     """A connection to one vehicle. Every call ends within its own bound, whatever the other side does."""
 
     system_id: int
-    stuck: bool
-    """After ``close``: a call never came back, and an ordinary exit of the process would wait for it."""
 
     def messages(self) -> AsyncIterator[Message]:
         """Yield what the vehicle and its components say, in order of arrival, until the link is closed."""

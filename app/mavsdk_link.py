@@ -5,8 +5,8 @@ destroyed object crashes the process; an ``async for`` over a subscription never
 
 - every blocking call goes through ``_bounded``: own timeout, remembered while it is pending;
 - an upload or download that timed out is cancelled in MAVSDK before anything else;
-- ``close`` sets a flag first, waits for what is pending, and destroys last; if something stays stuck, it leaves the
-  instance alone (the process may then only end by ``os._exit``, which ``stuck`` tells).
+- ``close`` sets a flag first, waits for what is pending, and destroys last, all of it within a bound; if something
+  stays stuck, it leaves the instance alone, and ``app.ending`` ends the process in spite of it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from app.message import Message
 _SCHEMES = "udpin://HOST:PORT, udpout://HOST:PORT, tcpout://HOST:PORT, tcpin://HOST:PORT, serial:///dev/NAME:BAUD"
 _NETWORK_URL = re.compile(r"(udpin|udpout|tcpin|tcpout)://([^:/]+):(\d{1,5})")
 _SERIAL_URL = re.compile(r"serial(_flowcontrol)?:///[^:]+:\d+")
-_PENDING_AT_CLOSE_S = 8.0
+_PENDING_AT_CLOSE_S, _DESTROY_S = 8.0, 5.0
 _ENDED = {"target_component": 1, "type": mavlink.MAV_MISSION_ACCEPTED, "mission_type": 0}
 
 FrameListener = Callable[[bytes], None]
@@ -76,7 +76,6 @@ class MavsdkLink:
 
     def __init__(self, instance: Mavsdk, system: Any, system_id: int) -> None:
         self.system_id = system_id
-        self.stuck = False
         self._instance = instance
         self._direct = MavlinkDirectAsync(system)
         self._mission = MissionRawAsync(system)
@@ -114,11 +113,11 @@ class MavsdkLink:
                 address, ForwardingOption.ON if on_frame is not None else ForwardingOption.OFF
             )
         except Exception as error:
-            instance.destroy()
+            await _destroy(instance)
             raise InputError(f"{url!r} could not be opened ({error}); check the address or device.") from error
         system = await instance.first_autopilot(timeout_s)
         if system is None:
-            instance.destroy()
+            await _destroy(instance)
             raise InputError(
                 f"{url!r}: no autopilot was heard within {timeout_s:g} s; check that it runs and sends MAVLink there."
             )
@@ -138,6 +137,9 @@ class MavsdkLink:
             self._queue.put_nowait(
                 Message(raw.message_name, raw.system_id, raw.component_id, json.loads(raw.fields_json), time.time())
             )
+            # A full queue never waits: messages that come faster than they are handled would shut out all else, an
+            # interrupt too.
+            await asyncio.sleep(0)
 
     async def messages(self) -> AsyncIterator[Message]:
         while (message := await self._queue.get()) is not None:
@@ -280,10 +282,13 @@ class MavsdkLink:
         self._queue.put_nowait(None)
         if self._pending:
             await asyncio.wait(self._pending, timeout=_PENDING_AT_CLOSE_S)
-        self.stuck = bool(self._pending)
-        if not self.stuck:
+        if not self._pending:
             await asyncio.gather(self._pump, return_exceptions=True)
-            await asyncio.to_thread(self._instance.destroy)
+            await _destroy(self._instance)
+
+
+async def _destroy(instance: Mavsdk) -> None:
+    await asyncio.wait((asyncio.ensure_future(asyncio.to_thread(instance.destroy)),), timeout=_DESTROY_S)
 
 
 def _json_number(value: Any) -> Any:

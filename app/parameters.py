@@ -46,9 +46,10 @@ async def borrowed(
     changed: list[Need] = []
     try:
         for need in needs:
+            changed.append(need)  # before the answer: an interrupt may come between
             if not await vehicle.link.set_parameter(need.name, need.value):
+                changed.pop()
                 raise InputError(f"the autopilot did not take {need.name} = {need.value:g}; set it by hand.")
-            changed.append(need)
             note(f"{need.name} = {need.value:g} for this flight (was {need.present:g}): {need.why}")
         yield
     finally:

@@ -14,6 +14,8 @@ from app.preflight import mode_of
 from app.vehicle import Vehicle
 from mission.events import Depart, End, Event, Prepare, SwapReported, Yield, YieldRequested
 
+_FINISH_S, _CUT_OFF_S = 10.0, 5.0
+
 
 class Performer:
     """One vehicle's hands. After ``Yield`` or ``End`` nothing more is sent, but for the way home that ``End`` orders.
@@ -52,10 +54,14 @@ class Performer:
                 self._start(self._return_home())
 
     async def drain(self) -> None:
-        """Leave off: wait until what was started has ended, and guide no more."""
+        """Leave off: let what was started end soon, or cut it off, and guide no more."""
         self._vehicle.listeners.remove(self._heard)
-        if self._tasks:
-            await asyncio.wait(self._tasks)
+        for bound_s in (_FINISH_S, _CUT_OFF_S):
+            # An upload is tried again as long as the vehicle's clock allows; without a link that stands still.
+            if self._tasks:
+                await asyncio.wait(self._tasks, timeout=bound_s)
+            for task in self._tasks:
+                task.cancel()
         self._guidance.stop()
 
     def _start(self, work: Coroutine[Any, Any, None]) -> None:

@@ -33,6 +33,11 @@ class Recording:
         """Take a raw frame, from any thread."""
         self._tlog.write(data, time.time())
 
+    @property
+    def begun(self) -> bool:
+        """Whether the flight, and with it the journal, has begun."""
+        return self._journal is not None
+
     def begin(self, plane: LocalPlane) -> None:
         """Open the journal."""
         header = Header(

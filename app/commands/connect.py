@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +12,7 @@ from rich.table import Table
 from app.autopilot import parameter_notes
 from app.commands.output import JsonOption, checked_output, console, write_json
 from app.config import Config, load_config
+from app.ending import run
 from app.flight import connected
 from app.parameters import read_parameters
 from app.preflight import ask_for_streams, checks, home_of, listen, mode_of
@@ -31,7 +31,7 @@ def connect(
     """
     checked_output(json)
     settings = load_config(config, {"link": {"heartbeat_timeout_s": timeout}})
-    report = asyncio.run(_report(url, settings, listen_s))
+    report = run(_report(url, settings, listen_s))
     write_json(json, report)
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import shutil
 import signal
-import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +18,7 @@ from app.commands.output import JsonOption, checked_output, console, table_progr
 from app.commands.report import write_report
 from app.config import Config, check_flyable, load_config
 from app.display import FlightDisplay
+from app.ending import ends_within, run
 from app.errors import InputError
 from app.flight import Flight, Sharing, connected
 from app.recording import Recording, write_mcap
@@ -31,6 +30,7 @@ from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay
 
 _DURATION_S = 1200.0
+_WIND_UP_S = 60.0  # the bounds of what is done after an interrupt are together below this
 
 
 def launch(
@@ -94,16 +94,11 @@ def launch(
         },
     )
     check_flyable(settings)
-    folder, summary, stuck = asyncio.run(
-        _launch(
-            settings,
-            duration,
-            out,
-            quiet,
-            Address(view_host, view_port) if view else None,
-            Sharing(cot, point_gimbal),
-        )
-    )
+    address = Address(view_host, view_port) if view else None
+    try:
+        folder, summary = run(_launch(settings, duration, out, quiet, address, Sharing(cot, point_gimbal)))
+    except asyncio.CancelledError as interrupted:
+        raise KeyboardInterrupt from interrupted
     console.print(summary.table())
     console.print(f"run folder: {folder.path}")
     if mcap:
@@ -111,18 +106,12 @@ def launch(
     if report:
         write_report(folder.path, folder.path / "report.html")
     write_json(json, summary.as_json())
-    if stuck:  # a MAVSDK call never came back; leaving the ordinary way would wait for it for ever
-        sys.stdout.flush()
-        os._exit(0)
 
 
 async def _launch(
     config: Config, duration_s: float, out: Path, quiet: bool, address: Address | None, sharing: Sharing
-) -> tuple[RunFolder, Summary, bool]:
-    stopped = asyncio.Event()
+) -> tuple[RunFolder, Summary]:
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, stopped.set)
     folder = RunFolder.create(out, datetime.now(UTC))
     try:
         async with _displayed(config, quiet, address) as display:
@@ -131,15 +120,38 @@ async def _launch(
                 loop.call_soon_threadsafe(display.note, text)
 
             recording = Recording(folder, config, warn)
-            try:
-                summary, stuck = await _fly(config, duration_s, folder, recording, display, sharing, stopped)
-            finally:
-                recording.close()
-    except InputError:
+            with _interruptible(recording) as stopped:
+                try:
+                    summary = await _fly(config, duration_s, folder, recording, display, sharing, stopped)
+                finally:
+                    recording.close()
+    except (InputError, asyncio.CancelledError):
         shutil.rmtree(folder.path, ignore_errors=True)  # nothing has flown: leave nothing half-written
         raise
     folder.write_summary(summary.as_json())
-    return folder, summary, stuck
+    return folder, summary
+
+
+@contextlib.contextmanager
+def _interruptible(recording: Recording) -> Iterator[asyncio.Event]:
+    """Yield what an interrupt sets; before the flight has begun there is nothing to wind up, and it cancels."""
+    stopped = asyncio.Event()
+    loop, task = asyncio.get_running_loop(), asyncio.current_task()
+    assert task is not None
+    with contextlib.ExitStack() as winding_up:
+
+        def stop() -> None:
+            if stopped.is_set():
+                return
+            stopped.set()
+            winding_up.enter_context(ends_within(_WIND_UP_S, "winding up"))
+            if not recording.begun:
+                task.cancel()
+
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, stop)
+            winding_up.callback(loop.remove_signal_handler, number)
+        yield stopped
 
 
 @contextlib.asynccontextmanager
@@ -166,7 +178,7 @@ async def _fly(
     display: FlightDisplay,
     sharing: Sharing,
     stopped: asyncio.Event,
-) -> tuple[Summary, bool]:
+) -> Summary:
     async with contextlib.AsyncExitStack() as stack:
         watch = watch_of(config, table_progress(display.note))
         url, truth = config.link.url, None
@@ -180,4 +192,4 @@ async def _fly(
         flight = Flight(session, config, watch, recording, display, duration_s, sharing)
         outcome = await flight.fly(stopped)
     # Only now, with the simulated vehicle ended, is its truth file whole.
-    return flight.summary(outcome, truth), session.vehicle.link.stuck
+    return flight.summary(outcome, truth)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,7 +77,10 @@ def run_study(
     tasks = [(planner, number) for planner in settings.planners for number in range(settings.runs)]
     found: dict[tuple[PlannerName, int], RunResult] = {}
     processes = min(jobs or os.cpu_count() or 1, len(tasks))
-    with multiprocessing.Pool(processes, _begin, (settings, table)) as pool:
+    with _uninterrupted():
+        # Not forked: a fork copies the locks that other threads of this process hold just then, for ever locked.
+        pool = multiprocessing.get_context("spawn").Pool(processes, _begin, (settings, table))
+    with pool:
         for task, result in pool.imap_unordered(_fly, tasks):
             found[task] = result
             progress(1)
@@ -87,13 +91,23 @@ def run_study(
     return StudyResult(settings, planners, len(tasks) * settings.duration_s, time.perf_counter() - begun_s)
 
 
+@contextlib.contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Let processes begin that an interrupt does not reach, not even while they import."""
+    answer = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, answer)
+
+
 _worker: tuple[StudySettings, ValueTable | None]
 
 
 def _begin(settings: StudySettings, table: ValueTable | None) -> None:
     """Set up a worker process. The parent alone answers an interrupt, by ending its workers."""
     global _worker  # noqa: PLW0603  # what a worker needs is too large to come with every task
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # for one that comes later, in place of another
     _worker = settings, table
 
 

@@ -18,7 +18,7 @@ from mission.plan import Plan
 class Wire:
     """A vehicle's side of the link: it answers the ``heeded``-th MISSION_SET_CURRENT, and streams its item."""
 
-    system_id, stuck = 1, False
+    system_id = 1
 
     def __init__(self, item, heeded=1):
         self.item, self.heeded, self.asked = item, heeded, 0

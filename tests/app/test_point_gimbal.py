@@ -25,7 +25,6 @@ class LoopbackLink:
     """A link whose far end answers each command with ``result``; every message must be one MAVLink can carry."""
 
     system_id = 1
-    stuck = False
 
     def __init__(self, result: int | None = mavlink.MAV_RESULT_ACCEPTED, broken: bool = False) -> None:
         self.result, self.broken = result, broken

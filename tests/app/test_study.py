@@ -2,6 +2,7 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -117,5 +118,9 @@ def test_an_interrupt_ends_all_processes():
         finally:
             whole.kill()
     assert complaint.rstrip().endswith(b"KeyboardInterrupt")
-    assert len(children) == 2
-    assert not any(Path(f"/proc/{child}").exists() for child in children)
+    assert complaint.count(b"KeyboardInterrupt") == 1  # no worker complains
+    assert len(children) >= 2  # two workers, and Python's own tracker of what they share
+    deadline_s = time.monotonic() + 30.0
+    while any(Path(f"/proc/{child}").exists() for child in children):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)

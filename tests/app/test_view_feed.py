@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 
 import pytest
 
@@ -23,29 +24,27 @@ def python(code: str, *arguments: str) -> tuple[str, ...]:
 
 def test_what_does_not_fit_is_left_out_and_the_rest_arrives_whole_and_in_order(tmp_path):
     begin = tmp_path / "begin"
-    feed = Feed(python(LAZY, str(begin)))
-    assert feed.wait_for_line(30.0) == b"up"
-    lines = [b"%04d:" % n + b"x" * 3000 for n in range(200)]
-    sent = [line for line in lines if feed.send(line)]
-    assert 2 < len(sent) < len(lines)
-    begin.touch()
-    echoed: list[bytes] = []
-    while len(echoed) < len(sent):
-        echoed += feed.lines()
-        feed.flush()
-        assert feed.alive
-    assert echoed == sent
-    assert feed.send(b"again")
-    feed.close()
+    with closing(Feed(python(LAZY, str(begin)))) as feed:
+        assert feed.wait_for_line(30.0) == b"up"
+        lines = [b"%04d:" % n + b"x" * 3000 for n in range(200)]
+        sent = [line for line in lines if feed.send(line)]
+        assert 2 < len(sent) < len(lines)
+        begin.touch()
+        echoed: list[bytes] = []
+        while len(echoed) < len(sent):
+            echoed += feed.lines()
+            feed.flush()
+            assert feed.alive
+        assert echoed == sent
+        assert feed.send(b"again")
 
 
 def test_a_process_that_ends_is_noticed_and_harmless():
-    feed = Feed(python("print('up', flush=True)"))
-    feed.wait_for_line(30.0)
-    while feed.alive:
-        feed.lines()
-    assert not feed.send(b"anybody?")
-    feed.close()
+    with closing(Feed(python("print('up', flush=True)"))) as feed:
+        feed.wait_for_line(30.0)
+        while feed.alive:
+            feed.lines()
+        assert not feed.send(b"anybody?")
 
 
 def test_the_complaint_of_a_process_that_does_not_come_up_is_told():

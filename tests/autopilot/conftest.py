@@ -17,7 +17,6 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from app.simulated import free_udp_port
 from sitl.items import Item
 from sitl.server import serve
 from sitl.settings import Flavour, Settings, TargetSettings
@@ -27,6 +26,10 @@ SIDELONG = Path(sys.executable).with_name("sidelong")
 SPEED = 10.0
 RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 PATIENCE_S = 90.0
+WIND_UP_S = 60.0  # the application's own bound
+# Runs a program that the kernel ends after so many seconds, should its test not have lived to do it.
+MORTAL = "import os, signal, sys; signal.alarm(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
+LIFE_S = 300
 OURS = 245  # the application's MAVLink system
 WRITING = {"MISSION_COUNT", "MISSION_WRITE_PARTIAL_LIST", "MISSION_ITEM_INT"}
 COMMANDING = WRITING | {"COMMAND_LONG", "COMMAND_INT", "MISSION_SET_CURRENT", "SET_MODE"}
@@ -35,7 +38,7 @@ COMMANDING = WRITING | {"COMMAND_LONG", "COMMAND_INT", "MISSION_SET_CURRENT", "S
 class Vehicle:
     """A simulated vehicle in a thread, circling at home when it begins, and everything that is commanded to it."""
 
-    def __init__(self, flavour: str, seed: int = 1) -> None:
+    def __init__(self, flavour: str, port: int, seed: int = 1) -> None:
         self.simulation = simulation = Simulation(
             Settings(
                 flavour=Flavour(flavour),
@@ -55,7 +58,7 @@ class Vehicle:
         vehicle.set_mode(self.mission_mode)
         while vehicle.craft.height_m < 95.0:
             simulation.advance(simulation.time_s + 1.0)
-        self.port = free_udp_port()
+        self.port = port
         self.url = f"udpin://127.0.0.1:{self.port}"
         self.commanded: list[tuple[float, str]] = []  # (simulated time, message) from the application
         self.items_until_act = 0  # something happens when the application sends the item that ends the count
@@ -66,7 +69,7 @@ class Vehicle:
         self._parser = mavlink.MAVLink(None)
         self._receive, self._take = simulation.receive, simulation.take
         simulation.receive, simulation.take = self._listen, self._talk
-        self._thread = threading.Thread(target=self._serve)
+        self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
 
     def circle_mission(self, radius_m, east_m=0.0, north_m=0.0):
@@ -147,7 +150,8 @@ class Application:
         # A pipe that nobody empties would stop it: the lines go into a file.
         self._log = out.with_suffix(".log")
         with self._log.open("w") as log:
-            self.process = subprocess.Popen([SIDELONG, *arguments], stdout=log, stderr=subprocess.STDOUT)
+            command = [sys.executable, "-c", MORTAL, str(LIFE_S), SIDELONG, *arguments]
+            self.process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
 
     @property
     def said(self):
@@ -167,17 +171,17 @@ class Application:
         """Interrupt it, and return its summary."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        self.process.wait(40.0)
+        self.process.wait(WIND_UP_S + 10.0)
         runs = sorted(self.out.iterdir())
         return json.loads((runs[-1] / "summary.json").read_text())
 
 
 @pytest.fixture
-def vehicle_of():
+def vehicle_of(free_port):
     made = []
 
     def make(flavour, seed=1):
-        made.append(Vehicle(flavour, seed))
+        made.append(Vehicle(flavour, free_port(), seed))
         return made[-1]
 
     yield make

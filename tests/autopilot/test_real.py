@@ -1,6 +1,6 @@
 """Real autopilots, where their SITL programs are given; the simulated flavours fly the same.
 
-SIDELONG_ARDUPLANE=/path/to/arduplane SIDELONG_PX4=/path/to/px4 python -m pytest -m autopilot
+SIDELONG_ARDUPLANE=/path/to/arduplane SIDELONG_PX4=/path/to/px4 python -m pytest tests/autopilot
 """
 
 import json
@@ -11,6 +11,8 @@ import sys
 from pathlib import Path
 
 import pytest
+
+pytestmark = pytest.mark.timeout(900)  # they fly in little more than real time
 
 SIDELONG = Path(sys.executable).with_name("sidelong")
 SPEED, DURATION_S = 3, 300
@@ -42,9 +44,10 @@ def url(flavour, tmp_path):
     )
     try:
         yield sitl.stdout.readline().split()[-1]
-    finally:
         sitl.send_signal(signal.SIGTERM)
         assert sitl.wait(20.0) == 0
+    finally:
+        sitl.kill()
 
 
 @pytest.fixture
@@ -77,11 +80,13 @@ def test_a_flight(flavour, url, config, guidance, tmp_path):
 def test_a_killed_application_is_started_again_and_takes_the_circle_over(flavour, url, config, tmp_path):
     command = [SIDELONG, "launch", config, "--connect", url, "--out", tmp_path / "runs"]
     first = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    for line in first.stdout:
-        if "watched from now on" in line:
-            break
-    first.kill()
-    first.wait(10.0)
+    try:
+        for line in first.stdout:
+            if "watched from now on" in line:
+                break
+    finally:
+        first.kill()
+        first.wait(10.0)
     done = subprocess.run([*command, "--duration", "20"], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "taking over the circle that is flown" in done.stdout

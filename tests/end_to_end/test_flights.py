@@ -87,11 +87,14 @@ def test_an_interrupt_ends_in_order(tmp_path):
     command = [str(SIDELONG), "launch", "--duration", "900", "--planner", "paper", "--out", str(tmp_path)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
-    for line in process.stdout:
-        if "watched from now on" in line:
-            break
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=30)
+    try:
+        for line in process.stdout:
+            if "watched from now on" in line:
+                break
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
     assert process.returncode == 0, err
     assert "interrupted" in out
     assert "Traceback" not in err

@@ -49,12 +49,6 @@ def heartbeats(port: int, kind: int, autopilot: int) -> Iterator[None]:
         speaker.join()
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 @pytest.mark.parametrize("url", ["udp:14540", "http://127.0.0.1:80", "udpin://:14540", "udpin://127.0.0.1:99999"])
 def test_a_wrong_url(url):
     assert url in refused("connect", url)
@@ -68,7 +62,7 @@ def test_a_busy_port():
 
 
 @pytest.mark.udp
-def test_no_heartbeat():
+def test_no_heartbeat(free_port):
     said = refused("connect", f"udpin://127.0.0.1:{free_port()}", "--timeout", 1)
     assert "no autopilot was heard within 1 s" in said
 
@@ -77,7 +71,7 @@ def test_no_heartbeat():
 @pytest.mark.parametrize(
     ("kind", "autopilot", "named"), [(2, 3, "no fixed wing"), (20, 12, "VTOL"), (1, 4, "ArduPlane and PX4")]
 )
-def test_a_vehicle_that_this_cannot_fly(kind, autopilot, named):
+def test_a_vehicle_that_this_cannot_fly(kind, autopilot, named, free_port):
     port = free_port()
     with heartbeats(port, kind, autopilot):
         assert named in refused("connect", f"udpin://127.0.0.1:{port}", "--timeout", 5)

@@ -83,7 +83,9 @@ print("flew on")
 
 def test_a_full_disk_ends_the_recording_with_one_sentence_and_not_the_flight(tmp_path):
     path = tmp_path / "flight.tlog"
-    done = subprocess.run([sys.executable, "-c", LIMITED, str(path)], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, str(path)], capture_output=True, text=True, timeout=60, check=True
+    )
     sentence, last = done.stdout.splitlines()
     assert sentence == f"recording has ended: {path} cannot be written (File too large); the flight goes on."
     assert last == "flew on"
@@ -125,9 +127,11 @@ def test_a_kill_at_any_moment_leaves_both_records_readable_to_the_last_second(tm
         [sys.executable, "-c", FLYING, str(tmp_path)], stdout=subprocess.PIPE, text=True, cwd=ROOT
     )
     assert process.stdout is not None
-    with process:
+    try:
         told_s = [float(process.stdout.readline()) for _ in range(events)]
+    finally:
         process.kill()
+    with process:
         told_s += [float(line) for line in process.stdout]
     assert process.returncode == -signal.SIGKILL
     read_s = [event.time_s for event in JournalReader(tmp_path / "journal.jsonl", [Announce])]

@@ -2,7 +2,6 @@
 
 import json
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -15,14 +14,8 @@ SPEED = 20
 pytestmark = pytest.mark.udp
 
 
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 @pytest.fixture(params=["arduplane", "px4"])
-def vehicle(request, tmp_path):
+def vehicle(request, tmp_path, free_port):
     """Yield the flavour, a MAVSDK URL, the process and the file of its truth."""
     port, truth = free_port(), tmp_path / "truth.csv"
     arguments = ["--autopilot", request.param, "--to", f"127.0.0.1:{port}", "--speed", str(SPEED), "--truth", truth]

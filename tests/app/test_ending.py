@@ -1,0 +1,47 @@
+"""A process with a thread that never comes back, in a process of its own."""
+
+import subprocess
+import sys
+
+import pytest
+
+LEFT = """
+import asyncio, threading
+from app import ending
+async def main():
+    asyncio.get_running_loop().run_in_executor(None, threading.Event().wait)
+    await asyncio.sleep(0.01)
+    print("done")
+    return 3
+ending.leave(ending.run(main()))
+"""
+
+HELD_UP = """
+import threading
+from app import ending
+with ending.ends_within(0.2, "closing"):
+    threading.Event().wait()
+"""
+
+IN_TIME = """
+import time
+from app import ending
+with ending.ends_within(0.05, "closing"):
+    pass
+time.sleep(0.2)
+ending.leave(0)
+"""
+
+
+@pytest.mark.parametrize(
+    ("code", "exit_code", "out", "complaint"),
+    [
+        (LEFT, 3, "done\n", ""),
+        (HELD_UP, 1, "", "sidelong: closing took more than 0.2 s and was left off.\n"),
+        (IN_TIME, 0, "", ""),
+    ],
+    ids=["left", "held up", "in time"],
+)
+def test_it_ends(code, exit_code, out, complaint):
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30.0, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (exit_code, out, complaint)

@@ -1,0 +1,43 @@
+"""What all tests share: ports that no other process of the suite is about to use."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import socket
+from collections.abc import Callable
+
+import pytest
+
+# Below the ports that systems give away by themselves: one of those may go to another socket before it is used.
+_FIRST, _COUNT = 12_000, 16_000
+_ports = itertools.count(101 * os.getpid())  # processes begun one after the other are a hundred ports apart
+
+
+@pytest.fixture(scope="session")
+def free_port() -> Callable[[], int]:
+    """Return what gives UDP ports of the loopback, a new one each time."""
+
+    def free() -> int:
+        while True:
+            port = _FIRST + next(_ports) % _COUNT
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                try:
+                    probe.bind(("127.0.0.1", port))
+                except OSError:
+                    continue
+                return port
+
+    return free
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with what waits for the clock: beside it another process computes, and both end at about the same time.
+
+    Of that, what shares a flight comes first: the last ones may be taken over one by one by whoever has time.
+    """
+
+    def rank(item: pytest.Item) -> tuple[bool, bool]:
+        return item.get_closest_marker("udp") is None, "autopilot" in item.path.parts
+
+    items.sort(key=rank)
