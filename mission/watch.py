@@ -179,7 +179,7 @@ class Watch:
         self._requirement = self.settings.requirement
         self._planner = self.make_planner(self._requirement)
         self._latency_s = self.settings.latency_s
-        self._took_s = deque([self._latency_s] * _LATENCY_UPLOADS, _LATENCY_UPLOADS)
+        self._took_s = deque([self._latency_s], _LATENCY_UPLOADS)
 
     def step(self, event: Event) -> tuple[Command, ...]:
         """Take one event; return what is to be done about it, in order."""
