@@ -83,11 +83,13 @@ def line_at(plan: Plan, arc_m: FloatArray, aircraft: AircraftState) -> tuple[Flo
     return east_m, north_m, course_rad
 
 
-def strayed(aircraft: AircraftState, point: LinePoint) -> bool:
+def strayed(
+    aircraft: AircraftState, point: LinePoint, beside_m: float = _STRAYED_M, askew_rad: float = _STRAYED_RAD
+) -> bool:
     """Tell whether an aircraft is too far from the point of its plan that fits best to be following it."""
     off_m = math.hypot(aircraft.east_m - point.east_m, aircraft.north_m - point.north_m)
     off_rad = math.remainder(aircraft.course_rad - point.course_rad, 2.0 * math.pi)
-    return off_m > _STRAYED_M or abs(off_rad) > _STRAYED_RAD
+    return off_m > beside_m or abs(off_rad) > askew_rad
 
 
 def dead_reckoned(aircraft: AircraftState, duration_s: float, curvature_max_1_m: float) -> LinePoint:

@@ -4,7 +4,7 @@ Rules
 -----
 1. Nothing is commanded before ``Engaged`` and nothing after ``Yield`` or ``End``.
 2. At most one plan is under way to the autopilot. It is Prepared (the autopilot holds it, still flying the line
-   before), then Departed at its planned time; a plan that got ready too late is dropped and decided anew.
+   before), then Departed at its planned time; one that got ready too late to be joined is dropped and decided anew.
 3. A plan that breaks a fence is not sent; the present circle goes on.
 4. What is sent is the wanted circle with the radius that makes the autopilot fly it; when the measured ratio of
    flown to commanded radius changes, the present circle is sent again.
@@ -19,6 +19,7 @@ The clock is the vehicle's: the latest time of a position reading.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -59,14 +60,15 @@ from mission.plan import AircraftState, Decision, Plan, Planner
 from mission.progress import nearest_arc_m, point_at, strayed
 from mission.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 
-# A plan may depart this much after its time: at 15 m/s it then starts 8 m beside its line.
-_LATE_S = 0.5
+# A plan that got ready after its time still departs, up to so much later, while the aircraft is near its line: a
+# transition parts slowly from the line before it. Later than that the aircraft banks the wrong way for it.
+_LATE_S, _BESIDE_M, _ASKEW_RAD = 1.5, 15.0, math.radians(15.0)
 # Off its transition for so long, an aircraft does not come back by itself.
 _STRAYED_S = 6.0
 # The present circle is sent again when its flown radius is off by more than this share.
 _RADIUS_TOLERANCE = 0.03
-# Weight of the newest upload in the expected latency, and the margin kept above it.
-_LATENCY_WEIGHT, _LATENCY_MARGIN = 0.3, 1.5
+# The latency expected is the longest of so many uploads but one: one that hung says nothing of the next.
+_LATENCY_UPLOADS, _LATENCY_MARGIN_S = 5, 0.1
 
 
 class Phase(StrEnum):
@@ -165,6 +167,7 @@ class Watch:
     _swap: _Swap | None = None
     _counts: _Counts = field(default_factory=_Counts)
     _latency_s: float = field(init=False)
+    _took_s: deque[float] = field(init=False)
     _next_decision_s: float = -math.inf
     _number: int = 0
     _flown_radius: FlownRadius = field(default_factory=FlownRadius)
@@ -176,6 +179,7 @@ class Watch:
         self._requirement = self.settings.requirement
         self._planner = self.make_planner(self._requirement)
         self._latency_s = self.settings.latency_s
+        self._took_s = deque([self._latency_s], _LATENCY_UPLOADS)
 
     def step(self, event: Event) -> tuple[Command, ...]:
         """Take one event; return what is to be done about it, in order."""
@@ -360,12 +364,11 @@ class Watch:
             self._counts.upload_failures += 1
             return (Announce(event.time_s, "swap", f"plan {event.number} was not taken: {event.detail}"),)
         if event.stage == "ready":
-            took_s = event.time_s - swap.since_s
-            expected_s = _LATENCY_MARGIN * took_s + 0.1
-            self._latency_s += _LATENCY_WEIGHT * (expected_s - self._latency_s)
-            if event.time_s > swap.plan.departure_s + _LATE_S:
-                self._swap, self._latency_s = None, max(self._latency_s, expected_s)
-                late_s = event.time_s - swap.plan.departure_s
+            self._took_s.append(event.time_s - swap.since_s)
+            self._latency_s = sorted(self._took_s)[-2] + _LATENCY_MARGIN_S
+            late_s = event.time_s - swap.plan.departure_s
+            if late_s > 0.0 and not self._can_still_join(swap.plan, late_s):
+                self._swap = None
                 return (Announce(event.time_s, "swap", f"plan {event.number} was ready {late_s:.1f} s too late"),)
             swap.stage = "ready"
             return self._drive_swap(swap)
@@ -374,6 +377,14 @@ class Watch:
         self.present, self._commanded, self._swap = swap.plan, swap.commanded, None
         self._on_line_s = event.time_s
         return (Announce(event.time_s, "swap", f"flying plan {event.number}"),)
+
+    def _can_still_join(self, plan: Plan, late_s: float) -> bool:
+        """Tell whether the aircraft, which has flown on, is still so near to the plan's line that it can take it."""
+        assert self._aircraft is not None
+        if late_s > _LATE_S or plan.transition is None:
+            return late_s <= _LATE_S  # a circle is flown to from anywhere
+        line = point_at(plan, nearest_arc_m(plan, self._aircraft), self._aircraft)
+        return not strayed(self._aircraft, line, _BESIDE_M, _ASKEW_RAD)
 
     # -- other hands ---------------------------------------------------------------------------------------
 

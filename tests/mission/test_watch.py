@@ -156,6 +156,43 @@ def test_planning_looks_ahead_by_the_measured_latency():
     assert planner.latencies[-1] < 1.0
 
 
+def test_an_upload_that_hangs_does_not_count_but_two_do():
+    planner = Scripted([THERE] * 30, ahead_s=20.0)
+    watch = make(planner, latency_s=1.0)
+    commands = engaged(watch, 2.0)
+    latencies = []
+    for tick, took_s in zip(range(20, 100, 10), (0.2, 0.2, 0.2, 0.2, 15.0, 0.2, 0.2, 12.0), strict=True):
+        (prepare,) = kinds(commands, Prepare)
+        watch.step(SwapReported(prepare.time_s + took_s, prepare.number, "ready"))
+        watch.step(SwapReported(prepare.time_s + took_s, prepare.number, "failed", "try the next"))
+        latencies.append(watch.snapshot().latency_s)
+        commands = fly(watch, tick / 10, tick / 10 + 1.0)
+    assert latencies[4:7] == pytest.approx([0.3] * 3)
+    assert latencies[7] == pytest.approx(12.1)
+
+
+@pytest.mark.parametrize(
+    ("late_s", "straightness", "departs"),
+    [(0.4, 1.0, True), (1.2, 0.5, True), (1.2, 1.0, False), (1.9, 0.5, False)],
+)
+def test_a_late_plan_departs_while_the_aircraft_is_near_its_line(late_s, straightness, departs):
+    watch = make(Scripted([THERE], ahead_s=1.0))
+    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
+    # A line that leaves the circle at the departure, with less curvature.
+    departure_s, curvature_1_m = prepare.plan.departure_s, (1.0 - straightness) / RADIUS_M
+    turn_rad, step_m = departure_s * SPEED_M_S / RADIUS_M, 2.0
+    arc = step_m * np.arange(100)
+    course = turn_rad + math.pi / 2 + curvature_1_m * arc
+    east_m = RADIUS_M * math.sin(turn_rad) + np.append(0.0, np.cumsum(step_m * np.sin(course[:-1])))
+    north_m = RADIUS_M * math.cos(turn_rad) + np.append(0.0, np.cumsum(step_m * np.cos(course[:-1])))
+    watch._swap.plan = replace(
+        prepare.plan, transition=Path(arc, east_m, north_m, course, np.full(100, curvature_1_m))
+    )
+    fly(watch, 3.0, departure_s + late_s)
+    told = watch.step(SwapReported(departure_s + late_s, prepare.number, "ready"))
+    assert bool(kinds(told, Depart)) is departs
+
+
 def test_a_failed_plan_leaves_the_present_one():
     watch = make(Scripted([THERE]))
     (prepare,) = kinds(engaged(watch, 3.0), Prepare)
