@@ -22,7 +22,7 @@ _mav = mavutil.mavlink
 _CUSTOM_MODE_ENABLED = 1
 _AUTO, _RTL = 10, 11
 _SPEED_UNCHANGED = -1.0
-_STORE_S = 8.0
+_READ_S = 5.0
 
 
 _FAILSAFE = "without heartbeats of system MAV_GCS_SYSID (not sidelong's) the failsafe takes the aircraft"
@@ -84,17 +84,22 @@ class ArduPlane:
         return raw
 
     async def store(
-        self, vehicle: Vehicle, held: Sequence[RawItem | None], items: Sequence[RawItem], current: int
+        self,
+        vehicle: Vehicle,
+        held: Sequence[RawItem | None],
+        items: Sequence[RawItem],
+        current: int,
+        timeout_s: float,
     ) -> UploadResult:
         if len(held) != len(items):
-            return await write_items(vehicle, items, range(len(items)), _STORE_S)
+            return await write_items(vehicle, items, range(len(items)), timeout_s)
         differing = [seq for seq in range(len(items)) if items[seq] != held[seq]]
         if not differing:
             return UploadResult.ACCEPTED
-        return await write_items(vehicle, items, range(differing[0], differing[-1] + 1), _STORE_S)
+        return await write_items(vehicle, items, range(differing[0], differing[-1] + 1), timeout_s)
 
     async def stored(self, vehicle: Vehicle) -> tuple[RawItem, ...] | None:
-        return await read_mission(vehicle, _STORE_S)
+        return await read_mission(vehicle, _READ_S)
 
     async def arm(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)

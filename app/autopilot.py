@@ -111,12 +111,17 @@ class Autopilot(Protocol):
         ...
 
     async def store(
-        self, vehicle: Vehicle, held: Sequence[RawItem | None], items: Sequence[RawItem], current: int
+        self,
+        vehicle: Vehicle,
+        held: Sequence[RawItem | None],
+        items: Sequence[RawItem],
+        current: int,
+        timeout_s: float,
     ) -> UploadResult:
         """Make the vehicle hold ``items``; it holds ``held`` (None: not known), and flies on the while.
 
-        current: the item flown. ACCEPTED only where the vehicle does hold them; after DENIED and TIMEOUT it may hold
-        any mixture of both.
+        current: the item flown; timeout_s: of the clock here. ACCEPTED only where the vehicle does hold them; after
+        DENIED and TIMEOUT it may hold any mixture of both.
         """
         ...
 

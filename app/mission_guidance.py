@@ -28,6 +28,7 @@ _SETTLED_S = 2.0  # of the vehicle's time after an upload: by then its own words
 _SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
 _DURATION_WEIGHT = 0.5
 _LATE_MAX_S = 5.0
+_UPLOAD_S, _USELESS_S = 8.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,9 +144,12 @@ class MissionGuidance:
             raise SwapError(str(error)) from error
         self._settle()
         slots = self._slots.with_line(line)
-        result = await self._upload(slots, self._flown_index())
-        while result is UploadResult.TIMEOUT and self._now_s() + self._upload_took_s < command.plan.departure_s:
-            result = await self._upload(slots, self._flown_index())
+        departure_s = command.plan.departure_s
+        # Long after its departure the plan is of no use, and a better one waits until this upload has ended.
+        bound_s = min(_UPLOAD_S, max(departure_s - self._now_s(), 0.0) + _USELESS_S)
+        result = await self._upload(slots, self._flown_index(), bound_s)
+        while result is UploadResult.TIMEOUT and self._now_s() + self._upload_took_s < departure_s:
+            result = await self._upload(slots, self._flown_index(), bound_s)
         if result is not UploadResult.ACCEPTED:
             raise SwapError(f"upload {result}")
         self._next = _Ready(command, slots)
@@ -228,13 +232,13 @@ class MissionGuidance:
         reach_m = _SWITCH_M + speed_m_s * self._upload_took_s
         return index + (math.hypot(goal_east_m - east_m, goal_north_m - north_m) < reach_m)
 
-    async def _upload(self, slots: Slots, current: int) -> UploadResult:
+    async def _upload(self, slots: Slots, current: int, timeout_s: float = _UPLOAD_S) -> UploadResult:
         if self._stopped:
             return UploadResult.DENIED
         items = slots.closed_by(self._autopilot.tail(self._home)).items
         self._foreign = _Foreign(set(), math.inf)
         begin_s = self._now_s()
-        result = await self._autopilot.store(self._vehicle, self._held, items, current)
+        result = await self._autopilot.store(self._vehicle, self._held, items, current, timeout_s)
         if result is UploadResult.ACCEPTED:
             self._held = items
             self._upload_took_s += _DURATION_WEIGHT * (self._now_s() - begin_s - self._upload_took_s)

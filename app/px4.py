@@ -26,7 +26,7 @@ _ENDS_FLIGHT = (5.0, 6.0)  # of NAV_DLL_ACT
 _WANTS_TAKE_OFF, _WANTS_LANDING = (1.0, 3.0, 4.0), 2.0  # of MIS_TKO_LAND_REQ
 _METRES_PER_DEGREE = 111_000.0
 _TARGET = "POSITION_TARGET_GLOBAL_INT"
-_UPLOAD_S, _DOWNLOAD_S = 8.0, 5.0
+_READ_S = 5.0
 
 
 class Px4:
@@ -86,10 +86,15 @@ class Px4:
         return raw_item(item)
 
     async def store(
-        self, vehicle: Vehicle, held: Sequence[RawItem | None], items: Sequence[RawItem], current: int
+        self,
+        vehicle: Vehicle,
+        held: Sequence[RawItem | None],
+        items: Sequence[RawItem],
+        current: int,
+        timeout_s: float,
     ) -> UploadResult:
         # Partial writes are ignored, and a list is taken whole or not at all.
-        result = await vehicle.link.upload(items, current, _UPLOAD_S)
+        result = await vehicle.link.upload(items, current, timeout_s)
         if result is UploadResult.TIMEOUT:  # often only the last acknowledgement was lost
             downloaded = await self.stored(vehicle)
             if downloaded is not None and same_items(items, downloaded):
@@ -97,7 +102,7 @@ class Px4:
         return result
 
     async def stored(self, vehicle: Vehicle) -> tuple[RawItem, ...] | None:
-        return await vehicle.link.download(_DOWNLOAD_S)
+        return await vehicle.link.download(_READ_S)
 
     async def arm(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
