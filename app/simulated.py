@@ -60,9 +60,7 @@ class SimulatedVehicle:
             await self._stop()
             raise FlightError(f"the simulated vehicle was not ready within {_READY_S:g} s.") from error
         if not line.startswith(b"ready"):
-            complaint = await self._complaint()
-            await self._stop()  # else asyncio complains of a process that ends after its loop
-            raise InputError(complaint)
+            raise InputError(await self.ended())  # asyncio has words for a process that ends after its loop
         return self
 
     async def __aexit__(self, *_: object) -> None:
