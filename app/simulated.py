@@ -60,7 +60,7 @@ class SimulatedVehicle:
             await self._stop()
             raise FlightError(f"the simulated vehicle was not ready within {_READY_S:g} s.") from error
         if not line.startswith(b"ready"):
-            raise InputError(await self._complaint())
+            raise InputError(await self.ended())  # asyncio has words for a process that ends after its loop
         return self
 
     async def __aexit__(self, *_: object) -> None:
