@@ -7,7 +7,8 @@ The aircraft steers to the straight line from the last waypoint to the next, the
 with e the distance from the line, v the ground speed, P and zeta the period and damping of the loop. That is
 ArduPlane's L1 law (NAVL1_PERIOD, NAVL1_DAMPING), and PX4's NPFG law (NPFG_PERIOD, NPFG_DAMPING) near the line. On
 the circle its curvature is added. The roll follows with a lag, bank and roll rate are limited. A leg ends
-``switch_s`` of flight before its waypoint; with ``finish_line`` also where the waypoint is passed abreast.
+``switch_s`` of flight before its waypoint, or where the waypoint is passed abreast. Where the first leg is no line,
+the aircraft steers for the first waypoint itself until it is that near to it.
 
 A line has no curvature to feed forward, so a string of waypoints round a curve is flown outside of it, by
 l asin(1 / (g R)) in a steady turn: 25 m at R = 65 m, 15 m/s with ArduPlane's defaults.
@@ -41,7 +42,8 @@ class LineTracking:
     period_s: float = 17.0
     damping: float = 0.75
     switch_s: float = 1.7
-    finish_line: bool = True
+    first_s: float = 0.7
+    first_is_line: bool = True
     roll_lag_s: float = 0.5
     bank_max_rad: float = math.radians(45.0)
     roll_rate_max_rad_s: float = math.radians(60.0)
@@ -50,6 +52,11 @@ class LineTracking:
     def switch_m(self) -> float:
         """How far before a waypoint its leg ends: the acceptance radius."""
         return self.switch_s * self.airspeed_m_s
+
+    @property
+    def first_m(self) -> float:
+        """How far along the planned line the first waypoint lies."""
+        return self.first_s * self.airspeed_m_s
 
     def gain_1_m(self, ground_speed_m_s: float) -> float:
         """Return g, the curvature for one radian of course error."""
@@ -70,16 +77,19 @@ class LineTracking:
     ) -> FloatArray:
         """Return the flown line as rows (time, east, north), from ``start`` through the waypoints to the circle."""
         at, leg = start, 0
-        previous, rows = start, []
+        previous: Point | None = start if self.first_is_line else None
+        rows = []
         for step in range(math.ceil(duration_s / _STEP_S) + 1):
             rows.append((step * _STEP_S, *at))
             speed_m_s = self._ground_speed_m_s(course_rad)
             while leg < len(waypoints) and self._done(at, previous, waypoints[leg]):
                 previous, leg = waypoints[leg], leg + 1
-            if leg < len(waypoints):
-                wanted_1_m = self._to_line(at, course_rad, previous, waypoints[leg], speed_m_s)
-            else:
+            if leg == len(waypoints):
                 wanted_1_m = self._to_circle(at, course_rad, circle, speed_m_s)
+            elif previous is None:
+                wanted_1_m = self._pursue(_bearing_rad(at, waypoints[leg]) - course_rad, speed_m_s)
+            else:
+                wanted_1_m = self._to_line(at, course_rad, previous, waypoints[leg], speed_m_s)
             tightest_1_m = GRAVITY_M_S2 * math.tan(self.bank_max_rad) / speed_m_s**2
             wanted_1_m = max(-tightest_1_m, min(tightest_1_m, wanted_1_m))
             ramp_1_m = GRAVITY_M_S2 * self.roll_rate_max_rad_s / speed_m_s**2 * _STEP_S
@@ -101,16 +111,18 @@ class LineTracking:
         across_m_s = self.wind.east_m_s * cosine - self.wind.north_m_s * sine
         return max(along_m_s + math.sqrt(max(self.airspeed_m_s**2 - across_m_s**2, 0.0)), 1.0)
 
-    def _done(self, at: Point, previous: Point, waypoint: Point) -> bool:
+    def _done(self, at: Point, previous: Point | None, waypoint: Point) -> bool:
         if math.dist(at, waypoint) <= self.switch_m:
             return True
+        if previous is None:
+            return False
         ahead_m = (waypoint[0] - previous[0]) * (at[0] - waypoint[0]) + (waypoint[1] - previous[1]) * (
             at[1] - waypoint[1]
         )
-        return self.finish_line and ahead_m >= 0.0
+        return ahead_m >= 0.0
 
     def _to_line(self, at: Point, course_rad: float, begin: Point, end: Point, speed_m_s: float) -> float:
-        line_rad = math.atan2(end[0] - begin[0], end[1] - begin[1])
+        line_rad = _bearing_rad(begin, end)
         right_m = (at[0] - end[0]) * math.cos(line_rad) - (at[1] - end[1]) * math.sin(line_rad)
         offset = max(-_LINE_INTERCEPT, min(_LINE_INTERCEPT, right_m / self.look_ahead_m(speed_m_s)))
         return self._pursue(line_rad - math.asin(offset) - course_rad, speed_m_s)
@@ -136,12 +148,28 @@ class LineTracking:
 
 
 def arduplane(airspeed_m_s: float, wind: Wind = STILL_AIR) -> LineTracking:
-    """Return the tracking of ArduPlane's default L1 guidance."""
+    """Return the tracking of ArduPlane's default L1 guidance.
+
+    The first waypoint counts as reached at once, a little late or early; the leg from it on is flown.
+    """
     return LineTracking(airspeed_m_s, wind)
 
 
-def px4(airspeed_m_s: float, wind: Wind = STILL_AIR) -> LineTracking:
-    """Return the tracking of PX4's default NPFG guidance: it accepts a waypoint 0.32 of its bound before it."""
+def px4(airspeed_m_s: float, wind: Wind = STILL_AIR, acceptance_m: float = 10.0) -> LineTracking:
+    """Return the tracking of PX4's default NPFG guidance; acceptance_m is NAV_ACC_RAD (an item's own is not heeded).
+
+    A mission set current begins without a line, and NPFG turns tightly enough to orbit a waypoint too near to it.
+    """
     return LineTracking(
-        airspeed_m_s, wind, period_s=10.0, damping=0.7071, switch_s=0.32 * 10.0 * 0.7071, finish_line=False
+        airspeed_m_s,
+        wind,
+        period_s=10.0,
+        damping=0.7071,
+        switch_s=acceptance_m / airspeed_m_s,
+        first_s=2.5,
+        first_is_line=False,
     )
+
+
+def _bearing_rad(begin: Point, end: Point) -> float:
+    return math.atan2(end[0] - begin[0], end[1] - begin[1])

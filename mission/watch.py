@@ -63,8 +63,9 @@ from mission.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 # A plan that got ready after its time still departs, up to so much later, while the aircraft is near its line: a
 # transition parts slowly from the line before it. Later than that the aircraft banks the wrong way for it.
 _LATE_S, _BESIDE_M, _ASKEW_RAD = 1.5, 15.0, math.radians(15.0)
-# Off its transition for so long, an aircraft does not come back by itself.
-_STRAYED_S = 6.0
+# Off its transition for so long, an aircraft does not come back by itself. So it is when it turns that much tighter
+# than any plan asks for: it orbits a waypoint that it cannot reach, near to the line all the time.
+_STRAYED_S, _ORBITS = 6.0, 2.0
 # The present circle is sent again when its flown radius is off by more than this share.
 _RADIUS_TOLERANCE = 0.03
 # The latency expected is the longest of so many uploads but one: one that hung says nothing of the next.
@@ -308,7 +309,8 @@ class Watch:
         if present.transition is None:
             return False
         nearest = point_at(present, nearest_arc_m(present, aircraft), aircraft)
-        if not strayed(aircraft, nearest):
+        orbits = abs(aircraft.curvature_1_m) * present.circle.radius_m > _ORBITS
+        if not orbits and not strayed(aircraft, nearest):
             self._on_line_s = self.time_s
         return self.time_s - self._on_line_s > _STRAYED_S
 

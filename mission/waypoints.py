@@ -73,11 +73,10 @@ class _Problem:
         self._times_s = path_times_s(self._line, tracking.airspeed_m_s, tracking.wind)
         self._grid_m = np.arange(0.0, transition.length_m + _SETTLING_M, _GRID_M)
 
-        # The first waypoint counts as reached at once, a little late or early; the leg from it on is flown. The last
-        # one is where the switch to the circle comes at the transition's end.
+        # The last waypoint is where the switch to the circle comes at the transition's end.
         offset_m = _offsets_m(self._line, tracking)
         line = self._line
-        first_m, last_m = 0.4 * tracking.switch_m, transition.length_m + tracking.switch_m
+        first_m, last_m = tracking.first_m, transition.length_m + tracking.switch_m
         between = (line.arc_m >= first_m) & (line.arc_m <= max(last_m, first_m + 2.0 * _GRID_M))
         self.reference = LineString(
             np.column_stack(

@@ -206,7 +206,7 @@ class Px4(Autopilot):
             case mavlink.MAV_CMD_NAV_TAKEOFF:
                 return self._climbed_out(), 0.0
             case mavlink.MAV_CMD_NAV_WAYPOINT:
-                return self.navigator.fly_leg(item.params[1])
+                return self.navigator.fly_leg()
             case mavlink.MAV_CMD_NAV_LAND:
                 return False, self._descend()
             case _:

@@ -25,7 +25,8 @@ class Px4Navigator:
         self._craft = craft
         self._parameters = parameters
         self.follower = PathFollower()
-        self.goal = self._origin = Place(0.0, 0.0, 0.0)
+        self.goal = Place(0.0, 0.0, 0.0)
+        self._origin: Place | None = None  # of the leg; None: it is flown to straight from wherever the aircraft is
         self.circle: Circle | None = None
         self._inside_since_s: float | None = None
 
@@ -34,8 +35,8 @@ class Px4Navigator:
         return Place(self._craft.east_m, self._craft.north_m, self._craft.height_m)
 
     def go_to(self, goal: Place, *, from_here: bool) -> None:
-        """Make ``goal`` the end of the leg that begins here, or where the last one ended."""
-        self._origin = self._here if from_here else self.goal
+        """Make ``goal`` the end of the leg that begins where the last one ended, or of no leg at all."""
+        self._origin = None if from_here else self.goal
         self.goal, self.circle, self._inside_since_s = goal, None, None
 
     def fly_around(self, centre: Place, signed_radius_m: float = math.nan) -> None:
@@ -51,13 +52,15 @@ class Px4Navigator:
     def at_height(self) -> bool:
         return abs(self._craft.height_m - self.goal.height_m) < self._parameters["NAV_FW_ALT_RAD"]
 
-    def fly_leg(self, acceptance_m: float) -> tuple[bool, float]:
-        """Return whether the waypoint is reached, and the lateral acceleration; waits there for its height."""
+    def fly_leg(self) -> tuple[bool, float]:
+        """Return whether the waypoint is reached, and the lateral acceleration; waits there for its height.
+
+        An item's own acceptance radius is not heeded. One that no leg leads to is not passed but orbited.
+        """
         if self.circle is not None:
             return self.at_height(), self.fly_circle()
         lateral_m_s2 = self.fly_line()
-        reach_m = acceptance_m if acceptance_m > 0.0 else self._parameters["NAV_ACC_RAD"]
-        if self.goal.distance_m(self._craft) > reach_m and not self._beyond_goal():
+        if self.goal.distance_m(self._craft) > self._parameters["NAV_ACC_RAD"] and not self._beyond_goal():
             return False, lateral_m_s2
         if not self.at_height():
             self.fly_around(self.goal)
@@ -68,7 +71,8 @@ class Px4Navigator:
         if not self._craft.flying:
             return 0.0
         self._tune()
-        return self.follower.towards_line(self._craft, self._origin.ground_m, self.goal.ground_m)
+        origin = self._origin or self._here
+        return self.follower.towards_line(self._craft, origin.ground_m, self.goal.ground_m)
 
     def fly_circle(self) -> float:
         """Return the lateral acceleration, 0 on the ground and without a circle."""
@@ -94,6 +98,8 @@ class Px4Navigator:
 
     def _beyond_goal(self) -> bool:
         """Whether the line through the goal, square to the leg, is passed."""
+        if self._origin is None:
+            return False
         course_rad = self._origin.bearing_rad(self.goal)
         east_m, north_m = self._craft.east_m - self.goal.east_m, self._craft.north_m - self.goal.north_m
         return east_m * math.sin(course_rad) + north_m * math.cos(course_rad) > 0.0

@@ -19,6 +19,7 @@ from sitl.guidance import L1Guidance
 from sitl.pathfollowing import PathFollower
 
 _STEP_S = 0.02
+NAV_ACC_RAD_M = 10.0
 _BANK_MAX_RAD = math.radians(45.0)
 
 Point = tuple[float, float]
@@ -66,8 +67,8 @@ def fly(
                 lateral_m_s2 = l1.towards_line(craft, previous, goal, _STEP_S)
                 done = passed or math.dist(here, goal) <= reach_m
             else:
-                lateral_m_s2 = follower.towards_line(craft, previous, goal)
-                done = math.dist(here, goal) <= max(reach_m, 0.32 * follower.bound_m)
+                lateral_m_s2 = follower.towards_line(craft, previous if leg else here, goal)
+                done = (passed and leg > 0) or math.dist(here, goal) <= NAV_ACC_RAD_M
             if done:
                 previous, leg = goal, leg + 1
         roll_rad = max(-_BANK_MAX_RAD, min(_BANK_MAX_RAD, math.atan(lateral_m_s2 / 9.80665)))

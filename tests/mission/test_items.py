@@ -12,7 +12,7 @@ from mission.items import (
     circle_item,
     plan_items,
 )
-from mission.line_tracking import px4
+from mission.line_tracking import arduplane, px4
 from mission.plan import Plan
 from mission.transition import abcd
 
@@ -37,18 +37,18 @@ def test_a_transition_is_a_few_waypoints_and_the_circle_that_needs_no_one() -> N
     assert [item.command for item in items[:-1]] == [NAV_WAYPOINT] * (len(items) - 1)
     assert 2 <= len(items) - 1 <= 6
     assert items[-1] == circle_item(NEW, PLANE, 80.0)
-    assert {item.param2 for item in items[:-1]} == {34.0}
+    assert {item.param2 for item in items[:-1]} == {10.0}
     assert all(
         math.isfinite(value) for item in items for value in (item.param1, item.param2, item.param3, item.param4)
     )
 
 
-def test_the_first_waypoint_is_where_the_aircraft_is_at_the_departure() -> None:
-    """It is reached at once, so that the leg flown begins on the planned line."""
+def test_arduplane_reaches_the_first_waypoint_at_the_departure_and_px4_can_still_turn_to_it() -> None:
     path = abcd(PRESENT, NEW)
-    items = plan_items(Plan(NEW, path), PLANE, 80.0, 15.0, px4(15.0))
-    first_m = PLANE.east_north_m(items[0].latitude_deg, items[0].longitude_deg)
-    assert math.dist(first_m, (path.east_m[0], path.north_m[0])) < items[0].param2
+    for tracking, least_m, most_m in ((arduplane(15.0), 0.0, arduplane(15.0).switch_m), (px4(15.0), 30.0, 45.0)):
+        first = plan_items(Plan(NEW, path), PLANE, 80.0, 15.0, tracking)[0]
+        first_m = PLANE.east_north_m(first.latitude_deg, first.longitude_deg)
+        assert least_m < math.dist(first_m, (path.east_m[0], path.north_m[0])) < most_m
 
 
 def test_a_tolerance_that_cannot_be_kept_is_refused_with_the_figure() -> None:

@@ -65,15 +65,17 @@ def make(planner: Scripted, **settings) -> Watch:
     )
 
 
-def fly(watch: Watch, start_s: float, end_s: float, *, seen: bool = True) -> list[Command]:
-    """Fly round HERE at 10 Hz, looking at a standing target; return the commands."""
+def fly(
+    watch: Watch, start_s: float, end_s: float, *, seen: bool = True, radius_m: float = RADIUS_M
+) -> list[Command]:
+    """Fly round HERE's centre at 10 Hz, looking at a standing target; return the commands."""
     commands: list[Command] = []
     for tick in range(round(start_s * 10), round(end_s * 10)):
         time_s = tick / 10
-        turn_rad = time_s * SPEED_M_S / RADIUS_M
-        east_m, north_m = RADIUS_M * math.sin(turn_rad), RADIUS_M * math.cos(turn_rad)
+        turn_rad = time_s * SPEED_M_S / radius_m
+        east_m, north_m = radius_m * math.sin(turn_rad), radius_m * math.cos(turn_rad)
         course_rad = turn_rad + math.pi / 2
-        bank_rad = math.atan(SPEED_M_S**2 / (9.80665 * RADIUS_M))
+        bank_rad = math.atan(SPEED_M_S**2 / (9.80665 * radius_m))
         velocity = SPEED_M_S * math.sin(course_rad), SPEED_M_S * math.cos(course_rad)
         commands += watch.step(AttitudeReading(time_s, bank_rad, 0.0, course_rad))
         commands += watch.step(PositionReading(time_s, east_m, north_m, HEIGHT_M, *velocity, 0.0))
@@ -224,6 +226,22 @@ def test_an_aircraft_that_leaves_its_transition_is_sent_to_the_circle():
     watch.step(SwapReported(3.1, prepare.number, "departed"))
     (again,) = kinds(fly(watch, 3.0, 20.0), Prepare)
     assert again.plan.circle == far
+    assert again.plan.transition is None
+
+
+def test_an_aircraft_that_orbits_a_waypoint_beside_its_line_is_sent_to_the_circle():
+    watch = make(Scripted([THERE], ahead_s=1.0))
+    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
+    orbit_m = RADIUS_M / 4
+    course = np.linspace(0.0, 4.0 * math.pi, 200)
+    east_m, north_m = -orbit_m * np.cos(course), orbit_m * np.sin(course)
+    line = Path(orbit_m * course, east_m, north_m, course, np.full(200, 1.0 / RADIUS_M))
+    watch.step(SwapReported(prepare.plan.departure_s, prepare.number, "ready"))
+    watch._swap.plan = replace(prepare.plan, transition=line)
+    watch.step(SwapReported(3.1, prepare.number, "departed"))
+    assert kinds(fly(watch, 3.1, 8.0, radius_m=orbit_m), Prepare) == []
+    (again,) = kinds(fly(watch, 8.0, 14.0, radius_m=orbit_m), Prepare)
+    assert again.plan.circle == THERE
     assert again.plan.transition is None
 
 
