@@ -24,7 +24,7 @@ from mission.plan import Plan
 from mission.requirement import Wind
 from mission.wind import STILL_AIR
 
-_SETTLED_S = 2.0  # of the vehicle's time after an upload: by then its own words about the mission are up to date
+_SETTLED_S = 2.0  # of the vehicle's time after a change of ours: by then its own words about it are up to date
 _SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
 _DURATION_WEIGHT = 0.5
 _LATE_MAX_S = 5.0
@@ -163,6 +163,7 @@ class MissionGuidance:
         if not await self._autopilot.select(self._vehicle, slots.first + passed, slots.line()[passed:]):
             raise SwapError("the autopilot did not switch to it")
         self._slots = slots
+        self._foreign.settled_s = self._now_s() + _SETTLED_S  # it may still be about to tell of the line before
 
     def _settle(self) -> None:
         """Find out what is left of the line that is flown, be it that of an unconfirmed departure.

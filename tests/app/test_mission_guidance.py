@@ -12,7 +12,9 @@ from app.px4 import Px4
 from app.vehicle import Vehicle
 from estimators.frames import LocalPlane
 from mission.circle import Circle
+from mission.events import Prepare
 from mission.plan import Plan
+from mission.requirement import Wind
 
 
 class Wire:
@@ -128,3 +130,25 @@ def test_px4_tells_by_where_it_flies_to_unless_the_line_goes_on_there(goes_to, s
             running.cancel()
 
     assert asyncio.run(go()) is switched
+
+
+def test_a_word_of_the_line_before_right_after_the_departure_is_no_surprise(guidance):
+    made, clock = guidance
+    clock["now_s"] = 10.0
+    there = Circle(300.0, 0.0, 60.0, True)
+    made._vehicle.link.heeded = 0
+
+    async def swap():
+        running = asyncio.create_task(made._vehicle.run())
+        try:
+            await made.prepare(Prepare(10.0, 1, Plan(there, None, 12.0), there, Plan(there), Wind(), ""))
+            clock["now_s"] = 13.0
+            await made.depart(1)
+        finally:
+            running.cancel()
+
+    asyncio.run(swap())
+    told = len(made._vehicle.link.held) - 1
+    assert made.foreign(current(0, told)) is None
+    clock["now_s"] = 20.0
+    assert "item 0" in made.foreign(current(0, told))

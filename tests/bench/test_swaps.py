@@ -82,8 +82,10 @@ async def swapped(url):
                 here = there
             while (held := await session.autopilot.stored(vehicle)) is None:
                 pass
-            mixtures += not flies_one_of(held, vehicle.latest["MISSION_CURRENT"].fields["seq"], guidance)
             await asyncio.sleep(0.3)
+            while (told := await vehicle.wait_for(lambda message: message.name == "MISSION_CURRENT", 3.0)) is None:
+                pass
+            mixtures += not flies_one_of(held, told.fields["seq"], guidance)
         return durations_s, failures, mixtures
 
 
