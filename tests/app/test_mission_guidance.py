@@ -142,6 +142,7 @@ def test_a_word_of_the_line_before_right_after_the_departure_is_no_surprise(guid
         running = asyncio.create_task(made._vehicle.run())
         try:
             await made.prepare(Prepare(10.0, 1, Plan(there, None, 12.0), there, Plan(there), Wind(), ""))
+            assert made.foreign(current(0, len(made._vehicle.link.held) - 1)) is None
             clock["now_s"] = 13.0
             await made.depart(1)
         finally:
