@@ -40,11 +40,27 @@ class _Ready:
 
 
 @dataclass(slots=True)
-class _Foreign:
-    """What the vehicle says of its mission while it is ours; anything else is somebody else's doing."""
+class _Told:
+    """What the vehicle says of its mission while it is ours; anything else is somebody else's doing.
+
+    ours are (items, checksum). After a change of ours the vehicle's words may come late, but in their order: first of
+    what was before, then of an ``expected`` number of items, which is ours too, once.
+    """
 
     ours: set[tuple[int, int]]
-    settled_s: float = math.inf  # until then every word is taken for an answer to our own upload
+    expected: int = -1
+    left: Slots | None = None  # the line before, until an item of the present one has been told of
+    settled_s: float = math.inf  # until then every word is taken for an answer to our own doing
+
+    def is_ours(self, said: tuple[int, int], now_s: float) -> bool:
+        if said in self.ours:
+            return True
+        if now_s >= self.settled_s and self.ours:
+            if said[0] != self.expected:
+                return False
+            self.expected = -1
+        self.ours.add(said)
+        return True
 
 
 class MissionGuidance:
@@ -72,7 +88,8 @@ class MissionGuidance:
         self._held: tuple[RawItem | None, ...] = ()  # by the vehicle; None where a failed upload leaves doubt
         self._next: _Ready | None = None
         self._upload_took_s = 0.0
-        self._foreign = _Foreign(set())
+        self._told = _Told(set())
+        self._last_told: tuple[int, int] | None = None
         self._stopped = False
 
     @property
@@ -109,7 +126,7 @@ class MissionGuidance:
         kept = max(last + 1, self._autopilot.least_items)
         self._slots = Slots(held[:kept], head, max(first, head), last + 1, self._autopilot.least_items).filled()
         self._held = held
-        self._foreign.settled_s = self._now_s() + _SETTLED_S
+        self._told.settled_s = self._now_s() + _SETTLED_S
         item = held[last]
         east_m, north_m = self._plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
         return Circle(east_m, north_m, abs(item.param3), item.param3 > 0.0) if item.param3 else None
@@ -162,8 +179,7 @@ class MissionGuidance:
         passed = self._passed(ready)
         if not await self._autopilot.select(self._vehicle, slots.first + passed, slots.line()[passed:]):
             raise SwapError("the autopilot did not switch to it")
-        self._slots = slots
-        self._foreign.settled_s = self._now_s() + _SETTLED_S  # it may still be about to tell of the line before
+        self._slots, self._told.left = slots, self._slots
 
     def _settle(self) -> None:
         """Find out what is left of the line that is flown, be it that of an unconfirmed departure.
@@ -202,17 +218,18 @@ class MissionGuidance:
         """Notice another station's mission: other contents, or an item made current that is none of our lines'."""
         if message.name != "MISSION_CURRENT" or message.component_id != AUTOPILOT_COMPONENT or self._slots is None:
             return None
-        fields = message.fields
-        said = (int(fields.get("total") or 0), int(fields.get("mission_id") or 0))
-        if self._now_s() < self._foreign.settled_s or not self._foreign.ours:
-            self._foreign.ours.add(said)
-            return None
-        if said not in self._foreign.ours:
+        told, index = self._told, int(message.fields["seq"])
+        said = (int(message.fields.get("total") or 0), int(message.fields.get("mission_id") or 0))
+        if not told.is_ours(said, self._now_s()):
             return "another station has changed the mission"
-        lines = [self._slots] if self._next is None else [self._slots, self._next.slots]
-        if not any(line.first <= int(fields["seq"]) < line.end for line in lines):
-            return f"another station has chosen item {fields['seq']} of the mission"
-        return None
+        self._last_told = said
+        if self._slots.first <= index < self._slots.end:
+            told.left = None
+        lines = (self._slots, told.left, self._next.slots if self._next is not None else None)
+        known = any(line is not None and line.first <= index < line.end for line in lines)
+        if known or self._now_s() < told.settled_s:
+            return None
+        return f"another station has chosen item {index} of the mission"
 
     def _flown_index(self) -> int:
         """Return the item to mark as current in an upload: PX4 goes there at once when the last item has come.
@@ -237,7 +254,8 @@ class MissionGuidance:
         if self._stopped:
             return UploadResult.DENIED
         items = slots.closed_by(self._autopilot.tail(self._home)).items
-        self._foreign = _Foreign(set(), math.inf)
+        before = set() if self._last_told is None else {self._last_told}
+        self._told = _Told(before, len(items) - slots.head, self._told.left)
         begin_s = self._now_s()
         result = await self._autopilot.store(self._vehicle, self._held, items, current, timeout_s)
         if result is UploadResult.ACCEPTED:
@@ -248,5 +266,5 @@ class MissionGuidance:
         else:
             self._held = ()
         # After a failure the vehicle may hold a part of it: that is ours as well.
-        self._foreign.settled_s = self._now_s() + _SETTLED_S
+        self._told.settled_s = self._now_s() + _SETTLED_S
         return result
