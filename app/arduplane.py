@@ -23,8 +23,6 @@ _CUSTOM_MODE_ENABLED = 1
 _AUTO, _RTL = 10, 11
 _SPEED_UNCHANGED = -1.0
 _READ_S = 5.0
-
-
 _FAILSAFE = "without heartbeats of system MAV_GCS_SYSID (not sidelong's) the failsafe takes the aircraft"
 
 
@@ -139,6 +137,6 @@ class ArduPlane:
     async def return_home(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _RTL)
 
-    async def limits(self, vehicle: Vehicle) -> Limits:
+    def limits(self, values: Mapping[str, float]) -> Limits:
         names = ("ROLL_LIMIT_DEG", "AIRSPEED_MIN", "AIRSPEED_MAX", "AIRSPEED_CRUISE")
-        return Limits(*[await vehicle.link.parameter(name) for name in names])
+        return Limits(*map(values.get, names))

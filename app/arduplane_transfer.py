@@ -18,7 +18,6 @@ from pymavlink.dialects.v20 import common as mavlink
 from app.autopilot import same_item
 from app.link import RawItem, UploadResult
 from app.message import Message
-from app.telemetry import AUTOPILOT_COMPONENT
 from app.vehicle import Vehicle
 
 # So long nothing is heard before everything unanswered is said again; once the round trip is known, so many of them.
@@ -135,5 +134,4 @@ async def _next(heard: asyncio.Queue[Message], until_s: float) -> Message | None
 
 
 async def _send(vehicle: Vehicle, name: str, **fields: float) -> None:
-    address = {"target_system": vehicle.system_id, "target_component": AUTOPILOT_COMPONENT}
-    await vehicle.link.send(name, {**address, **fields, "mission_type": mavlink.MAV_MISSION_TYPE_MISSION})
+    await vehicle.tell(name, {**fields, "mission_type": mavlink.MAV_MISSION_TYPE_MISSION})

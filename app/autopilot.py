@@ -149,7 +149,9 @@ class Autopilot(Protocol):
 
     async def return_home(self, vehicle: Vehicle) -> Answer: ...
 
-    async def limits(self, vehicle: Vehicle) -> Limits: ...
+    def limits(self, values: Mapping[str, float]) -> Limits:
+        """Return what the values of the parameters in ``meanings`` allow."""
+        ...
 
 
 def parameter_notes(autopilot: Autopilot, values: Mapping[str, float]) -> tuple[ParameterNote, ...]:
@@ -208,10 +210,7 @@ async def select_by_message(
         return proves(message) or (message.name == "MISSION_CURRENT" and first <= message.fields["seq"] < end)
 
     for _ in range(5):
-        await vehicle.link.send(
-            "MISSION_SET_CURRENT",
-            {"target_system": vehicle.system_id, "target_component": 1, "seq": first},
-        )
+        await vehicle.tell("MISSION_SET_CURRENT", {"seq": first})
         if await vehicle.wait_for(tells, 0.4) is not None:
             return True
     return False

@@ -192,8 +192,8 @@ class Flight:
 
     async def _check(self) -> tuple[Home, tuple[Need, ...]]:
         self._display.note("checking the vehicle and its sensors")
-        limits = await self._autopilot.limits(self._vehicle)
         values = await read_parameters(self._vehicle, self._autopilot.meanings)
+        limits = self._autopilot.limits(values)
         needs = self._autopilot.needs(values, self._config.aircraft.airspeed_m_s)
         deadline_s, wall_s = self._telemetry.now_s + _READY_WITHIN_S, time.monotonic() + _READY_WALL_S
         while True:

@@ -51,15 +51,16 @@ class _Told:
     expected: int = -1
     left: Slots | None = None  # the line before, until an item of the present one has been told of
     settled_s: float = math.inf  # until then every word is taken for an answer to our own doing
+    last: tuple[int, int] | None = None  # of ours that was told
 
     def is_ours(self, said: tuple[int, int], now_s: float) -> bool:
-        if said in self.ours:
-            return True
-        if now_s >= self.settled_s and self.ours:
-            if said[0] != self.expected:
-                return False
-            self.expected = -1
-        self.ours.add(said)
+        if said not in self.ours:
+            if now_s >= self.settled_s and self.ours:
+                if said[0] != self.expected:
+                    return False
+                self.expected = -1
+            self.ours.add(said)
+        self.last = said
         return True
 
 
@@ -89,7 +90,6 @@ class MissionGuidance:
         self._next: _Ready | None = None
         self._upload_took_s = 0.0
         self._told = _Told(set())
-        self._last_told: tuple[int, int] | None = None
         self._stopped = False
 
     @property
@@ -222,7 +222,6 @@ class MissionGuidance:
         said = (int(message.fields.get("total") or 0), int(message.fields.get("mission_id") or 0))
         if not told.is_ours(said, self._now_s()):
             return "another station has changed the mission"
-        self._last_told = said
         if self._slots.first <= index < self._slots.end:
             told.left = None
         lines = (self._slots, told.left, self._next.slots if self._next is not None else None)
@@ -254,8 +253,9 @@ class MissionGuidance:
         if self._stopped:
             return UploadResult.DENIED
         items = slots.closed_by(self._autopilot.tail(self._home)).items
-        before = set() if self._last_told is None else {self._last_told}
-        self._told = _Told(before, len(items) - slots.head, self._told.left)
+        told = self._told
+        before = set() if told.last is None else {told.last}
+        self._told = _Told(before, len(items) - slots.head, told.left, last=told.last)
         begin_s = self._now_s()
         result = await self._autopilot.store(self._vehicle, self._held, items, current, timeout_s)
         if result is UploadResult.ACCEPTED:

@@ -145,6 +145,6 @@ class Px4:
     async def return_home(self, vehicle: Vehicle) -> Answer:
         return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO, _RTL)
 
-    async def limits(self, vehicle: Vehicle) -> Limits:
+    def limits(self, values: Mapping[str, float]) -> Limits:
         names = ("FW_R_LIM", "FW_AIRSPD_MIN", "FW_AIRSPD_MAX", "FW_AIRSPD_TRIM")
-        return Limits(*[await vehicle.link.parameter(name) for name in names])
+        return Limits(*map(values.get, names))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 from app.link import Link
 from app.message import Message
@@ -104,6 +105,11 @@ class Vehicle:
             lambda message: message.name == name and message.component_id == AUTOPILOT_COMPONENT, timeout_s
         )
 
+    async def tell(self, name: str, fields: Mapping[str, Any]) -> None:
+        """Send a message to the autopilot. Raises LinkError when it cannot be sent."""
+        address = {"target_system": self.system_id, "target_component": AUTOPILOT_COMPONENT}
+        await self.link.send(name, {**address, **fields})
+
     async def command(self, command: int, *params: float) -> Answer:
         """Send COMMAND_LONG until it is answered; missing params are 0."""
         values = [*params, *([0.0] * (7 - len(params)))]
@@ -127,16 +133,12 @@ class Vehicle:
             return message.name == "COMMAND_ACK" and message.fields["command"] == command
 
         for attempt in range(_TRIES):
-            body = fields | {
-                "target_system": self.system_id,
-                "target_component": AUTOPILOT_COMPONENT,
-                "command": command,
-            }
+            body = fields | {"command": command}
             if name == "COMMAND_LONG":
                 body["confirmation"] = attempt
             waiting = asyncio.ensure_future(self.wait_for(answers, _ANSWER_S))
             await asyncio.sleep(0)  # listen before speaking
-            await self.link.send(name, body)
+            await self.tell(name, body)
             message = await waiting
             while message is not None and message.fields["result"] == _IN_PROGRESS:
                 message = await self.wait_for(answers, 10.0 * _ANSWER_S)

@@ -383,8 +383,10 @@ class Watch:
     def _can_still_join(self, plan: Plan, late_s: float) -> bool:
         """Tell whether the aircraft, which has flown on, is still so near to the plan's line that it can take it."""
         assert self._aircraft is not None
-        if late_s > _LATE_S or plan.transition is None:
-            return late_s <= _LATE_S  # a circle is flown to from anywhere
+        if late_s > _LATE_S:
+            return False
+        if plan.transition is None:
+            return True  # a circle is flown to from anywhere
         line = point_at(plan, nearest_arc_m(plan, self._aircraft), self._aircraft)
         return not strayed(self._aircraft, line, _BESIDE_M, _ASKEW_RAD)
 

@@ -41,15 +41,15 @@ def run(work):
 class LossyLink:
     """A link to a simulation, ``DELAY_S`` away; each packet is lost with a probability, one in ten overtaken."""
 
-    system_id, stuck = 1, False
+    system_id = 1
 
-    def __init__(self, simulation, loss, seed, system_id=245):
+    def __init__(self, simulation, loss, seed):
         self.simulation, self.loss, self.rng = simulation, loss, random.Random(seed)
-        self.mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=190)
+        self.mav = mavlink.MAVLink(None, srcSystem=245, srcComponent=190)
         self.parser = mavlink.MAVLink(None)
         self.queue = asyncio.Queue()
         self.carried = 0
-        simulation.connect(system_id)
+        simulation.connect(self.mav.srcSystem)
 
     async def send(self, name, fields):
         message = getattr(mavlink, f"MAVLink_{name.lower()}_message")(**fields)
@@ -96,7 +96,7 @@ def fly(loss, seed, *works):
         simulation = Simulation(replace(Settings(), flavour=Flavour.ARDUPLANE, payload=None))
         results = []
         for number, work in enumerate(works):
-            link = LossyLink(simulation, loss if number else 0.0, seed, 245)
+            link = LossyLink(simulation, loss if number else 0.0, seed)
             vehicle = Vehicle(link)
             tasks = [asyncio.create_task(vehicle.run()), asyncio.create_task(link.run())]
             begin_s = asyncio.get_running_loop().time()
