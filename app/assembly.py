@@ -10,13 +10,13 @@ from app.errors import InputError
 from app.value_cache import value_table
 from estimators.frames import LocalPlane
 from estimators.tracker import SourceChoice, Tracker, TrackerSettings
-from mission.fences import FenceError, Fences, Outline
-from mission.paper_planner import PaperPlanner
-from mission.plan import Plan, Planner
-from mission.predictive_planner import PredictivePlanner, PredictiveSettings, table_configuration
-from mission.requirement import Requirement
-from mission.scope import largest_psi_c_rad
-from mission.watch import Watch, WatchSettings
+from mission.control.controller import StandoffController, StandoffSettings
+from mission.core.plan import Plan, Planner
+from mission.core.requirement import Requirement
+from mission.paper.planner import PaperPlanner
+from mission.paper.scope import largest_psi_c_rad
+from mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
+from mission.upload.fences import FenceError, Fences, Outline
 
 # Lasers miss for a second or two all the time; that is nothing to tell anybody.
 _COASTING_AFTER_S = 3.0
@@ -49,7 +49,7 @@ def tracker_of(config: Config) -> Tracker:
     )
 
 
-def watch_of(config: Config, progress: Callable[[float], None] = lambda _share: None) -> Watch:
+def controller_of(config: Config, progress: Callable[[float], None] = lambda _share: None) -> StandoffController:
     """Return the control step for a configuration.
 
     progress hears of the value table's computation, which takes some seconds once per configuration.
@@ -71,12 +71,12 @@ def watch_of(config: Config, progress: Callable[[float], None] = lambda _share: 
         )
 
         def check(plan: Plan) -> str | None:
-            return watch.check(plan)  # asked each time: the fences are known only when the plane is
+            return controller.check(plan)  # asked each time: the fences are known only when the plane is
 
         return PredictivePlanner(aircraft, wanted, calm, settings, windy, check)
 
-    watch = Watch(
-        WatchSettings(
+    controller = StandoffController(
+        StandoffSettings(
             requirement,
             aircraft,
             lost_after_s=config.planner.lost_after_s,
@@ -86,7 +86,7 @@ def watch_of(config: Config, progress: Callable[[float], None] = lambda _share: 
         tracker_of(config),
         planner,
     )
-    return watch
+    return controller
 
 
 def fence_outlines(config: Config, plane: LocalPlane) -> tuple[list[Outline], list[Outline]]:

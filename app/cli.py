@@ -15,9 +15,9 @@ from app.commands.init import init
 from app.commands.launch import launch
 from app.commands.replay import replay
 from app.commands.report import report
-from app.ending import leave
+from app.commands.study import study
 from app.errors import FlightError, InputError
-from app.study.command import study
+from app.shutdown import exit_process
 from sitl.cli import run as sitl
 
 _HELP = """Watch a moving ground target from one side with a fixed-wing UAV.
@@ -54,7 +54,7 @@ def main() -> NoReturn:
     except Exception:
         traceback.print_exc()
         code = 1
-    leave(code)
+    exit_process(code)
 
 
 def _complain(error: Exception, code: int) -> int:

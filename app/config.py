@@ -12,10 +12,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import ErrorDetails
 
 from app.errors import InputError
-from mission.feasibility import feasibility, unflyable
-from mission.requirement import Aircraft, Requirement, Side
-from mission.scope import largest_psi_c_rad
-from mission.side_policy import watching_from
+from mission.core.requirement import Aircraft, Requirement, Side
+from mission.paper.feasibility import feasibility, unflyable
+from mission.paper.scope import largest_psi_c_rad
+from mission.viewpoint.side_policy import watching_from
 
 LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
 Polygon = Annotated[list[LatLon], Field(min_length=3)]

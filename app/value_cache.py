@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mission.value_iteration import compute
-from mission.value_table import TableConfiguration, ValueTable, completed
+from mission.predictive.value_iteration import compute
+from mission.predictive.value_table import TableConfiguration, ValueTable, completed
 
 
 def cache_directory() -> Path:

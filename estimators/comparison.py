@@ -36,22 +36,22 @@ def compare(
     biases = prior.mean.copy()
     biases[estimated] = mean[BIASES : BIASES + len(estimated)]
     place = [float(mean[EAST]), float(mean[NORTH]), float(mean[HEIGHT])]
-    by_place = np.array(sighting.measurement_by_place(*place))
-    by_bias = measurement_by_biases(sighting)
+    jacobian_wrt_position = np.array(sighting.measurement_by_place(*place))
+    jacobian_wrt_bias = measurement_by_biases(sighting)
     if isinstance(sighting, Sighting) and place_variance_m2 > (_CURVED_BEYOND * sighting.slant_range_m) ** 2:
         seen = np.array((sighting.east_m, sighting.north_m, sighting.height_m))
-        seen -= sighting.place_by_measurement @ by_bias @ biases
-        by_place = np.array(sighting.measurement_by_place(*seen))
-        residual = sighting.residual(*seen) + by_place @ (seen - place)
+        seen -= sighting.place_by_measurement @ jacobian_wrt_bias @ biases
+        jacobian_wrt_position = np.array(sighting.measurement_by_place(*seen))
+        residual = sighting.residual(*seen) + jacobian_wrt_position @ (seen - place)
     else:
         residual = np.array(sighting.residual(*place))
     jacobian = np.zeros((3, size))
-    jacobian[:, PLACE] = by_place
-    jacobian[:, BIASES : BIASES + len(estimated)] = by_bias[:, estimated]
-    return Comparison(residual - by_bias @ biases, jacobian)
+    jacobian[:, PLACE] = jacobian_wrt_position
+    jacobian[:, BIASES : BIASES + len(estimated)] = jacobian_wrt_bias[:, estimated]
+    return Comparison(residual - jacobian_wrt_bias @ biases, jacobian)
 
 
-def softening(nis: float, soft_nis: float) -> float:
+def huber_inflation(nis: float, soft_nis: float) -> float:
     """Return by what to multiply the noise of a sighting that lies between ``soft_nis`` and the gate.
 
     Huber's weight: beyond the threshold the pull on the estimate no longer grows with the distance.

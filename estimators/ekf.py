@@ -9,7 +9,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from estimators.biases import Biases
-from estimators.comparison import Comparison, compare, softening
+from estimators.comparison import Comparison, compare, huber_inflation
 from estimators.motion import cruise, cruise_noise
 from estimators.settings import TrackerSettings
 from estimators.sighting import AnySighting
@@ -56,7 +56,7 @@ class TargetEkf:
         if nis > self._soft_nis:
             kf.x, kf.P = mean, covariance
             if nis <= gate_nis:
-                self._take_in(comparison, softening(nis, self._soft_nis) * noise)
+                self._take_in(comparison, huber_inflation(nis, self._soft_nis) * noise)
         return nis
 
     def _take_in(self, comparison: Comparison, noise: FloatArray) -> None:

@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from estimators.biases import Biases
-from estimators.comparison import compare, softening
+from estimators.comparison import compare, huber_inflation
 from estimators.motion import (
     MODELS,
     TURN,
@@ -61,7 +61,7 @@ class TargetImm:
         covariance[TURN, TURN] = TURN_SIGMA_RAD_S**2
         self._means = np.stack([mean] * len(MODELS))
         self._covariances = np.stack([covariance] * len(MODELS))
-        self._chances = _START
+        self._mode_probabilities = _START
 
     def predict(self, time_s: float) -> None:
         step_s = round(time_s - self.time_s, 6)
@@ -82,20 +82,20 @@ class TargetImm:
     def _mixed(self, step_s: float) -> tuple[FloatArray, FloatArray]:
         """Return the means and covariances that each model starts the step from, and move the chances on."""
         switch = switch_probabilities(step_s)
-        chances = self._chances @ switch
-        weights = switch * self._chances[:, None] / chances  # (from, to)
+        mode_probabilities = self._mode_probabilities @ switch
+        weights = switch * self._mode_probabilities[:, None] / mode_probabilities  # (from, to)
         size = self._means.shape[1]
         means = weights.T @ self._means
         apart = (self._means[:, None] - means) * np.sqrt(weights)[:, :, None]  # (from, to, n)
         covariances = (weights.T @ self._covariances.reshape(len(MODELS), -1)).reshape(-1, size, size)
         covariances += apart.transpose(1, 2, 0) @ apart.transpose(1, 0, 2)
-        self._chances = chances
+        self._mode_probabilities = mode_probabilities
         return means, covariances
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
-        means, covariances, chances = self._means, self._covariances, self._chances
-        middle = chances @ means
-        place_variance_m2 = float(chances @ (covariances[:, EAST, EAST] + covariances[:, NORTH, NORTH]))
+        means, covariances, mode_probabilities = self._means, self._covariances, self._mode_probabilities
+        middle = mode_probabilities @ means
+        place_variance_m2 = float(mode_probabilities @ (covariances[:, EAST, EAST] + covariances[:, NORTH, NORTH]))
         comparison = compare(sighting, middle, place_variance_m2, self._prior, len(middle))
         residual, jacobian = comparison.residual, comparison.jacobian
 
@@ -104,26 +104,32 @@ class TargetImm:
         expected = jacobian @ cross
         noise = np.diag(sighting.variances)
         apart = residuals - residual
-        spread = (chances @ expected.reshape(len(MODELS), 9)).reshape(3, 3) + (apart.T * chances) @ apart + noise
+        spread = (
+            (mode_probabilities @ expected.reshape(len(MODELS), 9)).reshape(3, 3)
+            + (apart.T * mode_probabilities) @ apart
+            + noise
+        )
         nis = float(residual @ np.linalg.solve(spread, residual))
         if nis > gate_nis:
             return nis
 
-        inverses = np.linalg.inv(expected + softening(nis, self._soft_nis) * noise)
+        inverses = np.linalg.inv(expected + huber_inflation(nis, self._soft_nis) * noise)
         gains = cross @ inverses
         self._means = means + (gains @ residuals[:, :, None])[:, :, 0]
         updated = covariances - gains @ cross.transpose(0, 2, 1)
         self._covariances = 0.5 * (updated + updated.transpose(0, 2, 1))
         distances = (residuals[:, None, :] @ inverses @ residuals[:, :, None])[:, 0, 0]
         likelihoods = np.exp(-0.5 * (distances - distances.min())) * np.sqrt(np.linalg.det(inverses))
-        chances = chances * likelihoods
-        self._chances = chances / chances.sum()
+        mode_probabilities = mode_probabilities * likelihoods
+        self._mode_probabilities = mode_probabilities / mode_probabilities.sum()
         return nis
 
     def _combined(self) -> tuple[FloatArray, FloatArray]:
-        mean = self._chances @ self._means
+        mean = self._mode_probabilities @ self._means
         apart = self._means - mean
-        return mean, np.tensordot(self._chances, self._covariances, 1) + (apart.T * self._chances) @ apart
+        return mean, np.tensordot(self._mode_probabilities, self._covariances, 1) + (
+            apart.T * self._mode_probabilities
+        ) @ apart
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
         mean, covariance = self._combined()
@@ -134,9 +140,9 @@ class TargetImm:
         return self._prior.updated(mean[BIASES:TURN], covariance[BIASES:TURN, BIASES:TURN])
 
     @property
-    def chances(self) -> FloatArray:
+    def mode_probabilities(self) -> FloatArray:
         """How likely each motion is: standing, cruising, turning, manoeuvring."""
-        return self._chances
+        return self._mode_probabilities
 
     def copy(self) -> Self:
         return copy.copy(self)

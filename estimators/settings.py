@@ -63,7 +63,7 @@ class TrackerSettings:
     """Sightings of a larger normalised innovation squared are rejected: 0.02 % of the good ones."""
     soft_nis: float = 11.3
     """Between this and the gate a sighting weighs less the farther it lies: 1 % of the good ones."""
-    reopen_after: int = 6
+    reacquire_after: int = 6
     """So many rejected sightings in a row that agree with one another restart the track."""
     coasting_after_s: float = 1.0
     lost_after_s: float = 60.0

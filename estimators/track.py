@@ -76,8 +76,8 @@ class Track:
             self._accept(sighting, before, ahead)
             return SightingOutcome(sighting, True, nis)
         self._astray.append(sighting)
-        agreeing = self._astray[-settings.reopen_after :]
-        if len(agreeing) == settings.reopen_after and self._one_target_explains(agreeing):
+        agreeing = self._astray[-settings.reacquire_after :]
+        if len(agreeing) == settings.reacquire_after and self._one_target_explains(agreeing):
             self._restart(agreeing, ahead.biases())
             return SightingOutcome(sighting, True, nis, "restarted where the rejected sightings agree")
         reason = f"innovation squared {nis:.0f} is beyond the gate of {settings.gate_nis:.0f}"

@@ -9,7 +9,7 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from estimators.biases import Biases
-from estimators.comparison import softening
+from estimators.comparison import huber_inflation
 from estimators.motion import cruise, cruise_noise
 from estimators.settings import TrackerSettings
 from estimators.sighting import AnySighting, measurement_by_biases
@@ -62,7 +62,7 @@ class TargetUkf:
         if nis > self._soft_nis:
             kf.x, kf.P = mean, covariance
             if nis <= gate_nis:
-                kf.update(np.zeros(3), R=softening(nis, self._soft_nis) * noise, sighting=sighting)
+                kf.update(np.zeros(3), R=huber_inflation(nis, self._soft_nis) * noise, sighting=sighting)
         return nis
 
     def _expected(self, state: FloatArray, sighting: AnySighting) -> FloatArray:

@@ -5,7 +5,7 @@ clock are those of :mod:`estimators`.
 
 Signs
 -----
-curvature_1_m    change of course per metre flown; positive turns right (clockwise seen from above).
+curvature_per_m    change of course per metre flown; positive turns right (clockwise seen from above).
 clockwise        direction of flight round a circle, seen from above; its curvature is +1/radius.
 left, right      of the target's direction of motion.
 """

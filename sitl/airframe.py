@@ -26,7 +26,7 @@ class Wind:
 
 
 @dataclass(frozen=True, slots=True)
-class Build:
+class AirframeParameters:
     """What the airframe can do. turn_efficiency: turn achieved over the turn a coordinated bank would give."""
 
     roll_time_constant_s: float = 0.4
@@ -59,7 +59,7 @@ class Airframe:
         "yaw_rate_rad_s",
     )
 
-    def __init__(self, build: Build, wind: Wind, heading_rad: float = 0.0) -> None:
+    def __init__(self, build: AirframeParameters, wind: Wind, heading_rad: float = 0.0) -> None:
         self.build = build
         self.wind = wind
         self.east_m = self.north_m = self.height_m = 0.0

@@ -7,7 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.airframe import Build
+from sitl.airframe import AirframeParameters
 from sitl.arduplane_mission import ArduPlaneMission, MissionState
 from sitl.arduplane_modes import SELF_FLYING, Mode
 from sitl.arduplane_navigator import ArduPlaneNavigator
@@ -20,15 +20,15 @@ from sitl.items import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item
 from sitl.place import Place
 from sitl.radio import Station
 from sitl.settings import Settings
-from sitl.transfer import Manners, Store
+from sitl.transfer import ProtocolQuirks, Store
 
 # The stock simulator's airframe turns less than its bank would in a coordinated turn. With L1, which has no
 # integral on circles, that is why it flies 116 m for 100, 69 for 50 and 167 for 150 at 22 m/s.
-BUILD = Build(turn_efficiency=0.78)
+BUILD = AirframeParameters(turn_efficiency=0.78)
 _INITIAL_HEADING_RAD = math.radians(353.0)
 _TAKEOFF_OVERSHOOT_M = 10.0  # the climb is kept up until the height is passed
 _DEFAULT_AIRSPEED = -2.0
-_MANNERS = Manners(
+_MANNERS = ProtocolQuirks(
     asks_with_int=False,
     retry_s=1.0,
     timeout_s=8.0,
@@ -64,7 +64,7 @@ class ArduPlane(Autopilot):
     ready_s = 22.9
     unknown_message_result = DENIED
     arming_refusal = (FAILED, "Arm: AHRS: waiting for home")
-    manners = _MANNERS
+    quirks = _MANNERS
     default_interval_s = DEFAULT_INTERVAL_S
 
     def __init__(self, settings: Settings) -> None:
@@ -93,7 +93,7 @@ class ArduPlane(Autopilot):
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
         }
         stores: tuple[Store, ...] = (self.mission, PointStore(False), PointStore(False))
-        self.open_for_business(stores, ArduPlaneTelemetry(self).builders())
+        self.attach(stores, ArduPlaneTelemetry(self).builders())
 
     @property
     def roll_limit_rad(self) -> float:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.airframe import GRAVITY_M_S2, Airframe, Build, true_over_equivalent_airspeed
+from sitl.airframe import GRAVITY_M_S2, Airframe, AirframeParameters, true_over_equivalent_airspeed
 from sitl.commands import ACCEPTED, FAILED, UNSUPPORTED, Command, Handler
 from sitl.geodesy import HomePlane
 from sitl.items import RELATIVE_FRAMES, Item
@@ -18,7 +18,7 @@ from sitl.place import Place
 from sitl.radio import Radio, Station
 from sitl.settings import Settings
 from sitl.telemetry import Builder
-from sitl.transfer import Manners, Store, Transfer
+from sitl.transfer import ProtocolQuirks, Store, Transfer
 
 _ALTITUDE_GAIN_1_S = 0.4
 _LIFT_OFF_FRACTION = 0.85  # of the cruise airspeed
@@ -36,7 +36,7 @@ class Autopilot(ABC):
     ready_s: ClassVar[float]  # after boot the vehicle can be armed
     unknown_message_result: ClassVar[int]
     arming_refusal: ClassVar[tuple[int, str]]  # result and text of an arming that comes too early
-    manners: ClassVar[Manners]
+    quirks: ClassVar[ProtocolQuirks]
     default_interval_s: ClassVar[Mapping[int, float]]
     mission_types: ClassVar[tuple[int, ...]] = (
         mavlink.MAV_MISSION_TYPE_MISSION,
@@ -44,7 +44,9 @@ class Autopilot(ABC):
         mavlink.MAV_MISSION_TYPE_RALLY,
     )
 
-    def __init__(self, settings: Settings, build: Build, heading_rad: float, parameters: Parameters) -> None:
+    def __init__(
+        self, settings: Settings, build: AirframeParameters, heading_rad: float, parameters: Parameters
+    ) -> None:
         home = settings.home_or_default
         self.settings = settings
         self.home = home
@@ -72,10 +74,10 @@ class Autopilot(ABC):
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._on_reboot,
         }
 
-    def open_for_business(self, stores: Sequence[Store], builders: dict[int, Builder]) -> None:
+    def attach(self, stores: Sequence[Store], builders: dict[int, Builder]) -> None:
         """Take what the flavour has made: one store for each mission type, and its telemetry."""
         for mission_type, store in zip(self.mission_types, stores, strict=True):
-            transfer = Transfer(mission_type, store, self.radio, self.manners, self.settings.link_rate, self.say)
+            transfer = Transfer(mission_type, store, self.radio, self.quirks, self.settings.link_rate, self.say)
             self.transfers[mission_type] = transfer
         self._builders = builders
 

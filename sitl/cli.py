@@ -203,9 +203,9 @@ def _stop_signal(while_input: bool = False) -> Callable[[], bool]:
 
 
 def _check_ranges(values: dict[str, tuple[float, float, float, bool]]) -> None:
-    for option, (value, least, greatest, least_included) in values.items():
-        if not (least <= value <= greatest) or (value == least and not least_included):
-            at_least = "at least" if least_included else "more than"
+    for option, (value, least, greatest, min_included) in values.items():
+        if not (least <= value <= greatest) or (value == least and not min_included):
+            at_least = "at least" if min_included else "more than"
             most = "" if greatest == math.inf else f" and at most {greatest:g}"
             _refuse(option, f"must be {at_least} {least:g}{most}, not {value:g}")
 

@@ -27,7 +27,7 @@ class PathFollower:
         right_m = (craft.east_m - end_m[0]) * math.cos(tangent_rad) - (craft.north_m - end_m[1]) * math.sin(
             tangent_rad
         )
-        return self._follow(craft, tangent_rad, right_m, curvature_1_m=0.0)
+        return self._follow(craft, tangent_rad, right_m, curvature_per_m=0.0)
 
     def towards_circle(
         self, craft: Airframe, centre_m: tuple[float, float], radius_m: float, clockwise: bool
@@ -40,7 +40,7 @@ class PathFollower:
         tangent_rad = outward_rad + turn * math.pi / 2
         return self._follow(craft, tangent_rad, -turn * (distance_m - radius_m), turn / max(1.0, distance_m))
 
-    def _follow(self, craft: Airframe, tangent_rad: float, right_m: float, curvature_1_m: float) -> float:
+    def _follow(self, craft: Airframe, tangent_rad: float, right_m: float, curvature_per_m: float) -> float:
         """right_m: how far the craft is to the right of the path."""
         speed_m_s = max(1.0, craft.ground_speed_m_s)
         self.cross_track_m = right_m
@@ -51,10 +51,10 @@ class PathFollower:
         self.nav_bearing_rad = course_rad = tangent_rad - math.copysign(lean_rad, right_m)
         heading_rad, turn_ratio = self._heading_for(craft, course_rad)
         error_rad = math.remainder(heading_rad - craft.heading_rad, math.tau)
-        gain_1_s = 4.0 * math.pi * self.damping / self.period_s
+        gain_per_s = 4.0 * math.pi * self.damping / self.period_s
         correction = math.copysign(1.0, error_rad) if abs(error_rad) > math.pi / 2 else math.sin(error_rad)
-        on_path_rad_s = curvature_1_m * speed_m_s * math.sin(look_ahead_rad) ** 2
-        return craft.airspeed_m_s * (gain_1_s * correction + turn_ratio * on_path_rad_s)
+        on_path_rad_s = curvature_per_m * speed_m_s * math.sin(look_ahead_rad) ** 2
+        return craft.airspeed_m_s * (gain_per_s * correction + turn_ratio * on_path_rad_s)
 
     @staticmethod
     def _heading_for(craft: Airframe, course_rad: float) -> tuple[float, float]:

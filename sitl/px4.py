@@ -7,7 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.airframe import Build
+from sitl.airframe import AirframeParameters
 from sitl.autopilot import Autopilot
 from sitl.commands import ACCEPTED, DENIED, FAILED, REJECTED, UNSUPPORTED, Command
 from sitl.fence import PointStore
@@ -20,9 +20,9 @@ from sitl.px4_parameters import px4_parameters
 from sitl.px4_telemetry import DEFAULT_INTERVAL_S, Px4Telemetry
 from sitl.radio import Station
 from sitl.settings import Settings
-from sitl.transfer import Manners, Store
+from sitl.transfer import ProtocolQuirks, Store
 
-_MANNERS = Manners(
+_MANNERS = ProtocolQuirks(
     asks_with_int=True,
     retry_s=0.25,
     timeout_s=5.0,
@@ -57,11 +57,11 @@ class Px4(Autopilot):
     ready_s = 8.0
     unknown_message_result = FAILED
     arming_refusal = (REJECTED, "Arming denied: Resolve system health failures first\t")
-    manners = _MANNERS
+    quirks = _MANNERS
     default_interval_s = DEFAULT_INTERVAL_S
 
     def __init__(self, settings: Settings) -> None:
-        super().__init__(settings, Build(), 0.0, px4_parameters(settings))
+        super().__init__(settings, AirframeParameters(), 0.0, px4_parameters(settings))
         self.mission = Px4Mission(self._on_swap)
         self.navigator = Px4Navigator(self.craft, self.parameters)
         self._item: Item | None = None  # being flown
@@ -84,7 +84,7 @@ class Px4(Autopilot):
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
         }
         stores: tuple[Store, ...] = (self.mission, PointStore(True), PointStore(True))
-        self.open_for_business(stores, Px4Telemetry(self).builders())
+        self.attach(stores, Px4Telemetry(self).builders())
 
     @property
     def roll_limit_rad(self) -> float:
@@ -408,5 +408,5 @@ class Px4(Autopilot):
 
     def _order_airspeed(self, speed_m_s: float) -> None:
         if speed_m_s > 0.0:
-            least_m_s, greatest_m_s = self.parameters["FW_AIRSPD_MIN"], self.parameters["FW_AIRSPD_MAX"]
-            self._ordered_airspeed_m_s = max(least_m_s, min(greatest_m_s, speed_m_s))
+            min_m_s, max_m_s = self.parameters["FW_AIRSPD_MIN"], self.parameters["FW_AIRSPD_MAX"]
+            self._ordered_airspeed_m_s = max(min_m_s, min(max_m_s, speed_m_s))

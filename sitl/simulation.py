@@ -162,5 +162,5 @@ def target_motion(settings: TargetSettings, rng: np.random.Generator) -> Motion:
         speed_m_s = _WALK_SPEED_M_S if speed_m_s is None else speed_m_s
         return built_in_motion(settings.motion, settings.start_m, speed_m_s, rng)
     track = read_track(settings.motion)
-    skip_s = track.lively_start_s() if settings.skip_s is None else settings.skip_s
+    skip_s = track.first_motion_s() if settings.skip_s is None else settings.skip_s
     return TrackMotion(track, settings.start_m, _TRACK_SPEED_M_S if speed_m_s is None else speed_m_s, skip_s)

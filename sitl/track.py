@@ -30,7 +30,7 @@ class Track:
     east_m: Sequence[float]
     north_m: Sequence[float]
 
-    def lively_start_s(self) -> float:
+    def first_motion_s(self) -> float:
         """Return when the first minute begins that covers ground at a jog; 0 if there is none."""
         length_m = [0.0]
         for i in range(1, len(self.time_s)):

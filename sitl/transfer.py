@@ -49,7 +49,7 @@ class Store(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Manners:
+class ProtocolQuirks:
     """How this autopilot behaves in the protocol; times in seconds of the stations' clock."""
 
     asks_with_int: bool  # MISSION_REQUEST_INT, or the older MISSION_REQUEST
@@ -84,16 +84,16 @@ class Transfer:
         mission_type: int,
         store: Store,
         radio: Radio,
-        manners: Manners,
+        quirks: ProtocolQuirks,
         link_rate: float,
         tell: Callable[[int, str], None],
     ) -> None:
         self.mission_type = mission_type
         self.store = store
         self._radio = radio
-        self._manners = manners
-        self._retry_s = manners.retry_s * link_rate
-        self._timeout_s = manners.timeout_s * link_rate
+        self._quirks = quirks
+        self._retry_s = quirks.retry_s * link_rate
+        self._timeout_s = quirks.timeout_s * link_rate
         self._tell = tell
         self._upload: _Upload | None = None
         self._completed: tuple[tuple[int, int], int] | None = None
@@ -109,9 +109,9 @@ class Transfer:
         if now_s - upload.heard_s > self._timeout_s:
             self._upload = None
             self.store.abandon()
-            self._tell(self._manners.timeout_severity, self._manners.timeout_text)
-            if self._manners.timeout_result is not None:
-                self._acknowledge(upload.station, upload.sender, self._manners.timeout_result)
+            self._tell(self._quirks.timeout_severity, self._quirks.timeout_text)
+            if self._quirks.timeout_result is not None:
+                self._acknowledge(upload.station, upload.sender, self._quirks.timeout_result)
         elif now_s - upload.asked_s > self._retry_s:
             self._ask(upload, now_s)
 
@@ -126,7 +126,7 @@ class Transfer:
                 self._on_item(station, sender, message, now_s)
             case "MISSION_REQUEST_LIST":
                 if self._upload is not None:
-                    self._acknowledge(station, sender, self._manners.busy_result)
+                    self._acknowledge(station, sender, self._quirks.busy_result)
                 else:
                     self._send_count(station, sender)
             case "MISSION_REQUEST_INT" | "MISSION_REQUEST":
@@ -142,7 +142,7 @@ class Transfer:
     def _on_count(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
         if not self._may_start(station, sender):
             return
-        if message.count > self._manners.max_items:
+        if message.count > self._quirks.max_items:
             self._acknowledge(station, sender, mavlink.MAV_MISSION_NO_SPACE)
             return
         result = self.store.begin(message.count)
@@ -152,10 +152,10 @@ class Transfer:
         self._start(_Upload(station, sender, 0, message.count - 1, now_s, now_s), now_s)
 
     def _on_partial(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
-        if not self._manners.partial_writes:
+        if not self._quirks.partial_writes:
             return
         if self._upload is not None:
-            self._acknowledge(station, sender, self._manners.busy_result)
+            self._acknowledge(station, sender, self._quirks.busy_result)
             return
         first, last, count = message.start_index, message.end_index, len(self.store.items())
         if not 0 <= first <= last <= count:
@@ -167,8 +167,8 @@ class Transfer:
         upload = self._upload
         if upload is None:
             return True
-        if upload.sender != sender or not (self._manners.restarts or upload.next_index == 0):
-            self._acknowledge(station, sender, self._manners.busy_result)
+        if upload.sender != sender or not (self._quirks.restarts or upload.next_index == 0):
+            self._acknowledge(station, sender, self._quirks.busy_result)
             return False
         self._upload = None
         self.store.abandon()
@@ -181,25 +181,25 @@ class Transfer:
     def _ask(self, upload: _Upload, now_s: float) -> None:
         kind = (
             mavlink.MAVLink_mission_request_int_message
-            if self._manners.asks_with_int
+            if self._quirks.asks_with_int
             else mavlink.MAVLink_mission_request_message
         )
         self._radio.send(upload.station, kind(*upload.sender, upload.next_index, self.mission_type))
         upload.asked_s = now_s
 
     def _on_item(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
-        upload, manners = self._upload, self._manners
+        upload, quirks = self._upload, self._quirks
         if upload is None:
-            repeated = manners.repeats_final_ack and self._completed == (sender, message.seq)
+            repeated = quirks.repeats_final_ack and self._completed == (sender, message.seq)
             result = mavlink.MAV_MISSION_ACCEPTED if repeated else mavlink.MAV_MISSION_ERROR
             self._acknowledge(station, sender, result)
             return
         if message.seq != upload.next_index:
-            if manners.wrong_sequence_result is not None:
-                self._acknowledge(station, sender, manners.wrong_sequence_result)
+            if quirks.wrong_sequence_result is not None:
+                self._acknowledge(station, sender, quirks.wrong_sequence_result)
             return
         if upload.sender != sender:
-            self._acknowledge(station, sender, manners.busy_result)
+            self._acknowledge(station, sender, quirks.busy_result)
             return
         upload.heard_s = now_s
         try:
@@ -223,7 +223,7 @@ class Transfer:
 
     def _on_request(self, station: Station, sender: tuple[int, int], message: Any) -> None:
         if self._upload is not None:
-            self._acknowledge(station, sender, self._manners.busy_result)
+            self._acknowledge(station, sender, self._quirks.busy_result)
             return
         items = self.store.items()
         if not 0 <= message.seq < len(items):

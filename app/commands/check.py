@@ -12,9 +12,9 @@ from rich.table import Table
 from app.commands.output import JsonOption, checked_output, console, write_json
 from app.config import load_config
 from app.errors import InputError
-from mission.feasibility import Feasibility, feasibility
-from mission.optimum import ThresholdBounds, threshold_bounds
-from mission.optimum import optimise as optimum
+from mission.paper.feasibility import Feasibility, feasibility
+from mission.paper.optimum import ThresholdBounds, threshold_bounds
+from mission.paper.optimum import optimise as optimum
 
 _LABELS = {
     "x_tr_m": ("advance of one turn of the transition (x_tr)", "m"),
@@ -90,5 +90,5 @@ def _bounds_words(where: str, bounds: ThresholdBounds | None) -> str:
         return f"{where}: no threshold C keeps the band against a straight target at top speed"
     return (
         f"{where}: any C from {bounds.least:.3f} to {bounds.greatest:.3f} keeps the band; best {bounds.best:.3f}, "
-        f"which leaves {bounds.room_m:.0f} m at both ends and stays within {bounds.greatest_range_m:.0f} m"
+        f"which leaves {bounds.room_m:.0f} m at both ends and stays within {bounds.max_range_m:.0f} m"
     )

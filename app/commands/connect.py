@@ -9,13 +9,13 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from app.autopilot import parameter_notes
+from app.autopilots.autopilot import parameter_notes
+from app.autopilots.parameters import read_parameters
 from app.commands.output import JsonOption, checked_output, console, write_json
 from app.config import Config, load_config
-from app.ending import run
-from app.flight import connected
-from app.parameters import read_parameters
-from app.preflight import ask_for_streams, checks, home_of, listen, mode_of
+from app.flight.flight import connected
+from app.flight.preflight import ask_for_streams, checks, home_of, listen, mode_of
+from app.shutdown import run
 
 
 def connect(
@@ -42,11 +42,11 @@ async def _report(url: str, config: Config, listen_s: float) -> dict[str, Any]:
         await ask_for_streams(vehicle)
         rates = await listen(vehicle, listen_s)
         home = await home_of(vehicle)
-        values = await read_parameters(vehicle, autopilot.meanings)
+        values = await read_parameters(vehicle, autopilot.relevant_parameters)
         limits = autopilot.limits(values)
         notes = parameter_notes(autopilot, values)
-        needs = autopilot.needs(values, config.aircraft.airspeed_m_s)
-        found = checks(config, vehicle, limits, home, rates, needs)
+        required_parameters = autopilot.required_parameters(values, config.aircraft.airspeed_m_s)
+        found = checks(config, vehicle, limits, home, rates, required_parameters)
         console.print(f"{autopilot.name}, system {vehicle.system_id}, mode {mode_of(vehicle)}")
         table = Table("requirement", "", "found", box=None, pad_edge=False)
         for check in found:

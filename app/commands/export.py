@@ -11,16 +11,16 @@ import typer
 from rich.progress import Progress
 
 from app.commands.output import console
-from app.modes import AUTOPILOT_PX4
+from app.link.modes import AUTOPILOT_PX4
 from app.records.export import Format
 from app.records.export import export as write
 from app.records.log import open_log
 from app.records.run_folder import RunFolder
 from app.records.track import Flight, Mission
 from app.report.sources import Flown, read_flight
-from mission.items import plan_items
-from mission.line_tracking import arduplane, px4
-from mission.plan import Plan
+from mission.core.plan import Plan
+from mission.upload.items import plan_items
+from mission.upload.line_tracking import arduplane, px4
 
 _CONTEXT_MESSAGES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})
 _TRACKING = {"arduplane": arduplane, "px4": px4}

@@ -13,18 +13,18 @@ from typing import Annotated
 
 import typer
 
-from app.assembly import watch_of
+from app.analysis.summary import Summary
+from app.assembly import controller_of
 from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
 from app.commands.report import write_report
 from app.config import Config, check_flyable, load_config
-from app.display import FlightDisplay
-from app.ending import ends_within, run
 from app.errors import InputError
-from app.flight import Flight, Sharing, connected
-from app.recording import Recording, write_mcap
+from app.flight.display import FlightDisplay
+from app.flight.flight import Flight, Sharing, connected
+from app.flight.recording import Recording, write_mcap
+from app.flight.simulated import SimulatedVehicle
 from app.records.run_folder import RunFolder
-from app.simulated import SimulatedVehicle
-from app.summary import Summary
+from app.shutdown import ends_within, run
 from app.view.address import DEFAULT_PORT, LOOPBACK, Address
 from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay
@@ -180,7 +180,7 @@ async def _fly(
     stopped: asyncio.Event,
 ) -> Summary:
     async with contextlib.AsyncExitStack() as stack:
-        watch = watch_of(config, table_progress(display.note))
+        controller = controller_of(config, table_progress(display.note))
         url, truth = config.link.url, None
         if url is None:
             display.note(f"starting a simulated {config.simulation.autopilot} and its target")
@@ -189,7 +189,7 @@ async def _fly(
         display.note(f"connecting to {url}")
         session = await stack.enter_async_context(connected(url, config.link.heartbeat_timeout_s, recording.frame))
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
-        flight = Flight(session, config, watch, recording, display, duration_s, sharing)
+        flight = Flight(session, config, controller, recording, display, duration_s, sharing)
         outcome = await flight.fly(stopped)
     # Only now, with the simulated vehicle ended, is its truth file whole.
     return flight.summary(outcome, truth)

@@ -12,25 +12,25 @@ import typer
 from rich.progress import Progress
 from rich.text import Text
 
-from app.assembly import fence_check, watch_of
+from app.analysis.replay import JournalReplay, LogReplay, Replayed, announcements, require_sightings
+from app.analysis.summary import Summary, SummaryCollector, describe_calibration, summarise
+from app.assembly import controller_of, fence_check
 from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
 from app.config import Config, load_config, with_values
 from app.errors import FlightError, InputError
-from app.recording import JOURNAL_TYPES
+from app.flight.recording import JOURNAL_TYPES
+from app.link.telemetry import Telemetry
 from app.records.journal import JournalReader
 from app.records.log import open_log
 from app.records.run_folder import RunFolder
 from app.records.truth import Truth, read_truth
-from app.replay import JournalReplay, LogReplay, Replayed, announcements, require_sightings
-from app.summary import Gatherer, Summary, calibration_words, summarise
-from app.telemetry import Telemetry
 from app.view.address import DEFAULT_PORT, Address
 from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay, clock
 from app.view.playback import Playback
 from estimators.frames import LocalPlane
-from mission.events import Engaged
-from mission.watch import Watch
+from mission.control.controller import StandoffController
+from mission.core.events import ControlAcquired
 
 
 def replay(
@@ -91,20 +91,20 @@ def _changes(given: list[str], planner: str | None) -> dict[str, dict[str, Any]]
 def _replay_log(path: Path, truth: Path | None, settings: Config, quiet: bool, shown: _Shown | None) -> Summary:
     log = open_log(path)
     telemetry = Telemetry()
-    watch = watch_of(settings, table_progress(console.print))
+    controller = controller_of(settings, table_progress(console.print))
 
     def fence(plane: LocalPlane) -> None:
-        watch.check = fence_check(settings, plane)
+        controller.check = fence_check(settings, plane)
 
-    steps = LogReplay(watch, telemetry, fence)
+    steps = LogReplay(controller, telemetry, fence)
     with _progress() as progress:
         task = progress.add_task(path.name, total=1.0)
         messages = log.messages(telemetry.wanted, lambda share: progress.update(task, completed=share))
-        judged = _Judged(settings, watch, progress, quiet)
+        judged = _Judged(settings, controller, progress, quiet)
         _follow(judged, steps.run(messages), shown, settings, lambda: steps.plane)
-    require_sightings(watch.tracker.sightings, log)
+    require_sightings(controller.tracker.sightings, log)
     result = judged.summary(read_truth(truth) if truth is not None else None, steps.plane, judged.first_estimate_s)
-    console.print(calibration_words(watch.tracker.calibration))
+    console.print(describe_calibration(controller.tracker.calibration))
     # Nothing was uploaded here: what the planner would have sent counts as moves.
     return replace(result, moves=result.uploads, uploads=0, upload_failures=0)
 
@@ -126,11 +126,11 @@ def _replay_run(
         settings = with_values(flown, changes, "--set")
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")
-        watch = watch_of(settings, table_progress(console.print))
+        controller = controller_of(settings, table_progress(console.print))
         if journal.header.plane is not None:
-            watch.check = fence_check(settings, journal.header.plane)
-        steps = JournalReplay(watch)
-        judged = _Judged(settings, steps.watch, progress, quiet or verify)
+            controller.check = fence_check(settings, journal.header.plane)
+        steps = JournalReplay(controller)
+        judged = _Judged(settings, steps.controller, progress, quiet or verify)
         _follow(judged, steps.run(journal), shown, settings, lambda: journal.header.plane)
     if verify:
         if steps.difference is not None:
@@ -167,34 +167,34 @@ def _follow(
     silent = PanelDisplay(console, settings.requirement.requirement(), quiet=True)
     with ViewDisplay(silent, settings, shown.address, shown.name) as view:
         console.print(f"live map: {view.url}", soft_wrap=True)
-        judged.follow(Playback(view, judged.watch, plane, shown.speed, view.pump_if_due).shown(steps))
+        judged.follow(Playback(view, judged.controller, plane, shown.speed, view.pump_if_due).shown(steps))
 
 
 class _Judged:
     """Follows a replay: prints what is said, and gathers what the summary needs."""
 
-    def __init__(self, settings: Config, watch: Watch, progress: Progress, quiet: bool) -> None:
+    def __init__(self, settings: Config, controller: StandoffController, progress: Progress, quiet: bool) -> None:
         self.first_estimate_s: float | None = None
         self.engaged_s: float | None = None
-        self.watch, self._progress, self._quiet = watch, progress, quiet
-        self._gatherer = Gatherer(settings.requirement.requirement())
+        self.controller, self._progress, self._quiet = controller, progress, quiet
+        self._collector = SummaryCollector(settings.requirement.requirement())
 
     def follow(self, steps: Iterable[Replayed]) -> None:
         for step in steps:
-            self._gatherer.observe(step.snapshot)
+            self._collector.observe(step.snapshot)
             if self.first_estimate_s is None and step.snapshot.estimate is not None:
                 self.first_estimate_s = step.snapshot.time_s
-            if self.engaged_s is None and isinstance(step.event, Engaged):
+            if self.engaged_s is None and isinstance(step.event, ControlAcquired):
                 self.engaged_s = step.event.time_s
             if not self._quiet:
                 for said in announcements(step.commands):
                     self._progress.console.print(Text(f"{clock(said.time_s):>7}  {said.text}"))
 
     def summary(self, truth: Truth | None, plane: LocalPlane | None, start_s: float | None) -> Summary:
-        tracker = self.watch.tracker
+        tracker = self.controller.tracker
         return summarise(
-            self._gatherer,
-            self.watch.snapshot(),
+            self._collector,
+            self.controller.snapshot(),
             truth=truth,
             plane=plane,
             start_s=start_s if start_s is not None else -math.inf,

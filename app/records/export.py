@@ -13,8 +13,8 @@ from xml.etree import ElementTree as Xml
 
 from app.errors import InputError
 from app.records.track import Flight, ring, sigma_m
-from mission.items import FRAME_GLOBAL, NAV_WAYPOINT, Item
-from mission.plan_file import plan_file
+from mission.upload.items import FRAME_GLOBAL, NAV_WAYPOINT, Item
+from mission.upload.plan_file import plan_file
 
 _GPX = "http://www.topografix.com/GPX/1/1"
 _KML = "http://www.opengis.net/kml/2.2"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.errors import InputError
-from app.message import Message
+from app.link.message import Message
 from app.records.ardupilot_entries import ArdupilotMessages
 from app.records.dataflash import MAGIC as DATAFLASH_MAGIC
 from app.records.dataflash import dataflash_contents, read_dataflash

@@ -22,9 +22,9 @@ from estimators.readings import AttitudeReading, GimbalReading, PositionReading,
 from estimators.rotations import from_roll_pitch_yaw
 from estimators.sighting import Sighting, SightingOutcome
 from estimators.tracker import Tracker
-from mission.circle import Circle
-from mission.events import Announce, Command, Engaged, Event, Prepare, SwapReported
-from mission.plan import Plan
+from mission.core.circle import Circle
+from mission.core.events import Announce, Command, ControlAcquired, Event, PlanStatus, UploadPlan
+from mission.core.plan import Plan
 
 _CHUNK_BYTES = 32 << 10
 _COVARIANCE_KNOWN = 3  # of foxglove.LocationFix
@@ -65,15 +65,15 @@ class McapLog:
                 estimate = self._tracker.estimate(event.time_s)
                 if estimate is not None:
                     self._target(estimate)
-            case Engaged():
+            case ControlAcquired():
                 self._circle(event.time_s, event.circle)
-            case SwapReported(stage="departed") if event.number in self._plans:
+            case PlanStatus(stage="departed") if event.number in self._plans:
                 self._circle(event.time_s, self._plans[event.number].circle)
 
     def command(self, command: Command) -> None:
         """Take a command."""
         match command:
-            case Prepare():
+            case UploadPlan():
                 self._plans[command.number] = command.plan
                 self._plan(command)
             case Announce():
@@ -151,7 +151,7 @@ class McapLog:
         self._out.write("/circle", "sidelong.Circle", time_s, _circle_numbers(circle))
         self._line("/circle/map", time_s, ring(circle))
 
-    def _plan(self, prepared: Prepare) -> None:
+    def _plan(self, prepared: UploadPlan) -> None:
         plan = prepared.plan
         numbers = {
             "number": prepared.number,

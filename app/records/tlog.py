@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from pymavlink.dialects.v20 import all as dialect
 
-from app.message import Message
+from app.link.message import Message
 from app.records.windows import Progress, Window, windows
 
 MessageSource = tuple[str, int, int]

@@ -10,9 +10,9 @@ from datetime import datetime, timedelta
 from estimators.estimate import TargetEstimate
 from estimators.frames import LocalPlane
 from estimators.readings import PositionReading
-from mission.circle import Circle
-from mission.fences import Outline
-from mission.items import Item
+from mission.core.circle import Circle
+from mission.upload.fences import Outline
+from mission.upload.items import Item
 
 _RING_CORNERS = 72
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from app.analysis.score import Moment
 from app.errors import InputError
-from app.score import Moment
 from estimators.frames import LocalPlane
 
 _POSITION_COLUMNS = ("target_lat_deg", "target_lon_deg", "uav_lat_deg", "uav_lon_deg")

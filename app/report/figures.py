@@ -13,8 +13,8 @@ from scipy.stats import chi2
 
 from app.report import series
 from app.report.history import FloatArray, History
-from app.report.ink import AIRCRAFT, BAD, BAND, ESTIMATE, FAINT, TARGET, figure, legend_above
 from app.report.path_map import flown_path_figure
+from app.report.plot_style import AIRCRAFT, BAD, BAND, ESTIMATE, FAINT, TARGET, figure, legend_above
 
 _TIME = "time, s"
 _BIN_DEG = 10.0
@@ -74,11 +74,11 @@ def _range(history: History) -> Drawing:
     axes.plot(seen.time_s - history.start_s, seen.value, color=AIRCRAFT, linewidth=1.1, label=_judged(history))
     axes.set_ylim(0.0, 1.06 * max(requirement.range_max_m, float(seen.value.max(initial=0.0))))
     _over_time(axes, history, "horizontal range, m")
-    least_m, greatest_m = float(seen.value.min(initial=math.inf)), float(seen.value.max(initial=0.0))
+    min_m, max_m = float(seen.value.min(initial=math.inf)), float(seen.value.max(initial=0.0))
     return Drawing(
         "range",
         "Range to the target",
-        f"Between {least_m:.0f} and {greatest_m:.0f} m; allowed are {requirement.range_min_m:.0f} to "
+        f"Between {min_m:.0f} and {max_m:.0f} m; allowed are {requirement.range_min_m:.0f} to "
         f"{requirement.range_max_m:.0f} m.",
         made,
     )
@@ -141,7 +141,7 @@ def _observation_histogram(history: History) -> Drawing | None:
 
 def _curvature(history: History) -> Drawing:
     made, (axes,) = figure(2.7)
-    flown = series.curvature_1_m(history.aircraft)
+    flown = series.curvature_per_m(history.aircraft)
     axes.plot(flown.time_s - history.start_s, 1e3 * flown.value, color=AIRCRAFT, linewidth=0.9, label="flown")
     for sign in (1.0, -1.0):
         axes.axhline(
@@ -229,12 +229,15 @@ def _consistency(history: History) -> Drawing | None:
         words.append(f"{100.0 * float(np.mean(value[at_s >= history.start_s] <= bound)):.1f} % of the {name}")
     all_axes[-1].set_xlabel(_TIME)
     all_axes[-1].set_xlim(0.0, history.end_s - history.start_s)
-    meanings = {"NEES": "error against the truth over its claimed covariance", "NIS": "innovation of each sighting"}
+    relevant_parameters = {
+        "NEES": "error against the truth over its claimed covariance",
+        "NIS": "innovation of each sighting",
+    }
     return Drawing(
         "consistency",
         "Consistency of the estimate",
         f"{' and '.join(words)} below the bound that 95 % should keep "
-        f"({'; '.join(f'{row[0]}: {meanings[row[0]]}, squared' for row in rows)}).",
+        f"({'; '.join(f'{row[0]}: {relevant_parameters[row[0]]}, squared' for row in rows)}).",
         made,
     )
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from app.analysis.score import Moment
 from app.records.truth import Truth
-from app.score import Moment
 from estimators.estimate import TargetEstimate
 from estimators.frames import LocalPlane
 from estimators.readings import (
@@ -25,20 +25,20 @@ from estimators.readings import (
 )
 from estimators.sighting import SightingOutcome
 from estimators.tracker import Tracker
-from mission.circle import Circle
-from mission.events import (
+from mission.core.circle import Circle
+from mission.core.events import (
     Announce,
     Command,
+    ControlAcquired,
     End,
-    Engaged,
     Event,
     OperatorRequest,
-    Prepare,
-    SwapReported,
+    PlanStatus,
+    UploadPlan,
     Yield,
 )
-from mission.plan import Plan
-from mission.requirement import Aircraft, Requirement, Side
+from mission.core.plan import Plan
+from mission.core.requirement import Aircraft, Requirement, Side
 
 FloatArray = npt.NDArray[np.float64]
 Outline = tuple[tuple[float, float], ...]
@@ -74,7 +74,7 @@ class Swap:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class FlightRequirements:
     """What the flight was asked to keep, and with which aircraft."""
 
     requirement: Requirement
@@ -91,7 +91,7 @@ class History:
     sides: (since, side), from -inf on.
     """
 
-    asked: Asked
+    asked: FlightRequirements
     start_s: float
     positions: tuple[PositionReading, ...]
     aircraft: AircraftTrack
@@ -149,11 +149,11 @@ class HistoryBuilder:
                 self._position(event)
             case AttitudeReading() | RangeReading() | GimbalReading() | TargetFixReading():
                 self._sightings += self._tracker.add(event)
-            case Engaged():
+            case ControlAcquired():
                 self._start_s = event.time_s if self._start_s is None else self._start_s
                 self._circles.append((event.time_s, event.circle))
                 self._in_hand = True
-            case SwapReported():
+            case PlanStatus():
                 self._swap(event)
             case OperatorRequest(side=Side() as side) if event.action == "side" and self._in_hand:
                 self._sides.append((event.time_s, side))
@@ -161,7 +161,7 @@ class HistoryBuilder:
     def command(self, command: Command) -> None:
         """Take a command."""
         match command:
-            case Prepare():
+            case UploadPlan():
                 self._swaps[command.number] = Swap(command.number, command.plan, command.reason, command.time_s)
             case Announce():
                 self._said.append(command)
@@ -182,7 +182,7 @@ class HistoryBuilder:
             if estimate is not None:
                 self._estimates.append(estimate)
 
-    def _swap(self, event: SwapReported) -> None:
+    def _swap(self, event: PlanStatus) -> None:
         swap = self._swaps.get(event.number)
         if swap is None:
             return
@@ -195,7 +195,7 @@ class HistoryBuilder:
             swap = replace(swap, failed=event.detail or "failed")
         self._swaps[event.number] = swap
 
-    def build(self, asked: Asked, plane: LocalPlane, truth: Truth | None) -> History:
+    def build(self, asked: FlightRequirements, plane: LocalPlane, truth: Truth | None) -> History:
         """Return the history so far; there must be at least two positions."""
         aircraft = _track(self._positions)
         start_s = self._start_s

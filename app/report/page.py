@@ -9,10 +9,10 @@ from html import escape
 from pathlib import Path
 
 from app.report.figures import Drawing, drawings
-from app.report.ink import styled
+from app.report.plot_style import styled
 from app.report.results import rows
 from app.report.sources import Flown
-from mission.events import Announce
+from mission.core.events import Announce
 
 _PNG_DPI = 150
 _CSS = """

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from app.report.history import FloatArray, History
-from app.report.ink import AIRCRAFT, BAD, CIRCLE, ESTIMATE, FAINT, TARGET, WIDTH_IN, legend_above
-from mission.circle import Circle
+from app.report.plot_style import AIRCRAFT, BAD, CIRCLE, ESTIMATE, FAINT, TARGET, WIDTH_IN, legend_above
+from mission.core.circle import Circle
 
 TICK_S = 50.0
 _LABELS_MAX = 14

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from app.analysis.score import Moment, score
+from app.analysis.summary import Summary
 from app.report.history import History
 from app.report.series import estimate_errors
-from app.score import Moment, score
-from app.summary import Summary
 
 
 def summary_of(history: History, outcome: str) -> Summary:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from app.analysis.score import Moment
 from app.report.history import AircraftTrack, FloatArray, History
-from app.score import Moment
 from estimators.ellipse import confidence_ellipse
 from estimators.frames import wrap_rad
-from mission.requirement import Requirement
+from mission.core.requirement import Requirement
 
 _CURVATURE_SPAN_S = 1.0
 _STANDING_M_S = 0.3  # as in the score: a slower target keeps its last course
@@ -26,7 +26,7 @@ class Series:
     value: FloatArray
 
 
-def curvature_1_m(aircraft: AircraftTrack) -> Series:
+def curvature_per_m(aircraft: AircraftTrack) -> Series:
     """Return the curvature of the flown line over the ground, positive to the right."""
     turned_rad = np.unwrap(aircraft.course_rad)
     before_s, after_s = aircraft.time_s - _CURVATURE_SPAN_S / 2, aircraft.time_s + _CURVATURE_SPAN_S / 2

@@ -9,22 +9,22 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from app.analysis.replay import require_sightings
+from app.analysis.summary import Summary
 from app.assembly import fence_outlines, tracker_of
 from app.config import Config, load_config
 from app.errors import InputError
-from app.recording import JOURNAL_TYPES
+from app.flight.recording import JOURNAL_TYPES
+from app.link.telemetry import Telemetry
 from app.records.journal import JournalReader
 from app.records.log import open_log
 from app.records.run_folder import RunFolder
 from app.records.truth import read_truth
 from app.records.windows import Progress
-from app.replay import require_sightings
-from app.report.history import Asked, History, HistoryBuilder
+from app.report.history import FlightRequirements, History, HistoryBuilder
 from app.report.results import read_summary, summary_of
-from app.summary import Summary
-from app.telemetry import Telemetry
 from estimators.frames import LocalPlane
-from mission.events import Command
+from mission.core.events import Command
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,10 +105,10 @@ def _built(
     return builder.build(asked(config, plane), plane, read_truth(truth) if truth is not None else None)
 
 
-def asked(config: Config, plane: LocalPlane) -> Asked:
+def asked(config: Config, plane: LocalPlane) -> FlightRequirements:
     """Return what a configuration asks for, with its fences in the plane."""
     keep_in, keep_out = fence_outlines(config, plane)
-    return Asked(
+    return FlightRequirements(
         config.requirement.requirement(),
         config.aircraft.aircraft(),
         tuple(map(tuple, keep_in)),

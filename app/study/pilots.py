@@ -8,10 +8,10 @@ from time import thread_time
 from typing import Protocol, TypeVar
 
 from estimators.estimate import TargetEstimate
-from mission.circle import Circle
-from mission.plan import AircraftState, Plan, Planner
-from mission.progress import nearest_arc_m, point_at
-from mission.requirement import Wind
+from mission.core.circle import Circle
+from mission.core.plan import AircraftState, Plan, Planner
+from mission.core.requirement import Wind
+from mission.geometry.progress import nearest_arc_m, point_at
 
 _LAW_PERIOD_S = 0.2
 _DECISION_PERIOD_S = 1.0
@@ -45,9 +45,9 @@ class Pilot(Protocol):
     """Steers one aircraft through one run. watch times its decisions."""
 
     moves: int
-    watch: StopWatch
+    controller: StopWatch
 
-    def curvature_1_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
+    def curvature_per_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
         """Return the curvature to fly now."""
         ...
 
@@ -58,18 +58,18 @@ class LawPilot:
     def __init__(self, law: GuidanceLaw) -> None:
         self._law = law
         self.moves = 0
-        self.watch = StopWatch()
-        self._command_1_m: float | None = None
+        self.controller = StopWatch()
+        self._command_per_m: float | None = None
         self._next_s = 0.0
 
-    def curvature_1_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
+    def curvature_per_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
         """See :class:`Pilot`."""
         if aircraft.time_s >= self._next_s - 1e-6:
             self._next_s = aircraft.time_s + _LAW_PERIOD_S
             estimate = estimate_at(aircraft.time_s)
             if estimate is not None:
-                self._command_1_m = self.watch(lambda: self._law(aircraft, estimate))
-        return aircraft.curvature_1_m if self._command_1_m is None else self._command_1_m
+                self._command_per_m = self.controller(lambda: self._law(aircraft, estimate))
+        return aircraft.curvature_per_m if self._command_per_m is None else self._command_per_m
 
 
 class PlanPilot:
@@ -80,16 +80,16 @@ class PlanPilot:
         self._plan = Plan(circle)
         self._coming: Plan | None = None
         self.moves = 0
-        self.watch = StopWatch()
+        self.controller = StopWatch()
         self._next_s = 0.0
 
-    def curvature_1_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
+    def curvature_per_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
         """See :class:`Pilot`."""
         if self._coming is None and aircraft.time_s >= self._next_s - 1e-6:
             self._next_s = aircraft.time_s + _DECISION_PERIOD_S
             estimate = estimate_at(aircraft.time_s)
             if estimate is not None:
-                self._coming = self.watch(
+                self._coming = self.controller(
                     lambda: self._planner.decide(aircraft, estimate, self._plan, self._wind, self._latency_s)
                 ).plan
         if self._coming is not None and aircraft.time_s >= self._coming.departure_s - 1e-6:
@@ -101,5 +101,5 @@ class PlanPilot:
         line = point_at(self._plan, nearest_arc_m(self._plan, aircraft), aircraft)
         off_rad = math.remainder(line.course_rad - aircraft.course_rad, 2.0 * math.pi)
         sin_c, cos_c = math.sin(line.course_rad), math.cos(line.course_rad)
-        beside_m = (aircraft.east_m - line.east_m) * cos_c - (aircraft.north_m - line.north_m) * sin_c
-        return line.curvature_1_m + _COURSE_GAIN_1_M * off_rad - _BESIDE_GAIN_1_M2 * beside_m
+        cross_track_m = (aircraft.east_m - line.east_m) * cos_c - (aircraft.north_m - line.north_m) * sin_c
+        return line.curvature_per_m + _COURSE_GAIN_1_M * off_rad - _BESIDE_GAIN_1_M2 * cross_track_m

@@ -13,14 +13,14 @@ from app.study.pilots import LawPilot, Pilot, PlanPilot
 from app.study.sensors import PayloadErrors, PayloadSensing, PerfectSensing, Sensing
 from app.study.settings import PlannerName, StudySettings
 from app.study.target import RandomTarget, Target
-from mission.circle import Circle
-from mission.lateral_guidance import LateralGuidance
-from mission.paper_planner import PaperPlanner
-from mission.plan import AircraftState
-from mission.predictive_planner import PredictivePlanner
-from mission.value_table import ValueTable
-from mission.vector_field import VectorField
-from mission.wind import ground_speed_m_s
+from mission.core.circle import Circle
+from mission.core.plan import AircraftState
+from mission.geometry.wind import ground_speed_m_s
+from mission.laws.lateral_guidance import LateralGuidance
+from mission.laws.vector_field import VectorField
+from mission.paper.planner import PaperPlanner
+from mission.predictive.planner import PredictivePlanner
+from mission.predictive.value_table import ValueTable
 
 _STEP_S = 0.1
 _START_RANGE_M = 300.0
@@ -87,7 +87,7 @@ def run(
         *circle.position_at_course(course_rad),
         course_rad,
         ground_speed_m_s(course_rad, aircraft.airspeed_m_s, wind),
-        circle.curvature_1_m,
+        circle.curvature_per_m,
     )
     body = KinematicAircraft(
         start,
@@ -112,7 +112,7 @@ def fly(target: Target, body: KinematicAircraft, pilot: Pilot, sensing: Sensing,
         truth = target.at(state.time_s)
         sensing.observe(state, body.bank_rad, truth)
         log[k] = (state.time_s, state.east_m, state.north_m, truth.east_m, truth.north_m, truth.course_rad)
-        state = body.step(pilot.curvature_1_m(state, sensing.estimate), _STEP_S)
+        state = body.step(pilot.curvature_per_m(state, sensing.estimate), _STEP_S)
     return log
 
 
@@ -127,10 +127,10 @@ def _pilot(settings: StudySettings, planner: PlannerName, table: ValueTable | No
             return PlanPilot(PaperPlanner(aircraft, requirement), circle, wind, settings.latency_s)
         case PlannerName.LVFG:
             field = VectorField(_FIELD_RADIUS_M, requirement.side.clockwise, _FIELD_GAIN_1_S)
-            return LawPilot(field.curvature_1_m)
+            return LawPilot(field.curvature_per_m)
         case PlannerName.PARK:
             law = LateralGuidance(_LATERAL_RADIUS_M, requirement.side.clockwise, _LATERAL_LOOK_AHEAD_M)
-            return LawPilot(law.curvature_1_m)
+            return LawPilot(law.curvature_per_m)
 
 
 def _summed_up(settings: StudySettings, pilot: Pilot, log: FloatArray, keep_track: bool) -> RunResult:
@@ -148,7 +148,7 @@ def _summed_up(settings: StudySettings, pilot: Pilot, log: FloatArray, keep_trac
         pilot.moves * 3600.0 / settings.duration_s,
         float(np.degrees(observation_rad).std()),
         np.histogram(np.degrees(observation_rad), bins=72, range=(-180.0, 180.0))[0],
-        np.asarray(pilot.watch.taken_s, np.float32),
+        np.asarray(pilot.controller.taken_s, np.float32),
         Track(time_s, east_m, north_m, target_east_m, target_north_m, range_m, observation_rad)
         if keep_track
         else None,

@@ -12,7 +12,7 @@ from app.study.target import TargetTruth
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from estimators.tracker import Tracker, TrackerSettings
-from mission.plan import AircraftState
+from mission.core.plan import AircraftState
 
 _HEIGHT_M = 100.0
 _LASER = Source("DISTANCE_SENSOR", 154, 1, 100)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from mission.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
+from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 
 
 class PlannerName(StrEnum):

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from app.study.run import RunResult, Track, run
 from app.study.settings import PlannerName, StudySettings
-from mission.value_table import ValueTable
+from mission.predictive.value_table import ValueTable
 
 Progress = Callable[[int], None]
 

@@ -12,7 +12,7 @@ import numpy as np
 # The heading change at each new leg, and its chance.
 _TURNS_DEG = (-90.0, -45.0, -20.0, 0.0, 20.0, 45.0, 90.0, 180.0)
 _CHANCES = (0.12, 0.15, 0.15, 0.10, 0.15, 0.15, 0.12, 0.06)
-_LEAST_SPEED_M_S = 1.0
+_MIN_SPEED_M_S = 1.0
 # Below this the last course goes on to count.
 _COURSE_SPEED_M_S = 0.3
 
@@ -61,7 +61,7 @@ class RandomTarget:
         while start_s < duration_s:
             length_s = float(rng.uniform(*legs_s))
             speed_m_s = float(
-                rng.choice([0.0, rng.uniform(min(_LEAST_SPEED_M_S, speed_max_m_s), speed_max_m_s), speed_max_m_s])
+                rng.choice([0.0, rng.uniform(min(_MIN_SPEED_M_S, speed_max_m_s), speed_max_m_s), speed_max_m_s])
             )
             if speed_m_s >= _COURSE_SPEED_M_S:
                 course_rad = heading_rad

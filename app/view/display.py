@@ -13,15 +13,15 @@ from collections.abc import Callable
 from types import TracebackType
 
 from app.config import Config
-from app.display import FlightDisplay
 from app.errors import InputError
+from app.flight.display import FlightDisplay
 from app.view.address import LOOPBACK, Address
 from app.view.feed import Feed, FeedError
-from app.view.state import Json, Stater, setting
+from app.view.state import Json, StateEncoder, setting
 from estimators.frames import LocalPlane
-from mission.events import Announce, OperatorRequest
-from mission.requirement import Side
-from mission.watch import Snapshot
+from mission.control.controller import Snapshot
+from mission.core.events import Announce, OperatorRequest
+from mission.core.requirement import Side
 
 _UP_S = 5.0
 _SEND_EVERY_S = 0.125
@@ -40,7 +40,7 @@ class ViewDisplay:
         self.url = ""
         self._inner, self._config, self._address = inner, config, address
         self._name = name or config.link.url or f"simulated {config.simulation.autopilot}"
-        self._stater = Stater(config.requirement.requirement(), config.aircraft.airspeed_m_s)
+        self._stater = StateEncoder(config.requirement.requirement(), config.aircraft.airspeed_m_s)
         self._feed: Feed | None = None
         self._snapshot: Snapshot | None = None
         self._trail: deque[list[float]] = deque(maxlen=_UNSENT_MAX)

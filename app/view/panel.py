@@ -16,9 +16,9 @@ from app.prediction import predicted_m
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TrackQuality
 from estimators.frames import LocalPlane
-from mission.events import Announce, OperatorRequest
-from mission.requirement import Requirement
-from mission.watch import Phase, Snapshot
+from mission.control.controller import Phase, Snapshot
+from mission.core.events import Announce, OperatorRequest
+from mission.core.requirement import Requirement
 
 _REFRESH_HZ = 4.0
 _PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time
@@ -128,7 +128,7 @@ class PanelDisplay:
         return self._console.width
 
     def _rows(self, shown: Snapshot) -> Iterator[tuple[str, Text]]:
-        range_m, estimate, gauges = _range_m(shown), shown.estimate, shown.gauges
+        range_m, estimate, sensor_status = _range_m(shown), shown.estimate, shown.sensor_status
         if range_m is None or estimate is None:
             yield "target", Text("not seen yet")
         else:
@@ -139,26 +139,31 @@ class PanelDisplay:
             yield "target", known
         yield "circle", Text(self._circle(shown))
         sensors = Text()
-        for name, age_s in (("laser", shown.time_s - gauges.range_s), ("gimbal", shown.time_s - gauges.gimbal_s)):
+        for name, age_s in (
+            ("laser", shown.time_s - sensor_status.range_s),
+            ("gimbal", shown.time_s - sensor_status.gimbal_s),
+        ):
             words = f"{name} {age_s:.1f} s ago" if math.isfinite(age_s) else f"no {name}"
             sensors.append(words + "   ", "" if age_s <= _OLD_S else "yellow")
-        sensors.append("link ok" if gauges.connected else "link lost", "" if gauges.connected else "bold red")
-        sensors.append(f"   bank {math.degrees(gauges.bank_rad):.0f}°   wind {shown.wind.speed_m_s:.1f} m/s")
+        sensors.append(
+            "link ok" if sensor_status.connected else "link lost", "" if sensor_status.connected else "bold red"
+        )
+        sensors.append(f"   bank {math.degrees(sensor_status.bank_rad):.0f}°   wind {shown.wind.speed_m_s:.1f} m/s")
         yield "sensors", sensors
         if shown.decision is not None:
             yield "decided", Text(shown.decision.reason, style="cyan")
 
     def _gauge(self, range_m: float) -> Text:
         """Return the range as a mark between least and greatest allowed; the mark is red outside."""
-        least_m, greatest_m = self._requirement.range_min_m, self._requirement.range_max_m
-        share = (range_m - least_m) / (greatest_m - least_m)
+        min_m, max_m = self._requirement.range_min_m, self._requirement.range_max_m
+        share = (range_m - min_m) / (max_m - min_m)
         cell = min(max(int(share * _GAUGE_CELLS), 0), _GAUGE_CELLS - 1)
         inside = 0.0 <= share <= 1.0
-        text = Text(f"{range_m:4.0f} m   {least_m:.0f} ")
+        text = Text(f"{range_m:4.0f} m   {min_m:.0f} ")
         text.append("─" * cell, "dim")
         text.append("●", "bold green" if inside else "bold red")
         text.append("─" * (_GAUGE_CELLS - 1 - cell), "dim")
-        text.append(f" {greatest_m:.0f} m")
+        text.append(f" {max_m:.0f} m")
         return text
 
     @staticmethod

@@ -6,11 +6,11 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 
-from app.display import FlightDisplay
-from app.replay import Replayed, announcements
+from app.analysis.replay import Replayed, announcements
+from app.flight.display import FlightDisplay
 from estimators.frames import LocalPlane
-from mission.events import OperatorRequest
-from mission.watch import Watch
+from mission.control.controller import StandoffController
+from mission.core.events import OperatorRequest
 
 _GAP_S = 5.0  # a longer silence in the recording is not waited for
 _NAP_S = 0.05
@@ -22,14 +22,14 @@ class Playback:
     def __init__(
         self,
         display: FlightDisplay,
-        watch: Watch,
+        controller: StandoffController,
         plane: Callable[[], LocalPlane | None],
         speed: float,
         idle: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._display, self._watch, self._plane, self._speed = display, watch, plane, speed
+        self._display, self._controller, self._plane, self._speed = display, controller, plane, speed
         self._idle, self._clock, self._sleep = idle, clock, sleep
 
     def shown(self, steps: Iterable[Replayed]) -> Iterator[Replayed]:
@@ -61,5 +61,5 @@ class Playback:
             self._sleep(min(left_s, _NAP_S))
 
     def _press(self, request: OperatorRequest) -> None:
-        for said in announcements(self._watch.step(request)):
+        for said in announcements(self._controller.step(request)):
             self._display.say(said)

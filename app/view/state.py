@@ -12,10 +12,10 @@ from app.config import Config
 from app.prediction import predicted_m
 from estimators.ellipse import confidence_ellipse
 from estimators.frames import LocalPlane, wrap_rad
-from mission.path import Path
-from mission.plan import AircraftState, Plan
-from mission.requirement import Requirement
-from mission.watch import Snapshot
+from mission.control.controller import Snapshot
+from mission.core.path import Path
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Requirement
 
 Json = dict[str, Any]
 
@@ -45,7 +45,7 @@ def setting(config: Config, plane: LocalPlane | None, name: str) -> Json:
     }
 
 
-class Stater:
+class StateEncoder:
     """Turns snapshots into states; remembers the target's course through its stops, and lines already thinned."""
 
     def __init__(self, requirement: Requirement, airspeed_m_s: float) -> None:
@@ -55,7 +55,7 @@ class Stater:
 
     def state(self, snapshot: Snapshot, silent_s: float) -> Json:
         """Return the state; silent_s is how long the vehicle has said nothing."""
-        gauges, time_s = snapshot.gauges, snapshot.time_s
+        sensor_status, time_s = snapshot.sensor_status, snapshot.time_s
         return {
             "time_s": _number(time_s, 2),
             "phase": snapshot.phase,
@@ -67,13 +67,13 @@ class Stater:
             "coming": self._plan(snapshot.coming, time_s, flown=False),
             "reason": snapshot.decision.reason if snapshot.decision is not None else "",
             "wind_m_s": _rounded(snapshot.wind.east_m_s, snapshot.wind.north_m_s),
-            "nis": _number(gauges.nis, 2),
-            "range_age_s": _number(time_s - gauges.range_s, 2),
-            "gimbal_age_s": _number(time_s - gauges.gimbal_s, 2),
+            "nis": _number(sensor_status.nis, 2),
+            "range_age_s": _number(time_s - sensor_status.range_s, 2),
+            "gimbal_age_s": _number(time_s - sensor_status.gimbal_s, 2),
             "link_age_s": round(silent_s, 2),
-            "connected": gauges.connected,
-            "sightings": gauges.sightings,
-            "rejected": gauges.rejected,
+            "connected": sensor_status.connected,
+            "sightings": sensor_status.sightings,
+            "rejected": sensor_status.rejected,
             "moves": snapshot.moves,
             "uploads": snapshot.uploads,
             "upload_failures": snapshot.upload_failures,
@@ -88,8 +88,8 @@ class Stater:
             "at_m": _rounded(aircraft.east_m, aircraft.north_m),
             "course_rad": round(aircraft.course_rad, 4),
             "ground_speed_m_s": round(aircraft.ground_speed_m_s, 2),
-            "bank_rad": _number(snapshot.gauges.bank_rad, 4),
-            "height_m": _number(snapshot.gauges.height_m, 1),
+            "bank_rad": _number(snapshot.sensor_status.bank_rad, 4),
+            "height_m": _number(snapshot.sensor_status.height_m, 1),
         }
 
     def _target(self, snapshot: Snapshot) -> Json | None:

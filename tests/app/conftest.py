@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.assembly import watch_of
+from app.assembly import controller_of
 from app.config import Config
-from app.recording import Recording
+from app.flight.recording import Recording
 from app.records.run_folder import RunFolder
 from estimators.frames import LocalPlane
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
-from mission.circle import Circle
-from mission.events import Command, Depart, Engaged, Event, ModeReported, Prepare, SwapReported
-from mission.follower import PlanTrack
-from mission.plan import AircraftState, Plan
-from mission.watch import Watch
+from mission.control.controller import StandoffController
+from mission.core.circle import Circle
+from mission.core.events import ActivatePlan, Command, ControlAcquired, Event, ModeReported, PlanStatus, UploadPlan
+from mission.core.plan import AircraftState, Plan
+from mission.geometry.follower import PlanTrack
 
 LASER, GIMBAL = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
 HEIGHT_M, GRAVITY_M_S2 = 100.0, 9.80665
@@ -36,14 +36,16 @@ def target_at(time_s: float) -> tuple[float, float]:
     return 3.0 * (since_s - after_s) + 2.1 * after_s, 2.1 * after_s
 
 
-def steps(watch: Watch, config: Config, duration_s: float) -> Iterator[tuple[Event, tuple[Command, ...]]]:
+def steps(
+    controller: StandoffController, config: Config, duration_s: float
+) -> Iterator[tuple[Event, tuple[Command, ...]]]:
     """Fly; yield each event with the commands it led to. Uploads take 0.4 s and always succeed."""
     rng = np.random.default_rng(5)
     airframe = config.aircraft.aircraft()
     circle = Circle(0.0, 250.0, airframe.radius_m, True)
     start = AircraftState(START_S, 0.0, 250.0 + airframe.radius_m, math.pi / 2, airframe.airspeed_m_s, 0.0)
     track = PlanTrack(Plan(circle, None, START_S), start, airframe.airspeed_m_s)
-    due: list[tuple[float, SwapReported]] = []
+    due: list[tuple[float, PlanStatus]] = []
     plans: dict[int, Plan] = {}
 
     def events(time_s: float) -> Iterator[Event]:
@@ -53,7 +55,7 @@ def steps(watch: Watch, config: Config, duration_s: float) -> Iterator[tuple[Eve
             state.ground_speed_m_s * math.sin(state.course_rad),
             state.ground_speed_m_s * math.cos(state.course_rad),
         )
-        bank_rad = math.atan(state.ground_speed_m_s**2 * state.curvature_1_m / GRAVITY_M_S2)
+        bank_rad = math.atan(state.ground_speed_m_s**2 * state.curvature_per_m / GRAVITY_M_S2)
         yield AttitudeReading(time_s, bank_rad, 0.0, state.course_rad)
         yield PositionReading(time_s, state.east_m, state.north_m, HEIGHT_M, *velocity, 0.0)
         yaw_rad = math.atan2(east_m, north_m) + rng.normal(0.0, 0.006)
@@ -69,19 +71,19 @@ def steps(watch: Watch, config: Config, duration_s: float) -> Iterator[tuple[Eve
         yield RangeReading(time_s, slant_m, LASER, quality=0.9)
 
     def handled(event: Event) -> tuple[Event, tuple[Command, ...]]:
-        commands = watch.step(event)
+        commands = controller.step(event)
         for command in commands:
-            if isinstance(command, Prepare):
+            if isinstance(command, UploadPlan):
                 plans[command.number] = command.plan
                 due.append(
-                    (command.time_s + UPLOAD_S, SwapReported(command.time_s + UPLOAD_S, command.number, "ready"))
+                    (command.time_s + UPLOAD_S, PlanStatus(command.time_s + UPLOAD_S, command.number, "ready"))
                 )
-            elif isinstance(command, Depart):
-                due.append((command.time_s, SwapReported(command.time_s, command.number, "departed")))
+            elif isinstance(command, ActivatePlan):
+                due.append((command.time_s, PlanStatus(command.time_s, command.number, "departed")))
         return event, commands
 
     yield handled(ModeReported(START_S, "AUTO", True))
-    yield handled(Engaged(START_S, circle, "AUTO"))
+    yield handled(ControlAcquired(START_S, circle, "AUTO"))
     for tick in range(round(duration_s * 10)):
         time_s = START_S + tick / 10
         for event in events(time_s):
@@ -100,11 +102,11 @@ def config() -> Config:
 
 
 @pytest.fixture(scope="session")
-def flight(config) -> Callable[[float], Iterator[tuple[Event, tuple[Command, ...], Watch]]]:
+def flight(config) -> Callable[[float], Iterator[tuple[Event, tuple[Command, ...], StandoffController]]]:
     def fly(duration_s: float):
-        watch = watch_of(config)
-        for event, commands in steps(watch, config, duration_s):
-            yield event, commands, watch
+        controller = controller_of(config)
+        for event, commands in steps(controller, config, duration_s):
+            yield event, commands, controller
 
     return fly
 

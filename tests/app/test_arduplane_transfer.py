@@ -8,11 +8,11 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from app.arduplane_transfer import read_mission, write_items
-from app.autopilot import same_item
-from app.link import RawItem, UploadResult
-from app.message import Message
-from app.vehicle import Vehicle
+from app.autopilots.arduplane_transfer import read_mission, write_items
+from app.autopilots.autopilot import same_item
+from app.link.link import RawItem, UploadResult
+from app.link.message import Message
+from app.link.vehicle import Vehicle
 from sitl.settings import Flavour, Settings
 from sitl.simulation import Simulation
 

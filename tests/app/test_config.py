@@ -6,7 +6,7 @@ import pytest
 
 from app.config import check_flyable, load_config
 from app.errors import InputError
-from mission.requirement import Side
+from mission.core.requirement import Side
 
 
 def write(tmp_path, text: str):

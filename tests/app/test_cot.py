@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from app.cot import CotOutput, cot_event
 from app.errors import InputError
+from app.flight.cot import CotOutput, cot_event
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.frames import LocalPlane
 
@@ -54,8 +54,8 @@ def receiver():
 
 @pytest.fixture
 def snapshot(flight):
-    for _, _, watch in flight(5.0):
-        last = watch
+    for _, _, controller in flight(5.0):
+        last = controller
     return last.snapshot()
 
 

@@ -7,7 +7,7 @@ import pytest
 
 LEFT = """
 import asyncio, threading
-from app import ending
+from app import shutdown as ending
 async def main():
     asyncio.get_running_loop().run_in_executor(None, threading.Event().wait)
     await asyncio.sleep(0.01)
@@ -18,14 +18,14 @@ ending.leave(ending.run(main()))
 
 HELD_UP = """
 import threading
-from app import ending
+from app import shutdown as ending
 with ending.ends_within(0.2, "closing"):
     threading.Event().wait()
 """
 
 IN_TIME = """
 import time
-from app import ending
+from app import shutdown as ending
 with ending.ends_within(0.05, "closing"):
     pass
 time.sleep(0.2)

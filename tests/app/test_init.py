@@ -13,7 +13,7 @@ from app.commands.init import config_text, init
 from app.config import Config, check_flyable, load_config
 from app.errors import InputError
 from app.presets import PRESETS
-from mission.requirement import GRAVITY_M_S2
+from mission.core.requirement import GRAVITY_M_S2
 
 
 def test_the_file_holds_exactly_the_defaults(tmp_path):
@@ -31,7 +31,7 @@ def test_a_preset_loads_back_and_is_flyable_by_both_planners(name, tmp_path):
     assert preset.about in file.read_text(encoding="utf-8")
     for planner in ("predictive", "paper"):
         check_flyable(load_config(file, {"planner": {"name": planner}}))
-    assert config.aircraft.aircraft().least_radius_m <= preset.radius_m
+    assert config.aircraft.aircraft().min_radius_m <= preset.radius_m
 
 
 @pytest.mark.parametrize("preset", PRESETS.values(), ids=str)

@@ -4,17 +4,17 @@ import asyncio
 
 import pytest
 
-from app.autopilot import Home, select_by_message
-from app.link import RawItem, UploadResult
-from app.message import Message
-from app.mission_guidance import MissionGuidance
-from app.px4 import Px4
-from app.vehicle import Vehicle
+from app.autopilots.autopilot import Home, select_by_message
+from app.autopilots.px4 import Px4
+from app.delivery.mission_guidance import MissionItemBackend
+from app.link.link import RawItem, UploadResult
+from app.link.message import Message
+from app.link.vehicle import Vehicle
 from estimators.frames import LocalPlane
-from mission.circle import Circle
-from mission.events import Prepare
-from mission.plan import Plan
-from mission.requirement import Wind
+from mission.core.circle import Circle
+from mission.core.events import UploadPlan
+from mission.core.plan import Plan
+from mission.core.requirement import Wind
 
 
 class Wire:
@@ -70,7 +70,7 @@ def guidance():
     clock = {"now_s": 0.0}
     wire = Wire(item=1)
     plane = LocalPlane(47.0, 8.0)
-    made = MissionGuidance(
+    made = MissionItemBackend(
         Vehicle(wire),
         Px4(),
         plane,
@@ -147,7 +147,7 @@ def test_late_words_of_the_mission_and_the_line_before_are_no_surprise(guidance)
     async def swap():
         running = asyncio.create_task(made._vehicle.run())
         try:
-            await made.prepare(Prepare(10.0, 1, Plan(there, None, 12.0), there, Plan(there), Wind(), ""))
+            await made.prepare(UploadPlan(10.0, 1, Plan(there, None, 12.0), there, Plan(there), Wind(), ""))
             await made.depart(1)
         finally:
             running.cancel()

@@ -8,13 +8,13 @@ from mavsdk.asyncio import Configuration, Mavsdk
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 
 from app.config import Config
-from app.simulated import SimulatedVehicle
+from app.flight.simulated import SimulatedVehicle
 from estimators.frames import LocalPlane
-from mission.circle import Circle
-from mission.items import Item, circle_item, plan_items
-from mission.plan import Plan
-from mission.plan_file import plan_file
-from mission.transition import abcd
+from mission.core.circle import Circle
+from mission.core.plan import Plan
+from mission.geometry.transition import abcd
+from mission.upload.items import Item, circle_item, plan_items
+from mission.upload.plan_file import plan_file
 
 PLANE = LocalPlane(47.4, 8.5)
 OUTLINE = [(-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.0, 900.0)]

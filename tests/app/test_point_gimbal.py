@@ -8,13 +8,13 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from app.link import LinkError
-from app.message import Message
-from app.point_gimbal import GimbalPointer
-from app.vehicle import Vehicle
+from app.flight.point_gimbal import GimbalPointer
+from app.link.link import LinkError
+from app.link.message import Message
+from app.link.vehicle import Vehicle
 from estimators.estimate import TrackQuality
 from estimators.frames import LocalPlane
-from mission.watch import Phase
+from mission.control.controller import Phase
 
 PLANE = LocalPlane(47.4, 8.5)
 ALTITUDE_M = 420.0
@@ -49,8 +49,8 @@ class LoopbackLink:
 
 @pytest.fixture
 def snapshot(flight):
-    for _, _, watch in flight(5.0):
-        last = watch
+    for _, _, controller in flight(5.0):
+        last = controller
     return last.snapshot()
 
 

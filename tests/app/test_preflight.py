@@ -2,11 +2,11 @@
 
 import pytest
 
-from app.arduplane import ArduPlane
+from app.autopilots.arduplane import ArduPlane
+from app.autopilots.px4 import Px4
 from app.config import Config
-from app.message import Message
-from app.preflight import checks
-from app.px4 import Px4
+from app.flight.preflight import checks
+from app.link.message import Message
 
 GOOD_ARDUPLANE = {"AIRSPEED_CRUISE": 15.0}
 GOOD_PX4 = {"FW_AIRSPD_TRIM": 15.0, "NAV_DLL_ACT": 0.0, "MIS_TKO_LAND_REQ": 2.0}
@@ -22,8 +22,8 @@ class Silent:
 
 
 def test_good_parameters_need_nothing():
-    assert ArduPlane().needs(GOOD_ARDUPLANE, 15.0) == ()
-    assert Px4().needs(GOOD_PX4, 15.0) == ()
+    assert ArduPlane().required_parameters(GOOD_ARDUPLANE, 15.0) == ()
+    assert Px4().required_parameters(GOOD_PX4, 15.0) == ()
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def test_good_parameters_need_nothing():
     ],
 )
 def test_what_stands_in_the_way_is_named_with_its_remedy(autopilot, name, present, wanted):
-    (need,) = autopilot.needs(GOOD_ARDUPLANE | GOOD_PX4 | {name: present}, 15.0)
+    (need,) = autopilot.required_parameters(GOOD_ARDUPLANE | GOOD_PX4 | {name: present}, 15.0)
     assert (need.name, need.present, need.value) == (name, present, wanted)
     limits = type("Limits", (), dict.fromkeys(("bank_max_deg", "airspeed_min_m_s", "airspeed_max_m_s")))
     found = checks(Config(), Silent(), limits, None, (), (need,))

@@ -11,13 +11,13 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from app.analysis.score import Moment
 from app.commands.report import write_report
 from app.errors import InputError
 from app.report import series
 from app.report.history import AircraftTrack
 from app.report.page import report_page
 from app.report.sources import read_flight
-from app.score import Moment
 
 FIGURES = [
     "path",
@@ -156,7 +156,7 @@ def test_curvature_of_a_circle_is_one_over_its_radius(clockwise):
     course_rad = sign * time_s * 15.0 / 50.0
     wrapped_rad = np.arctan2(np.sin(course_rad), np.cos(course_rad))
     still = np.zeros_like(time_s)
-    flown = series.curvature_1_m(AircraftTrack(time_s, still, still, wrapped_rad, still + 15.0))
+    flown = series.curvature_per_m(AircraftTrack(time_s, still, still, wrapped_rad, still + 15.0))
     assert flown.value == pytest.approx(np.full(len(flown.value), sign / 50.0), rel=1e-6)
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from app.score import Moment, score
-from mission.requirement import Requirement, Side
+from app.analysis.score import Moment, score
+from mission.core.requirement import Requirement, Side
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 LEFT = ((0.0, Side.LEFT),)

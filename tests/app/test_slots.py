@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.link import RawItem
-from app.slots import Slots
+from app.delivery.slots import MissionLayout
+from app.link.link import RawItem
 
 WAYPOINT, LOITER, HOME = 16, 17, 99
 
@@ -29,9 +29,9 @@ def flown_from(stored: list[RawItem], index: int) -> list[RawItem]:
     raise AssertionError("the mission ends in a waypoint: the vehicle would go home")
 
 
-def start(waypoints: int = 0) -> Slots:
+def start(waypoints: int = 0) -> MissionLayout:
     first = line(1, waypoints)
-    return Slots((item(HOME, 0), *first), 1, 1, 1 + len(first))
+    return MissionLayout((item(HOME, 0), *first), 1, 1, 1 + len(first))
 
 
 @settings(max_examples=200, deadline=None)

@@ -10,8 +10,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from app.commands.study import study
 from app.errors import InputError
-from app.study.command import study
 from app.study.figure import write_figure
 from app.study.report import study_json
 from app.study.settings import PlannerName, StudySettings

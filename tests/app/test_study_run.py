@@ -9,10 +9,10 @@ from app.study.run import fly, run
 from app.study.sensors import PayloadErrors, PayloadSensing, PerfectSensing
 from app.study.settings import PlannerName, StudySettings
 from app.study.target import RandomTarget, TargetTruth
-from mission.circle import Circle
-from mission.paper_planner import PaperPlanner
-from mission.plan import AircraftState
-from mission.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
+from mission.core.circle import Circle
+from mission.core.plan import AircraftState
+from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
+from mission.paper.planner import PaperPlanner
 
 PAPER_AIRCRAFT = Aircraft(10.0, 50.0)
 BANK_RAD = math.atan(1.1 * 10.0**2 / (GRAVITY_M_S2 * 50.0))
@@ -29,7 +29,7 @@ class Eastward:
 
 
 def body_on(circle, course_rad, wind=None):
-    state = AircraftState(0.0, *circle.position_at_course(course_rad), course_rad, 10.0, circle.curvature_1_m)
+    state = AircraftState(0.0, *circle.position_at_course(course_rad), course_rad, 10.0, circle.curvature_per_m)
     return KinematicAircraft(state, 10.0, BANK_RAD, math.radians(30.0), wind or Wind())
 
 
@@ -61,7 +61,7 @@ def test_the_aircraft_holds_a_circle_over_the_ground(wind):
     body = body_on(circle, 0.3, wind)
     pilot = PlanPilot(PaperPlanner(PAPER_AIRCRAFT, Requirement(100.0, 500.0, Side.LEFT, 3.0)), circle, wind, 0.0)
     for _ in range(2000):
-        state = body.step(pilot.curvature_1_m(body.state, lambda time_s: None), 0.1)
+        state = body.step(pilot.curvature_per_m(body.state, lambda time_s: None), 0.1)
         assert math.hypot(state.east_m, state.north_m) == pytest.approx(90.0, abs=1.5)
 
 
@@ -94,7 +94,7 @@ def the_papers_example(threshold):
 
 def test_the_papers_coincidences_come_out_of_the_study_too():
     flown = {threshold: the_papers_example(threshold) for threshold in (0.8, 0.9, 1.0, 1.1, 1.2)}
-    greatest_m = {0.8: 467.0, 0.9: 467.0, 1.0: 504.0, 1.1: 504.0, 1.2: 601.0}
+    max_m = {0.8: 467.0, 0.9: 467.0, 1.0: 504.0, 1.1: 504.0, 1.2: 601.0}
     np.testing.assert_array_equal(flown[0.8], flown[0.9])
     np.testing.assert_array_equal(flown[1.0], flown[1.1])
     assert np.abs(flown[0.9] - flown[1.0]).max() > 100.0
@@ -102,7 +102,7 @@ def test_the_papers_coincidences_come_out_of_the_study_too():
     for threshold, log in flown.items():
         range_m = np.hypot(log[:, 1] - log[:, 3], log[:, 2] - log[:, 4])
         assert range_m.min() == pytest.approx(100.0, abs=3.0)
-        assert range_m.max() == pytest.approx(greatest_m[threshold], abs=6.0)
+        assert range_m.max() == pytest.approx(max_m[threshold], abs=6.0)
 
 
 def test_target_and_noise_are_the_same_for_every_planner():

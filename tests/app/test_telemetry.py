@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from app.message import Message
-from app.telemetry import Telemetry
+from app.link.message import Message
+from app.link.telemetry import Telemetry
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
-from mission.events import ModeReported, WindReported, YieldRequested
+from mission.core.events import ModeReported, WindReported, YieldRequested
 
 
 def message(name: str, component: int = 1, system: int = 1, **fields) -> Message:

@@ -14,9 +14,9 @@ from app.view.address import Address
 from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay
 from estimators.frames import LocalPlane
-from mission.events import Announce, OperatorRequest
-from mission.requirement import Side
-from mission.watch import Phase
+from mission.control.controller import Phase
+from mission.core.events import Announce, OperatorRequest
+from mission.core.requirement import Side
 
 START_S = 100.0
 PLANE = LocalPlane(47.4, 8.5)
@@ -30,8 +30,8 @@ FENCES = {
 def snapshots(flight):
     """Return the snapshots of 110 s, at whose end the circle is being moved, with what was said."""
     taken = []
-    for _, commands, watch in flight(110.0):
-        taken.append((watch.snapshot(), [command for command in commands if isinstance(command, Announce)]))
+    for _, commands, controller in flight(110.0):
+        taken.append((controller.snapshot(), [command for command in commands if isinstance(command, Announce)]))
     return taken
 
 
@@ -214,8 +214,8 @@ def test_resume_is_offered_while_holding_only(page, display, snapshots):
 
 def test_a_lost_track_and_a_lost_link_catch_the_eye(page, display, snapshots):
     last = snapshots[-1][0]
-    gauges = replace(last.gauges, connected=False)
-    display.show(replace(last, gauges=gauges, estimate=replace(last.estimate, quality="lost")))
+    sensor_status = replace(last.sensor_status, connected=False)
+    display.show(replace(last, sensor_status=sensor_status, estimate=replace(last.estimate, quality="lost")))
     display.pump()
     page.locator("#quality.bad", has_text="track lost").wait_for()
     assert page.locator("#link.bad").inner_text() == "link lost"

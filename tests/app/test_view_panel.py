@@ -9,16 +9,16 @@ import pytest
 from rich.console import Console
 
 from app.view.panel import PanelDisplay
-from mission.events import Announce
-from mission.requirement import Requirement, Side
-from mission.watch import Phase
+from mission.control.controller import Phase
+from mission.core.events import Announce
+from mission.core.requirement import Requirement, Side
 
 LEFT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 
 
 @pytest.fixture(scope="module")
 def snapshots(flight):
-    return [watch.snapshot() for _, _, watch in flight(130.0)]
+    return [controller.snapshot() for _, _, controller in flight(130.0)]
 
 
 def drawn(*shown, terminal: bool, width: int = 100, quiet: bool = False) -> str:
@@ -61,7 +61,9 @@ def test_the_panel_before_anything_is_seen(snapshots):
 
 def test_a_lost_link_is_told(snapshots):
     last = snapshots[-1]
-    text = drawn(replace(last, gauges=replace(last.gauges, connected=False), phase=Phase.HOLDING), terminal=True)
+    text = drawn(
+        replace(last, sensor_status=replace(last.sensor_status, connected=False), phase=Phase.HOLDING), terminal=True
+    )
     assert "link lost" in text
     assert "holding" in text
 

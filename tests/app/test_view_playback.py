@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from app.replay import Replayed
+from app.analysis.replay import Replayed
 from app.view.playback import Playback
 from estimators.frames import LocalPlane
-from mission.events import OperatorRequest
-from mission.watch import Phase
+from mission.control.controller import Phase
+from mission.core.events import OperatorRequest
 
 PLANE = LocalPlane(47.4, 8.5)
 
@@ -53,12 +53,12 @@ class Clock:
 
 @pytest.fixture
 def steps(flight):
-    return [Replayed(event, commands, watch.snapshot()) for event, commands, watch in flight(20.0)]
+    return [Replayed(event, commands, controller.snapshot()) for event, commands, controller in flight(20.0)]
 
 
-def played(steps, speed, watch=None):
+def played(steps, speed, controller=None):
     display, clock = Listener(), Clock()
-    playback = Playback(display, watch, lambda: PLANE, speed, clock.idle, clock, clock.sleep)
+    playback = Playback(display, controller, lambda: PLANE, speed, clock.idle, clock, clock.sleep)
     assert list(playback.shown(steps)) == steps
     return display, clock
 
@@ -89,11 +89,11 @@ def test_the_display_is_begun_and_engaged_once(steps):
 
 
 def test_words_are_passed_on_and_buttons_reach_the_step(flight):
-    *_, (_, _, watch) = flight(20.0)
-    display, _ = played([], 0.0, watch)
-    steps = [Replayed(None, (), watch.snapshot())]
-    display, _ = played(steps, 0.0, watch)
+    *_, (_, _, controller) = flight(20.0)
+    display, _ = played([], 0.0, controller)
+    steps = [Replayed(None, (), controller.snapshot())]
+    display, _ = played(steps, 0.0, controller)
     ((_, press),) = display.began
-    press(OperatorRequest(watch.time_s, "hold"))
-    assert watch.phase is Phase.HOLDING
+    press(OperatorRequest(controller.time_s, "hold"))
+    assert controller.phase is Phase.HOLDING
     assert display.said == ["operator: hold"]

@@ -18,8 +18,8 @@ from app.view.address import Address
 from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay
 from estimators.frames import LocalPlane
-from mission.events import OperatorRequest
-from mission.requirement import Side
+from mission.core.events import OperatorRequest
+from mission.core.requirement import Side
 
 PLANE = LocalPlane(47.4, 8.5)
 OTHER_LOOPBACK = "127.0.0.2"  # of this machine as well, but not the address that goes without a token
@@ -36,8 +36,8 @@ def shown(flight):
     """Return a display that has shown a flight of 60 s."""
     with display_at("127.0.0.1") as display:
         display.engage(100.0, None)
-        for _, _, watch in flight(60.0):
-            display.show(watch.snapshot())
+        for _, _, controller in flight(60.0):
+            display.show(controller.snapshot())
         yield display
 
 

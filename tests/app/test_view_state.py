@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from app.config import Config
-from app.view.state import Stater, setting
+from app.view.state import StateEncoder, setting
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.frames import LocalPlane
-from mission.requirement import Requirement, Sector, Side
-from mission.watch import Phase
+from mission.control.controller import Phase
+from mission.core.requirement import Requirement, Sector, Side
 
 LEFT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 
@@ -23,9 +23,9 @@ LEFT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 def snapshots(flight):
     """Return a snapshot each 0.1 s of a flight in which the circle is moved once."""
     taken = []
-    for _, _, watch in flight(150.0):
-        if not taken or watch.time_s > taken[-1].time_s:
-            taken.append(watch.snapshot())
+    for _, _, controller in flight(150.0):
+        if not taken or controller.time_s > taken[-1].time_s:
+            taken.append(controller.snapshot())
     return taken
 
 
@@ -35,11 +35,11 @@ def watching(snapshots):
 
 
 def state_of(snapshot, requirement=LEFT):
-    return Stater(requirement, 15.0).state(snapshot, 0.0)
+    return StateEncoder(requirement, 15.0).state(snapshot, 0.0)
 
 
 def test_every_state_is_strict_json(snapshots):
-    stater = Stater(LEFT, 15.0)
+    stater = StateEncoder(LEFT, 15.0)
     for snapshot in snapshots:
         json.dumps(stater.state(snapshot, 0.0), allow_nan=False)
 
@@ -84,7 +84,7 @@ def test_the_observation_angle_counts_from_abeam_of_a_target_that_drives_east(wa
 def test_the_course_holds_through_a_stop(watching):
     moving = TargetEstimate(watching.time_s, 0.0, 0.0, 0.0, 3.0, np.eye(4), TrackQuality.GOOD, watching.time_s)
     standing = replace(moving, velocity_north_m_s=-0.2)
-    stater = Stater(LEFT, 15.0)
+    stater = StateEncoder(LEFT, 15.0)
     courses = [
         stater.state(replace(watching, estimate=estimate), 0.0)["target"]["course_rad"]
         for estimate in (standing, moving, standing)
@@ -120,8 +120,8 @@ def test_the_flown_transition_is_shown_only_until_the_circle_is_reached(snapshot
 
 
 def test_ages_are_those_of_the_sensors_in_use(watching):
-    gauges = replace(watching.gauges, range_s=watching.time_s - 3.0, gimbal_s=watching.time_s - 0.5)
-    state = Stater(LEFT, 15.0).state(replace(watching, gauges=gauges), silent_s=1.25)
+    sensor_status = replace(watching.sensor_status, range_s=watching.time_s - 3.0, gimbal_s=watching.time_s - 0.5)
+    state = StateEncoder(LEFT, 15.0).state(replace(watching, sensor_status=sensor_status), silent_s=1.25)
     assert (state["range_age_s"], state["gimbal_age_s"], state["link_age_s"]) == (3.0, 0.5, 1.25)
 
 

@@ -150,7 +150,7 @@ def bound_m2(
 ) -> np.ndarray:
     """Variance of east plus that of north at each step. State: place, velocity (4), height, turn rate, biases (3)."""
     place, noise = [0, 1, 4], np.diag(SIGMAS**2)
-    by_bias = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    jacobian_wrt_bias = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     spread = np.diag([1e8, 1e8, SPEED_SIGMA**2, SPEED_SIGMA**2, 1e8, TURN_SIGMA**2, *np.square(bias_sigmas)])
     found = np.zeros(len(target.states))
     for k, state in enumerate(target.states):
@@ -174,7 +174,7 @@ def bound_m2(
             spread = step @ spread @ step.T + gained
         jacobian = np.zeros((3, 9))
         jacobian[:, place] = measurement_derivative(state[:2], aircraft[k])
-        jacobian[:, 6:] = by_bias
+        jacobian[:, 6:] = jacobian_wrt_bias
         gain = np.linalg.solve(jacobian @ spread @ jacobian.T + noise, jacobian @ spread).T
         spread = spread - gain @ jacobian @ spread
         spread = (spread + spread.T) / 2

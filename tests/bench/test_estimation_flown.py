@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from app.link.telemetry import Telemetry
 from app.records.tlog import read_tlog
-from app.telemetry import Telemetry
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
 from estimators.settings import TrackerSettings
 from estimators.tracker import Tracker

@@ -13,12 +13,12 @@ from app.study.sensors import PerfectSensing
 from app.study.settings import PlannerName, StudySettings
 from app.study.study import run_study
 from app.study.target import RandomTarget
-from mission.circle import Circle
-from mission.plan import AircraftState
-from mission.predictive_planner import PredictivePlanner, table_configuration
-from mission.requirement import Wind
-from mission.side_policy import watching_from
-from mission.value_iteration import compute
+from mission.core.circle import Circle
+from mission.core.plan import AircraftState
+from mission.core.requirement import Wind
+from mission.predictive.planner import PredictivePlanner, table_configuration
+from mission.predictive.value_iteration import compute
+from mission.viewpoint.side_policy import watching_from
 
 SETTINGS = StudySettings((PlannerName.PREDICTIVE,), runs=4)
 
@@ -50,7 +50,7 @@ def test_a_sector_is_kept():
     circle = Circle(
         250.0 * math.sin(sector.middle_rad), 250.0 * math.cos(sector.middle_rad), aircraft.radius_m, clockwise=True
     )
-    start = AircraftState(0.0, *circle.position_at_course(0.0), 0.0, 10.0, circle.curvature_1_m)
+    start = AircraftState(0.0, *circle.position_at_course(0.0), 0.0, 10.0, circle.curvature_per_m)
     shares = []
     for seed in range(4):
         body = KinematicAircraft(start, 10.0, math.radians(13.0), aircraft.roll_rate_max_rad_s, Wind())

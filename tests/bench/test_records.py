@@ -13,10 +13,10 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as dialect
 
-from app.message import Message
+from app.link.message import Message
+from app.link.telemetry import Telemetry
 from app.records.journal import Header, JournalReader, JournalWriter
 from app.records.tlog import read_tlog, summary
-from app.telemetry import Telemetry
 from estimators.readings import GimbalReading, PositionReading, RangeReading, Source
 
 MESSAGES = 1_000_000

@@ -16,19 +16,19 @@ import time
 
 import pytest
 
-from app.autopilot import same_items
-from app.flight import connected
-from app.guidance import SwapError
-from app.link import RawItem, UploadResult
-from app.mission_guidance import MissionGuidance
-from app.preflight import ask_for_streams, home_of
-from app.simulated import free_udp_port
-from mission.approach import turn_straight_turn
-from mission.circle import Circle
-from mission.events import Prepare
-from mission.items import NAV_LOITER_UNLIM
-from mission.plan import AircraftState, Plan
-from mission.requirement import Wind
+from app.autopilots.autopilot import same_items
+from app.delivery.guidance import SwapError
+from app.delivery.mission_guidance import MissionItemBackend
+from app.flight.flight import connected
+from app.flight.preflight import ask_for_streams, home_of
+from app.flight.simulated import free_udp_port
+from app.link.link import RawItem, UploadResult
+from mission.core.circle import Circle
+from mission.core.events import UploadPlan
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Wind
+from mission.geometry.approach import turn_straight_turn
+from mission.upload.items import NAV_LOITER_UNLIM
 
 SWAPS = int(os.environ.get("SWAPS", "10"))
 BOUND_S = 600.0
@@ -44,7 +44,7 @@ async def swapped(url):
         await ask_for_streams(vehicle)
         while (home := await home_of(vehicle)) is None or telemetry.plane is None:
             await asyncio.sleep(0.5)
-        guidance = MissionGuidance(
+        guidance = MissionItemBackend(
             *(vehicle, session.autopilot, telemetry.plane, home),
             **{"airspeed_m_s": SPEED_M_S, "height_m": 100.0, "tolerance_m": 15.0, "now_s": lambda: telemetry.now_s},
         )
@@ -72,7 +72,7 @@ async def swapped(url):
             plan = Plan(there, turn_straight_turn(state, there, RADIUS_M), telemetry.now_s + 3.0)
             begin_s = time.monotonic()
             try:
-                await guidance.prepare(Prepare(telemetry.now_s, number, plan, there, Plan(here), Wind(), ""))
+                await guidance.prepare(UploadPlan(telemetry.now_s, number, plan, there, Plan(here), Wind(), ""))
                 ready_s = time.monotonic()
                 await guidance.depart(number)
             except SwapError as error:

@@ -20,12 +20,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from app.assembly import watch_of
+from app.assembly import controller_of
 from app.config import Config
-from app.flight import Flight, connected
-from app.recording import Recording
+from app.flight.flight import Flight, connected
+from app.flight.recording import Recording
+from app.flight.simulated import SimulatedVehicle
 from app.records.run_folder import RunFolder
-from app.simulated import SimulatedVehicle
 from app.view.address import Address
 from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay
@@ -117,7 +117,7 @@ async def _flown(parent: Path) -> tuple[list[float], list[float], list[float]]:
         vehicle = await stack.enter_async_context(SimulatedVehicle(CONFIG, run.truth))
         session = await stack.enter_async_context(connected(vehicle.url, 10.0, recording.frame))
         stack.enter_context(_running(_probe(lambda: with_s if display.on_page else without_s)))
-        flight = Flight(session, CONFIG, watch_of(CONFIG), recording, display, FLOWN_S)
+        flight = Flight(session, CONFIG, controller_of(CONFIG), recording, display, FLOWN_S)
         await flight.fly(run.truth, asyncio.Event())
     return without_s, with_s, told_s
 

@@ -6,14 +6,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mission.circle import Circle
-from mission.line_tracking import LineTracking, arduplane, px4
-from mission.path import Path
-from mission.requirement import Wind
-from mission.stretched_lap import stretched_lap
-from mission.transition import abcd
-from mission.waypoints import lay_out
-from sitl.airframe import Airframe, Build
+from mission.core.circle import Circle
+from mission.core.path import Path
+from mission.core.requirement import Wind
+from mission.geometry.transition import abcd
+from mission.paper.stretched_lap import stretched_lap
+from mission.upload.line_tracking import LineTracking, arduplane, px4
+from mission.upload.waypoints import lay_out
+from sitl.airframe import Airframe, AirframeParameters
 from sitl.airframe import Wind as Air
 from sitl.guidance import L1Guidance
 from sitl.pathfollowing import PathFollower
@@ -27,7 +27,7 @@ Point = tuple[float, float]
 
 def airframe_at_start(path: Path, tracking: LineTracking) -> Airframe:
     wind, course_rad, airspeed_m_s = tracking.wind, float(path.course_rad[0]), tracking.airspeed_m_s
-    craft = Airframe(Build(), Air(wind.east_m_s, wind.north_m_s))
+    craft = Airframe(AirframeParameters(), Air(wind.east_m_s, wind.north_m_s))
     across_m_s = wind.east_m_s * math.cos(course_rad) - wind.north_m_s * math.sin(course_rad)
     along_m_s = wind.east_m_s * math.sin(course_rad) + wind.north_m_s * math.cos(course_rad)
     speed_m_s = along_m_s + math.sqrt(airspeed_m_s**2 - across_m_s**2)
@@ -36,7 +36,7 @@ def airframe_at_start(path: Path, tracking: LineTracking) -> Airframe:
     craft.east_m, craft.north_m = float(path.east_m[0]), float(path.north_m[0])
     craft.velocity_east_m_s = speed_m_s * math.sin(course_rad)
     craft.velocity_north_m_s = speed_m_s * math.cos(course_rad)
-    craft.roll_rad = math.atan(speed_m_s * airspeed_m_s * float(path.curvature_1_m[0]) / 9.80665)
+    craft.roll_rad = math.atan(speed_m_s * airspeed_m_s * float(path.curvature_per_m[0]) / 9.80665)
     return craft
 
 
@@ -76,7 +76,7 @@ def fly(
     return np.array(places)
 
 
-def greatest_distance_m(places: np.ndarray, path: Path, circle: Circle) -> float:
+def max_distance_m(places: np.ndarray, path: Path, circle: Circle) -> float:
     from_path_m = np.min(np.hypot(places[:, 0, None] - path.east_m, places[:, 1, None] - path.north_m), axis=1)
     from_circle_m = np.abs(np.hypot(places[:, 0] - circle.east_m, places[:, 1] - circle.north_m) - circle.radius_m)
     late = np.arange(len(places)) > len(places) / 2
@@ -100,4 +100,4 @@ def test_the_flown_line_keeps_the_tolerance(
         duration_s = 1.2 * path.length_m / 15.0
         craft = airframe_at_start(path, tracking)
         places = fly(craft, autopilot, present, layout.waypoints, new, round(tracking.switch_m), duration_s)
-        assert greatest_distance_m(places, path, new) <= 10.0
+        assert max_distance_m(places, path, new) <= 10.0

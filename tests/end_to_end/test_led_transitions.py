@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from app.leading_circle import leading_circle
-from mission.approach import turn_straight_turn
-from mission.circle import Circle
-from mission.plan import AircraftState, Plan
-from mission.stretched_lap import stretched_lap
-from mission.transition import abcd
-from sitl.airframe import Airframe, Build, Wind
+from app.delivery.leading_circle import leading_circle
+from mission.core.circle import Circle
+from mission.core.plan import AircraftState, Plan
+from mission.geometry.approach import turn_straight_turn
+from mission.geometry.transition import abcd
+from mission.paper.stretched_lap import stretched_lap
+from sitl.airframe import Airframe, AirframeParameters, Wind
 from sitl.guidance import L1Guidance
 from sitl.pathfollowing import PathFollower
 
@@ -23,14 +23,14 @@ TOLERANCE_M = 12.0
 def state_of(craft, time_s):
     speed_m_s = math.hypot(craft.velocity_east_m_s, craft.velocity_north_m_s)
     course_rad = math.atan2(craft.velocity_east_m_s, craft.velocity_north_m_s)
-    curvature_1_m = GRAVITY_M_S2 * math.tan(craft.roll_rad) / speed_m_s**2
-    return AircraftState(time_s, craft.east_m, craft.north_m, course_rad, speed_m_s, curvature_1_m)
+    curvature_per_m = GRAVITY_M_S2 * math.tan(craft.roll_rad) / speed_m_s**2
+    return AircraftState(time_s, craft.east_m, craft.north_m, course_rad, speed_m_s, curvature_per_m)
 
 
 def fly(plan, autopilot, wind):
     """Return the flown places, and the circles that were commanded."""
     path = plan.transition
-    craft = Airframe(Build(), wind)
+    craft = Airframe(AirframeParameters(), wind)
     craft.flying, craft.airspeed_m_s, craft.height_m = True, AIRSPEED_M_S, 100.0
     course_rad = float(path.course_rad[0])
     across_m_s = wind.east_m_s * math.cos(course_rad) - wind.north_m_s * math.sin(course_rad)
@@ -40,7 +40,7 @@ def fly(plan, autopilot, wind):
     craft.east_m, craft.north_m = float(path.east_m[0]), float(path.north_m[0])
     craft.velocity_east_m_s = speed_m_s * math.sin(course_rad)
     craft.velocity_north_m_s = speed_m_s * math.cos(course_rad)
-    craft.roll_rad = math.atan(speed_m_s**2 * float(path.curvature_1_m[0]) / GRAVITY_M_S2)
+    craft.roll_rad = math.atan(speed_m_s**2 * float(path.curvature_per_m[0]) / GRAVITY_M_S2)
     circling = (L1Guidance() if autopilot == "arduplane" else PathFollower()).towards_circle
     places, circles = [], []
     for step in range(int(1.5 * path.length_m / AIRSPEED_M_S / STEP_S)):
@@ -54,7 +54,7 @@ def fly(plan, autopilot, wind):
     return np.array(places), circles
 
 
-def greatest_distance_m(places, plan):
+def max_distance_m(places, plan):
     path, circle = plan.transition, plan.circle
     from_path_m = np.min(np.hypot(places[:, 0, None] - path.east_m, places[:, 1, None] - path.north_m), axis=1)
     from_circle_m = np.abs(np.hypot(places[:, 0] - circle.east_m, places[:, 1] - circle.north_m) - circle.radius_m)
@@ -79,10 +79,10 @@ def plans():
 def test_the_flown_line_stays_beside_the_plan_and_ends_on_its_circle(plan, autopilot, wind):
     places, circles = fly(plan, autopilot, wind)
     assert circles[-1] == plan.circle
-    assert greatest_distance_m(places, plan) <= TOLERANCE_M
-    least_m = AIRSPEED_M_S**2 / (GRAVITY_M_S2 * math.tan(BANK_MAX_RAD))
+    assert max_distance_m(places, plan) <= TOLERANCE_M
+    min_m = AIRSPEED_M_S**2 / (GRAVITY_M_S2 * math.tan(BANK_MAX_RAD))
     for circle in circles:  # what is left to itself is near, and no wider than is useful
-        assert 0.5 * least_m <= circle.radius_m <= 4.0 * RADIUS_M + 1.0
+        assert 0.5 * min_m <= circle.radius_m <= 4.0 * RADIUS_M + 1.0
 
 
 def test_a_plan_that_is_only_a_circle_is_commanded_as_it_is():

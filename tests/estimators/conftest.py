@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.link.telemetry import Telemetry
 from app.records.tlog import read_tlog
-from app.telemetry import Telemetry
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from estimators.sighting import Sighting
 

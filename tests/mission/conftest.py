@@ -2,10 +2,10 @@ from dataclasses import replace
 
 import pytest
 
-from mission.plan import AircraftState
-from mission.predictive_planner import table_configuration
-from mission.requirement import Aircraft, Requirement, Side
-from mission.value_iteration import compute
+from mission.core.plan import AircraftState
+from mission.core.requirement import Aircraft, Requirement, Side
+from mission.predictive.planner import table_configuration
+from mission.predictive.value_iteration import compute
 
 
 @pytest.fixture(scope="session")
@@ -31,6 +31,6 @@ def on_circle():
 
     def state(circle, course_rad, time_s=0.0, speed_m_s=10.0):
         east_m, north_m = circle.position_at_course(course_rad)
-        return AircraftState(time_s, east_m, north_m, course_rad, speed_m_s, circle.curvature_1_m)
+        return AircraftState(time_s, east_m, north_m, course_rad, speed_m_s, circle.curvature_per_m)
 
     return state

@@ -2,11 +2,11 @@ import math
 
 import pytest
 
-from mission.circle import Circle
-from mission.follower import PlanTrack
-from mission.plan import AircraftState, Plan
-from mission.requirement import Wind
-from mission.transition import abcd
+from mission.core.circle import Circle
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Wind
+from mission.geometry.follower import PlanTrack
+from mission.geometry.transition import abcd
 
 
 def state(east_m: float, north_m: float, course_rad: float, time_s: float = 0.0) -> AircraftState:
@@ -18,7 +18,7 @@ def test_a_quarter_of_a_circle() -> None:
     at = track.state_at(math.pi / 2 * 5.0)
     assert (at.east_m, at.north_m) == pytest.approx((-50.0, 150.0))
     assert at.course_rad == pytest.approx(0.0, abs=1e-9)
-    assert at.curvature_1_m == pytest.approx(0.02)
+    assert at.curvature_per_m == pytest.approx(0.02)
 
 
 @pytest.mark.parametrize("clockwise", [True, False])

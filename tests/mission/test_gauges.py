@@ -6,16 +6,16 @@ import math
 
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from estimators.tracker import Tracker, TrackerSettings
-from mission.gauges import Gauges
+from mission.control.sensor_status import SensorStatus
 
 LASER, DOWNWARD = Source("DISTANCE_SENSOR", 154, 1, 100), Source("DISTANCE_SENSOR", 1, 0, 25)
 GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
 NORTH_AND_DOWN = (math.cos(-0.2), 0.0, math.sin(-0.2), 0.0)  # pitched down by 0.4 rad
 
 
-def noted(gauges: Gauges, tracker: Tracker, *readings: object) -> None:
+def noted(sensor_status: SensorStatus, tracker: Tracker, *readings: object) -> None:
     for reading in readings:
-        gauges.note(reading, tracker.add(reading), tracker)
+        sensor_status.note(reading, tracker.add(reading), tracker)
 
 
 def second(time_s: float, slant_range_m: float) -> tuple[object, ...]:
@@ -28,24 +28,24 @@ def second(time_s: float, slant_range_m: float) -> tuple[object, ...]:
 
 
 def test_gauges_begin_empty():
-    gauges = Gauges()
-    assert gauges.range_s == gauges.gimbal_s == -math.inf
-    assert math.isnan(gauges.nis)
+    sensor_status = SensorStatus()
+    assert sensor_status.range_s == sensor_status.gimbal_s == -math.inf
+    assert math.isnan(sensor_status.nis)
 
 
 def test_gauges_follow_the_devices_in_use():
-    gauges, tracker = Gauges(), Tracker(TrackerSettings())
-    noted(gauges, tracker, *second(1.0, 308.0), *second(2.0, 308.0), RangeReading(5.0, 120.0, DOWNWARD))
-    assert (gauges.range_s, gauges.gimbal_s) == (2.0, 2.0)
-    assert (gauges.bank_rad, gauges.height_m) == (0.3, 120.0)
+    sensor_status, tracker = SensorStatus(), Tracker(TrackerSettings())
+    noted(sensor_status, tracker, *second(1.0, 308.0), *second(2.0, 308.0), RangeReading(5.0, 120.0, DOWNWARD))
+    assert (sensor_status.range_s, sensor_status.gimbal_s) == (2.0, 2.0)
+    assert (sensor_status.bank_rad, sensor_status.height_m) == (0.3, 120.0)
 
 
 def test_an_absurd_range_shows_as_a_rejected_sighting_of_large_innovation():
-    gauges, tracker = Gauges(), Tracker(TrackerSettings())
+    sensor_status, tracker = SensorStatus(), Tracker(TrackerSettings())
     for tick in range(20):
-        noted(gauges, tracker, *second(0.1 * tick, 308.0))
-    accepted, calm = gauges.sightings - gauges.rejected, gauges.nis
-    noted(gauges, tracker, *second(2.0, 600.0), *second(2.1, 308.0)[:3])
+        noted(sensor_status, tracker, *second(0.1 * tick, 308.0))
+    accepted, calm = sensor_status.sightings - sensor_status.rejected, sensor_status.nis
+    noted(sensor_status, tracker, *second(2.0, 600.0), *second(2.1, 308.0)[:3])
     assert accepted > 10
-    assert gauges.rejected == 1
-    assert calm < 20.0 < gauges.nis
+    assert sensor_status.rejected == 1
+    assert calm < 20.0 < sensor_status.nis

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from estimators.estimate import TargetEstimate, TrackQuality
-from mission.lateral_guidance import LateralGuidance
-from mission.plan import AircraftState
-from mission.vector_field import VectorField
+from mission.core.plan import AircraftState
+from mission.laws.lateral_guidance import LateralGuidance
+from mission.laws.vector_field import VectorField
 
 SPEED_M_S, STEP_S, STAND_OFF_M = 10.0, 0.1, 200.0
 
@@ -18,7 +18,7 @@ def fly(law, clockwise_start_rad, target_velocity, duration_s=400.0):
     for k in range(int(duration_s / STEP_S)):
         target_east, target_north = (v * k * STEP_S for v in target_velocity)
         target = TargetEstimate(0.0, target_east, target_north, *target_velocity, np.eye(4), TrackQuality.GOOD, 0.0)
-        curvature = law.curvature_1_m(AircraftState(0.0, east, north, course, SPEED_M_S, 0.0), target)
+        curvature = law.curvature_per_m(AircraftState(0.0, east, north, course, SPEED_M_S, 0.0), target)
         course += curvature * SPEED_M_S * STEP_S
         east += SPEED_M_S * STEP_S * math.sin(course)
         north += SPEED_M_S * STEP_S * math.cos(course)

@@ -3,8 +3,10 @@ import math
 import pytest
 
 from estimators.frames import LocalPlane
-from mission.circle import Circle
-from mission.items import (
+from mission.core.circle import Circle
+from mission.core.plan import Plan
+from mission.geometry.transition import abcd
+from mission.upload.items import (
     FRAME_GLOBAL_RELATIVE_ALT,
     NAV_LOITER_UNLIM,
     NAV_WAYPOINT,
@@ -12,9 +14,7 @@ from mission.items import (
     circle_item,
     plan_items,
 )
-from mission.line_tracking import arduplane, px4
-from mission.plan import Plan
-from mission.transition import abcd
+from mission.upload.line_tracking import arduplane, px4
 
 PLANE = LocalPlane(47.0, 8.5)
 PRESENT, NEW = Circle(0.0, 100.0, 65.0, True), Circle(430.0, 100.0, 65.0, True)
@@ -45,10 +45,10 @@ def test_a_transition_is_a_few_waypoints_and_the_circle_that_needs_no_one() -> N
 
 def test_arduplane_reaches_the_first_waypoint_at_the_departure_and_px4_can_still_turn_to_it() -> None:
     path = abcd(PRESENT, NEW)
-    for tracking, least_m, most_m in ((arduplane(15.0), 0.0, arduplane(15.0).switch_m), (px4(15.0), 30.0, 45.0)):
+    for tracking, min_m, max_m in ((arduplane(15.0), 0.0, arduplane(15.0).switch_m), (px4(15.0), 30.0, 45.0)):
         first = plan_items(Plan(NEW, path), PLANE, 80.0, 15.0, tracking)[0]
         first_m = PLANE.east_north_m(first.latitude_deg, first.longitude_deg)
-        assert least_m < math.dist(first_m, (path.east_m[0], path.north_m[0])) < most_m
+        assert min_m < math.dist(first_m, (path.east_m[0], path.north_m[0])) < max_m
 
 
 def test_a_tolerance_that_cannot_be_kept_is_refused_with_the_figure() -> None:

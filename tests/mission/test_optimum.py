@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from estimators.estimate import TargetEstimate, TrackQuality
-from mission.circle import Circle
-from mission.follower import PlanTrack
-from mission.optimum import fastest_target_m_s, greatest_range_m, optimise, threshold_bounds
-from mission.paper_planner import PaperPlanner
-from mission.plan import AircraftState, Plan
-from mission.requirement import Aircraft, Requirement, Side
-from mission.scope import scope
-from mission.wind import STILL_AIR
+from mission.core.circle import Circle
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Aircraft, Requirement, Side
+from mission.geometry.follower import PlanTrack
+from mission.geometry.wind import STILL_AIR
+from mission.paper.optimum import fastest_target_m_s, max_range_m, optimise, threshold_bounds
+from mission.paper.planner import PaperPlanner
+from mission.paper.scope import scope
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0, 1.0)
@@ -54,7 +54,7 @@ def test_the_bounds_of_the_papers_example() -> None:
     assert bounds.best == pytest.approx(0.9409, abs=2e-4)
     best = replace(REQUIREMENT, threshold=bounds.best)
     assert scope(AIRCRAFT, best).straight_left_m == pytest.approx(bounds.room_m)
-    assert 500.0 - greatest_range_m(AIRCRAFT, best) == pytest.approx(bounds.room_m, abs=1e-6)
+    assert 500.0 - max_range_m(AIRCRAFT, best) == pytest.approx(bounds.room_m, abs=1e-6)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
@@ -68,12 +68,12 @@ def test_what_is_proven_is_flown(share: float, target_m_s: float) -> None:
         ranges_m, refused = fly_straight(AIRCRAFT, requirement, target_m_s, phase_rad)
         assert refused == 0
         assert min(ranges_m) >= 100.0 - 1e-6
-        assert max(ranges_m) <= greatest_range_m(AIRCRAFT, requirement) + 0.1
+        assert max(ranges_m) <= max_range_m(AIRCRAFT, requirement) + 0.1
 
 
 def test_the_bound_on_the_range_is_nearly_reached() -> None:
     ranges_m = [max(fly_straight(AIRCRAFT, REQUIREMENT, 3.0, phase_rad)[0]) for phase_rad in np.arange(0.0, 6.0, 0.8)]
-    assert greatest_range_m(AIRCRAFT, REQUIREMENT) - 10.0 < max(ranges_m) <= greatest_range_m(AIRCRAFT, REQUIREMENT)
+    assert max_range_m(AIRCRAFT, REQUIREMENT) - 10.0 < max(ranges_m) <= max_range_m(AIRCRAFT, REQUIREMENT)
 
 
 def test_above_the_greatest_threshold_the_band_can_be_left() -> None:

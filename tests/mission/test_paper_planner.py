@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from estimators.estimate import TargetEstimate, TrackQuality
-from mission.circle import Circle
-from mission.follower import PlanTrack
-from mission.paper_planner import PaperPlanner
-from mission.plan import AircraftState, Decision, Plan
-from mission.requirement import Aircraft, Requirement, Side, Wind
-from mission.scope import largest_psi_c_rad
-from mission.side_policy import watching_from
-from mission.wind import STILL_AIR
+from mission.core.circle import Circle
+from mission.core.plan import AircraftState, Decision, Plan
+from mission.core.requirement import Aircraft, Requirement, Side, Wind
+from mission.geometry.follower import PlanTrack
+from mission.geometry.wind import STILL_AIR
+from mission.paper.planner import PaperPlanner
+from mission.paper.scope import largest_psi_c_rad
+from mission.viewpoint.side_policy import watching_from
 
 Motion = Callable[[float], tuple[float, float, float, float]]  # east, north and their rates at a time
 
@@ -83,7 +83,7 @@ def fly(
     rng = np.random.default_rng(noise_seed)
     plan, flight = Plan(circle), Flight()
     east_m, north_m = circle.position_at_course(start_course_rad)
-    start = AircraftState(0.0, east_m, north_m, start_course_rad, aircraft.airspeed_m_s, circle.curvature_1_m)
+    start = AircraftState(0.0, east_m, north_m, start_course_rad, aircraft.airspeed_m_s, circle.curvature_per_m)
     track = PlanTrack(plan, start, aircraft.airspeed_m_s, wind)
     for step in range(int(2 * duration_s) + 1):
         time_s = step / 2.0
@@ -131,11 +131,11 @@ def test_thresholds_whose_paths_differ(one: float, other: float) -> None:
 
 
 @pytest.mark.parametrize(("threshold", "greatest_m"), [(0.8, 467.0), (1.0, 504.0), (1.2, 601.0)])
-def test_the_range_in_the_papers_example(threshold: float, greatest_m: float) -> None:
+def test_the_range_in_the_papers_example(threshold: float, max_m: float) -> None:
     """The printed figures carry the step of the simulation they came from, half a second of target travel."""
     flight = fly_the_papers_example(threshold)
     assert min(flight.ranges_m) == pytest.approx(100.0, abs=0.01)
-    assert max(flight.ranges_m) == pytest.approx(greatest_m, abs=2.5)
+    assert max(flight.ranges_m) == pytest.approx(max_m, abs=2.5)
 
 
 def test_a_small_threshold_is_refused_for_want_of_room() -> None:

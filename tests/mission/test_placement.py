@@ -2,9 +2,9 @@ import math
 
 import pytest
 
-from mission.circle import Circle
-from mission.placement import circle_beside, circle_towards, fits_band, shifted, stand_off_m
-from mission.requirement import Aircraft, Requirement, Side
+from mission.core.circle import Circle
+from mission.core.requirement import Aircraft, Requirement, Side
+from mission.paper.placement import circle_beside, circle_towards, fits_band, shifted, stand_off_m
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 

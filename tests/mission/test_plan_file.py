@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 
 from estimators.frames import LocalPlane
-from mission.circle import Circle
-from mission.items import circle_item, plan_items
-from mission.plan import Plan
-from mission.plan_file import plan_file
-from mission.transition import abcd
+from mission.core.circle import Circle
+from mission.core.plan import Plan
+from mission.geometry.transition import abcd
+from mission.upload.items import circle_item, plan_items
+from mission.upload.plan_file import plan_file
 
 PLANE = LocalPlane(47.0, 8.5)
 PRESENT, NEW = Circle(0.0, 100.0, 65.0, False), Circle(430.0, 100.0, 65.0, False)

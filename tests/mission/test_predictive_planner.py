@@ -7,19 +7,19 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from estimators.estimate import TargetEstimate, TrackQuality
-from mission.circle import Circle
-from mission.plan import AircraftState, Plan
-from mission.predictive_planner import (
+from mission.core.circle import Circle
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Side, Wind
+from mission.geometry.progress import nearest_arc_m, point_at
+from mission.geometry.trapezoid import sharpnesses_per_m2
+from mission.geometry.wind import ground_speed_m_s, ground_speeds_m_s
+from mission.predictive.planner import (
     PredictivePlanner,
     PredictiveSettings,
     table_configuration,
     table_configurations,
 )
-from mission.progress import nearest_arc_m, point_at
-from mission.requirement import Side, Wind
-from mission.side_policy import watching_from
-from mission.trapezoid import ramps_1_m2
-from mission.wind import ground_speed_m_s, ground_speeds_m_s
+from mission.viewpoint.side_policy import watching_from
 
 CALM = Wind()
 LATENCY_S = 0.5
@@ -56,7 +56,7 @@ class Flight:
         self.present, self.coming = Plan(circle), None
         east_m, north_m = circle.position_at_course(course_rad)
         self.aircraft = AircraftState(
-            0.0, east_m, north_m, course_rad, ground_speed_m_s(course_rad, airspeed_m_s, wind), circle.curvature_1_m
+            0.0, east_m, north_m, course_rad, ground_speed_m_s(course_rad, airspeed_m_s, wind), circle.curvature_per_m
         )
         self.plans, self.reasons = [], []
 
@@ -92,7 +92,7 @@ class Flight:
             point.north_m,
             math.remainder(point.course_rad, 2.0 * math.pi),
             speed_m_s,
-            point.curvature_1_m,
+            point.curvature_per_m,
         )
 
 
@@ -117,14 +117,14 @@ def assert_flyable(plan, present, aircraft, airframe, wind=CALM):
     assert plan.departure_s == pytest.approx(aircraft.time_s + LATENCY_S)
     start = point_at(present, nearest_arc_m(present, aircraft) + aircraft.ground_speed_m_s * LATENCY_S, aircraft)
     assert (path.east_m[0], path.north_m[0]) == pytest.approx((start.east_m, start.north_m), abs=1e-6)
-    assert path.curvature_1_m[0] == pytest.approx(start.curvature_1_m, abs=1e-9)
-    assert np.abs(path.curvature_1_m).max() <= 1.0 / radius_m + 1e-9
+    assert path.curvature_per_m[0] == pytest.approx(start.curvature_per_m, abs=1e-9)
+    assert np.abs(path.curvature_per_m).max() <= 1.0 / radius_m + 1e-9
     speed_m_s = ground_speeds_m_s(0.5 * (path.course_rad[1:] + path.course_rad[:-1]), airframe.airspeed_m_s, wind)
-    ramps = ramps_1_m2(airframe, speed_m_s)
-    assert np.all(np.abs(np.diff(path.curvature_1_m)) <= 1.01 * ramps * np.diff(path.arc_m) + 1e-12)
+    ramps = sharpnesses_per_m2(airframe, speed_m_s)
+    assert np.all(np.abs(np.diff(path.curvature_per_m)) <= 1.01 * ramps * np.diff(path.arc_m) + 1e-12)
     end_m = math.hypot(path.east_m[-1] - plan.circle.east_m, path.north_m[-1] - plan.circle.north_m)
     assert end_m == pytest.approx(radius_m, abs=1e-6)
-    assert path.curvature_1_m[-1] == pytest.approx(plan.circle.curvature_1_m, abs=1e-9)
+    assert path.curvature_per_m[-1] == pytest.approx(plan.circle.curvature_per_m, abs=1e-9)
 
 
 def test_keeps_up_with_a_target_that_drives_straight(planner):
@@ -202,7 +202,7 @@ def test_an_aircraft_that_left_its_line_departs_from_where_it_is(planner):
     decision = planner.decide(aircraft, seen(0.0, (0.0, 0.0), (0.0, 4.0)), Plan(BESIDE), CALM, 0.0)
     path = decision.plan.transition
     assert (path.east_m[0], path.north_m[0]) == pytest.approx((-400.0, 300.0))
-    assert path.curvature_1_m[0] == pytest.approx(1.0 / 50.0)
+    assert path.curvature_per_m[0] == pytest.approx(1.0 / 50.0)
 
 
 def test_reasons_tell_what_would_happen(planner):
@@ -227,7 +227,7 @@ def test_a_lost_target_is_not_moved_after(planner):
 
 
 def test_uncertainty_keeps_the_aircraft_further_away(paper_aircraft, paper_requirement, paper_table):
-    least_m = []
+    min_m = []
     for sigma_m in (1.0, 60.0):
         planner = PredictivePlanner(paper_aircraft, paper_requirement, paper_table, PredictiveSettings(1.0, 60.0))
         present = Plan(Circle(-180.0, 0.0, 50.0, clockwise=True))
@@ -235,9 +235,9 @@ def test_uncertainty_keeps_the_aircraft_further_away(paper_aircraft, paper_requi
         target = seen(0.0, (0.0, 0.0), (0.0, 0.0), sigma_m, TrackQuality.COASTING, -20.0)
         decision = planner.decide(aircraft, target, present, CALM, LATENCY_S)
         circle = (decision.plan or present).circle
-        least_m.append(math.hypot(circle.east_m, circle.north_m) - 50.0)
-    assert least_m[0] == pytest.approx(130.0)
-    assert least_m[1] > 160.0
+        min_m.append(math.hypot(circle.east_m, circle.north_m) - 50.0)
+    assert min_m[0] == pytest.approx(130.0)
+    assert min_m[1] > 160.0
 
 
 def test_either_side_takes_the_new_one_when_the_target_turns_back(paper_aircraft, paper_requirement, paper_table):

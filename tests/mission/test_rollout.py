@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mission.requirement import Wind
-from mission.rollout import Situation, WatchFrame, outlook
-from mission.trapezoid import Trapezoids
-from mission.wind import path_times_s
+from mission.core.requirement import Wind
+from mission.geometry.trapezoid import Trapezoids
+from mission.geometry.wind import path_times_s
+from mission.predictive.rollout import Situation, WatchFrame, outlook
 
 ANGLES = st.floats(-math.pi, math.pi)
 METRES = st.floats(-1000.0, 1000.0)

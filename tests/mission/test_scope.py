@@ -2,8 +2,8 @@ import math
 
 import pytest
 
-from mission.requirement import Aircraft, Requirement, Side
-from mission.scope import scope
+from mission.core.requirement import Aircraft, Requirement, Side
+from mission.paper.scope import scope
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 
@@ -26,7 +26,7 @@ def test_the_papers_numbers() -> None:
 
 
 def test_the_least_threshold_leaves_no_straight_part() -> None:
-    least = scope(AIRCRAFT, requirement()).least_threshold
+    least = scope(AIRCRAFT, requirement()).min_threshold
     assert least == pytest.approx(0.9081, abs=1e-4)
     assert scope(AIRCRAFT, requirement(least)).straight_left_m == pytest.approx(0.0, abs=1e-9)
 

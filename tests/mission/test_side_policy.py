@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from estimators.estimate import TargetEstimate, TrackQuality
-from mission.requirement import Requirement, Sector, Side
-from mission.side_policy import SidePolicy, watching_from
+from mission.core.requirement import Requirement, Sector, Side
+from mission.viewpoint.side_policy import SidePolicy, watching_from
 
 LEFT = Requirement(100.0, 500.0, Side.LEFT, 5.0)
 

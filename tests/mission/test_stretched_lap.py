@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mission.circle import Circle
-from mission.stretched_lap import stretched_lap
-from mission.transition import TransitionError
+from mission.core.circle import Circle
+from mission.geometry.transition import TransitionError
+from mission.paper.stretched_lap import stretched_lap
 
 laps = st.fixed_dictionaries(
     {
@@ -35,7 +35,7 @@ def test_it_begins_and_ends_on_the_circles(drawn: dict) -> None:
     for circle, end in ((present, 0), (new, -1)):
         on_circle_m = circle.position_at_course(float(path.course_rad[end]))
         assert math.dist(on_circle_m, (path.east_m[end], path.north_m[end])) < 1e-6
-        assert path.curvature_1_m[end] == pytest.approx(circle.curvature_1_m, rel=1e-9)
+        assert path.curvature_per_m[end] == pytest.approx(circle.curvature_per_m, rel=1e-9)
 
 
 @settings(max_examples=40, deadline=None)
@@ -50,15 +50,15 @@ def test_it_is_one_smooth_line_never_tighter_than_the_circle(drawn: dict) -> Non
     assert np.all(steps_m > 0.0)
     assert np.allclose(np.diff(path.east_m), steps_m * np.sin(middle_rad), atol=1e-4 * drawn["radius_m"])
     assert np.allclose(np.diff(path.north_m), steps_m * np.cos(middle_rad), atol=1e-4 * drawn["radius_m"])
-    assert np.allclose(turns_rad, steps_m * (path.curvature_1_m[1:] + path.curvature_1_m[:-1]) / 2.0, atol=1e-4)
-    assert np.all(np.abs(path.curvature_1_m) <= (1.0 + 1e-9) / drawn["radius_m"])
+    assert np.allclose(turns_rad, steps_m * (path.curvature_per_m[1:] + path.curvature_per_m[:-1]) / 2.0, atol=1e-4)
+    assert np.all(np.abs(path.curvature_per_m) <= (1.0 + 1e-9) / drawn["radius_m"])
 
 
 def test_the_move_of_the_closed_form() -> None:
     """W = 60 degrees, 333 m at 10 m/s take 46 s, and roll by 4.5 degrees a second at most."""
     path = stretched_lap(Circle(0.0, 0.0, 50.0, True), Circle(333.0, 0.0, 50.0, True), math.radians(60.0))
     assert path.length_m / 10.0 == pytest.approx(46.3, abs=0.1)
-    bank_rad = np.arctan(10.0**2 * path.curvature_1_m / 9.80665)
+    bank_rad = np.arctan(10.0**2 * path.curvature_per_m / 9.80665)
     roll_rate_deg_s = np.degrees(np.abs(np.diff(bank_rad) / np.diff(path.arc_m))) * 10.0
     assert np.max(roll_rate_deg_s) == pytest.approx(4.5, abs=0.1)
 

@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from mission.circle import Circle
-from mission.transition import (
+from mission.core.circle import Circle
+from mission.geometry.transition import (
     TransitionError,
     abcd,
     exact_transition_length_m,
-    least_move_m,
+    min_move_m,
     transition_length_m,
 )
 
@@ -19,7 +19,7 @@ from mission.transition import (
 def test_lengths_of_the_paper() -> None:
     assert transition_length_m(50.0, math.pi / 2) == pytest.approx(192.153, abs=5e-4)
     assert exact_transition_length_m(50.0, math.pi / 2) == pytest.approx(192.009, abs=5e-4)
-    assert least_move_m(50.0, math.pi / 2) == pytest.approx(284.306, abs=1e-3)
+    assert min_move_m(50.0, math.pi / 2) == pytest.approx(284.306, abs=1e-3)
 
 
 @given(radius_m=st.floats(20, 300), psi_c_rad=st.floats(0.05, math.pi / 2))
@@ -46,7 +46,7 @@ moves = st.fixed_dictionaries(
 def make(
     radius_m: float, psi_c_rad: float, bearing_rad: float, extra_m: float, clockwise: bool
 ) -> tuple[Circle, Circle]:
-    move_m = least_move_m(radius_m, psi_c_rad) + extra_m + 1e-9
+    move_m = min_move_m(radius_m, psi_c_rad) + extra_m + 1e-9
     present = Circle(-130.0, 70.0, radius_m, clockwise)
     return present, Circle(
         present.east_m + move_m * math.sin(bearing_rad),
@@ -64,7 +64,7 @@ def test_abcd_begins_and_ends_on_the_circles(drawn: dict) -> None:
     for circle, end in ((present, 0), (new, -1)):
         on_circle_m = circle.position_at_course(float(path.course_rad[end]))
         assert math.dist(on_circle_m, (path.east_m[end], path.north_m[end])) < 1e-6
-        assert path.curvature_1_m[end] == pytest.approx(circle.curvature_1_m, rel=1e-9)
+        assert path.curvature_per_m[end] == pytest.approx(circle.curvature_per_m, rel=1e-9)
 
 
 @settings(max_examples=60, deadline=None)
@@ -78,20 +78,20 @@ def test_abcd_is_flyable_between_the_circles(drawn: dict) -> None:
     middle_rad = (path.course_rad[1:] + path.course_rad[:-1]) / 2.0
     assert np.allclose(np.diff(path.east_m), steps_m * np.sin(middle_rad), atol=1e-4 * step_m)
     assert np.allclose(np.diff(path.north_m), steps_m * np.cos(middle_rad), atol=1e-4 * step_m)
-    middle_1_m = (path.curvature_1_m[1:] + path.curvature_1_m[:-1]) / 2.0
-    assert np.allclose(np.diff(path.course_rad), steps_m * middle_1_m, atol=1e-4 * step_m / drawn["radius_m"])
-    assert np.all(np.abs(path.curvature_1_m) <= (1.0 + 1e-9) / drawn["radius_m"])
-    rate_1_m2 = np.abs(np.diff(path.curvature_1_m)) / steps_m
-    assert np.all(rate_1_m2 <= 1.01 / (drawn["radius_m"] ** 2 * drawn["psi_c_rad"]))
+    middle_per_m = (path.curvature_per_m[1:] + path.curvature_per_m[:-1]) / 2.0
+    assert np.allclose(np.diff(path.course_rad), steps_m * middle_per_m, atol=1e-4 * step_m / drawn["radius_m"])
+    assert np.all(np.abs(path.curvature_per_m) <= (1.0 + 1e-9) / drawn["radius_m"])
+    rate_per_m2 = np.abs(np.diff(path.curvature_per_m)) / steps_m
+    assert np.all(rate_per_m2 <= 1.01 / (drawn["radius_m"] ** 2 * drawn["psi_c_rad"]))
     assert np.all(steps_m > 0.0) and np.all(steps_m <= step_m + 1e-9)
 
 
 def test_ab_is_the_answer_of_the_heading_channel() -> None:
     """psi = pi/2 - psi_c exp(-mu t) with the paper's numbers, over 2 T of the paper's longest straight move."""
     path = abcd(Circle(0.0, 0.0, 50.0, True), Circle(400.0, 0.0, 50.0, True))
-    speed_m_s, mu_1_s = 10.0, 0.12732395
-    ab = path.arc_m < 2.0 / mu_1_s * speed_m_s
-    expected_rad = math.pi / 2 - math.pi / 2 * np.exp(-mu_1_s * path.arc_m[ab] / speed_m_s)
+    speed_m_s, mu_per_s = 10.0, 0.12732395
+    ab = path.arc_m < 2.0 / mu_per_s * speed_m_s
+    expected_rad = math.pi / 2 - math.pi / 2 * np.exp(-mu_per_s * path.arc_m[ab] / speed_m_s)
     assert np.allclose(path.course_rad[ab], expected_rad, atol=1e-6)
     assert (path.east_m[0], path.north_m[0]) == pytest.approx((-50.0, 0.0))
 
@@ -109,7 +109,7 @@ def test_counter_clockwise_is_the_mirror_image() -> None:
     assert np.allclose(left.east_m, right.east_m)
     assert np.allclose(left.north_m, -right.north_m)
     assert np.allclose(left.course_rad, math.pi - right.course_rad)
-    assert np.allclose(left.curvature_1_m, -right.curvature_1_m)
+    assert np.allclose(left.curvature_per_m, -right.curvature_per_m)
 
 
 def test_the_transition_bulges_away_from_a_target_on_the_inner_side() -> None:

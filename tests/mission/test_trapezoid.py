@@ -5,29 +5,29 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mission.plan import AircraftState, Plan
-from mission.progress import point_at
-from mission.requirement import GRAVITY_M_S2, Aircraft
-from mission.trapezoid import Trapezoids, end_circle, ramp_1_m2
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import GRAVITY_M_S2, Aircraft
+from mission.geometry.progress import point_at
+from mission.geometry.trapezoid import Trapezoids, end_circle, sharpness_per_m2
 
 RADIUS_M = 50.0
-RAMP = ramp_1_m2(Aircraft(10.0, RADIUS_M), 10.0)
+RAMP = sharpness_per_m2(Aircraft(10.0, RADIUS_M), 10.0)
 SENSES = st.sampled_from([-1.0, 1.0])
 HOLDS = st.floats(-1.0 / RADIUS_M, 1.0 / RADIUS_M)
 LENGTHS = st.floats(0.0, 400.0)
 ORIGIN = AircraftState(0.0, 0.0, 0.0, 0.0, 10.0, 1.0 / RADIUS_M)
 
 
-def trapezoid(start_1_m, hold_1_m, length_m, sense):
-    return Trapezoids.between(start_1_m, [hold_1_m], [length_m], [sense / RADIUS_M], RAMP)
+def trapezoid(start_per_m, hold_per_m, length_m, sense):
+    return Trapezoids.between(start_per_m, [hold_per_m], [length_m], [sense / RADIUS_M], RAMP)
 
 
 def assert_flyable(path):
     assert np.all(np.diff(path.arc_m) > 0.0)
-    assert np.all(np.abs(path.curvature_1_m) <= 1.0 / RADIUS_M + 1e-9)
-    assert np.all(np.abs(np.diff(path.curvature_1_m)) <= RAMP * np.diff(path.arc_m) + 1e-12)
+    assert np.all(np.abs(path.curvature_per_m) <= 1.0 / RADIUS_M + 1e-9)
+    assert np.all(np.abs(np.diff(path.curvature_per_m)) <= RAMP * np.diff(path.arc_m) + 1e-12)
     # The sampled line really has the curvature it tells.
-    turned = 0.5 * (path.curvature_1_m[1:] + path.curvature_1_m[:-1]) * np.diff(path.arc_m)
+    turned = 0.5 * (path.curvature_per_m[1:] + path.curvature_per_m[:-1]) * np.diff(path.arc_m)
     np.testing.assert_allclose(np.diff(path.course_rad), turned, atol=1e-9)
     chord = np.hypot(np.diff(path.east_m), np.diff(path.north_m))
     assert np.all(chord <= np.diff(path.arc_m) + 1e-9)
@@ -38,15 +38,17 @@ def assert_flyable(path):
 @given(SENSES, HOLDS, LENGTHS, SENSES, st.lists(st.tuples(st.floats(0.0, 1.2), HOLDS, LENGTHS, SENSES), max_size=4))
 def test_any_retarget_at_any_moment_is_continuous_and_bounded(begin, hold, length, sense, retargets):
     start = point_at(Plan(end_circle_at_origin(begin)), 0.0, ORIGIN)
-    path = trapezoid(start.curvature_1_m, hold, length, sense).path(0, start.east_m, start.north_m, start.course_rad)
+    path = trapezoid(start.curvature_per_m, hold, length, sense).path(
+        0, start.east_m, start.north_m, start.course_rad
+    )
     assert_flyable(path)
     for share, next_hold, next_length, next_sense in retargets:
         plan = Plan(end_circle(path, RADIUS_M), path)
         here = point_at(plan, share * path.length_m, ORIGIN)
-        path = trapezoid(here.curvature_1_m, next_hold, next_length, next_sense).path(
+        path = trapezoid(here.curvature_per_m, next_hold, next_length, next_sense).path(
             0, here.east_m, here.north_m, here.course_rad
         )
-        assert path.curvature_1_m[0] == pytest.approx(here.curvature_1_m, abs=1e-12)
+        assert path.curvature_per_m[0] == pytest.approx(here.curvature_per_m, abs=1e-12)
         assert_flyable(path)
 
 
@@ -57,11 +59,11 @@ def end_circle_at_origin(sense):
 
 @settings(max_examples=80, deadline=None)
 @given(HOLDS, HOLDS, LENGTHS, SENSES, st.floats(-math.pi, math.pi))
-def test_ends_on_its_circle(start_1_m, hold, length, sense, course_rad):
-    path = trapezoid(start_1_m, hold, length, sense).path(0, 10.0, -20.0, course_rad)
+def test_ends_on_its_circle(start_per_m, hold, length, sense, course_rad):
+    path = trapezoid(start_per_m, hold, length, sense).path(0, 10.0, -20.0, course_rad)
     circle = end_circle(path, RADIUS_M)
     assert circle.clockwise is (sense > 0.0)
-    assert path.curvature_1_m[-1] == pytest.approx(circle.curvature_1_m, abs=1e-12)
+    assert path.curvature_per_m[-1] == pytest.approx(circle.curvature_per_m, abs=1e-12)
     assert math.hypot(path.east_m[-1] - circle.east_m, path.north_m[-1] - circle.north_m) == pytest.approx(
         RADIUS_M, abs=1e-9
     )
@@ -69,8 +71,8 @@ def test_ends_on_its_circle(start_1_m, hold, length, sense, course_rad):
 
 @settings(max_examples=60, deadline=None)
 @given(HOLDS, HOLDS, LENGTHS, SENSES)
-def test_coarse_samples_agree_with_the_fine_path(start_1_m, hold, length, sense):
-    one = trapezoid(start_1_m, hold, length, sense)
+def test_coarse_samples_agree_with_the_fine_path(start_per_m, hold, length, sense):
+    one = trapezoid(start_per_m, hold, length, sense)
     arcs = one.coarse_arcs_m(10.0)
     east, north = one.displaced_m(arcs, 0.3)
     path = one.path(0, 0.0, 0.0, 0.3)
@@ -82,12 +84,12 @@ def test_coarse_samples_agree_with_the_fine_path(start_1_m, hold, length, sense)
 
 @settings(max_examples=60, deadline=None)
 @given(HOLDS, HOLDS, LENGTHS, SENSES, st.floats(0.0, 1.0))
-def test_mirror_swaps_left_and_right(start_1_m, hold, length, sense, course_rad):
-    one = trapezoid(start_1_m, hold, length, sense)
+def test_mirror_swaps_left_and_right(start_per_m, hold, length, sense, course_rad):
+    one = trapezoid(start_per_m, hold, length, sense)
     path, mirrored = one.path(0, 0.0, 0.0, course_rad), one.mirrored().path(0, 0.0, 0.0, -course_rad)
     np.testing.assert_allclose(mirrored.east_m, -path.east_m, atol=1e-9)
     np.testing.assert_allclose(mirrored.north_m, path.north_m, atol=1e-9)
-    np.testing.assert_allclose(mirrored.curvature_1_m, -path.curvature_1_m, atol=1e-15)
+    np.testing.assert_allclose(mirrored.curvature_per_m, -path.curvature_per_m, atol=1e-15)
 
 
 def test_a_quarter_circle_comes_out():
@@ -107,6 +109,6 @@ def test_a_quarter_circle_comes_out():
 )
 def test_ramp_keeps_the_planned_roll_rate(speed_m_s, radius_m, roll_deg_s):
     # tan(bank) = v^2 curvature / g, differentiated at wings level.
-    per_second = ramp_1_m2(Aircraft(speed_m_s, radius_m), speed_m_s) * speed_m_s
+    per_second = sharpness_per_m2(Aircraft(speed_m_s, radius_m), speed_m_s) * speed_m_s
     roll_rad_s = speed_m_s**2 * per_second / GRAVITY_M_S2
     assert math.degrees(roll_rad_s) == pytest.approx(roll_deg_s, rel=1e-3)

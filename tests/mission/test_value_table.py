@@ -4,11 +4,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mission.cost import WatchCost
-from mission.moves import moves_from, staying_on
-from mission.requirement import Wind
-from mission.rollout import RollOut, Situation, Start
-from mission.value_table import TableConfiguration, TargetHabits, completed, expected_after_turn
+from mission.core.requirement import Wind
+from mission.predictive.cost import WatchCost
+from mission.predictive.moves import moves_from, staying_on
+from mission.predictive.rollout import RollOut, Situation, Start
+from mission.predictive.value_table import TableConfiguration, TargetHabits, completed, expected_after_turn
 
 SMALL = TableConfiguration(10.0, 50.0, 0.0008, 5.0, WatchCost.inside(100.0, 500.0), cells=8)
 SECTOR = replace(SMALL, cost=WatchCost.inside(100.0, 500.0, math.radians(60.0)), follows_course=False)
@@ -58,8 +58,8 @@ def test_the_table_agrees_with_roll_outs_from_it(paper_aircraft, paper_table):
         for _ in range(40):
             range_m, aside_rad, heading_rad = rng.uniform(180, 420), rng.uniform(-1.2, 1.2), rng.uniform(-3, 3)
             place = Start(-range_m * math.cos(aside_rad), range_m * math.sin(aside_rad), heading_rad)
-            leaving = moves_from(1.0 / c.radius_m, c.radius_m, c.ramp_1_m2).subset(slice(None, -1))
-            staying = staying_on(1.0 / c.radius_m, c.radius_m, c.ramp_1_m2)
+            leaving = moves_from(1.0 / c.radius_m, c.radius_m, c.sharpness_per_m2).subset(slice(None, -1))
+            staying = staying_on(1.0 / c.radius_m, c.radius_m, c.sharpness_per_m2)
             best = min(c.leave_cost + roll_out.costs(leaving, place).min(), roll_out.costs(staying, place).min())
             off.append(float(best) - float(motion.value(place.x_m, place.y_m, place.heading_rad)))
         assert abs(np.median(off)) < 0.3
@@ -70,7 +70,7 @@ def test_a_stop_keeps_the_side_and_a_turn_back_swaps_the_sides():
     values = np.random.default_rng(1).random((3, 24, 17, 17)).astype(np.float32)
     stops = replace(SMALL, habits=TargetHabits(stop=1.0))
     np.testing.assert_allclose(expected_after_turn(stops, values)[1], values[0], rtol=1e-5)
-    back = replace(SMALL, habits=TargetHabits(stop=0.0, least_speed=1.0, turns_deg=(180.0,), chances=(1.0,)))
+    back = replace(SMALL, habits=TargetHabits(stop=0.0, min_speed=1.0, turns_deg=(180.0,), chances=(1.0,)))
     after = completed(back, values).under((0.0, 5.0)).after_turn
     # Half a turn of the frame: places and headings all swap.
     np.testing.assert_allclose(after[3], values[2, 15, ::-1, ::-1], atol=3e-3)
@@ -109,5 +109,5 @@ def test_a_sector_interpolates_between_directions_and_speeds():
     np.testing.assert_allclose(motion.values, values[[1, 2, 9, 10]].mean(axis=0), rtol=1e-4)
     np.testing.assert_allclose(table.under((0.0, 0.0)).values, values[0], rtol=1e-6)
     # Half a turn takes the class of motion to the south to that of motion to the north.
-    back = replace(SECTOR, habits=TargetHabits(stop=0.0, least_speed=1.0, turns_deg=(180.0,), chances=(1.0,)))
+    back = replace(SECTOR, habits=TargetHabits(stop=0.0, min_speed=1.0, turns_deg=(180.0,), chances=(1.0,)))
     np.testing.assert_allclose(expected_after_turn(back, values)[9 + 4], values[9], rtol=1e-5)

@@ -11,25 +11,25 @@ import pytest
 
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from estimators.tracker import Tracker, TrackerSettings
-from mission.circle import Circle
-from mission.events import (
+from mission.control.controller import Phase, StandoffController, StandoffSettings
+from mission.core.circle import Circle
+from mission.core.events import (
+    ActivatePlan,
     Announce,
     Command,
-    Depart,
+    ControlAcquired,
     End,
-    Engaged,
     LinkReported,
     ModeReported,
     OperatorRequest,
-    Prepare,
-    SwapReported,
+    PlanStatus,
+    UploadPlan,
     Yield,
     YieldRequested,
 )
-from mission.path import Path
-from mission.plan import Decision, Plan
-from mission.requirement import Aircraft, Requirement, Side
-from mission.watch import Phase, Watch, WatchSettings
+from mission.core.path import Path
+from mission.core.plan import Decision, Plan
+from mission.core.requirement import Aircraft, Requirement, Side
 
 RADIUS_M, SPEED_M_S, HEIGHT_M = 60.0, 15.0, 100.0
 TARGET = (300.0, 0.0)
@@ -54,11 +54,11 @@ class Scripted:
         return Decision(aircraft.time_s, plan, "moving")
 
 
-def make(planner: Scripted, **settings) -> Watch:
+def make(planner: Scripted, **settings) -> StandoffController:
     requirement = Requirement(100.0, 500.0, Side.LEFT, 3.0)
     check = settings.pop("check", lambda _plan: None)
-    return Watch(
-        WatchSettings(requirement, Aircraft(SPEED_M_S, RADIUS_M), **settings),
+    return StandoffController(
+        StandoffSettings(requirement, Aircraft(SPEED_M_S, RADIUS_M), **settings),
         Tracker(TrackerSettings()),
         lambda _requirement: planner,
         check,
@@ -66,7 +66,7 @@ def make(planner: Scripted, **settings) -> Watch:
 
 
 def fly(
-    watch: Watch, start_s: float, end_s: float, *, seen: bool = True, radius_m: float = RADIUS_M
+    controller: StandoffController, start_s: float, end_s: float, *, seen: bool = True, radius_m: float = RADIUS_M
 ) -> list[Command]:
     """Fly round HERE's centre at 10 Hz, looking at a standing target; return the commands."""
     commands: list[Command] = []
@@ -77,8 +77,8 @@ def fly(
         course_rad = turn_rad + math.pi / 2
         bank_rad = math.atan(SPEED_M_S**2 / (9.80665 * radius_m))
         velocity = SPEED_M_S * math.sin(course_rad), SPEED_M_S * math.cos(course_rad)
-        commands += watch.step(AttitudeReading(time_s, bank_rad, 0.0, course_rad))
-        commands += watch.step(PositionReading(time_s, east_m, north_m, HEIGHT_M, *velocity, 0.0))
+        commands += controller.step(AttitudeReading(time_s, bank_rad, 0.0, course_rad))
+        commands += controller.step(PositionReading(time_s, east_m, north_m, HEIGHT_M, *velocity, 0.0))
         if seen:
             away_m = math.hypot(TARGET[0] - east_m, TARGET[1] - north_m)
             yaw_rad = math.atan2(TARGET[0] - east_m, TARGET[1] - north_m)
@@ -89,8 +89,8 @@ def fly(
                 math.sin(pitch_rad / 2) * math.cos(yaw_rad / 2),
                 math.cos(pitch_rad / 2) * math.sin(yaw_rad / 2),
             )
-            commands += watch.step(GimbalReading(time_s, quaternion, "earth", GIMBAL))
-            commands += watch.step(RangeReading(time_s, math.hypot(away_m, HEIGHT_M), LASER, quality=0.9))
+            commands += controller.step(GimbalReading(time_s, quaternion, "earth", GIMBAL))
+            commands += controller.step(RangeReading(time_s, math.hypot(away_m, HEIGHT_M), LASER, quality=0.9))
     return commands
 
 
@@ -98,77 +98,77 @@ def kinds(commands: Iterable[Command], *wanted: type) -> list[Command]:
     return [command for command in commands if isinstance(command, wanted)]
 
 
-def engaged(watch: Watch, until_s: float = 10.0) -> list[Command]:
-    watch.step(ModeReported(0.0, "AUTO", True))
-    watch.step(Engaged(0.0, HERE, "AUTO"))
-    return fly(watch, 0.0, until_s)
+def engaged(controller: StandoffController, until_s: float = 10.0) -> list[Command]:
+    controller.step(ModeReported(0.0, "AUTO", True))
+    controller.step(ControlAcquired(0.0, HERE, "AUTO"))
+    return fly(controller, 0.0, until_s)
 
 
 def test_nothing_is_commanded_before_engagement():
-    watch = make(Scripted([THERE]))
-    assert not kinds(fly(watch, 0.0, 20.0), Prepare, Depart, End)
-    assert watch.phase is Phase.WAITING
-    assert watch.snapshot().estimate is not None
+    controller = make(Scripted([THERE]))
+    assert not kinds(fly(controller, 0.0, 20.0), UploadPlan, ActivatePlan, End)
+    assert controller.phase is Phase.WAITING
+    assert controller.snapshot().estimate is not None
 
 
 def test_the_estimate_finds_the_target():
-    watch = make(Scripted())
-    engaged(watch, 30.0)
-    estimate = watch.snapshot().estimate
+    controller = make(Scripted())
+    engaged(controller, 30.0)
+    estimate = controller.snapshot().estimate
     assert math.hypot(estimate.east_m - TARGET[0], estimate.north_m - TARGET[1]) < 2.0
 
 
 def test_a_plan_is_prepared_then_departs_at_its_time():
-    watch = make(Scripted([THERE], ahead_s=3.0))
-    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
+    controller = make(Scripted([THERE], ahead_s=3.0))
+    (prepare,) = kinds(engaged(controller, 3.0), UploadPlan)
     ready_s = prepare.time_s + 0.5
-    assert not watch.step(SwapReported(ready_s, prepare.number, "ready"))
-    (depart,) = kinds(fly(watch, 3.0, 12.0), Depart)
+    assert not controller.step(PlanStatus(ready_s, prepare.number, "ready"))
+    (depart,) = kinds(fly(controller, 3.0, 12.0), ActivatePlan)
     assert depart.time_s == pytest.approx(prepare.plan.departure_s, abs=0.11)
-    watch.step(SwapReported(depart.time_s + 0.1, depart.number, "departed"))
-    assert watch.snapshot().present.circle == THERE
-    assert watch.snapshot().moves == 1
+    controller.step(PlanStatus(depart.time_s + 0.1, depart.number, "departed"))
+    assert controller.snapshot().present.circle == THERE
+    assert controller.snapshot().moves == 1
 
 
 def test_only_one_plan_is_under_way():
-    watch = make(Scripted([THERE, HERE, THERE]))
-    assert len(kinds(engaged(watch, 30.0), Prepare)) == 1
+    controller = make(Scripted([THERE, HERE, THERE]))
+    assert len(kinds(engaged(controller, 30.0), UploadPlan)) == 1
 
 
 def test_a_plan_ready_too_late_is_dropped_and_decided_anew():
-    watch = make(Scripted([THERE, THERE], ahead_s=1.0))
-    (prepare,) = kinds(engaged(watch, 5.0), Prepare)
-    commands = watch.step(SwapReported(prepare.plan.departure_s + 5.0, prepare.number, "ready"))
-    assert not kinds(commands, Depart)
-    (again,) = kinds(fly(watch, 5.0, 8.0), Prepare)
+    controller = make(Scripted([THERE, THERE], ahead_s=1.0))
+    (prepare,) = kinds(engaged(controller, 5.0), UploadPlan)
+    commands = controller.step(PlanStatus(prepare.plan.departure_s + 5.0, prepare.number, "ready"))
+    assert not kinds(commands, ActivatePlan)
+    (again,) = kinds(fly(controller, 5.0, 8.0), UploadPlan)
     assert again.number == prepare.number + 1
-    assert watch.snapshot().latency_s > 1.0
+    assert controller.snapshot().latency_s > 1.0
 
 
 def test_planning_looks_ahead_by_the_measured_latency():
     planner = Scripted([THERE] * 30, ahead_s=20.0)
-    watch = make(planner, latency_s=8.0)
-    commands = engaged(watch, 2.0)
+    controller = make(planner, latency_s=8.0)
+    commands = engaged(controller, 2.0)
     for tick in range(20, 600, 10):
-        for prepare in kinds(commands, Prepare):
-            watch.step(SwapReported(prepare.time_s + 0.2, prepare.number, "ready"))
-            watch.step(SwapReported(prepare.time_s + 0.3, prepare.number, "failed", "try the next"))
-        commands = fly(watch, tick / 10, tick / 10 + 1.0)
+        for prepare in kinds(commands, UploadPlan):
+            controller.step(PlanStatus(prepare.time_s + 0.2, prepare.number, "ready"))
+            controller.step(PlanStatus(prepare.time_s + 0.3, prepare.number, "failed", "try the next"))
+        commands = fly(controller, tick / 10, tick / 10 + 1.0)
     assert planner.latencies[0] == 8.0
     assert planner.latencies[-1] < 1.0
 
 
 def test_an_upload_that_hangs_does_not_count_but_two_do():
     planner = Scripted([THERE] * 30, ahead_s=20.0)
-    watch = make(planner, latency_s=1.0)
-    commands = engaged(watch, 2.0)
+    controller = make(planner, latency_s=1.0)
+    commands = engaged(controller, 2.0)
     latencies = []
     for tick, took_s in zip(range(20, 100, 10), (0.2, 0.2, 0.2, 0.2, 15.0, 0.2, 0.2, 12.0), strict=True):
-        (prepare,) = kinds(commands, Prepare)
-        watch.step(SwapReported(prepare.time_s + took_s, prepare.number, "ready"))
-        watch.step(SwapReported(prepare.time_s + took_s, prepare.number, "failed", "try the next"))
-        latencies.append(watch.snapshot().latency_s)
-        commands = fly(watch, tick / 10, tick / 10 + 1.0)
+        (prepare,) = kinds(commands, UploadPlan)
+        controller.step(PlanStatus(prepare.time_s + took_s, prepare.number, "ready"))
+        controller.step(PlanStatus(prepare.time_s + took_s, prepare.number, "failed", "try the next"))
+        latencies.append(controller.snapshot().latency_s)
+        commands = fly(controller, tick / 10, tick / 10 + 1.0)
     assert latencies[4:7] == pytest.approx([0.3] * 3)
     assert latencies[7] == pytest.approx(12.1)
 
@@ -178,139 +178,141 @@ def test_an_upload_that_hangs_does_not_count_but_two_do():
     [(0.4, 1.0, True), (1.2, 0.5, True), (1.2, 1.0, False), (1.9, 0.5, False)],
 )
 def test_a_late_plan_departs_while_the_aircraft_is_near_its_line(late_s, straightness, departs):
-    watch = make(Scripted([THERE], ahead_s=1.0))
-    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
+    controller = make(Scripted([THERE], ahead_s=1.0))
+    (prepare,) = kinds(engaged(controller, 3.0), UploadPlan)
     # A line that leaves the circle at the departure, with less curvature.
-    departure_s, curvature_1_m = prepare.plan.departure_s, (1.0 - straightness) / RADIUS_M
+    departure_s, curvature_per_m = prepare.plan.departure_s, (1.0 - straightness) / RADIUS_M
     turn_rad, step_m = departure_s * SPEED_M_S / RADIUS_M, 2.0
     arc = step_m * np.arange(100)
-    course = turn_rad + math.pi / 2 + curvature_1_m * arc
+    course = turn_rad + math.pi / 2 + curvature_per_m * arc
     east_m = RADIUS_M * math.sin(turn_rad) + np.append(0.0, np.cumsum(step_m * np.sin(course[:-1])))
     north_m = RADIUS_M * math.cos(turn_rad) + np.append(0.0, np.cumsum(step_m * np.cos(course[:-1])))
-    watch._swap.plan = replace(
-        prepare.plan, transition=Path(arc, east_m, north_m, course, np.full(100, curvature_1_m))
+    controller._swap.plan = replace(
+        prepare.plan, transition=Path(arc, east_m, north_m, course, np.full(100, curvature_per_m))
     )
-    fly(watch, 3.0, departure_s + late_s)
-    told = watch.step(SwapReported(departure_s + late_s, prepare.number, "ready"))
-    assert bool(kinds(told, Depart)) is departs
+    fly(controller, 3.0, departure_s + late_s)
+    told = controller.step(PlanStatus(departure_s + late_s, prepare.number, "ready"))
+    assert bool(kinds(told, ActivatePlan)) is departs
 
 
 def test_a_failed_plan_leaves_the_present_one():
-    watch = make(Scripted([THERE]))
-    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
-    watch.step(SwapReported(3.0, prepare.number, "failed", "timeout"))
-    state = watch.snapshot()
+    controller = make(Scripted([THERE]))
+    (prepare,) = kinds(engaged(controller, 3.0), UploadPlan)
+    controller.step(PlanStatus(3.0, prepare.number, "failed", "timeout"))
+    state = controller.snapshot()
     assert state.present.circle == HERE
     assert (state.moves, state.upload_failures) == (0, 1)
 
 
 def test_a_report_about_another_plan_is_ignored():
-    watch = make(Scripted([THERE]))
-    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
-    assert watch.step(SwapReported(3.0, prepare.number + 7, "departed")) == ()
-    assert watch.snapshot().present.circle == HERE
+    controller = make(Scripted([THERE]))
+    (prepare,) = kinds(engaged(controller, 3.0), UploadPlan)
+    assert controller.step(PlanStatus(3.0, prepare.number + 7, "departed")) == ()
+    assert controller.snapshot().present.circle == HERE
 
 
 def test_an_aircraft_that_leaves_its_transition_is_sent_to_the_circle():
     far = Circle(900.0, 0.0, RADIUS_M, True)
     planner = Scripted([far], ahead_s=1.0)
-    watch = make(planner)
-    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
-    start = watch.snapshot().aircraft
+    controller = make(planner)
+    (prepare,) = kinds(engaged(controller, 3.0), UploadPlan)
+    start = controller.snapshot().aircraft
     # A straight line away from the circle that the aircraft goes on flying.
     arc = np.linspace(0.0, 600.0, 50)
     course = np.full(50, start.course_rad)
     line = Path(arc, start.east_m + arc * np.sin(course), start.north_m + arc * np.cos(course), course, 0.0 * arc)
-    watch.step(SwapReported(prepare.plan.departure_s, prepare.number, "ready"))
-    watch._swap.plan = replace(prepare.plan, transition=line)
-    watch.step(SwapReported(3.1, prepare.number, "departed"))
-    (again,) = kinds(fly(watch, 3.0, 20.0), Prepare)
+    controller.step(PlanStatus(prepare.plan.departure_s, prepare.number, "ready"))
+    controller._swap.plan = replace(prepare.plan, transition=line)
+    controller.step(PlanStatus(3.1, prepare.number, "departed"))
+    (again,) = kinds(fly(controller, 3.0, 20.0), UploadPlan)
     assert again.plan.circle == far
     assert again.plan.transition is None
 
 
 def test_an_aircraft_that_orbits_a_waypoint_beside_its_line_is_sent_to_the_circle():
-    watch = make(Scripted([THERE], ahead_s=1.0))
-    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
+    controller = make(Scripted([THERE], ahead_s=1.0))
+    (prepare,) = kinds(engaged(controller, 3.0), UploadPlan)
     orbit_m = RADIUS_M / 4
     course = np.linspace(0.0, 4.0 * math.pi, 200)
     east_m, north_m = -orbit_m * np.cos(course), orbit_m * np.sin(course)
     line = Path(orbit_m * course, east_m, north_m, course, np.full(200, 1.0 / RADIUS_M))
-    watch.step(SwapReported(prepare.plan.departure_s, prepare.number, "ready"))
-    watch._swap.plan = replace(prepare.plan, transition=line)
-    watch.step(SwapReported(3.1, prepare.number, "departed"))
-    assert kinds(fly(watch, 3.1, 8.0, radius_m=orbit_m), Prepare) == []
-    (again,) = kinds(fly(watch, 8.0, 14.0, radius_m=orbit_m), Prepare)
+    controller.step(PlanStatus(prepare.plan.departure_s, prepare.number, "ready"))
+    controller._swap.plan = replace(prepare.plan, transition=line)
+    controller.step(PlanStatus(3.1, prepare.number, "departed"))
+    assert kinds(fly(controller, 3.1, 8.0, radius_m=orbit_m), UploadPlan) == []
+    (again,) = kinds(fly(controller, 8.0, 14.0, radius_m=orbit_m), UploadPlan)
     assert again.plan.circle == THERE
     assert again.plan.transition is None
 
 
 def test_a_plan_that_breaks_a_fence_is_not_sent():
-    watch = make(Scripted([THERE]), check=lambda plan: "the circle leaves keep_in" if plan.circle == THERE else None)
-    commands = engaged(watch, 3.0)
-    assert not kinds(commands, Prepare)
+    controller = make(
+        Scripted([THERE]), check=lambda plan: "the circle leaves keep_in" if plan.circle == THERE else None
+    )
+    commands = engaged(controller, 3.0)
+    assert not kinds(commands, UploadPlan)
     assert any("keep_in" in command.text for command in kinds(commands, Announce))
 
 
 def test_a_changed_mode_yields_at_once_and_for_good():
-    watch = make(Scripted([THERE] * 5))
-    engaged(watch, 3.0)
-    (yielded,) = watch.step(ModeReported(3.0, "FBWA", True))
+    controller = make(Scripted([THERE] * 5))
+    engaged(controller, 3.0)
+    (yielded,) = controller.step(ModeReported(3.0, "FBWA", True))
     assert isinstance(yielded, Yield)
     assert "FBWA" in yielded.reason
-    assert watch.step(ModeReported(4.0, "AUTO", True)) == ()
-    assert watch.step(Engaged(4.5, HERE, "AUTO")) == ()
-    assert not kinds(fly(watch, 5.0, 20.0), Prepare, Depart)
-    assert watch.phase is Phase.YIELDED
+    assert controller.step(ModeReported(4.0, "AUTO", True)) == ()
+    assert controller.step(ControlAcquired(4.5, HERE, "AUTO")) == ()
+    assert not kinds(fly(controller, 5.0, 20.0), UploadPlan, ActivatePlan)
+    assert controller.phase is Phase.YIELDED
 
 
 def test_a_ready_plan_does_not_depart_after_a_yield():
-    watch = make(Scripted([THERE], ahead_s=5.0))
-    (prepare,) = kinds(engaged(watch, 3.0), Prepare)
-    watch.step(SwapReported(3.0, prepare.number, "ready"))
-    watch.step(YieldRequested(3.5, "RC takeover"))
-    assert not kinds(fly(watch, 4.0, 15.0), Depart)
+    controller = make(Scripted([THERE], ahead_s=5.0))
+    (prepare,) = kinds(engaged(controller, 3.0), UploadPlan)
+    controller.step(PlanStatus(3.0, prepare.number, "ready"))
+    controller.step(YieldRequested(3.5, "RC takeover"))
+    assert not kinds(fly(controller, 4.0, 15.0), ActivatePlan)
 
 
 def test_a_target_unseen_for_long_holds_the_circle_then_ends():
     planner = Scripted()
-    watch = make(planner, lost_after_s=10.0, give_up_after_s=40.0, give_up_action="hold")
-    engaged(watch, 10.0)
+    controller = make(planner, lost_after_s=10.0, give_up_after_s=40.0, give_up_action="hold")
+    engaged(controller, 10.0)
     asked = len(planner.latencies)
-    fly(watch, 10.0, 25.0, seen=False)
-    assert "unseen" in watch.snapshot().decision.reason
+    fly(controller, 10.0, 25.0, seen=False)
+    assert "unseen" in controller.snapshot().decision.reason
     assert len(planner.latencies) <= asked + 11
-    (end,) = kinds(fly(watch, 25.0, 60.0, seen=False), End)
+    (end,) = kinds(fly(controller, 25.0, 60.0, seen=False), End)
     assert end.action == "hold"
     assert end.time_s == pytest.approx(50.0, abs=1.5)
-    assert watch.phase is Phase.ENDED
+    assert controller.phase is Phase.ENDED
 
 
 def test_an_operator_holds_resumes_changes_side_and_ends():
     sides: list[Side] = []
-    watch = make(Scripted([THERE] * 9))
-    watch.make_planner = lambda requirement: sides.append(requirement.side) or Scripted()
-    engaged(watch, 0.5)
-    watch.step(OperatorRequest(0.5, "hold"))
-    assert not kinds(fly(watch, 0.5, 5.0), Prepare)
-    watch.step(OperatorRequest(5.0, "side", Side.RIGHT))
+    controller = make(Scripted([THERE] * 9))
+    controller.make_planner = lambda requirement: sides.append(requirement.side) or Scripted()
+    engaged(controller, 0.5)
+    controller.step(OperatorRequest(0.5, "hold"))
+    assert not kinds(fly(controller, 0.5, 5.0), UploadPlan)
+    controller.step(OperatorRequest(5.0, "side", Side.RIGHT))
     assert sides == [Side.RIGHT]
-    assert watch.snapshot().side is Side.RIGHT
-    watch.step(OperatorRequest(6.0, "resume"))
-    assert watch.phase is Phase.WATCHING
-    assert kinds(watch.step(OperatorRequest(7.0, "end")), End)
-    (refused,) = watch.step(OperatorRequest(8.0, "resume"))
+    assert controller.snapshot().side is Side.RIGHT
+    controller.step(OperatorRequest(6.0, "resume"))
+    assert controller.phase is Phase.WATCHING
+    assert kinds(controller.step(OperatorRequest(7.0, "end")), End)
+    (refused,) = controller.step(OperatorRequest(8.0, "resume"))
     assert "refused" in refused.text
 
 
 def test_a_late_position_does_not_turn_back_the_clock():
-    watch = make(Scripted())
-    engaged(watch, 5.0)
-    watch.step(PositionReading(2.0, 0.0, 0.0, HEIGHT_M, 0.0, SPEED_M_S, 0.0))
-    assert watch.snapshot().time_s == pytest.approx(4.9)
+    controller = make(Scripted())
+    engaged(controller, 5.0)
+    controller.step(PositionReading(2.0, 0.0, 0.0, HEIGHT_M, 0.0, SPEED_M_S, 0.0))
+    assert controller.snapshot().time_s == pytest.approx(4.9)
 
 
 def test_the_link_is_told_of():
-    watch = make(Scripted())
-    assert "lost" in watch.step(LinkReported(1.0, False))[0].text
-    assert "back" in watch.step(LinkReported(2.0, True))[0].text
+    controller = make(Scripted())
+    assert "lost" in controller.step(LinkReported(1.0, False))[0].text
+    assert "back" in controller.step(LinkReported(2.0, True))[0].text

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mission.circle import Circle
-from mission.line_tracking import LineTracking, arduplane, px4
-from mission.path import Path
-from mission.requirement import Wind
-from mission.stretched_lap import stretched_lap
-from mission.transition import abcd
-from mission.waypoints import lay_out
+from mission.core.circle import Circle
+from mission.core.path import Path
+from mission.core.requirement import Wind
+from mission.geometry.transition import abcd
+from mission.paper.stretched_lap import stretched_lap
+from mission.upload.line_tracking import LineTracking, arduplane, px4
+from mission.upload.waypoints import lay_out
 
 CIRCLE, FAR = Circle(0.0, 0.0, 65.0, True), Circle(420.0, 0.0, 65.0, True)
 TRACKINGS = {"arduplane": arduplane, "px4": px4}
@@ -21,21 +21,21 @@ def s_shape(radius_m: float) -> tuple[Path, Circle]:
     """From a clockwise circle through half a turn the other way and back: curvature ramps between +-1/R."""
     arc_m = np.arange(0.0, 6.0 * radius_m, 1.0)
     corners_m = radius_m * np.array([0.0, 1.0, 4.5, 5.5])
-    curvature_1_m = np.interp(arc_m, corners_m, np.array([1.0, -1.0, -1.0, 1.0]) / radius_m)
-    course_rad = np.concatenate(([0.0], np.cumsum((curvature_1_m[1:] + curvature_1_m[:-1]) / 2.0)))
+    curvature_per_m = np.interp(arc_m, corners_m, np.array([1.0, -1.0, -1.0, 1.0]) / radius_m)
+    course_rad = np.concatenate(([0.0], np.cumsum((curvature_per_m[1:] + curvature_per_m[:-1]) / 2.0)))
     middle_rad = (course_rad[1:] + course_rad[:-1]) / 2.0
     path = Path(
         arc_m,
         np.concatenate(([0.0], np.cumsum(np.sin(middle_rad)))),
         np.concatenate(([0.0], np.cumsum(np.cos(middle_rad)))),
         course_rad,
-        curvature_1_m,
+        curvature_per_m,
     )
     end = Circle.tangent_to(float(path.east_m[-1]), float(path.north_m[-1]), float(course_rad[-1]), radius_m, True)
     return path, end
 
 
-def greatest_distance_m(flown: np.ndarray, path: Path, circle: Circle) -> float:
+def max_distance_m(flown: np.ndarray, path: Path, circle: Circle) -> float:
     """Return how far the flown points are from the path or, where they are nearer to it, from the circle."""
     from_path_m = np.min(np.hypot(flown[:, 1, None] - path.east_m, flown[:, 2, None] - path.north_m), axis=1)
     from_circle_m = np.abs(np.hypot(flown[:, 1] - circle.east_m, flown[:, 2] - circle.north_m) - circle.radius_m)
@@ -47,7 +47,7 @@ def fly(tracking: LineTracking, path: Path, waypoints: tuple[tuple[float, float]
     return tracking.fly(
         (float(path.east_m[0]), float(path.north_m[0])),
         float(path.course_rad[0]),
-        float(path.curvature_1_m[0]),
+        float(path.curvature_per_m[0]),
         waypoints,
         circle,
         1.3 * path.length_m / tracking.airspeed_m_s,
@@ -62,7 +62,7 @@ def fly(tracking: LineTracking, path: Path, waypoints: tuple[tuple[float, float]
 def test_the_model_holds_a_circle(name: str, clockwise: bool) -> None:
     tracking = TRACKINGS[name](15.0)
     circle = Circle(10.0, 20.0, 65.0, clockwise)
-    flown = tracking.fly(circle.position_at_course(0.0), 0.0, circle.curvature_1_m, (), circle, 60.0)
+    flown = tracking.fly(circle.position_at_course(0.0), 0.0, circle.curvature_per_m, (), circle, 60.0)
     assert np.max(np.abs(np.hypot(flown[:, 1] - 10.0, flown[:, 2] - 20.0) - 65.0)) < 1.0
 
 
@@ -109,7 +109,7 @@ def test_the_flown_line_keeps_the_tolerance_with_few_waypoints(shape: str, name:
     }[shape]
     layout = lay_out(path, circle, tracking, tolerance_m)
     assert layout.deviation_m <= tolerance_m
-    assert greatest_distance_m(fly(tracking, path, layout.waypoints, circle), path, circle) <= tolerance_m + 0.1
+    assert max_distance_m(fly(tracking, path, layout.waypoints, circle), path, circle) <= tolerance_m + 0.1
     assert len(layout.waypoints) <= {15.0: 7, 8.0: 9, 4.0: 11}[tolerance_m]
 
 
@@ -151,14 +151,14 @@ def test_a_late_or_early_switch_and_a_guidance_tuned_otherwise_do_little_harm() 
         LineTracking(15.0, wind=Wind(0.0, -2.0)),
         LineTracking(15.0, roll_lag_s=0.8),
     ):
-        assert greatest_distance_m(fly(tracking, path, layout.waypoints, FAR), path, FAR) <= 20.0
+        assert max_distance_m(fly(tracking, path, layout.waypoints, FAR), path, FAR) <= 20.0
     for beyond_rad in (-15.0 / 65.0, 15.0 / 65.0):
         course_rad = float(path.course_rad[0]) + beyond_rad
         flown = arduplane(15.0).fly(
             CIRCLE.position_at_course(course_rad), course_rad, 1.0 / 65.0, layout.waypoints, FAR, 55.0
         )
         after_s = flown[:, 0] > 4.0
-        assert greatest_distance_m(flown[after_s], path, FAR) <= 20.0
+        assert max_distance_m(flown[after_s], path, FAR) <= 20.0
 
 
 def test_going_straight_to_the_circle_needs_no_waypoint() -> None:

@@ -5,16 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mission.circle import Circle
-from mission.requirement import Wind
-from mission.transition import abcd
-from mission.wind import (
+from mission.core.circle import Circle
+from mission.core.requirement import Wind
+from mission.geometry.transition import abcd
+from mission.geometry.wind import (
     STILL_AIR,
     LapClock,
     WindError,
     WindEstimate,
     ground_speed_m_s,
-    least_radius_m,
+    min_radius_m,
     path_times_s,
 )
 
@@ -69,7 +69,7 @@ def test_flight_time_of_a_path() -> None:
 
 
 def test_the_radius_allows_for_the_bank_where_the_wind_is_astern() -> None:
-    assert least_radius_m(10.0, Wind(3.0, 0.0), math.radians(45.0)) == pytest.approx(13.0**2 / 9.80665)
+    assert min_radius_m(10.0, Wind(3.0, 0.0), math.radians(45.0)) == pytest.approx(13.0**2 / 9.80665)
 
 
 def fly_circles(wind: Wind, airspeed_scale: float, seed: int, laps: float) -> WindEstimate:

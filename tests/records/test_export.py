@@ -20,8 +20,8 @@ from app.records.track import Flight, Mission
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.frames import LocalPlane
 from estimators.readings import PositionReading
-from mission.circle import Circle
-from mission.items import circle_item
+from mission.core.circle import Circle
+from mission.upload.items import circle_item
 
 PLANE = LocalPlane(47.4, 8.5)
 CIRCLES = [(12.0, Circle(100.0, 50.0, 80.0, clockwise=True)), (40.0, Circle(300.0, 50.0, 60.0, clockwise=False))]

@@ -15,14 +15,14 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from pyulog import ULog
 
 from app.errors import InputError
+from app.link.telemetry import Telemetry
 from app.records import windows
 from app.records.dataflash import read_dataflash
 from app.records.log import open_log
 from app.records.ulog import read_ulog
-from app.telemetry import Telemetry
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
 from estimators.tracker import Tracker, TrackerSettings
-from mission.events import WindReported
+from mission.core.events import WindReported
 
 # The flight: one tenth of a second a step, from 10 s after boot.
 STEPS = 300

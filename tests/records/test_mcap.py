@@ -15,11 +15,11 @@ from app.records.mcap import McapLog
 from estimators.frames import LocalPlane
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from estimators.tracker import Tracker, TrackerSettings
-from mission.circle import Circle
-from mission.events import Announce, Engaged, Prepare, SwapReported
-from mission.path import Path as Line
-from mission.plan import Plan
-from mission.requirement import Wind
+from mission.core.circle import Circle
+from mission.core.events import Announce, ControlAcquired, PlanStatus, UploadPlan
+from mission.core.path import Path as Line
+from mission.core.plan import Plan
+from mission.core.requirement import Wind
 
 mcap_reader = pytest.importorskip("mcap.reader")
 
@@ -35,7 +35,7 @@ def flight(log: McapLog) -> None:
     laser, gimbal = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
     down_rad = math.atan2(120.0, 200.0)
     sight = (math.cos(down_rad / 2), 0.0, -math.sin(down_rad / 2), 0.0)
-    log.event(Engaged(10.0, CIRCLE, "AUTO"))
+    log.event(ControlAcquired(10.0, CIRCLE, "AUTO"))
     for i in range(101):
         time_s = 10.0 + 0.1 * i
         log.event(AttitudeReading(time_s, 0.0, 0.0, math.pi / 2))
@@ -43,7 +43,7 @@ def flight(log: McapLog) -> None:
         log.event(GimbalReading(time_s, sight, "earth", gimbal))
         log.event(RangeReading(time_s, math.hypot(120.0, 200.0), laser, 0.8, 0.9))
     log.command(
-        Prepare(
+        UploadPlan(
             15.0,
             number=1,
             plan=Plan(MOVED, LINE, 16.0),
@@ -54,7 +54,7 @@ def flight(log: McapLog) -> None:
         )
     )
     log.command(Announce(15.0, "decision", "moving the circle"))
-    log.event(SwapReported(16.0, 1, "departed"))
+    log.event(PlanStatus(16.0, 1, "departed"))
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from app.records.appender import Appender
 from app.records.journal import JournalReader
 from app.records.recorder import TlogWriter
 from app.records.tlog import read_tlog
-from mission.events import Announce
+from mission.core.events import Announce
 
 ROOT = Path(__file__).parents[2]
 
@@ -107,7 +107,7 @@ import sys, time
 from pathlib import Path
 from app.records.journal import Header, JournalWriter
 from app.records.recorder import TlogWriter
-from mission.events import Announce
+from mission.core.events import Announce
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 folder, mav = Path(sys.argv[1]), dialect.MAVLink(None, srcSystem=1, srcComponent=1)
 tlog = TlogWriter(folder / "flight.tlog", print)

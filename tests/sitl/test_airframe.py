@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sitl.airframe import Airframe, Build, Wind, true_over_equivalent_airspeed
+from sitl.airframe import Airframe, AirframeParameters, Wind, true_over_equivalent_airspeed
 from sitl.geodesy import HomePlane
 
 DT_S = 0.02
 
 
 def airborne(wind=None, speed_m_s=15.0, **build):
-    craft = Airframe(Build(**build), wind or Wind())
+    craft = Airframe(AirframeParameters(**build), wind or Wind())
     craft.flying, craft.height_m, craft.airspeed_m_s = True, 100.0, speed_m_s
     return craft
 
@@ -69,7 +69,7 @@ def test_wind_carries_the_craft():
 
 
 def test_it_lifts_off_into_the_wind_with_airspeed_not_ground_speed():
-    craft = Airframe(Build(), Wind(0.0, -5.0))
+    craft = Airframe(AirframeParameters(), Wind(0.0, -5.0))
     while not craft.flying:
         craft.roll_on_ground(DT_S, 13.0)
     assert craft.airspeed_m_s == pytest.approx(13.0, abs=0.2)

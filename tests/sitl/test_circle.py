@@ -21,9 +21,9 @@ def flown(simulate, station, radius_m, seconds=60.0, **changes):
 
 @pytest.mark.parametrize(("commanded_m", "measured_m"), [(50, 69.0), (100, 116.0), (150, 167.0)])
 def test_arduplane_flies_wider_circles_than_commanded(simulate, station, commanded_m, measured_m):
-    _, mean_m, least_m, greatest_m = flown(simulate, station, commanded_m, airspeed_m_s=22.0)
+    _, mean_m, min_m, max_m = flown(simulate, station, commanded_m, airspeed_m_s=22.0)
     assert mean_m == pytest.approx(measured_m, abs=1.0)
-    assert greatest_m - least_m < 0.4
+    assert max_m - min_m < 0.4
 
 
 def test_the_excess_shrinks_with_speed(simulate, station):
@@ -37,16 +37,16 @@ def test_the_least_circle_of_arduplane_at_22_m_s_is_about_50_m(simulate, station
 
 
 def test_arduplane_in_wind_breathes_by_some_metres(simulate, station):
-    _, mean_m, least_m, greatest_m = flown(simulate, station, 100, airspeed_m_s=22.0, wind=Wind(5.0, 0.0))
+    _, mean_m, min_m, max_m = flown(simulate, station, 100, airspeed_m_s=22.0, wind=Wind(5.0, 0.0))
     assert mean_m == pytest.approx(116.0, abs=2.0)
-    assert 6.0 < greatest_m - least_m < 14.0
+    assert 6.0 < max_m - min_m < 14.0
 
 
 @pytest.mark.parametrize("commanded_m", [25, -50, 80, -150])
 def test_px4_flies_the_signed_radius(simulate, station, commanded_m):
-    ground, mean_m, least_m, greatest_m = flown(simulate, station, commanded_m, flavour=Flavour.PX4)
+    ground, mean_m, min_m, max_m = flown(simulate, station, commanded_m, flavour=Flavour.PX4)
     assert mean_m == pytest.approx(abs(commanded_m), abs=0.2)
-    assert greatest_m - least_m < 1.0
+    assert max_m - min_m < 1.0
     assert math.copysign(1.0, ground.simulation.vehicle.craft.roll_rad) == math.copysign(1.0, commanded_m)
 
 
@@ -57,9 +57,9 @@ def test_px4_silently_flies_the_least_radius_its_roll_limit_allows(simulate, sta
 
 
 def test_px4_holds_its_circle_in_wind(simulate, station):
-    _, mean_m, least_m, greatest_m = flown(simulate, station, 80, flavour=Flavour.PX4, wind=Wind(3.0, -2.0))
+    _, mean_m, min_m, max_m = flown(simulate, station, 80, flavour=Flavour.PX4, wind=Wind(3.0, -2.0))
     assert mean_m == pytest.approx(80.0, abs=0.5)
-    assert greatest_m - least_m < 3.0
+    assert max_m - min_m < 3.0
 
 
 @pytest.mark.parametrize(
@@ -111,5 +111,5 @@ def test_px4_joins_a_moved_orbit_within_seconds(simulate, station, east_m, radiu
     )
     assert result == mavlink.MAV_RESULT_ACCEPTED
     ground.run(within_s)
-    _, least_m, greatest_m = ground.radii_m((CENTRE_M[0] + east_m, CENTRE_M[1]), 20.0)
-    assert radius_m - 3.0 < least_m < greatest_m < radius_m + 3.0
+    _, min_m, max_m = ground.radii_m((CENTRE_M[0] + east_m, CENTRE_M[1]), 20.0)
+    assert radius_m - 3.0 < min_m < max_m < radius_m + 3.0

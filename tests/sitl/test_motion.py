@@ -84,8 +84,8 @@ def test_a_track_may_be_entered_later_and_ends_where_it_ends():
 def test_the_lively_part_is_found():
     slow = [(10.0 * i, 1.0 * i, 0.0) for i in range(30)]
     lively = [(300.0 + 10.0 * i, 30.0 + 40.0 * i, 0.0) for i in range(30)]
-    assert 240.0 <= track(*slow, *lively).lively_start_s() <= 300.0
-    assert track(*slow).lively_start_s() == 0.0
+    assert 240.0 <= track(*slow, *lively).first_motion_s() <= 300.0
+    assert track(*slow).first_motion_s() == 0.0
 
 
 def test_a_gpx_track_is_read_without_its_spike(tmp_path):

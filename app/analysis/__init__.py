@@ -1,0 +1,1 @@
+"""What a flight came to: replay, score and summary."""

@@ -1,0 +1,163 @@
+"""A recorded log through the same telemetry, filter and planner as a live flight.
+
+The aircraft of a foreign log did not fly our plans. So each time the step decides, it starts from the circle that
+the aircraft is really on (``ControlAcquired`` with the circle of its present bank), and a plan it proposes is answered with
+"failed: not flown in this log". The decisions then tell what would have been done from there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+from app.errors import InputError
+from app.link.message import Message
+from app.link.telemetry import Telemetry
+from app.records.journal import encode
+from app.records.log import Log
+from estimators.frames import LocalPlane
+from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
+from mission.control.controller import Snapshot, StandoffController
+from mission.core.circle import Circle
+from mission.core.events import (
+    Announce,
+    Command,
+    ControlAcquired,
+    Event,
+    LinkReported,
+    ModeReported,
+    PlanStatus,
+    UploadPlan,
+)
+
+_MODE = "as recorded"
+# Between two positions these only feed the filter: nothing to show or to judge changes.
+_UNSEEN = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading)
+_MIN_BANKED_CURVATURE = 0.25  # of the circle's own; a straighter flight is taken as the circle
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """What one event of the log led to."""
+
+    event: Event
+    commands: tuple[Command, ...]
+    snapshot: Snapshot
+
+
+class LogReplay:
+    """Steps a watch through the messages of a log; ``on_plane`` hears of the local plane as soon as it is known."""
+
+    def __init__(
+        self, controller: StandoffController, telemetry: Telemetry, on_plane: Callable[[LocalPlane], None]
+    ) -> None:
+        self.controller = controller
+        self._telemetry, self._on_plane = telemetry, on_plane
+        self._engaged_s = -math.inf
+
+    @property
+    def plane(self) -> LocalPlane | None:
+        return self._telemetry.plane
+
+    def run(self, messages: Iterable[Message]) -> Iterator[Replayed]:
+        """Yield the events of the log with what the step made of them; those that nobody sees are passed over."""
+        for message in messages:
+            known = self.plane is not None
+            event = self._telemetry.event(message)
+            if not known and self.plane is not None:
+                self._on_plane(self.plane)
+            # Nobody else flies here: a change of mode in the log is not one of ours to yield to.
+            if event is None or isinstance(event, ModeReported | LinkReported):
+                continue
+            commands = self.controller.step(event)
+            for command in commands:
+                if isinstance(command, UploadPlan):
+                    self.controller.step(
+                        PlanStatus(command.time_s, command.number, "failed", "not flown in this log")
+                    )
+            if isinstance(event, _UNSEEN) and not commands:
+                continue
+            snapshot = self.controller.snapshot()
+            if isinstance(event, PositionReading):
+                self._engage(snapshot)
+            yield Replayed(event, commands, snapshot)
+
+    def _engage(self, snapshot: Snapshot) -> None:
+        aircraft = snapshot.aircraft
+        if aircraft is None or snapshot.estimate is None or snapshot.time_s - self._engaged_s < 1.0:
+            return
+        self._engaged_s = snapshot.time_s
+        airframe = self.controller.settings.aircraft
+        curvature_per_m = aircraft.curvature_per_m
+        if abs(curvature_per_m) < _MIN_BANKED_CURVATURE / airframe.radius_m:
+            curvature_per_m = math.copysign(1.0 / airframe.radius_m, 1.0 if snapshot.side.clockwise else -1.0)
+        circle = Circle.tangent_to(
+            aircraft.east_m, aircraft.north_m, aircraft.course_rad, 1.0 / abs(curvature_per_m), curvature_per_m > 0.0
+        )
+        self.controller.step(ControlAcquired(snapshot.time_s, circle, _MODE))
+
+
+def require_sightings(sightings: int, log: Log) -> None:
+    """Raise InputError when a log held nothing to see a target by."""
+    if sightings == 0:
+        raise InputError(f"{log.path}: no target can be seen in it: {log.looked_for()}.")
+
+
+def announcements(commands: Iterable[Command]) -> Iterator[Announce]:
+    """Yield what the commands tell a person."""
+    for command in commands:
+        if isinstance(command, Announce) and command.kind != "swap":
+            yield command
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Where a replay first decided otherwise than the flight did."""
+
+    event: Event
+    flown: Command | None
+    replayed: Command | None
+
+    def __str__(self) -> str:
+        return f"after {self.event}\n  flown:    {self.flown}\n  replayed: {self.replayed}"
+
+
+class JournalReplay:
+    """Steps a watch through the journal of one of our own runs: the very events of the flight, in order.
+
+    After ``run``, ``compared`` counts the commands that were compared, and ``difference`` is the first that was not
+    the same to the last bit, or None.
+    """
+
+    def __init__(self, controller: StandoffController) -> None:
+        self.controller = controller
+        self.compared = 0
+        self.difference: Difference | None = None
+        self._cause: Event | None = None
+        self._expected: deque[Command] = deque()
+
+    def run(self, records: Iterable[Event | Command]) -> Iterator[Replayed]:
+        """Yield the events of the journal with what the step made of them now, without those that nobody sees."""
+        for record in records:
+            if isinstance(record, Command):
+                self._compare(record)
+                continue
+            if self._expected:
+                self._compare(None)
+            commands = self.controller.step(record)
+            self._cause = record
+            self._expected.extend(commands)
+            if commands or not isinstance(record, _UNSEEN):
+                yield Replayed(record, commands, self.controller.snapshot())
+        # A flight that was cut off may lack the commands of its last event: those are not held against it.
+
+    def _compare(self, flown: Command | None) -> None:
+        replayed = self._expected.popleft() if self._expected else None
+        self.compared += 1
+        same = flown is not None and replayed is not None and encode(flown) == encode(replayed)
+        if not same and self.difference is None and self._cause is not None:
+            self.difference = Difference(self._cause, flown, replayed)
+        if flown is None:
+            self._expected.clear()

@@ -1,0 +1,87 @@
+"""How well the target was watched: time in the band, time on the side, extremes, error of the estimate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from estimators.frames import wrap_rad
+from mission.core.requirement import Requirement, Side
+
+# Below this speed the target keeps its last course (the definition of the requirement).
+_STANDING_M_S = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Aircraft and target at one time, in the plane, with the target's velocity."""
+
+    time_s: float
+    aircraft_east_m: float
+    aircraft_north_m: float
+    target_east_m: float
+    target_north_m: float
+    target_velocity_east_m_s: float
+    target_velocity_north_m_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Fractions are 0..1 of the time scored; None where nothing was scored."""
+
+    duration_s: float
+    time_in_band: float | None
+    time_on_side: float | None
+    min_range_m: float | None
+    max_range_m: float | None
+    source: Literal["truth", "estimate"]
+
+
+def score(
+    moments: Iterable[Moment],
+    requirement: Requirement,
+    sides: Sequence[tuple[float, Side]],
+    source: Literal["truth", "estimate"],
+) -> Score:
+    """Score the moments, each weighted by the time until the next.
+
+    sides: (since, side) in order of time, at least one. Before the target has a course every place is on the side.
+    """
+    in_band_s = on_side_s = total_s = 0.0
+    min_m, max_m = math.inf, -math.inf
+    course_rad: float | None = None
+    last: tuple[Moment, bool, bool] | None = None
+    for moment in moments:
+        if last is not None:
+            step_s = moment.time_s - last[0].time_s
+            total_s += step_s
+            in_band_s += step_s * last[1]
+            on_side_s += step_s * last[2]
+        east_m = moment.aircraft_east_m - moment.target_east_m
+        north_m = moment.aircraft_north_m - moment.target_north_m
+        range_m = math.hypot(east_m, north_m)
+        min_m, max_m = min(min_m, range_m), max(max_m, range_m)
+        velocity = (moment.target_velocity_east_m_s, moment.target_velocity_north_m_s)
+        if math.hypot(*velocity) >= _STANDING_M_S:
+            course_rad = math.atan2(*velocity)
+        if requirement.sector is not None:
+            off_rad = wrap_rad(math.atan2(east_m, north_m) - requirement.sector.middle_rad)
+            on_side = abs(off_rad) <= requirement.sector.half_width_rad
+        elif requirement.either_side:
+            on_side = True  # one of the two sides is always the nearer one
+        else:
+            on_side = course_rad is None or _beside(east_m, north_m, course_rad, sides, moment.time_s)
+        last = (moment, requirement.range_min_m <= range_m <= requirement.range_max_m, on_side)
+    if total_s <= 0.0:
+        return Score(0.0, None, None, None, None, source)
+    return Score(total_s, in_band_s / total_s, on_side_s / total_s, min_m, max_m, source)
+
+
+def _beside(
+    east_m: float, north_m: float, course_rad: float, sides: Sequence[tuple[float, Side]], time_s: float
+) -> bool:
+    side = next((side for since_s, side in reversed(sides) if since_s <= time_s), sides[0][1])
+    normal_rad = course_rad + side.normal_turn_rad
+    return east_m * math.sin(normal_rad) + north_m * math.cos(normal_rad) >= 0.0

@@ -1,0 +1,168 @@
+"""What a flight or a replay came to, in numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from rich.table import Table
+
+from app.analysis.score import Moment, Score, score
+from app.records.truth import Truth
+from estimators.biases import Calibration
+from estimators.frames import LocalPlane
+from mission.control.controller import Snapshot
+from mission.core.requirement import Requirement, Side
+
+_TRUTH_STEP_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """The keys of ``summary.json``. Fractions are 0..1; None where there was nothing to measure by."""
+
+    duration_s: float
+    time_in_band: float | None
+    time_on_side: float | None
+    min_range_m: float | None
+    max_range_m: float | None
+    source: Literal["truth", "estimate"]
+    moves: int
+    uploads: int
+    upload_failures: int
+    sightings: int
+    rejected: int
+    estimate_rmse_m: float | None
+    outcome: str
+
+    def as_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    def table(self) -> Table:
+        """Return the summary as a table for the terminal."""
+        table = Table(show_header=False, box=None, pad_edge=False)
+        for name, text in (
+            ("outcome", self.outcome),
+            ("watched", f"{self.duration_s:.0f} s"),
+            ("time in band", _percent(self.time_in_band)),
+            ("time on side", _percent(self.time_on_side)),
+            ("range", _between(self.min_range_m, self.max_range_m)),
+            ("judged by", self.source),
+            ("moves of the circle", str(self.moves)),
+            ("uploads", f"{self.uploads}, failed {self.upload_failures}"),
+            ("sightings", f"{self.sightings}, rejected {self.rejected}"),
+            ("error of the estimate (RMS)", "-" if self.estimate_rmse_m is None else f"{self.estimate_rmse_m:.2f} m"),
+        ):
+            table.add_row(name, text)
+        return table
+
+
+class SummaryCollector:
+    """Notes aircraft, estimate and side as a mission goes along; ``summary`` judges them."""
+
+    def __init__(self, requirement: Requirement) -> None:
+        self._requirement = requirement
+        self._estimated: list[Moment] = []
+        self._sides: list[tuple[float, Side]] = []
+        self._last_s = -math.inf
+
+    def observe(self, snapshot: Snapshot) -> None:
+        """Take a snapshot; those without a new estimate are passed over."""
+        aircraft, estimate = snapshot.aircraft, snapshot.estimate
+        if aircraft is None or estimate is None or estimate.time_s <= self._last_s:
+            return
+        self._last_s = estimate.time_s
+        if not self._sides or self._sides[-1][1] is not snapshot.side:
+            self._sides.append((estimate.time_s, snapshot.side))
+        self._estimated.append(
+            Moment(
+                estimate.time_s,
+                aircraft.east_m,
+                aircraft.north_m,
+                estimate.east_m,
+                estimate.north_m,
+                estimate.velocity_east_m_s,
+                estimate.velocity_north_m_s,
+            )
+        )
+
+    def rmse_m(self, truth: Truth, plane: LocalPlane, start_s: float) -> float | None:
+        """Return the root mean square of the estimate's distance from the truth since ``start_s``."""
+        squares = []
+        for one in self._estimated:
+            if one.time_s < start_s:
+                continue
+            target = truth.at(one.time_s, plane)
+            if target is not None:
+                squares.append(
+                    (one.target_east_m - target.target_east_m) ** 2
+                    + (one.target_north_m - target.target_north_m) ** 2
+                )
+        return math.sqrt(sum(squares) / len(squares)) if squares else None
+
+    def scored(self, truth: Truth | None, plane: LocalPlane | None, start_s: float) -> Score:
+        """Score from the first moment in the band after ``start_s``."""
+        if truth is None or plane is None or not self._estimated:
+            moments = [one for one in self._estimated if one.time_s >= start_s]
+            source: Literal["truth", "estimate"] = "estimate"
+        else:
+            end_s = self._estimated[-1].time_s
+            moments = list(truth.moments(plane, start_s, end_s, _TRUTH_STEP_S))
+            source = "truth"
+        return score(_from_band(moments, self._requirement), self._requirement, self._sides, source)
+
+
+def _from_band(moments: Sequence[Moment], requirement: Requirement) -> Sequence[Moment]:
+    for index, moment in enumerate(moments):
+        range_m = math.hypot(
+            moment.aircraft_east_m - moment.target_east_m, moment.aircraft_north_m - moment.target_north_m
+        )
+        if requirement.range_min_m <= range_m <= requirement.range_max_m:
+            return moments[index:]
+    return moments
+
+
+def summarise(
+    gatherer: SummaryCollector,
+    snapshot: Snapshot,
+    *,
+    truth: Truth | None,
+    plane: LocalPlane | None,
+    start_s: float,
+    sightings: int,
+    rejected: int,
+    outcome: str,
+) -> Summary:
+    """Return the summary of a mission that ended at ``snapshot``."""
+    result = gatherer.scored(truth, plane, start_s)
+    rmse_m = gatherer.rmse_m(truth, plane, start_s) if truth is not None and plane is not None else None
+    return Summary(
+        **asdict(result),
+        moves=snapshot.moves,
+        uploads=snapshot.uploads,
+        upload_failures=snapshot.upload_failures,
+        sightings=sightings,
+        rejected=rejected,
+        estimate_rmse_m=rmse_m,
+        outcome=outcome,
+    )
+
+
+def _percent(fraction: float | None) -> str:
+    return "-" if fraction is None else f"{100.0 * fraction:.1f} %"
+
+
+def _between(least: float | None, greatest: float | None) -> str:
+    return "-" if least is None or greatest is None else f"{least:.0f} to {greatest:.0f} m"
+
+
+def describe_calibration(calibration: Calibration) -> str:
+    """Return what was learnt of the gimbal's constant errors, with one standard deviation."""
+    yaw_deg, yaw_sigma_deg = math.degrees(calibration.yaw_bias_rad), math.degrees(calibration.yaw_sigma_rad)
+    pitch_deg, pitch_sigma_deg = math.degrees(calibration.pitch_bias_rad), math.degrees(calibration.pitch_sigma_rad)
+    return (
+        f"gimbal errors found: yaw {yaw_deg:+.2f} +- {yaw_sigma_deg:.2f} degrees, "
+        f"pitch {pitch_deg:+.2f} +- {pitch_sigma_deg:.2f} degrees"
+    )

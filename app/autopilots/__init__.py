@@ -1,0 +1,1 @@
+"""What each autopilot does differently, one module each."""

@@ -1,0 +1,1 @@
+"""Bringing plans to the autopilot."""

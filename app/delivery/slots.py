@@ -1,0 +1,57 @@
+"""Where a new line goes in the vehicle's mission, so that an upload never disturbs the one being flown.
+
+An upload replaces the whole list, and ArduPlane stores items as they arrive. So the items of the present line keep
+their places in every upload, and the new line goes where it cannot be reached from there: the present line ends in
+a circle that never completes. Wherever the upload is cut, the vehicle flies on as before::
+
+    [head] [present line ...circle] [new line ...circle]      after it, or
+    [head] [new line ...circle] [present line ...circle]      before it, if it fits into the room there
+
+What is left over between and behind them is never reached.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from app.link.link import RawItem
+
+
+@dataclass(frozen=True, slots=True)
+class MissionLayout:
+    """The vehicle's mission: ``items`` with the present line at [first, end). ``head`` items stay in front.
+
+    least_items: it is kept that long, so that a new line finds places to be written to without a new list.
+    """
+
+    items: tuple[RawItem, ...]
+    head: int
+    first: int
+    end: int
+    min_items: int = 0
+
+    def line(self) -> tuple[RawItem, ...]:
+        """Return the items of the present line."""
+        return self.items[self.first : self.end]
+
+    def since(self, index: int) -> MissionLayout:
+        """Return the same mission with what lies before ``index`` flown: its places are free for a new line."""
+        return replace(self, first=index) if self.first <= index < self.end else self
+
+    def with_line(self, line: Sequence[RawItem]) -> MissionLayout:
+        """Return the mission that holds the present line where it is and ``line`` as the next; first is its start."""
+        fits = len(line) <= self.first - self.head
+        first = self.head if fits else self.end
+        end = first + len(line)
+        kept = max(self.end, self.min_items)
+        return replace(self, items=(*self.items[:first], *line, *self.items[end:kept]), first=first, end=end)
+
+    def filled(self) -> MissionLayout:
+        """Return the mission with the circle that the present line ends in repeated until it has ``min_items``."""
+        missing = self.min_items - len(self.items)
+        return replace(self, items=(*self.items, *(self.items[self.end - 1 : self.end] * missing)))
+
+    def closed_by(self, tail: Sequence[RawItem]) -> MissionLayout:
+        """Return the mission with items after it that are never reached (PX4 wants a landing)."""
+        return replace(self, items=(*self.items, *tail))

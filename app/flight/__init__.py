@@ -1,0 +1,1 @@
+"""One live flight: checks before it, the control loop, displays and sharing."""

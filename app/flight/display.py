@@ -1,0 +1,26 @@
+"""What a flight needs of a display beyond what the control loop needs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from app.flight.loop import Display
+from estimators.frames import LocalPlane
+from mission.core.events import OperatorRequest
+
+
+class FlightDisplay(Display, Protocol):
+    """A display that is there from the connection on, before there is a mission to show."""
+
+    def note(self, text: str) -> None:
+        """Tell about the proceedings."""
+        ...
+
+    def begin(self, plane: LocalPlane, request: Callable[[OperatorRequest], None]) -> None:
+        """Learn where the plane lies, and where a person's requests go."""
+        ...
+
+    def engage(self, start_s: float, duration_s: float | None) -> None:
+        """Learn that watching has begun, and for how long it is to go on; times are shown since ``start_s``."""
+        ...

@@ -1,0 +1,244 @@
+"""One flight from the first heartbeat to the summary: connect, check, take off, watch, wind up."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import AsyncIterator, Awaitable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.analysis.summary import Summary, SummaryCollector, summarise
+from app.assembly import fence_check
+from app.autopilots.autopilot import Autopilot, Home
+from app.autopilots.parameters import RequiredParameter, read_parameters, temporary_parameters
+from app.config import Config
+from app.delivery.command_guidance import OrbitCommandBackend
+from app.delivery.engaging import Takeover
+from app.delivery.guidance import PlanBackend
+from app.delivery.mission_guidance import MissionItemBackend
+from app.delivery.performer import CommandExecutor
+from app.errors import InputError
+from app.flight.cot import CotOutput
+from app.flight.display import FlightDisplay
+from app.flight.loop import ControlLoop, Display
+from app.flight.point_gimbal import GimbalPointer
+from app.flight.preflight import ask_for_streams, autopilot_of, checks, home_of, is_flying, listen
+from app.flight.recording import Recording
+from app.link.mavsdk_link import FrameListener, MavsdkLink
+from app.link.telemetry import Telemetry
+from app.link.vehicle import Vehicle
+from app.records.truth import read_truth
+from app.shutdown import ends_within
+from mission.control.controller import Phase, Snapshot, StandoffController
+from mission.core.events import Announce, ControlAcquired, Event
+
+_CLOSE_S = 30.0
+_LISTEN_S = 1.0
+_POLL_S = 0.1
+_READY_WITHIN_S = 60.0  # of the vehicle's time
+_READY_WALL_S = 20.0  # a fast simulation's minute is over before every question is answered
+
+
+@dataclass(frozen=True, slots=True)
+class Sharing:
+    """Who else is told of the estimate. cot: udp://HOST:PORT; point_gimbal: the vehicle, for its gimbal."""
+
+    cot: str | None = None
+    point_gimbal: bool = False
+
+
+@dataclass(slots=True)
+class Session:
+    """A connected vehicle and what is known of it."""
+
+    vehicle: Vehicle
+    autopilot: Autopilot
+    telemetry: Telemetry
+
+
+@contextlib.asynccontextmanager
+async def connected(url: str, timeout_s: float, on_frame: FrameListener | None = None) -> AsyncIterator[Session]:
+    """Connect to the vehicle at ``url``. Raises InputError when there is none, or none that this can fly."""
+    link = await MavsdkLink.open(url, timeout_s, on_frame)
+    vehicle = Vehicle(link)
+    pump = asyncio.create_task(vehicle.run())
+    try:
+        if await vehicle.heard("HEARTBEAT", timeout_s) is None:
+            raise InputError(f"{url!r}: the autopilot stopped talking; check the link.")
+        yield Session(vehicle, autopilot_of(vehicle), Telemetry(vehicle.system_id))
+    finally:
+        with ends_within(_CLOSE_S, "closing the link"):
+            await link.close()
+        pump.cancel()
+        await asyncio.gather(pump, return_exceptions=True)
+
+
+class Flight:
+    """Flies a configuration on a connected vehicle."""
+
+    def __init__(
+        self,
+        session: Session,
+        config: Config,
+        controller: StandoffController,
+        recording: Recording,
+        display: FlightDisplay,
+        duration_s: float | None,
+        sharing: Sharing = Sharing(),
+    ) -> None:
+        self._vehicle, self._autopilot, self._telemetry = session.vehicle, session.autopilot, session.telemetry
+        self._config, self._recording, self._display = config, recording, display
+        self._duration_s, self._sharing = duration_s, sharing
+        self._controller = controller
+        self._collector = SummaryCollector(config.requirement.requirement())
+        self._start_s = math.inf
+
+    async def fly(self, stopped: asyncio.Event) -> str:
+        """Check, take off if need be, watch for the duration or until ``stopped`` is set; return the outcome."""
+        self._vehicle.listeners.append(self._telemetry.event)  # the clock and the plane, from the start
+        await ask_for_streams(self._vehicle)
+        home, required_parameters = await self._check()
+        self._vehicle.listeners.remove(self._telemetry.event)
+        wanted = required_parameters if self._config.link.set_parameters else ()
+        async with temporary_parameters(
+            self._vehicle, wanted, self._display.note, lambda: self._controller.phase is not Phase.YIELDED
+        ):
+            return await self._watched(home, stopped)
+
+    async def _watched(self, home: Home, stopped: asyncio.Event) -> str:
+        plane = self._telemetry.plane
+        assert plane is not None  # the position check has passed
+        self._controller.check = fence_check(self._config, plane)
+        self._recording.begin(plane)
+        queue: asyncio.Queue[Event | None] = asyncio.Queue()
+        missions = MissionItemBackend(
+            self._vehicle,
+            self._autopilot,
+            plane,
+            home,
+            airspeed_m_s=self._config.aircraft.airspeed_m_s,
+            height_m=self._config.aircraft.height_m,
+            tolerance_m=self._config.planner.tolerance_m,
+            now_s=lambda: self._telemetry.now_s,
+        )
+        commands = OrbitCommandBackend(
+            self._vehicle,
+            self._autopilot,
+            plane,
+            home,
+            height_m=self._config.aircraft.height_m,
+            bank_max_rad=math.radians(self._config.aircraft.bank_max_deg),
+            aircraft=lambda: self._controller.snapshot().aircraft,
+        )
+        guidance: PlanBackend = missions if self._config.planner.guidance == "mission" else commands
+        performer = CommandExecutor(
+            self._vehicle, self._autopilot, guidance, queue.put_nowait, lambda: self._telemetry.now_s
+        )
+        engaging = Takeover(
+            self._vehicle,
+            self._autopilot,
+            self._telemetry,
+            self._config,
+            plane,
+            home,
+            self._controller.check,
+            self._display.note,
+        )
+        observers: list[Display] = [self._display]
+        shared = contextlib.ExitStack()
+        if self._sharing.cot is not None:
+            observers.append(shared.enter_context(CotOutput(self._sharing.cot, plane)))
+        if self._sharing.point_gimbal:
+            pointer = GimbalPointer(self._vehicle, plane, home.altitude_m, self._display.note)
+            shared.callback(pointer.stop)
+            observers.append(pointer)
+        loop = ControlLoop(
+            queue,
+            self._vehicle,
+            self._telemetry,
+            self._controller,
+            performer,
+            self._recording,
+            _Observed(observers, self._collector),
+        )
+        self._display.begin(plane, loop.put)
+        running = asyncio.create_task(loop.run())
+        flying = asyncio.create_task(self._fly(loop, engaging.engage(missions, commands)))
+        interrupt = asyncio.create_task(stopped.wait())
+        try:
+            await asyncio.wait((running, flying, interrupt), return_when=asyncio.FIRST_COMPLETED)
+            if flying.done():
+                flying.result()
+        finally:
+            for task in (flying, interrupt):
+                task.cancel()
+            loop.stop()
+            await asyncio.gather(running, flying, interrupt, return_exceptions=True)
+            await performer.drain()
+            shared.close()
+        running.result()
+        return loop.outcome or ("interrupted" if stopped.is_set() else "completed")
+
+    async def _fly(self, loop: ControlLoop, engaging: Awaitable[ControlAcquired]) -> None:
+        engaged = await engaging
+        self._start_s = engaged.time_s
+        self._display.engage(self._start_s, self._duration_s)
+        loop.put(engaged)
+        self._display.note("circling: the target is watched from now on")
+        await self._until_over()
+
+    async def _check(self) -> tuple[Home, tuple[RequiredParameter, ...]]:
+        self._display.note("checking the vehicle and its sensors")
+        values = await read_parameters(self._vehicle, self._autopilot.relevant_parameters)
+        limits = self._autopilot.limits(values)
+        required_parameters = self._autopilot.required_parameters(values, self._config.aircraft.airspeed_m_s)
+        deadline_s, wall_s = self._telemetry.now_s + _READY_WITHIN_S, time.monotonic() + _READY_WALL_S
+        while True:
+            rates = await listen(self._vehicle, _LISTEN_S)
+            home = await home_of(self._vehicle)
+            unmet = () if self._config.link.set_parameters else required_parameters
+            found = checks(self._config, self._vehicle, limits, home, rates, unmet)
+            flying = is_flying(self._vehicle)
+            missing = [check for check in found if not (check.ready or (flying and check.before_take_off))]
+            if not missing:
+                assert home is not None
+                return home, required_parameters
+            if self._telemetry.now_s > deadline_s and time.monotonic() > wall_s:
+                raise InputError("not ready, " + "; ".join(map(str, missing)) + ".")
+
+    async def _until_over(self) -> None:
+        while self._duration_s is None or self._telemetry.now_s < self._start_s + self._duration_s:
+            await asyncio.sleep(_POLL_S)
+
+    def summary(self, outcome: str, truth: Path | None) -> Summary:
+        """Return the summary, judged by a truth file once that is whole."""
+        tracker = self._controller.tracker
+        return summarise(
+            self._collector,
+            self._controller.snapshot(),
+            truth=read_truth(truth) if truth is not None and truth.exists() else None,
+            plane=self._telemetry.plane,
+            start_s=self._start_s,
+            sightings=tracker.sightings,
+            rejected=tracker.rejected,
+            outcome=outcome,
+        )
+
+
+class _Observed:
+    """All who watch, as one display; also gathers what the summary needs."""
+
+    def __init__(self, displays: Sequence[Display], gatherer: SummaryCollector) -> None:
+        self._displays, self._collector = displays, gatherer
+
+    def say(self, announcement: Announce) -> None:
+        for display in self._displays:
+            display.say(announcement)
+
+    def show(self, snapshot: Snapshot) -> None:
+        self._collector.observe(snapshot)
+        for display in self._displays:
+            display.show(snapshot)

@@ -1,0 +1,106 @@
+"""The estimate back to the vehicle, so that the gimbal can stay on it or find the target again.
+
+A gimbal whose camera does not track by itself then looks where the estimate is, and the laser measures whatever is
+there: it is the camera's or the operator's part to correct it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from app.link.link import LinkError
+from app.link.vehicle import Vehicle
+from app.prediction import predicted_m
+from estimators.ellipse import confidence_ellipse
+from estimators.estimate import TargetEstimate, TrackQuality
+from estimators.frames import LocalPlane
+from mission.control.controller import Phase, Snapshot
+from mission.core.events import Announce
+
+_EVERY_S = 1.0  # of the vehicle's time
+_ONE_SIGMA = 1.0 - math.exp(-0.5)
+_IN_HAND = (Phase.WATCHING, Phase.HOLDING)
+
+
+class GimbalPointer:
+    """A ``Display`` that sends CAMERA_TRACKING_GEO_STATUS and DO_SET_ROI_LOCATION, once a second at most.
+
+    Nothing is sent of a lost track, before the mission or after a yield; a command then under way is given up.
+    ground_altitude_m: of the ground under the target, above mean sea level; tell: hears that the vehicle refuses.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, plane: LocalPlane, ground_altitude_m: float, tell: Callable[[str], None]
+    ) -> None:
+        self._vehicle, self._plane, self._ground_altitude_m = vehicle, plane, ground_altitude_m
+        self._tell = tell
+        self._next_s = -math.inf
+        self._sending: asyncio.Task[None] | None = None
+        self._points = True
+
+    def say(self, announcement: Announce) -> None:
+        pass
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Start sending the estimate if it is time to; to be called in the running event loop."""
+        if snapshot.phase not in _IN_HAND:
+            self.stop()
+            return
+        estimate, aircraft = snapshot.estimate, snapshot.aircraft
+        if estimate is None or aircraft is None or estimate.quality is TrackQuality.LOST:
+            return
+        if snapshot.time_s < self._next_s or self._sending is not None:
+            return
+        self._next_s = snapshot.time_s + _EVERY_S
+        east_m, north_m = predicted_m(estimate, snapshot.time_s)
+        range_m = math.hypot(aircraft.east_m - east_m, aircraft.north_m - north_m)
+        self._sending = asyncio.create_task(self._send(estimate, east_m, north_m, range_m))
+        self._sending.add_done_callback(self._sent)
+
+    def stop(self) -> None:
+        """Give up what is under way."""
+        if self._sending is not None:
+            self._sending.cancel()
+
+    def _sent(self, _task: asyncio.Task[None]) -> None:
+        self._sending = None
+
+    async def _send(self, estimate: TargetEstimate, east_m: float, north_m: float, range_m: float) -> None:
+        latitude_deg, longitude_deg = self._plane.latitude_longitude_deg(east_m, north_m)
+        x, y, z = round(latitude_deg * 1e7), round(longitude_deg * 1e7), self._ground_altitude_m
+        try:
+            await self._vehicle.link.send("CAMERA_TRACKING_GEO_STATUS", _geo_status(estimate, x, y, z, range_m))
+            if not self._points:
+                return
+            # PX4 takes no other frame than this one, and MAVSDK does not survive its refusal of others.
+            answer = await self._vehicle.command_int(
+                mavlink.MAV_CMD_DO_SET_ROI_LOCATION, mavlink.MAV_FRAME_GLOBAL_INT, (0.0,), x, y, z
+            )
+        except LinkError:
+            return  # the next one is due in a second
+        if answer.result in (mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_DENIED):
+            self._points = False
+            self._tell(f"the vehicle does not point its gimbal ({answer}); it is sent the target's place only")
+
+
+def _geo_status(estimate: TargetEstimate, x: int, y: int, z: float, range_m: float) -> dict[str, Any]:
+    return {
+        "tracking_status": mavlink.CAMERA_TRACKING_STATUS_FLAGS_ACTIVE,
+        "lat": x,
+        "lon": y,
+        "alt": z,
+        "h_acc": confidence_ellipse(estimate.covariance[:2, :2], _ONE_SIGMA).semi_major_m,
+        "v_acc": math.nan,
+        "vel_n": estimate.velocity_north_m_s,
+        "vel_e": estimate.velocity_east_m_s,
+        "vel_d": math.nan,
+        "vel_acc": math.sqrt(float(max(estimate.covariance[2, 2], estimate.covariance[3, 3]))),
+        "dist": range_m,
+        "hdg": estimate.course_rad % (2.0 * math.pi),
+        "hdg_acc": math.nan,
+    }

@@ -1,0 +1,223 @@
+"""What has to be right before anything is armed, each point with what was found and what to do."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from dataclasses import dataclass
+
+from app.autopilots.arduplane import ArduPlane
+from app.autopilots.autopilot import Autopilot, Home, Limits
+from app.autopilots.parameters import RequiredParameter
+from app.autopilots.px4 import Px4
+from app.config import Config
+from app.errors import InputError
+from app.link.message import Message
+from app.link.modes import ARMED_FLAG, AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, TYPE_FIXED_WING, mode_name
+from app.link.telemetry import Telemetry, has_fix
+from app.link.vehicle import Vehicle
+from estimators.readings import GimbalReading, PositionReading, RangeReading, Source, TargetFixReading
+from mission.core.requirement import Aircraft
+
+_VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
+_MIN_RATE_HZ = 0.5
+_FLYING_HEIGHT_M = 25.0
+_HOME_POSITION_ID = 242
+_STREAMS_HZ = {30: 20.0, 33: 10.0, 42: 5.0, 87: 2.0, 168: 1.0, 231: 1.0, 360: 2.0, 436: 20.0}
+"""ATTITUDE, GLOBAL_POSITION_INT, MISSION_CURRENT, POSITION_TARGET_GLOBAL_INT, WIND, WIND_COV, and
+ORBIT_EXECUTION_STATUS, CURRENT_MODE."""
+
+
+_SENSORS = {
+    0x1: "gyroscope",
+    0x2: "accelerometer",
+    0x4: "compass",
+    0x8: "barometer",
+    0x20: "GPS",
+    0x200000: "attitude and position",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One requirement: ready or not, what was found, and the way out when it is not.
+
+    An aircraft that flies already is taken over without those that are only ``before_take_off``.
+    """
+
+    name: str
+    ready: bool
+    found: str
+    remedy: str = ""
+    before_take_off: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.found}" + (f"; {self.remedy}" if self.remedy and not self.ready else "")
+
+
+@dataclass(frozen=True, slots=True)
+class SourceRate:
+    """How often a range or gimbal source speaks."""
+
+    kind: str
+    source: Source
+    rate_hz: float
+
+    def __str__(self) -> str:
+        where = f"component {self.source.component_id} id {self.source.sensor_id}"
+        if self.kind == "range":
+            where += f" orientation {self.source.orientation}"
+        return f"{self.source.message} of {where} at {self.rate_hz:.1f} Hz"
+
+
+def autopilot_of(vehicle: Vehicle) -> Autopilot:
+    """Return the module for the vehicle's autopilot. Raises InputError if it is no fixed wing or unknown."""
+    heartbeat = vehicle.latest["HEARTBEAT"].fields
+    kind = int(heartbeat["type"])
+    if kind != TYPE_FIXED_WING:
+        what = "a VTOL" if kind in _VTOL_TYPES else f"of MAV_TYPE {kind}"
+        raise InputError(f"system {vehicle.system_id} is {what}, no fixed wing; connect to a fixed-wing vehicle.")
+    autopilots: dict[int, Autopilot] = {AUTOPILOT_ARDUPILOT: ArduPlane(), AUTOPILOT_PX4: Px4()}
+    autopilot = autopilots.get(int(heartbeat["autopilot"]))
+    if autopilot is None:
+        raise InputError(
+            f"system {vehicle.system_id} runs an autopilot of MAV_AUTOPILOT {heartbeat['autopilot']}; "
+            "ArduPlane and PX4 are supported."
+        )
+    return autopilot
+
+
+def mode_of(vehicle: Vehicle) -> str:
+    """Return the flight mode by name, as the vehicle told it last: in a heartbeat, or at once where it can."""
+    heartbeat, told = vehicle.latest["HEARTBEAT"], vehicle.latest.get("CURRENT_MODE")
+    newer = told if told is not None and told.received_s > heartbeat.received_s else heartbeat
+    fields = heartbeat.fields
+    return mode_name(int(fields["autopilot"]), int(fields["base_mode"]), int(newer.fields["custom_mode"]))
+
+
+def is_flying(vehicle: Vehicle) -> bool:
+    """Tell whether the vehicle is armed and well above its home."""
+    armed = int(vehicle.latest["HEARTBEAT"].fields["base_mode"]) & ARMED_FLAG
+    position = vehicle.latest.get("GLOBAL_POSITION_INT")
+    return bool(armed) and position is not None and position.fields["relative_alt"] * 1e-3 > _FLYING_HEIGHT_M
+
+
+async def ask_for_streams(vehicle: Vehicle) -> None:
+    """Ask for the messages that the mission lives on; default rates are 1 Hz on ArduPlane."""
+    for message_id, rate_hz in _STREAMS_HZ.items():
+        await vehicle.set_rate(message_id, rate_hz)
+
+
+async def home_of(vehicle: Vehicle, timeout_s: float = 1.0) -> Home | None:
+    """Return the vehicle's home, asking for it if it has not been told."""
+    if "HOME_POSITION" not in vehicle.latest:
+        await vehicle.command(512, _HOME_POSITION_ID)
+    message = await vehicle.heard("HOME_POSITION", timeout_s)
+    if message is None:
+        return None
+    fields = message.fields
+    return Home(fields["latitude"] * 1e-7, fields["longitude"] * 1e-7, fields["altitude"] * 1e-3)
+
+
+async def listen(vehicle: Vehicle, wall_s: float) -> tuple[SourceRate, ...]:
+    """Return the range and gimbal sources heard during ``wall_s``, with their rates on the vehicle's clock."""
+    counts: Counter[tuple[str, Source]] = Counter()
+    telemetry = Telemetry(vehicle.system_id)
+    times_s: list[float] = []
+
+    def count(message: Message) -> None:
+        event = telemetry.event(message)
+        if isinstance(event, RangeReading):
+            counts["range", event.source] += 1
+        elif isinstance(event, GimbalReading):
+            counts["gimbal", event.source] += 1
+        elif isinstance(event, TargetFixReading):
+            counts["target", event.source] += 1
+        elif isinstance(event, PositionReading):
+            times_s.append(event.time_s)
+
+    vehicle.listeners.append(count)
+    try:
+        await asyncio.sleep(wall_s)
+    finally:
+        vehicle.listeners.remove(count)
+    # A simulation may run faster than the clock on the wall.
+    duration_s = times_s[-1] - times_s[0] if len(times_s) > 1 and times_s[-1] > times_s[0] else wall_s
+    return tuple(
+        SourceRate(kind, source, number / duration_s)
+        for (kind, source), number in sorted(counts.items(), key=lambda item: (item[0][0], -item[1]))
+    )
+
+
+def checks(
+    config: Config,
+    vehicle: Vehicle,
+    limits: Limits,
+    home: Home | None,
+    rates: tuple[SourceRate, ...],
+    required_parameters: tuple[RequiredParameter, ...] = (),
+) -> tuple[Check, ...]:
+    """Return every requirement with whether it is met; ``required_parameters`` are those of the parameters that are not."""
+    aircraft = config.aircraft.aircraft()
+    return (
+        _health_check(vehicle),
+        _position_check(vehicle),
+        Check("home", home is not None, "known" if home else "not known", "wait for the GPS fix that sets it"),
+        *_limit_checks(config, aircraft, limits),
+        *(
+            Check(need.name, False, f"{need.present:g}: {need.why}", f"set {need.value:g}, or give --set-parameters")
+            for need in required_parameters
+        ),
+        _rate_check("range", rates, "send DISTANCE_SENSOR or RANGEFINDER from the laser"),
+        _rate_check("gimbal", rates, "send GIMBAL_DEVICE_ATTITUDE_STATUS from the gimbal"),
+    )
+
+
+def _health_check(vehicle: Vehicle) -> Check:
+    message = vehicle.latest.get("SYS_STATUS")
+    if message is None:
+        return Check("health", True, "not told")
+    fields = message.fields
+    used = int(fields["onboard_control_sensors_present"]) & int(fields["onboard_control_sensors_enabled"])
+    ill = [name for bit, name in _SENSORS.items() if used & ~int(fields["onboard_control_sensors_health"]) & bit]
+    return Check("health", not ill, f"unhealthy: {', '.join(ill)}" if ill else "good", "wait, or see what is wrong")
+
+
+def _position_check(vehicle: Vehicle) -> Check:
+    message = vehicle.latest.get("GLOBAL_POSITION_INT")
+    if message is None or not has_fix(message.fields):
+        return Check("position", False, "none", "wait for the GPS fix")
+    fields = message.fields
+    found = (
+        f"{fields['lat'] * 1e-7:.6f}, {fields['lon'] * 1e-7:.6f}, {fields['relative_alt'] * 1e-3:.0f} m above home"
+    )
+    return Check("position", True, found)
+
+
+def _limit_checks(config: Config, aircraft: Aircraft, limits: Limits) -> tuple[Check, ...]:
+    bank_deg = limits.bank_max_deg
+    found = "not told" if bank_deg is None else f"{bank_deg:g} degrees"
+    bank = Check(
+        "bank limit",
+        bank_deg is None or bank_deg >= config.aircraft.bank_max_deg - 0.5,
+        found,
+        f"set aircraft.bank_max_deg to at most {found} or raise the autopilot's limit",
+    )
+    least, most = limits.airspeed_min_m_s, limits.airspeed_max_m_s
+    speed_ok = (least is None or aircraft.airspeed_m_s >= least) and (most is None or aircraft.airspeed_m_s <= most)
+    speed = Check(
+        "airspeed",
+        speed_ok,
+        f"{aircraft.airspeed_m_s:g} m/s wanted, {_number(least)} to {_number(most)} m/s allowed",
+        "set aircraft.airspeed_m_s within the autopilot's limits",
+    )
+    return (bank, speed)
+
+
+def _rate_check(kind: str, rates: tuple[SourceRate, ...], remedy: str) -> Check:
+    heard = [rate for rate in rates if rate.kind == kind and rate.rate_hz >= _MIN_RATE_HZ]
+    return Check(f"{kind} source", bool(heard), "; ".join(map(str, heard)) or "none heard", remedy, True)
+
+
+def _number(value: float | None) -> str:
+    return "?" if value is None else f"{value:g}"

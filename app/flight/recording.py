@@ -1,0 +1,83 @@
+"""What a run writes while it goes on: the journal of events and commands, and the tlog of all frames."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import get_args
+
+from app.assembly import tracker_of
+from app.config import Config
+from app.errors import InputError
+from app.records.journal import Header, JournalReader, JournalWriter
+from app.records.mcap import McapLog
+from app.records.recorder import TlogWriter
+from app.records.run_folder import RunFolder
+from estimators.frames import LocalPlane
+from mission.core.events import Command, Event
+
+JOURNAL_TYPES: tuple[type, ...] = (*get_args(Event), *get_args(Command))
+
+
+class Recording:
+    """Opens the tlog at once and the journal when the plane is known; ``on_trouble`` is told when a disk is full."""
+
+    def __init__(self, folder: RunFolder, config: Config, on_trouble: Callable[[str], None]) -> None:
+        self._folder, self._config, self._on_trouble = folder, config, on_trouble
+        self._tlog = TlogWriter(folder.tlog, on_trouble)
+        self._journal: JournalWriter | None = None
+
+    def frame(self, data: bytes) -> None:
+        """Take a raw frame, from any thread."""
+        self._tlog.write(data, time.time())
+
+    @property
+    def begun(self) -> bool:
+        """Whether the flight, and with it the journal, has begun."""
+        return self._journal is not None
+
+    def begin(self, plane: LocalPlane) -> None:
+        """Open the journal."""
+        header = Header(
+            program=f"sidelong {version('sidelong')}",
+            config=self._config.model_dump(mode="json"),
+            plane=plane,
+            seeds={"simulation": self._config.simulation.seed},
+        )
+        self._journal = JournalWriter(self._folder.journal, header, self._on_trouble)
+
+    def event(self, event: Event) -> None:
+        if self._journal is not None:
+            self._journal.write(event)
+
+    def command(self, command: Command) -> None:
+        if self._journal is not None:
+            self._journal.write(command)
+
+    def close(self) -> None:
+        """Write what is left."""
+        if self._journal is not None:
+            self._journal.close()
+        self._tlog.close()
+
+
+def write_mcap(folder: RunFolder, config: Config, on_trouble: Callable[[str], None]) -> Path:
+    """Write a finished run's journal as MCAP too, for Foxglove and PlotJuggler; return the file.
+
+    It is done after the flight, so that the flight does not carry a second tracker. Raises InputError when the
+    package mcap is not installed, or the run has no journal.
+    """
+    path = folder.path / "flight.mcap"
+    journal = JournalReader(folder.journal, JOURNAL_TYPES)
+    if journal.header.plane is None:
+        raise InputError(f"{folder.path} holds no flight: the vehicle told no position.")
+    log = McapLog(path, journal.header.plane, tracker_of(config), on_trouble)
+    for record in journal:
+        if isinstance(record, Command):
+            log.command(record)
+        else:
+            log.event(record)
+    log.close()
+    return path

@@ -1,0 +1,1 @@
+"""The link to the vehicle: MAVLink messages in and out, and what they mean."""

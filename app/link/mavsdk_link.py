@@ -1,0 +1,298 @@
+"""The link on MAVSDK 4, with its traps handled here and nowhere else.
+
+MAVSDK's blocking calls run in its own threads, cannot be cancelled, and hang ``destroy()`` while pending; using a
+destroyed object crashes the process; an ``async for`` over a subscription never ends by itself. Therefore:
+
+- every blocking call goes through ``_bounded``: own timeout, remembered while it is pending;
+- an upload or download that timed out is cancelled in MAVSDK before anything else;
+- ``close`` sets a flag first, waits for what is pending, and destroys last, all of it within a bound; if something
+  stays stuck, it leaves the instance alone, and ``app.shutdown`` ends the process in spite of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import re
+import socket
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from typing import Any
+
+import mavsdk.logging
+from mavsdk.asyncio import Configuration, Mavsdk
+from mavsdk.asyncio.enums import ForwardingOption
+from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkDirectError, MavlinkMessage
+from mavsdk.asyncio.plugins.mission_raw import MissionItem, MissionRawAsync, MissionRawError, MissionRawResult
+from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
+from pymavlink.dialects.v20 import common as mavlink
+
+from app.errors import InputError
+from app.link.link import LinkError, RawItem, UploadResult
+from app.link.message import Message
+
+_SCHEMES = "udpin://HOST:PORT, udpout://HOST:PORT, tcpout://HOST:PORT, tcpin://HOST:PORT, serial:///dev/NAME:BAUD"
+_NETWORK_URL = re.compile(r"(udpin|udpout|tcpin|tcpout)://([^:/]+):(\d{1,5})")
+_SERIAL_URL = re.compile(r"serial(_flowcontrol)?:///[^:]+:\d+")
+_PENDING_AT_CLOSE_S, _DESTROY_S = 8.0, 5.0
+_ENDED = {"target_component": 1, "type": mavlink.MAV_MISSION_ACCEPTED, "mission_type": 0}
+
+FrameListener = Callable[[bytes], None]
+
+
+def checked_url(url: str) -> str:
+    """Return the URL as MAVSDK understands it. Raises InputError for what it cannot open, or a port in use."""
+    if _SERIAL_URL.fullmatch(url):
+        return url
+    match = _NETWORK_URL.fullmatch(url)
+    if match is None or not 0 < int(match[3]) < 65536:
+        raise InputError(f"{url!r} is no link this can open; use one of {_SCHEMES}.")
+    scheme, host, port = match[1], match[2], int(match[3])
+    try:
+        address = socket.gethostbyname(host)  # MAVSDK takes numbers only for its own end
+    except OSError as error:
+        raise InputError(f"{url!r}: the host {host} is not known; give its address in numbers.") from error
+    if scheme.endswith("in"):
+        _probe_port(url, scheme, address, port)
+    return f"{scheme}://{address}:{port}"
+
+
+def _probe_port(url: str, scheme: str, address: str, port: int) -> None:
+    # A second process may bind a UDP port and silently steal the traffic of the first: ask beforehand.
+    kind = socket.SOCK_DGRAM if scheme == "udpin" else socket.SOCK_STREAM
+    with socket.socket(socket.AF_INET, kind) as probe:
+        try:
+            probe.bind((address, port))
+        except OSError as error:
+            raise InputError(
+                f"{url!r}: port {port} cannot be opened ({error.strerror}); "
+                "end the program that uses it (a ground station?) or give another port."
+            ) from error
+
+
+class MavsdkLink:
+    """``Link`` over MAVSDK; make one with :meth:`open`."""
+
+    def __init__(self, instance: Mavsdk, system: Any, system_id: int) -> None:
+        self.system_id = system_id
+        self._instance = instance
+        self._direct = MavlinkDirectAsync(system)
+        self._mission = MissionRawAsync(system)
+        self._param = ParamAsync(system)
+        self._closed = False
+        self._pending: set[asyncio.Future[Any]] = set()
+        self._mission_lock = asyncio.Lock()
+        self._queue: asyncio.Queue[Message | None] = asyncio.Queue()
+        self._pump = asyncio.create_task(self._receive())
+
+    @classmethod
+    async def open(
+        cls,
+        url: str,
+        timeout_s: float,
+        on_frame: FrameListener | None = None,
+        own_system_id: int = 245,
+        own_component_id: int = 190,
+    ) -> MavsdkLink:
+        """Connect and wait for an autopilot's heartbeat.
+
+        on_frame gets every raw frame, received and sent, from a MAVSDK thread.
+        Raises InputError for a bad URL, a busy port, or when no heartbeat comes within ``timeout_s``.
+        """
+        address = checked_url(url)
+        mavsdk.logging.log_subscribe(lambda _level, _message, _file, _line: True)
+        instance = Mavsdk(Configuration.create_manual(own_system_id, own_component_id, True))
+        try:
+            if on_frame is not None:
+                # A raw connection that only listens: MAVSDK copies to it what it sends and, by forwarding, what it
+                # receives. The asyncio wrapper does not offer the subscription, the object beneath it does.
+                instance._mavsdk.subscribe_raw_bytes_to_be_sent(on_frame)
+                await instance.add_any_connection("raw://", ForwardingOption.ON)
+            await instance.add_any_connection(
+                address, ForwardingOption.ON if on_frame is not None else ForwardingOption.OFF
+            )
+        except Exception as error:
+            await _destroy(instance)
+            raise InputError(f"{url!r} could not be opened ({error}); check the address or device.") from error
+        system = await instance.first_autopilot(timeout_s)
+        if system is None:
+            await _destroy(instance)
+            raise InputError(
+                f"{url!r}: no autopilot was heard within {timeout_s:g} s; check that it runs and sends MAVLink there."
+            )
+        link = cls(instance, system, await system.get_system_id())
+        if on_frame is not None:
+            # MAVSDK sends a message for a system only where it has heard that system: let it be heard on the
+            # recording connection too. The answer to a command that nobody sent is addressed to us, so it stays here.
+            answer = mavlink.MAVLink_command_ack_message(0, 0, 0, 0, own_system_id, own_component_id)
+            heard = answer.pack(mavlink.MAVLink(None, srcSystem=link.system_id, srcComponent=1))
+            instance._mavsdk.pass_received_raw_bytes(heard)
+        return link
+
+    # -- messages ------------------------------------------------------------------------------------------
+
+    async def _receive(self) -> None:
+        async for raw in self._direct.subscribe_message(""):
+            self._queue.put_nowait(
+                Message(raw.message_name, raw.system_id, raw.component_id, json.loads(raw.fields_json), time.time())
+            )
+            # A full queue never waits: messages that come faster than they are handled would shut out all else, an
+            # interrupt too.
+            await asyncio.sleep(0)
+
+    async def messages(self) -> AsyncIterator[Message]:
+        while (message := await self._queue.get()) is not None:
+            yield message
+
+    async def send(self, name: str, fields: Mapping[str, Any]) -> None:
+        message = MavlinkMessage(
+            message_name=name,
+            target_system_id=int(fields.get("target_system", 0)),
+            target_component_id=int(fields.get("target_component", 0)),
+            fields_json=json.dumps({key: _json_number(value) for key, value in fields.items()}),
+        )
+        try:
+            await self._bounded(self._direct.send_message(message), 2.0)
+        except (MavlinkDirectError, TimeoutError) as error:
+            raise LinkError(f"{name} could not be sent ({error})") from error
+
+    # -- mission -------------------------------------------------------------------------------------------
+
+    async def upload(self, items: Sequence[RawItem], current: int, timeout_s: float) -> UploadResult:
+        raw = [
+            MissionItem(
+                seq=seq,
+                frame=item.frame,
+                command=item.command,
+                current=int(seq == current),
+                autocontinue=item.autocontinue,
+                param1=item.param1,
+                param2=item.param2,
+                param3=item.param3,
+                param4=item.param4,
+                x=item.x,
+                y=item.y,
+                z=item.z,
+                mission_type=0,
+            )
+            for seq, item in enumerate(items)
+        ]
+        async with self._mission_lock:
+            try:
+                await self._bounded(self._mission.upload_mission(raw), timeout_s)
+            except TimeoutError:
+                await self._cancel(self._mission.cancel_mission_upload)
+                return UploadResult.TIMEOUT
+            except asyncio.CancelledError:  # somebody else flies: not one item more
+                await self._cancel(self._mission.cancel_mission_upload)
+                raise
+            except MissionRawError as error:
+                if error.result in (MissionRawResult.TIMEOUT, MissionRawResult.BUSY, MissionRawResult.NO_SYSTEM):
+                    await self._cancel(self._mission.cancel_mission_upload)
+                    return UploadResult.TIMEOUT
+                return UploadResult.DENIED
+            return UploadResult.ACCEPTED
+
+    async def download(self, timeout_s: float) -> tuple[RawItem, ...] | None:
+        async with self._mission_lock:
+            try:
+                items = await self._bounded(self._mission.download_mission(), timeout_s)
+            except TimeoutError:
+                await self._cancel(self._mission.cancel_mission_download)
+                return None
+            except MissionRawError as error:
+                return () if error.result == MissionRawResult.NO_MISSION_AVAILABLE else None
+            # A vehicle that misses the end of it takes no other mission for seconds: MAVSDK tells it only once.
+            for _ in range(2):
+                await self.send("MISSION_ACK", _ENDED | {"target_system": self.system_id})
+        return tuple(
+            RawItem(
+                item.command,
+                item.frame,
+                item.param1,
+                item.param2,
+                item.param3,
+                item.param4,
+                item.x,
+                item.y,
+                item.z,
+                item.autocontinue,
+            )
+            for item in items
+        )
+
+    async def _cancel(self, cancel: Callable[[], Awaitable[Any]]) -> None:
+        # Without this the next upload answers BUSY until MAVSDK gives up by itself.
+        try:
+            await self._bounded(cancel(), 2.0)
+        except (MissionRawError, TimeoutError):
+            return
+
+    # -- parameters ----------------------------------------------------------------------------------------
+
+    async def parameter(self, name: str, timeout_s: float = 4.0) -> float | None:
+        # MAVSDK wants the type beforehand and tells a wrong one at once, an unknown name after 3 s.
+        for read in (self._param.get_param_float, self._param.get_param_int):
+            try:
+                return float(await self._bounded(read(name), timeout_s))
+            except ParamError as error:
+                if error.result.name != "WRONG_TYPE":
+                    return None
+            except TimeoutError:
+                return None
+        return None
+
+    async def set_parameter(self, name: str, value: float, timeout_s: float = 4.0) -> bool:
+        for write, typed in ((self._param.set_param_float, float), (self._param.set_param_int, round)):
+            try:
+                await self._bounded(write(name, typed(value)), timeout_s)
+                return True
+            except ParamError as error:
+                if error.result.name != "WRONG_TYPE":
+                    return False
+            except TimeoutError:
+                return False
+        return False
+
+    # -- the traps -----------------------------------------------------------------------------------------
+
+    async def _bounded(self, call: Awaitable[Any], timeout_s: float) -> Any:
+        """Await a MAVSDK call that blocks a thread. Raises TimeoutError; the call itself then goes on unheeded."""
+        if self._closed:
+            raise LinkError("the link is closed")
+        pending = asyncio.ensure_future(call)
+        self._pending.add(pending)
+        pending.add_done_callback(self._settled)
+        return await asyncio.wait_for(asyncio.shield(pending), timeout_s)
+
+    def _settled(self, call: asyncio.Future[Any]) -> None:
+        self._pending.discard(call)
+        if not call.cancelled():
+            call.exception()  # heard, so that asyncio does not complain about an abandoned call
+
+    async def close(self) -> None:
+        if self._closed:
+            return
+        for cancel in (self._mission.cancel_mission_upload, self._mission.cancel_mission_download):
+            if self._pending:
+                await self._cancel(cancel)
+        self._closed = True
+        self._pump.cancel()
+        self._queue.put_nowait(None)
+        if self._pending:
+            await asyncio.wait(self._pending, timeout=_PENDING_AT_CLOSE_S)
+        if not self._pending:
+            await asyncio.gather(self._pump, return_exceptions=True)
+            await _destroy(self._instance)
+
+
+async def _destroy(instance: Mavsdk) -> None:
+    await asyncio.wait((asyncio.ensure_future(asyncio.to_thread(instance.destroy)),), timeout=_DESTROY_S)
+
+
+def _json_number(value: Any) -> Any:
+    """MAVSDK reads null as NaN; JSON itself has none."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,197 @@
+"""MAVLink messages into the events of the control step: units, frames and time stamps are settled here.
+
+All range and gimbal sources pass through; which of them to believe is the estimation's business.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from app.link.message import Message
+from app.link.modes import ARMED_FLAG, AUTOPILOT_INVALID, mode_name
+from estimators.frames import LocalPlane
+from estimators.readings import (
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    Source,
+    TargetFixReading,
+)
+from mission.core.events import Event, ModeReported, WindReported, YieldRequested
+
+AUTOPILOT_COMPONENT = 1
+_REBOOT_STEP_S = 5.0
+_NO_FIX_DEG_E7 = 100_000
+
+# MAV_SENSOR_ORIENTATION and GIMBAL_DEVICE_FLAGS of the MAVLink common dialect.
+_ORIENTATION_CUSTOM = 100
+_ROLL_OR_PITCH_LOCK = 4 | 8
+_YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
+_SIGNAL_INVALID = 1
+_TRACKING_ACTIVE = 1
+
+Fields = Mapping[str, Any]
+
+
+class Telemetry:
+    """Turns one vehicle's messages into events.
+
+    plane is set by the first position fix; system_id by the first autopilot heartbeat, unless given.
+    now_s is the vehicle's clock: its latest time stamp, -inf before the first.
+    """
+
+    def __init__(self, system_id: int | None = None) -> None:
+        self.system_id = system_id
+        self.plane: LocalPlane | None = None
+        self.now_s = -math.inf
+        self._decoders: dict[str, Callable[[Message], Event | None]] = {
+            "HEARTBEAT": self._heartbeat,
+            "GLOBAL_POSITION_INT": self._position,
+            "ATTITUDE": self._attitude,
+            "DISTANCE_SENSOR": self._distance_sensor,
+            "RANGEFINDER": self._rangefinder,
+            "GIMBAL_DEVICE_ATTITUDE_STATUS": self._gimbal,
+            "CAMERA_TRACKING_GEO_STATUS": self._target_fix,
+            "WIND": self._wind,
+            "WIND_COV": self._wind_cov,
+        }
+
+    @property
+    def wanted(self) -> frozenset[str]:
+        """Names of the messages that can become events."""
+        return frozenset(self._decoders)
+
+    def event(self, message: Message) -> Event | None:
+        """Return the event a message stands for; None if it stands for none (other vehicle, no fix, no signal)."""
+        decoder = self._decoders.get(message.name)
+        if decoder is None or (self.system_id is not None and message.system_id != self.system_id):
+            return None
+        return decoder(message)
+
+    # -- the vehicle ---------------------------------------------------------------------------------------
+
+    def _heartbeat(self, message: Message) -> Event | None:
+        fields = message.fields
+        if message.component_id != AUTOPILOT_COMPONENT or fields["autopilot"] == AUTOPILOT_INVALID:
+            return None
+        self.system_id = message.system_id
+        if self.now_s == -math.inf:
+            return None
+        base_mode = int(fields["base_mode"])
+        mode = mode_name(int(fields["autopilot"]), base_mode, int(fields["custom_mode"]))
+        return ModeReported(self.now_s, mode, bool(base_mode & ARMED_FLAG))
+
+    def _position(self, message: Message) -> Event | None:
+        fields = message.fields
+        if message.component_id != AUTOPILOT_COMPONENT or not has_fix(fields):
+            return None
+        time_s = fields["time_boot_ms"] * 1e-3
+        if time_s < self.now_s - _REBOOT_STEP_S:
+            self.now_s = time_s
+            return YieldRequested(time_s, "the autopilot has started anew")
+        self.now_s = max(self.now_s, time_s)
+        latitude_deg, longitude_deg = fields["lat"] * 1e-7, fields["lon"] * 1e-7
+        if self.plane is None:
+            self.plane = LocalPlane(latitude_deg, longitude_deg)
+        east_m, north_m = self.plane.east_north_m(latitude_deg, longitude_deg)
+        return PositionReading(
+            time_s,
+            east_m,
+            north_m,
+            fields["relative_alt"] * 1e-3,
+            fields["vy"] * 1e-2,
+            fields["vx"] * 1e-2,
+            -fields["vz"] * 1e-2,
+        )
+
+    def _attitude(self, message: Message) -> Event | None:
+        fields = message.fields
+        angles = (fields["roll"], fields["pitch"], fields["yaw"])
+        if message.component_id != AUTOPILOT_COMPONENT or not _finite(*angles):
+            return None
+        return AttitudeReading(fields["time_boot_ms"] * 1e-3, *angles)
+
+    def _wind(self, message: Message) -> Event | None:
+        # ArduPilot tells where the wind comes from.
+        fields = message.fields
+        if self.now_s == -math.inf or not _finite(fields["direction"], fields["speed"]):
+            return None
+        from_rad = math.radians(fields["direction"])
+        speed_m_s = fields["speed"]
+        return WindReported(self.now_s, -speed_m_s * math.sin(from_rad), -speed_m_s * math.cos(from_rad))
+
+    def _wind_cov(self, message: Message) -> Event | None:
+        fields = message.fields
+        if self.now_s == -math.inf or not _finite(fields["wind_x"], fields["wind_y"]):
+            return None
+        return WindReported(self.now_s, fields["wind_y"], fields["wind_x"])
+
+    # -- the payload ---------------------------------------------------------------------------------------
+
+    def _distance_sensor(self, message: Message) -> Event | None:
+        fields = message.fields
+        distance_m = fields["current_distance"] * 1e-2
+        min_m, max_m = fields["min_distance"] * 1e-2, fields["max_distance"] * 1e-2
+        signal = int(fields.get("signal_quality") or 0)  # 0: not told; absent in MAVLink 1
+        if not 0.0 < distance_m <= max_m or distance_m < min_m or signal == _SIGNAL_INVALID:
+            return None
+        covariance_cm2 = fields["covariance"]
+        orientation = int(fields["orientation"])
+        quaternion = fields.get("quaternion") if orientation == _ORIENTATION_CUSTOM else None
+        return RangeReading(
+            time_s=fields["time_boot_ms"] * 1e-3,
+            slant_range_m=distance_m,
+            source=Source(message.name, message.component_id, int(fields["id"]), orientation),
+            sigma_m=math.sqrt(covariance_cm2) * 1e-2 if 0 < covariance_cm2 < 255 else None,
+            quality=signal / 100.0 if signal else None,
+            min_range_m=min_m,
+            max_range_m=max_m,
+            sensor_quaternion_wxyz=_quaternion(quaternion),
+        )
+
+    def _rangefinder(self, message: Message) -> Event | None:
+        # It carries no time of its own; the vehicle's latest is the best known.
+        distance_m = message.fields["distance"]
+        if self.now_s == -math.inf or not _finite(distance_m) or distance_m <= 0.0:
+            return None
+        return RangeReading(self.now_s, distance_m, Source(message.name, message.component_id))
+
+    def _gimbal(self, message: Message) -> Event | None:
+        fields = message.fields
+        quaternion = _quaternion(fields["q"])
+        if quaternion is None:
+            return None
+        flags = int(fields["flags"])
+        in_earth_frame = flags & _YAW_IN_EARTH_FRAME or (not flags & _YAW_IN_VEHICLE_FRAME and flags & _YAW_LOCK)
+        frame = "earth" if in_earth_frame else "vehicle" if flags & _ROLL_OR_PITCH_LOCK else "body"
+        device_id = int(fields.get("gimbal_device_id") or 0)
+        source = Source(message.name, message.component_id, device_id)
+        return GimbalReading(fields["time_boot_ms"] * 1e-3, quaternion, frame, source)  # type: ignore[arg-type]
+
+    def _target_fix(self, message: Message) -> Event | None:
+        fields = message.fields
+        if self.plane is None or fields["tracking_status"] != _TRACKING_ACTIVE or not _finite(fields["h_acc"]):
+            return None
+        east_m, north_m = self.plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
+        source = Source(message.name, message.component_id)
+        return TargetFixReading(self.now_s, east_m, north_m, fields["h_acc"], source)
+
+
+def has_fix(fields: Fields) -> bool:
+    """Tell whether a position is one: before its first fix ArduPlane's filter reports places near (0, 0)."""
+    return bool(max(abs(fields["lat"]), abs(fields["lon"])) > _NO_FIX_DEG_E7)
+
+
+def _finite(*values: float | None) -> bool:
+    return all(value is not None and math.isfinite(value) for value in values)
+
+
+def _quaternion(values: Any) -> tuple[float, float, float, float] | None:
+    """Return (w, x, y, z), or None where the sender does not know it (NaN, zero)."""
+    if values is None or not _finite(*values) or not any(values):
+        return None
+    w, x, y, z = values
+    return (w, x, y, z)

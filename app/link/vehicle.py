@@ -1,0 +1,151 @@
+"""The vehicle at the other end of a link: what it last said, commands with their answers, waiting for a message."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from app.link.link import Link
+from app.link.message import Message
+from app.link.telemetry import AUTOPILOT_COMPONENT
+
+_ANSWER_S = 1.0
+_TRIES = 4
+_IN_PROGRESS = 5
+_ACCEPTED = 0
+
+Listener = Callable[[Message], object]
+_RESULTS = {
+    0: "accepted",
+    1: "temporarily rejected",
+    2: "denied",
+    3: "unsupported",
+    4: "failed",
+    5: "in progress",
+    6: "cancelled",
+    7: "sent as COMMAND_LONG only",
+    8: "sent as COMMAND_INT only",
+    9: "unsupported frame",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a command came to: a MAV_RESULT, or None when nothing was heard."""
+
+    result: int | None
+
+    @property
+    def accepted(self) -> bool:
+        return self.result == _ACCEPTED
+
+    def __str__(self) -> str:
+        return "no answer" if self.result is None else _RESULTS.get(self.result, f"result {self.result}")
+
+
+class Vehicle:
+    """One vehicle. ``run`` must be running for anything else to proceed."""
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        self.system_id = link.system_id
+        self.latest: dict[str, Message] = {}
+        self.listeners: list[Listener] = []
+        self._waiting: list[tuple[Callable[[Message], bool], asyncio.Future[Message]]] = []
+
+    async def run(self) -> None:
+        """Hand every message of this vehicle to whoever waits or listens, until the link is closed."""
+        async for message in self.link.messages():
+            if message.system_id != self.system_id:
+                continue
+            if message.component_id == AUTOPILOT_COMPONENT:
+                self.latest[message.name] = message
+            for wanted, future in self._waiting:
+                if not future.done() and wanted(message):
+                    future.set_result(message)
+            for listener in self.listeners:
+                listener(message)
+
+    async def wait_for(self, wanted: Callable[[Message], bool], timeout_s: float) -> Message | None:
+        """Return the next message for which ``wanted`` is true, or None after ``timeout_s`` of wall time."""
+        future: asyncio.Future[Message] = asyncio.get_running_loop().create_future()
+        entry = (wanted, future)
+        self._waiting.append(entry)
+        try:
+            return await asyncio.wait_for(future, timeout_s)
+        except TimeoutError:
+            return None
+        finally:
+            self._waiting.remove(entry)
+
+    @contextmanager
+    def hearing(self, *names: str) -> Iterator[asyncio.Queue[Message]]:
+        """Collect the autopilot's messages of these names meanwhile."""
+        queue: asyncio.Queue[Message] = asyncio.Queue()
+
+        def hear(message: Message) -> None:
+            if message.name in names and message.component_id == AUTOPILOT_COMPONENT:
+                queue.put_nowait(message)
+
+        self.listeners.append(hear)
+        try:
+            yield queue
+        finally:
+            self.listeners.remove(hear)
+
+    async def heard(self, name: str, timeout_s: float) -> Message | None:
+        """Return the latest message of that name from the autopilot, waiting for the first one if need be."""
+        if name in self.latest:
+            return self.latest[name]
+        return await self.wait_for(
+            lambda message: message.name == name and message.component_id == AUTOPILOT_COMPONENT, timeout_s
+        )
+
+    async def tell(self, name: str, fields: Mapping[str, Any]) -> None:
+        """Send a message to the autopilot. Raises LinkError when it cannot be sent."""
+        address = {"target_system": self.system_id, "target_component": AUTOPILOT_COMPONENT}
+        await self.link.send(name, {**address, **fields})
+
+    async def command(self, command: int, *params: float) -> Answer:
+        """Send COMMAND_LONG until it is answered; missing params are 0."""
+        values = [*params, *([0.0] * (7 - len(params)))]
+        fields = {f"param{i}": float(value) for i, value in enumerate(values, 1)}
+        return await self._commanded("COMMAND_LONG", command, fields)
+
+    async def command_int(
+        self, command: int, frame: int, params: tuple[float, ...], x: int, y: int, z: float
+    ) -> Answer:
+        """Send COMMAND_INT until it is answered; NaN params mean unused."""
+        values = [*params, *([math.nan] * (4 - len(params)))]
+        fields = {f"param{i}": float(value) for i, value in enumerate(values, 1)}
+        return await self._commanded(
+            "COMMAND_INT",
+            command,
+            fields | {"frame": frame, "current": 0, "autocontinue": 0, "x": x, "y": y, "z": z},
+        )
+
+    async def _commanded(self, name: str, command: int, fields: dict[str, float]) -> Answer:
+        def answers(message: Message) -> bool:
+            return message.name == "COMMAND_ACK" and message.fields["command"] == command
+
+        for attempt in range(_TRIES):
+            body = fields | {"command": command}
+            if name == "COMMAND_LONG":
+                body["confirmation"] = attempt
+            waiting = asyncio.ensure_future(self.wait_for(answers, _ANSWER_S))
+            await asyncio.sleep(0)  # listen before speaking
+            await self.tell(name, body)
+            message = await waiting
+            while message is not None and message.fields["result"] == _IN_PROGRESS:
+                message = await self.wait_for(answers, 10.0 * _ANSWER_S)
+            if message is not None:
+                return Answer(int(message.fields["result"]))
+        return Answer(None)
+
+    async def set_rate(self, message_id: int, rate_hz: float) -> None:
+        """Ask for a message at ``rate_hz``; an autopilot that does not offer it is left alone."""
+        await self.command(511, message_id, 1e6 / rate_hz)

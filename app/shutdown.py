@@ -1,0 +1,72 @@
+"""A process that ends when it is told to, whatever a library's threads do.
+
+MAVSDK's blocking calls run in threads that nothing can cancel. Python waits for such threads without a bound, first
+where ``asyncio.run`` ends and again where the interpreter does; one call that never comes back would hold both.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import sys
+import threading
+import time
+from collections.abc import Coroutine, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NoReturn, TypeVar
+
+_THREADS_END_S = 1.0
+
+T = TypeVar("T")
+
+
+class _Threads(ThreadPoolExecutor):
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        super().shutdown(wait=False, cancel_futures=True)
+
+
+def run(main: Coroutine[Any, Any, T]) -> T:
+    """Do as ``asyncio.run``, without waiting for calls that still block a thread when ``main`` is done."""
+
+    async def with_threads() -> T:
+        asyncio.get_running_loop().set_default_executor(_Threads())
+        return await main
+
+    return asyncio.run(with_threads())
+
+
+@contextlib.contextmanager
+def ends_within(seconds: float, what: str) -> Iterator[None]:
+    """End the process with exit code 1 unless this is left within ``seconds``: a last resort, not a way to end."""
+
+    def end() -> None:
+        print(f"sidelong: {what} took more than {seconds:g} s and was left off.", file=sys.stderr)
+        _end_at_once(1)
+
+    timer = threading.Timer(seconds, end)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def exit_process(code: int) -> NoReturn:
+    """End the process: in the ordinary way, or at once where that would wait for a thread that is stuck."""
+    deadline_s = time.monotonic() + _THREADS_END_S
+    threads = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
+    for thread in threads:
+        if not thread.daemon:
+            thread.join(max(0.0, deadline_s - time.monotonic()))
+            if thread.is_alive():
+                _end_at_once(code)
+    sys.exit(code)
+
+
+def _end_at_once(code: int) -> NoReturn:
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)

@@ -1,0 +1,1 @@
+"""The control step: one event in, commands out."""

@@ -1,0 +1,435 @@
+"""The control step: one event in, commands out. Live flight, replay and tests all call this.
+
+Rules
+-----
+1. Nothing is commanded before ``ControlAcquired`` and nothing after ``Yield`` or ``End``.
+2. At most one plan is under way to the autopilot. It is Prepared (the autopilot holds it, still flying the line
+   before), then Departed at its planned time; one that got ready too late to be joined is dropped and decided anew.
+3. A plan that breaks a fence is not sent; the present circle goes on.
+4. What is sent is the wanted circle with the radius that makes the autopilot fly it; when the measured ratio of
+   flown to commanded radius changes, the present circle is sent again.
+5. An aircraft that has left its transition for some seconds (circling a waypoint that it cannot reach, say) is sent
+   to the transition's circle directly.
+6. Any flight mode but the one engaged in means that somebody else flies: Yield, latched.
+7. A target lost for ``give_up_after_s`` ends the mission.
+
+The clock is the vehicle's: the latest time of a position reading.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Literal
+
+from estimators.estimate import TargetEstimate, TrackQuality
+from estimators.readings import (
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    Reading,
+    TargetFixReading,
+)
+from estimators.tracker import Tracker
+from mission.control.flown_radius import FlownRadius
+from mission.control.sensor_status import SensorStatus
+from mission.core.circle import Circle
+from mission.core.events import (
+    ActivatePlan,
+    Announce,
+    Command,
+    ControlAcquired,
+    DecisionRecord,
+    End,
+    Event,
+    LinkReported,
+    ModeReported,
+    OperatorRequest,
+    PlanStatus,
+    UploadPlan,
+    WindReported,
+    Yield,
+    YieldRequested,
+)
+from mission.core.plan import AircraftState, Decision, Plan, Planner
+from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
+from mission.geometry.approach import approach
+from mission.geometry.progress import nearest_arc_m, off_track, point_at
+
+# A plan that got ready after its time still departs, up to so much later, while the aircraft is near its line: a
+# transition parts slowly from the line before it. Later than that the aircraft banks the wrong way for it.
+_LATE_S, _BESIDE_M, _ASKEW_RAD = 1.5, 15.0, math.radians(15.0)
+# Off its transition for so long, an aircraft does not come back by itself. So it is when it turns that much tighter
+# than any plan asks for: it orbits a waypoint that it cannot reach, near to the line all the time.
+_STRAYED_S, _ORBITS = 6.0, 2.0
+# The present circle is sent again when its flown radius is off by more than this share.
+_RADIUS_TOLERANCE = 0.03
+# The latency expected is the longest of so many uploads but one: one that hung says nothing of the next.
+_LATENCY_UPLOADS, _LATENCY_MARGIN_S = 5, 0.1
+
+
+class Phase(StrEnum):
+    """Where the mission stands."""
+
+    WAITING = "waiting"  # not engaged yet
+    WATCHING = "watching"
+    HOLDING = "holding"  # by an operator's wish
+    YIELDED = "yielded"
+    ENDED = "ended"
+
+
+@dataclass(frozen=True, slots=True)
+class StandoffSettings:
+    """decision_period_s: least time between two decisions. latency_s: of an upload, before one was measured."""
+
+    requirement: Requirement
+    aircraft: Aircraft
+    decision_period_s: float = 1.0
+    latency_s: float = 1.0
+    lost_after_s: float = 60.0
+    give_up_after_s: float = 300.0
+    give_up_action: Literal["hold", "return"] = "return"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """Everything a display needs, at one moment."""
+
+    time_s: float
+    phase: Phase
+    side: Side
+    aircraft: AircraftState | None
+    estimate: TargetEstimate | None
+    present: Plan | None
+    coming: Plan | None
+    decision: Decision | None
+    wind: Wind
+    moves: int
+    uploads: int
+    upload_failures: int
+    latency_s: float
+    mode: str
+    sensor_status: SensorStatus
+
+
+@dataclass(slots=True)
+class _PlanChange:
+    """A plan on its way to the autopilot."""
+
+    number: int
+    plan: Plan
+    commanded: Circle
+    since_s: float
+    stage: Literal["preparing", "ready", "departing"] = "preparing"
+
+
+@dataclass(slots=True)
+class _Counts:
+    moves: int = 0
+    uploads: int = 0
+    upload_failures: int = 0
+
+
+FenceCheck = Callable[[Plan], str | None]
+PlannerFactory = Callable[[Requirement], Planner]
+
+
+def _no_fence(_plan: Plan) -> str | None:
+    return None
+
+
+@dataclass
+class StandoffController:
+    """The mission's whole state. ``check`` names the fence that a plan would break, or returns None.
+
+    ``make_planner`` builds the planner for a requirement; it is called again when the side changes.
+    """
+
+    settings: StandoffSettings
+    tracker: Tracker
+    make_planner: PlannerFactory
+    check: FenceCheck = _no_fence
+    phase: Phase = Phase.WAITING
+    time_s: float = -math.inf
+    decision: Decision | None = None
+    estimate: TargetEstimate | None = None
+    present: Plan | None = None
+    _requirement: Requirement = field(init=False)
+    _planner: Planner = field(init=False)
+    _aircraft: AircraftState | None = None
+    _sensor_status: SensorStatus = field(default_factory=SensorStatus)
+    _wind: Wind = field(default_factory=Wind)
+    _mode: str = ""
+    _engaged_mode: str = ""
+    _swap: _PlanChange | None = None
+    _counts: _Counts = field(default_factory=_Counts)
+    _latency_s: float = field(init=False)
+    _took_s: deque[float] = field(init=False)
+    _next_decision_s: float = -math.inf
+    _number: int = 0
+    _flown_radius: FlownRadius = field(default_factory=FlownRadius)
+    _commanded: Circle | None = None  # as the autopilot was told to fly the present circle
+    _quality: TrackQuality | None = None
+    _on_line_s: float = math.inf  # when the aircraft was last seen on its transition; inf: it flies none
+
+    def __post_init__(self) -> None:
+        self._requirement = self.settings.requirement
+        self._planner = self.make_planner(self._requirement)
+        self._latency_s = self.settings.latency_s
+        self._took_s = deque([self._latency_s], _LATENCY_UPLOADS)
+
+    def step(self, event: Event) -> tuple[Command, ...]:
+        """Take one event; return what is to be done about it, in order."""
+        match event:
+            case PositionReading():
+                return self._position(event)
+            case WindReported():
+                self._wind = Wind(event.east_m_s, event.north_m_s)
+            case ModeReported():
+                return self._mode_reported(event)
+            case ControlAcquired() if self.phase in (Phase.WAITING, Phase.WATCHING):
+                self.phase, self._engaged_mode = Phase.WATCHING, event.mode
+                self.present = Plan(event.circle, None, event.time_s)
+                self._commanded = event.commanded or event.circle
+                self._flown_radius = FlownRadius(event.circle.radius_m / self._commanded.radius_m)
+            case PlanStatus():
+                return self._swap_reported(event)
+            case LinkReported():
+                self._sensor_status.connected = event.connected
+                text = "the link is back" if event.connected else "link lost: the aircraft goes on circling"
+                return (Announce(event.time_s, "link", text),)
+            case YieldRequested():
+                return self._yield(event.time_s, event.reason)
+            case OperatorRequest():
+                return self._operator(event)
+            case AttitudeReading() | RangeReading() | GimbalReading() | TargetFixReading():
+                self._read(event)
+        return ()
+
+    def snapshot(self) -> Snapshot:
+        """Return the state as a display wants it."""
+        return Snapshot(
+            self.time_s,
+            self.phase,
+            self._requirement.side,
+            self._aircraft,
+            self.estimate,
+            self.present,
+            self._swap.plan if self._swap else None,
+            self.decision,
+            self._wind,
+            self._counts.moves,
+            self._counts.uploads,
+            self._counts.upload_failures,
+            self._latency_s,
+            self._mode,
+            replace(self._sensor_status),
+        )
+
+    def _read(self, reading: Reading) -> None:
+        self._sensor_status.note(reading, self.tracker.add(reading), self.tracker)
+
+    # -- the aircraft's position is the tick ---------------------------------------------------------------
+
+    def _position(self, reading: PositionReading) -> tuple[Command, ...]:
+        self._read(reading)
+        if reading.time_s <= self.time_s:
+            return ()  # overtaken on the way: it has helped the tracker, the clock stays
+        self.time_s = reading.time_s
+        ground_speed_m_s = math.hypot(reading.velocity_east_m_s, reading.velocity_north_m_s)
+        # A coordinated turn at this bank bends the flown line by g tan(bank) across it.
+        curvature_per_m = GRAVITY_M_S2 * math.tan(self._sensor_status.bank_rad) / max(ground_speed_m_s, 5.0) ** 2
+        self._aircraft = AircraftState(
+            reading.time_s,
+            reading.east_m,
+            reading.north_m,
+            math.atan2(reading.velocity_east_m_s, reading.velocity_north_m_s),
+            ground_speed_m_s,
+            curvature_per_m,
+        )
+        if self._commanded is not None:
+            self._flown_radius.observe(self._aircraft, self._commanded)
+        told: tuple[Command, ...] = ()
+        due = self.time_s >= self._next_decision_s
+        if due:
+            self._next_decision_s = self.time_s + self.settings.decision_period_s
+            self.estimate = self.tracker.estimate(self.time_s)
+            told = self._track_commands()
+        if self._swap is not None:
+            return told + self._drive_swap(self._swap)
+        return told + self._decide() if due else ()
+
+    def _track_commands(self) -> tuple[Command, ...]:
+        quality = self.estimate.quality if self.estimate else None
+        if quality is self._quality:
+            return ()
+        self._quality = quality
+        if self.estimate is None:
+            return ()
+        reason = f": {self.estimate.reason}" if self.estimate.reason else ""
+        return (Announce(self.time_s, "track", f"target track {self.estimate.quality}{reason}"),)
+
+    # -- deciding ------------------------------------------------------------------------------------------
+
+    def _decide(self) -> tuple[Command, ...]:
+        if self.phase is not Phase.WATCHING or self.estimate is None:
+            return ()
+        assert self.present is not None
+        assert self._aircraft is not None
+        if self._is_off_track(self._aircraft, self.present):
+            reason = "the aircraft has left its line: going to the circle directly"
+            plan = Plan(self.present.circle, None, self.time_s + self._latency_s)
+            return (Announce(self.time_s, "swap", reason), self._prepared(plan, self.present, reason))
+        unseen_s = self.time_s - self.estimate.last_sighting_s
+        if unseen_s > self.settings.give_up_after_s:
+            self.phase = Phase.ENDED
+            reason = f"the target has not been seen for {unseen_s:.0f} s"
+            return (End(self.time_s, self.settings.give_up_action, reason),)
+        if unseen_s > self.settings.lost_after_s or self.estimate.quality is TrackQuality.LOST:
+            self.decision = Decision(self.time_s, None, f"holding the circle: target unseen for {unseen_s:.0f} s")
+            return ()
+        decision = self._choose(self._aircraft, self.estimate, self.present)
+        broken = self.check(decision.plan) if decision.plan is not None else None
+        if broken is not None:
+            decision = replace(decision, plan=None, reason=f"staying: {broken}")
+        self.decision = decision
+        decided = DecisionRecord(self.time_s, decision.plan is not None, decision.reason, decision.values)
+        if decision.plan is not None:
+            prepare = self._prepared(decision.plan, self.present, decision.reason)
+            return (decided, Announce(self.time_s, "decision", decision.reason), prepare)
+        if broken is not None:
+            return (decided, Announce(self.time_s, "decision", decision.reason))
+        return (decided, *self._corrected_radius(self.present))
+
+    def _is_off_track(self, aircraft: AircraftState, present: Plan) -> bool:
+        if present.transition is None:
+            return False
+        nearest = point_at(present, nearest_arc_m(present, aircraft), aircraft)
+        orbits = abs(aircraft.curvature_per_m) * present.circle.radius_m > _ORBITS
+        if not orbits and not off_track(aircraft, nearest):
+            self._on_line_s = self.time_s
+        return self.time_s - self._on_line_s > _STRAYED_S
+
+    def _prepared(self, plan: Plan, present: Plan, reason: str) -> UploadPlan:
+        self._number += 1
+        self._counts.uploads += 1
+        commanded = self._flown_radius.commanded(plan.circle)
+        self._swap = _PlanChange(self._number, plan, commanded, self.time_s)
+        return UploadPlan(self.time_s, self._number, plan, commanded, present, self._wind, reason)
+
+    def _corrected_radius(self, present: Plan) -> tuple[Command, ...]:
+        assert self._commanded is not None
+        wanted_m = self._flown_radius.commanded(present.circle).radius_m
+        if abs(wanted_m / self._commanded.radius_m - 1.0) <= _RADIUS_TOLERANCE:
+            return ()
+        plan = Plan(present.circle, None, self.time_s + self._latency_s)
+        reason = f"asking for a radius of {wanted_m:.0f} m, so that {present.circle.radius_m:.0f} m is flown"
+        return (Announce(self.time_s, "decision", reason), self._prepared(plan, present, reason))
+
+    def _choose(self, aircraft: AircraftState, estimate: TargetEstimate, present: Plan) -> Decision:
+        range_m = math.hypot(aircraft.east_m - estimate.east_m, aircraft.north_m - estimate.north_m)
+        if range_m > self._requirement.range_max_m:
+            return self._approach(aircraft, estimate, present, range_m)
+        return self._planner.decide(aircraft, estimate, present, self._wind, self._latency_s)
+
+    def _approach(self, aircraft: AircraftState, estimate: TargetEstimate, present: Plan, range_m: float) -> Decision:
+        """Out of the planners' range: go to a circle beside the target, unless one is already being flown to."""
+        departure_s = aircraft.time_s + self._latency_s
+        start = _advanced(aircraft, self._latency_s)
+        plan = replace(approach(start, estimate, self.settings.aircraft, self._requirement), departure_s=departure_s)
+        off_m = math.hypot(plan.circle.east_m - present.circle.east_m, plan.circle.north_m - present.circle.north_m)
+        if off_m < 0.5 * self.settings.aircraft.radius_m:
+            return Decision(self.time_s, None, f"on the way to the target, {range_m:.0f} m to go")
+        return Decision(self.time_s, plan, f"approaching: the target is {range_m:.0f} m away")
+
+    # -- swapping ------------------------------------------------------------------------------------------
+
+    def _drive_swap(self, swap: _PlanChange) -> tuple[Command, ...]:
+        if swap.stage != "ready" or self.time_s < swap.plan.departure_s:
+            return ()
+        if self.phase is not Phase.WATCHING:
+            self._swap = None
+            return ()
+        swap.stage = "departing"
+        return (ActivatePlan(self.time_s, swap.number),)
+
+    def _swap_reported(self, event: PlanStatus) -> tuple[Command, ...]:
+        swap = self._swap
+        if swap is None or swap.number != event.number:
+            return ()
+        if event.stage == "failed":
+            self._swap = None
+            self._counts.upload_failures += 1
+            return (Announce(event.time_s, "swap", f"plan {event.number} was not taken: {event.detail}"),)
+        if event.stage == "ready":
+            self._took_s.append(event.time_s - swap.since_s)
+            self._latency_s = sorted(self._took_s)[-2] + _LATENCY_MARGIN_S
+            late_s = event.time_s - swap.plan.departure_s
+            if late_s > 0.0 and not self._can_still_join(swap.plan, late_s):
+                self._swap = None
+                return (Announce(event.time_s, "swap", f"plan {event.number} was ready {late_s:.1f} s too late"),)
+            swap.stage = "ready"
+            return self._drive_swap(swap)
+        assert self.present is not None
+        self._counts.moves += swap.plan.circle != self.present.circle
+        self.present, self._commanded, self._swap = swap.plan, swap.commanded, None
+        self._on_line_s = event.time_s
+        return (Announce(event.time_s, "swap", f"flying plan {event.number}"),)
+
+    def _can_still_join(self, plan: Plan, late_s: float) -> bool:
+        """Tell whether the aircraft, which has flown on, is still so near to the plan's line that it can take it."""
+        assert self._aircraft is not None
+        if late_s > _LATE_S:
+            return False
+        if plan.transition is None:
+            return True  # a circle is flown to from anywhere
+        line = point_at(plan, nearest_arc_m(plan, self._aircraft), self._aircraft)
+        return not off_track(self._aircraft, line, _BESIDE_M, _ASKEW_RAD)
+
+    # -- other hands ---------------------------------------------------------------------------------------
+
+    def _mode_reported(self, event: ModeReported) -> tuple[Command, ...]:
+        self._mode = event.mode
+        if self.phase in (Phase.WATCHING, Phase.HOLDING) and event.mode != self._engaged_mode:
+            return self._yield(event.time_s, f"the flight mode was changed to {event.mode}")
+        return ()
+
+    def _yield(self, time_s: float, reason: str) -> tuple[Command, ...]:
+        if self.phase in (Phase.YIELDED, Phase.ENDED, Phase.WAITING):
+            return ()
+        self.phase, self._swap = Phase.YIELDED, None
+        return (Yield(time_s, reason),)
+
+    def _operator(self, event: OperatorRequest) -> tuple[Command, ...]:
+        if self.phase not in (Phase.WATCHING, Phase.HOLDING):
+            return (Announce(event.time_s, "operator", f"{event.action} refused: the mission is {self.phase}"),)
+        text = f"operator: {event.action}"
+        if event.action == "end":
+            self.phase = Phase.ENDED
+            return (Announce(event.time_s, "operator", text), End(event.time_s, "hold", "ended by the operator"))
+        if event.action == "side" and event.side is not None:
+            self._requirement = replace(self._requirement, side=event.side)
+            self._planner = self.make_planner(self._requirement)
+            text += f" {event.side}"
+        else:
+            self.phase = Phase.HOLDING if event.action == "hold" else Phase.WATCHING
+        return (Announce(event.time_s, "operator", text),)
+
+
+def _advanced(aircraft: AircraftState, duration_s: float) -> AircraftState:
+    """Return where the aircraft is after ``duration_s`` on its present curvature, without wind."""
+    step_m = aircraft.ground_speed_m_s * duration_s
+    turned_rad = aircraft.curvature_per_m * step_m
+    circle_sinc = math.sin(0.5 * turned_rad) / (0.5 * turned_rad) if abs(turned_rad) > 1e-9 else 1.0
+    middle_rad = aircraft.course_rad + 0.5 * turned_rad
+    return replace(
+        aircraft,
+        time_s=aircraft.time_s + duration_s,
+        east_m=aircraft.east_m + step_m * circle_sinc * math.sin(middle_rad),
+        north_m=aircraft.north_m + step_m * circle_sinc * math.cos(middle_rad),
+        course_rad=aircraft.course_rad + turned_rad,
+    )

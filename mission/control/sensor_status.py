@@ -1,0 +1,45 @@
+"""What the vehicle and its payload last said, for a person who watches over them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Reading
+from estimators.sighting import SightingOutcome
+from estimators.tracker import Tracker
+
+
+@dataclass(slots=True)
+class SensorStatus:
+    """range_s and gimbal_s: time of the latest reading of the laser and the gimbal in use, -inf before the first.
+
+    nis: normalised innovation squared of the latest sighting that was compared, NaN before the first.
+    """
+
+    bank_rad: float = 0.0
+    height_m: float = math.nan
+    range_s: float = -math.inf
+    gimbal_s: float = -math.inf
+    nis: float = math.nan
+    sightings: int = 0
+    rejected: int = 0
+    connected: bool = True
+
+    def note(self, reading: Reading, outcomes: Iterable[SightingOutcome], tracker: Tracker) -> None:
+        """Take a reading that ``tracker`` has taken, with what it returned."""
+        match reading:
+            case PositionReading():
+                self.height_m = reading.height_m
+            case AttitudeReading():
+                self.bank_rad = reading.roll_rad
+            case RangeReading() if reading.source == tracker.range_source:
+                self.range_s = max(self.range_s, reading.time_s)
+            case GimbalReading() if reading.source == tracker.gimbal_source:
+                self.gimbal_s = max(self.gimbal_s, reading.time_s)
+        for outcome in outcomes:
+            self.sightings += 1
+            self.rejected += not outcome.accepted
+            if math.isfinite(outcome.nis):
+                self.nis = outcome.nis

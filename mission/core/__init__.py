@@ -1,0 +1,1 @@
+"""The words everything in ``mission`` is said in: circle, path, plan, requirement, events."""

@@ -1,0 +1,43 @@
+"""A circle in the local plane, flown one way round."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    east_m: float
+    north_m: float
+    radius_m: float
+    clockwise: bool
+
+    @property
+    def curvature_per_m(self) -> float:
+        return 1.0 / self.radius_m if self.clockwise else -1.0 / self.radius_m
+
+    def position_at_course(self, course_rad: float) -> tuple[float, float]:
+        """Return (east, north) of the point of the circle where it is flown on ``course_rad``."""
+        # The centre lies to the right (cos, -sin) of a clockwise flight.
+        signed_radius_m = self.radius_m if self.clockwise else -self.radius_m
+        return (
+            self.east_m - signed_radius_m * math.cos(course_rad),
+            self.north_m + signed_radius_m * math.sin(course_rad),
+        )
+
+    def course_at(self, east_m: float, north_m: float) -> float:
+        """Return the course flown at the point of the circle nearest to (east, north)."""
+        outward_rad = math.atan2(east_m - self.east_m, north_m - self.north_m)
+        return outward_rad + (math.pi / 2 if self.clockwise else -math.pi / 2)
+
+    @staticmethod
+    def tangent_to(east_m: float, north_m: float, course_rad: float, radius_m: float, clockwise: bool) -> Circle:
+        """Return the circle that touches the ray from (east, north) along ``course_rad``."""
+        signed_radius_m = radius_m if clockwise else -radius_m
+        return Circle(
+            east_m + signed_radius_m * math.cos(course_rad),
+            north_m - signed_radius_m * math.sin(course_rad),
+            radius_m,
+            clockwise,
+        )

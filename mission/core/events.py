@@ -1,0 +1,172 @@
+"""What goes into the control step and what comes out of it.
+
+Events and commands are plain frozen values: the journal writes both, and a replay feeds the events again
+and must get the same commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from estimators.readings import (
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    TargetFixReading,
+)
+from mission.core.circle import Circle
+from mission.core.plan import Plan
+from mission.core.requirement import Side, Wind
+
+
+@dataclass(frozen=True, slots=True)
+class WindReported:
+    """The autopilot's own wind estimate: where the air moves to, over the ground."""
+
+    time_s: float
+    east_m_s: float
+    north_m_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ModeReported:
+    """A heartbeat of the autopilot: its flight mode by name, and whether it is armed."""
+
+    time_s: float
+    mode: str
+    armed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ControlAcquired:
+    """The aircraft flies ``circle`` in ``mode``, by our command: from now on the step may move the circle.
+
+    commanded is the circle as the autopilot was told to fly it, where that is another one.
+    """
+
+    time_s: float
+    circle: Circle
+    mode: str
+    commanded: Circle | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlanStatus:
+    """How far the autopilot has followed plan ``number``.
+
+    ready: it holds the plan and still flies the line before it. departed: it flies the plan. failed: it does
+    neither, and flies the line before it.
+    """
+
+    time_s: float
+    number: int
+    stage: Literal["ready", "departed", "failed"]
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkReported:
+    """The link to the autopilot was lost (no heartbeat) or is back."""
+
+    time_s: float
+    connected: bool
+
+
+@dataclass(frozen=True, slots=True)
+class YieldRequested:
+    """Something outside the mode says that somebody else flies now (RC takeover, a foreign mission)."""
+
+    time_s: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class OperatorRequest:
+    """A person's wish: hold the present circle, resume, watch from another side, end the mission."""
+
+    time_s: float
+    action: Literal["hold", "resume", "side", "end"]
+    side: Side | None = None
+
+
+Event = (
+    PositionReading
+    | AttitudeReading
+    | RangeReading
+    | GimbalReading
+    | TargetFixReading
+    | WindReported
+    | ModeReported
+    | ControlAcquired
+    | PlanStatus
+    | LinkReported
+    | YieldRequested
+    | OperatorRequest
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UploadPlan:
+    """Bring plan ``number`` to the autopilot without flying it yet; report ready or failed.
+
+    commanded is the plan's circle as the autopilot has to be told, so that the wanted one is flown. wind is what is
+    known of it now: waypoints are laid out for it.
+    """
+
+    time_s: float
+    number: int
+    plan: Plan
+    commanded: Circle
+    present: Plan
+    wind: Wind
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class ActivatePlan:
+    """Fly plan ``number`` now; report departed or failed."""
+
+    time_s: float
+    number: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecisionRecord:
+    """Nothing to do: what the planner thought at this moment, for the journal and for whoever compares."""
+
+    time_s: float
+    moves: bool
+    reason: str
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Announce:
+    """Tell the person in plain words; ``kind`` lets a display colour or filter it."""
+
+    time_s: float
+    kind: Literal["decision", "track", "link", "yield", "swap", "operator", "end"]
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Yield:
+    """Somebody else flies: send nothing to the autopilot any more."""
+
+    time_s: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """The mission is over: stay on the circle (hold) or fly home (return)."""
+
+    time_s: float
+    action: Literal["hold", "return"]
+    reason: str
+
+
+Command = DecisionRecord | UploadPlan | ActivatePlan | Announce | Yield | End

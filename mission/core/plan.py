@@ -1,0 +1,68 @@
+"""What the aircraft is to fly, and the contract of whoever decides it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from estimators.estimate import TargetEstimate
+from mission.core.circle import Circle
+from mission.core.path import Path
+from mission.core.requirement import Wind
+
+
+@dataclass(frozen=True, slots=True)
+class AircraftState:
+    """The aircraft over the ground at ``time_s``. curvature_per_m is that of its flown line, positive to the right."""
+
+    time_s: float
+    east_m: float
+    north_m: float
+    course_rad: float
+    ground_speed_m_s: float
+    curvature_per_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """Leave the present line at ``departure_s`` on ``transition``, then fly ``circle`` for ever.
+
+    transition is None for a plan that is only a circle (the first one, or one that is already flown).
+    """
+
+    circle: Circle
+    transition: Path | None = None
+    departure_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decision:
+    """What a planner decided at ``time_s``: a new plan, or None to fly on as it is, and why in plain words.
+
+    ``values`` holds the numbers behind the decision, for the journal and for replays that compare.
+    """
+
+    time_s: float
+    plan: Plan | None
+    reason: str
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+class Planner(Protocol):
+    """Decides, from what is known now, whether to fly another line. Deterministic; may keep state of its own."""
+
+    def decide(
+        self,
+        aircraft: AircraftState,
+        target: TargetEstimate,
+        present: Plan,
+        wind: Wind,
+        latency_s: float,
+    ) -> Decision:
+        """Decide at ``aircraft.time_s`` while ``present`` is flown.
+
+        latency_s is how long a new plan takes to reach the autopilot: a plan departs no earlier than
+        ``aircraft.time_s + latency_s``.
+        """
+        ...

@@ -1,0 +1,92 @@
+"""What is asked for, and what the aircraft can do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+GRAVITY_M_S2 = 9.80665
+
+
+class Side(StrEnum):
+    """The side of the target's direction of motion from which it is watched."""
+
+    LEFT = "left"
+    RIGHT = "right"
+
+    @property
+    def clockwise(self) -> bool:
+        """On the left fly clockwise, on the right counter-clockwise: transitions then bulge away from the target."""
+        return self is Side.LEFT
+
+    @property
+    def normal_turn_rad(self) -> float:
+        """What turns the target's course into the direction of this side."""
+        return -math.pi / 2 if self is Side.LEFT else math.pi / 2
+
+
+@dataclass(frozen=True, slots=True)
+class Sector:
+    """Bearings from the target where the aircraft is to stay, clockwise from ``from_rad`` to ``to_rad``."""
+
+    from_rad: float
+    to_rad: float
+
+    @property
+    def half_width_rad(self) -> float:
+        """Half the angle covered, in (0, pi]."""
+        return 0.5 * ((self.to_rad - self.from_rad) % (2.0 * math.pi) or 2.0 * math.pi)
+
+    @property
+    def middle_rad(self) -> float:
+        return self.from_rad + self.half_width_rad
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """The allowed horizontal range, the side, and how fast the target may be.
+
+    either_side: ``side`` is only the one to begin with; the nearer one is taken. sector: watch from these bearings,
+    whichever way the target moves; ``side`` then only tells which way round the circles are flown.
+    """
+
+    range_min_m: float
+    range_max_m: float
+    side: Side
+    target_speed_max_m_s: float
+    threshold: float = 0.9  # C of the paper: a lap is refused when it would end beyond threshold * range_max_m
+    either_side: bool = False
+    sector: Sector | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Aircraft:
+    """The aircraft as the planner sees it: radius_m is that of the circle it flies beside the target."""
+
+    airspeed_m_s: float
+    radius_m: float
+    bank_max_rad: float = math.radians(45.0)
+    roll_rate_max_rad_s: float = math.radians(30.0)
+
+    @property
+    def lap_s(self) -> float:
+        """Time of one circle in still air."""
+        return 2.0 * math.pi * self.radius_m / self.airspeed_m_s
+
+    @property
+    def min_radius_m(self) -> float:
+        """Coordinated turn at the bank limit, in still air."""
+        return self.airspeed_m_s**2 / (GRAVITY_M_S2 * math.tan(self.bank_max_rad))
+
+
+@dataclass(frozen=True, slots=True)
+class Wind:
+    """The air's motion over the ground (where it blows *to*)."""
+
+    east_m_s: float = 0.0
+    north_m_s: float = 0.0
+
+    @property
+    def speed_m_s(self) -> float:
+        return math.hypot(self.east_m_s, self.north_m_s)

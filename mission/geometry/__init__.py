@@ -1,0 +1,1 @@
+"""Lines an aircraft can fly, in still air and in wind."""

@@ -1,0 +1,132 @@
+"""Flight over the ground in a steady wind: speeds, times, radii, and the wind itself from a flown circle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from mission.core.circle import Circle
+from mission.core.path import FloatArray, Path
+from mission.core.requirement import GRAVITY_M_S2, Wind
+
+STILL_AIR = Wind()
+
+_CIRCLE_STEPS = 720
+
+
+class WindError(ValueError):
+    """The wind is too strong for what is to be flown."""
+
+
+def ground_speeds_m_s(course_rad: FloatArray, airspeed_m_s: float, wind: Wind) -> FloatArray:
+    """Return the ground speed on each course: the long side of the wind triangle.
+
+    Raises WindError when a course cannot be held, or only by drifting backwards along it.
+    """
+    along_m_s = wind.east_m_s * np.sin(course_rad) + wind.north_m_s * np.cos(course_rad)
+    across_m_s = wind.east_m_s * np.cos(course_rad) - wind.north_m_s * np.sin(course_rad)
+    if np.any(np.abs(across_m_s) >= airspeed_m_s):
+        raise WindError(f"a wind of {wind.speed_m_s:.1f} m/s is too strong for an airspeed of {airspeed_m_s:.1f} m/s")
+    speed_m_s: FloatArray = along_m_s + np.sqrt(airspeed_m_s**2 - across_m_s**2)
+    if np.any(speed_m_s <= 0.0):
+        raise WindError(f"a wind of {wind.speed_m_s:.1f} m/s is too strong for an airspeed of {airspeed_m_s:.1f} m/s")
+    return speed_m_s
+
+
+def ground_speed_m_s(course_rad: float, airspeed_m_s: float, wind: Wind) -> float:
+    """Return the ground speed on one course. Raises WindError as :func:`ground_speeds_m_s` does."""
+    return float(ground_speeds_m_s(np.asarray(course_rad), airspeed_m_s, wind))
+
+
+def path_times_s(path: Path, airspeed_m_s: float, wind: Wind) -> FloatArray:
+    """Return the time of flight from the start of the path to each of its samples, shape (n,)."""
+    slowness_s_m = 1.0 / ground_speeds_m_s(path.course_rad, airspeed_m_s, wind)
+    steps_s = np.diff(path.arc_m) * (slowness_s_m[1:] + slowness_s_m[:-1]) / 2.0
+    return np.concatenate(([0.0], np.cumsum(steps_s)))
+
+
+def _lap_times_s(radius_m: float, airspeed_m_s: float, wind: Wind) -> FloatArray:
+    """Return the time at which a clockwise lap begun northwards is flown on each of 721 courses from 0 to 2 pi."""
+    course_rad = np.linspace(0.0, 2.0 * math.pi, _CIRCLE_STEPS + 1)
+    slowness_s_m = 1.0 / ground_speeds_m_s(course_rad, airspeed_m_s, wind)
+    steps_s = (slowness_s_m[1:] + slowness_s_m[:-1]) / 2.0 * (2.0 * math.pi * radius_m / _CIRCLE_STEPS)
+    return np.concatenate(([0.0], np.cumsum(steps_s)))
+
+
+class LapClock:
+    """Time against turn on one circle in steady wind; the turn grows in the direction of flight, from north.
+
+    A lap takes longer than in still air, by about 3 w^2 / 4 v^2 of it.
+    """
+
+    def __init__(self, circle: Circle, airspeed_m_s: float, wind: Wind) -> None:
+        # A counter-clockwise lap is a clockwise one seen in the mirror that keeps north.
+        mirrored = wind if circle.clockwise else Wind(-wind.east_m_s, wind.north_m_s)
+        self._times_s = _lap_times_s(circle.radius_m, airspeed_m_s, mirrored)
+        self._turns_rad = np.linspace(0.0, 2.0 * math.pi, self._times_s.size)
+        self.lap_s = float(self._times_s[-1])
+
+    def time_s(self, turn_rad: float) -> float:
+        """Return the time at a turn counted from north, any number of laps."""
+        laps, within_rad = divmod(turn_rad, 2.0 * math.pi)
+        return laps * self.lap_s + float(np.interp(within_rad, self._turns_rad, self._times_s))
+
+    def turn_rad(self, time_s: float) -> float:
+        """Return the turn from north at a time: the inverse of :meth:`time_s`."""
+        laps, within_s = divmod(time_s, self.lap_s)
+        return laps * 2.0 * math.pi + float(np.interp(within_s, self._times_s, self._turns_rad))
+
+
+def min_radius_m(airspeed_m_s: float, wind: Wind, bank_max_rad: float) -> float:
+    """Return the tightest circle over the ground whose bank stays within the limit where the wind is astern."""
+    return (airspeed_m_s + wind.speed_m_s) ** 2 / (GRAVITY_M_S2 * math.tan(bank_max_rad))
+
+
+def _prior_covariance() -> npt.NDArray[np.float64]:
+    return np.diag([15.0**2, 15.0**2, 300.0**2])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindEstimate:
+    """The wind from airspeed and ground velocity, by recursive least squares.
+
+    |g - w|^2 = v^2 gives |g|^2 - v^2 = 2 g . w - |w|^2, which is linear in (w_east, w_north, c): with c free, an
+    airspeed that reads wrong by a constant factor moves c and leaves the wind right. Turning makes all three
+    observable: before half a circle ``sigma_m_s`` stays large.
+    """
+
+    wind: Wind = STILL_AIR
+    sigma_m_s: float = 15.0
+    _offset_m2_s2: float = 0.0
+    _covariance: npt.NDArray[np.float64] = field(default_factory=_prior_covariance)
+
+    def updated(
+        self,
+        velocity_east_m_s: float,
+        velocity_north_m_s: float,
+        airspeed_m_s: float,
+        interval_s: float,
+        memory_s: float = 120.0,
+        airspeed_sigma_m_s: float = 0.7,
+    ) -> WindEstimate:
+        """Return the estimate after one measurement ``interval_s`` after the last; old ones fade in ``memory_s``."""
+        row = np.array([2.0 * velocity_east_m_s, 2.0 * velocity_north_m_s, -1.0])
+        state = np.array([self.wind.east_m_s, self.wind.north_m_s, self._offset_m2_s2])
+        # In straight flight forgetting alone would let the covariance grow without end.
+        fades = float(np.trace(self._covariance)) < float(np.trace(_prior_covariance()))
+        prior = self._covariance * (math.exp(interval_s / memory_s) if fades else 1.0)
+        noise_m4_s4 = (2.0 * airspeed_m_s * airspeed_sigma_m_s) ** 2
+        gain = prior @ row / (row @ prior @ row + noise_m4_s4)
+        measured_m2_s2 = velocity_east_m_s**2 + velocity_north_m_s**2 - airspeed_m_s**2
+        state = state + gain * (measured_m2_s2 - row @ state)
+        covariance = prior - np.outer(gain, row @ prior)
+        covariance = (covariance + covariance.T) / 2.0
+        return WindEstimate(
+            Wind(float(state[0]), float(state[1])),
+            math.sqrt(max(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]), 0.0)),
+            float(state[2]),
+            covariance,
+        )

@@ -1,0 +1,1 @@
+"""Guidance laws of the literature, for comparison."""

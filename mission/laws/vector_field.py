@@ -1,0 +1,57 @@
+"""Lyapunov guidance vector field: circling a moving target at a stand-off radius, for comparison.
+
+Frew, Lawrence, Morris: "Coordinated standoff tracking of moving targets using Lyapunov guidance vector fields",
+Journal of Guidance, Control, and Dynamics 31(2), 2008; the same field is in Lawrence (2003) and Chen et al. (2009).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from estimators.estimate import TargetEstimate
+from mission.core.plan import AircraftState
+
+
+@dataclass(frozen=True, slots=True)
+class VectorField:
+    """radius_m: the stand-off. course_gain_per_s: turn rate for each radian off the field's course."""
+
+    radius_m: float
+    clockwise: bool
+    course_gain_per_s: float
+
+    def curvature_per_m(self, aircraft: AircraftState, target: TargetEstimate) -> float:
+        """Return the curvature to fly now: the field's own turn, and a correction towards its course."""
+        speed = aircraft.ground_speed_m_s
+        course_rad = self._course_rad(aircraft.east_m, aircraft.north_m, speed, target, 0.0)
+        # The field's turn is felt by looking a moment ahead along the present course.
+        ahead_s = 0.2
+        ahead_rad = self._course_rad(
+            aircraft.east_m + ahead_s * speed * math.sin(aircraft.course_rad),
+            aircraft.north_m + ahead_s * speed * math.cos(aircraft.course_rad),
+            speed,
+            target,
+            ahead_s,
+        )
+        turn_rad_s = math.remainder(ahead_rad - course_rad, 2.0 * math.pi) / ahead_s
+        off_rad = math.remainder(course_rad - aircraft.course_rad, 2.0 * math.pi)
+        return (turn_rad_s + self.course_gain_per_s * off_rad) / speed
+
+    def _course_rad(
+        self, east_m: float, north_m: float, speed_m_s: float, target: TargetEstimate, ahead_s: float
+    ) -> float:
+        """Return the course whose velocity relative to the target points along the field there."""
+        velocity_east, velocity_north = target.velocity_east_m_s, target.velocity_north_m_s
+        x = east_m - target.east_m - velocity_east * ahead_s
+        y = north_m - target.north_m - velocity_north * ahead_s
+        range_m = max(math.hypot(x, y), 1e-3)
+        radial = range_m**2 - self.radius_m**2
+        tangential = 2.0 * range_m * self.radius_m * (1.0 if self.clockwise else -1.0)
+        length = range_m * (range_m**2 + self.radius_m**2)
+        field_x, field_y = (-x * radial + y * tangential) / length, (-y * radial - x * tangential) / length
+        # |target velocity + s * field| = speed, s > 0: always solvable for a slower target.
+        along = velocity_east * field_x + velocity_north * field_y
+        excess = speed_m_s**2 - velocity_east**2 - velocity_north**2
+        relative_m_s = -along + math.sqrt(max(along**2 + excess, 0.0))
+        return math.atan2(velocity_east + relative_m_s * field_x, velocity_north + relative_m_s * field_y)

@@ -1,0 +1,1 @@
+"""The published method: a decision once a lap, its transition, scope and optimum."""

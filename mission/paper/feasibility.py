@@ -1,0 +1,148 @@
+"""Whether a requirement can be met, and which number to change when it cannot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from scipy.optimize import brentq
+
+from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement
+from mission.paper.placement import fits_band
+from mission.paper.scope import scope
+
+_THRESHOLD_MAX = 1.0  # beyond, the aircraft would leave the band by design
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One number to change, alone, and the nearest value that works. ``field`` is its name in the value types."""
+
+    field: str
+    value: float
+    nearest: float
+    because: str
+
+    def __str__(self) -> str:
+        bound = "at least" if self.nearest > self.value else "at most"
+        return f"{self.because}: {self.field} must be {bound} {self.nearest_rounded:g}, not {self.value:.4g}"
+
+    @property
+    def nearest_rounded(self) -> float:
+        """``nearest`` to four digits, rounded to the side that works."""
+        step = 10.0 ** (math.floor(math.log10(self.nearest)) - 3)
+        away = math.ceil if self.nearest > self.value else math.floor
+        return float(f"{away(self.nearest / step) * step:.4g}")
+
+
+@dataclass(frozen=True, slots=True)
+class Feasibility:
+    """The verdict, the distances behind it (see :class:`mission.paper.scope.Scope`), and the changes that would help.
+
+    Each of ``reasons`` cures its own cause alone; where two causes are named, one change of each is needed.
+    """
+
+    feasible: bool
+    x_tr_m: float
+    shortest_time_s: float
+    shortest_move_m: float
+    longest_move_m: float
+    straight_left_m: float
+    min_threshold: float
+    reasons: tuple[Change, ...]
+
+
+def feasibility(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2) -> Feasibility:
+    """Check that the circle can be flown, fits the band (19), and can always be moved in time (46-47)."""
+    reasons = (*unflyable(aircraft, requirement), *_moves_too_short(aircraft, requirement, psi_c_rad))
+    of = scope(aircraft, requirement, psi_c_rad)
+    return Feasibility(
+        feasible=not reasons,
+        x_tr_m=of.x_tr_m,
+        shortest_time_s=of.shortest_time_s,
+        shortest_move_m=of.shortest_move_m,
+        longest_move_m=of.longest_move_m,
+        straight_left_m=of.straight_left_m,
+        min_threshold=of.min_threshold,
+        reasons=reasons,
+    )
+
+
+def unflyable(aircraft: Aircraft, requirement: Requirement) -> tuple[Change, ...]:
+    """Return what no planner can help: a circle too tight, a target too fast, a band too narrow for the circle."""
+    return (
+        *_circle_too_tight(aircraft),
+        *_target_too_fast(aircraft, requirement),
+        *_band_too_narrow(aircraft, requirement),
+    )
+
+
+def _circle_too_tight(aircraft: Aircraft) -> Iterator[Change]:
+    if aircraft.radius_m >= aircraft.min_radius_m:
+        return
+    because = f"the circle is tighter than a bank of {math.degrees(aircraft.bank_max_rad):.0f} degrees allows"
+    airspeed_m_s = math.sqrt(aircraft.radius_m * GRAVITY_M_S2 * math.tan(aircraft.bank_max_rad))
+    yield Change("radius_m", aircraft.radius_m, aircraft.min_radius_m, because)
+    yield Change("airspeed_m_s", aircraft.airspeed_m_s, airspeed_m_s, because)
+
+
+def _target_too_fast(aircraft: Aircraft, requirement: Requirement) -> Iterator[Change]:
+    if requirement.target_speed_max_m_s < aircraft.airspeed_m_s:
+        return
+    because = "the target is as fast as the aircraft"
+    yield Change("target_speed_max_m_s", requirement.target_speed_max_m_s, 0.99 * aircraft.airspeed_m_s, because)
+    yield Change("airspeed_m_s", aircraft.airspeed_m_s, 1.01 * requirement.target_speed_max_m_s, because)
+
+
+def _band_too_narrow(aircraft: Aircraft, requirement: Requirement) -> Iterator[Change]:
+    if fits_band(aircraft, requirement):
+        return
+    diameter_m = 2.0 * aircraft.radius_m
+    because = "the circle does not fit between the least and the greatest range"
+    yield Change("range_max_m", requirement.range_max_m, requirement.range_min_m + diameter_m, because)
+    if requirement.range_max_m > diameter_m:
+        yield Change("range_min_m", requirement.range_min_m, requirement.range_max_m - diameter_m, because)
+    if requirement.range_max_m > requirement.range_min_m:
+        half_band_m = (requirement.range_max_m - requirement.range_min_m) / 2.0
+        yield Change("radius_m", aircraft.radius_m, half_band_m, because)
+
+
+def _moves_too_short(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float) -> Iterator[Change]:
+    of = scope(aircraft, requirement, psi_c_rad)
+    if of.straight_left_m >= 0.0:
+        return
+    because = (
+        f"a move of {of.shortest_move_m:.0f} m would be wanted, "
+        f"but the transition needs {of.shortest_move_m - of.straight_left_m:.0f} m"
+    )
+
+    def straight_left_m(tried: float, field: str) -> float:
+        return scope(*_changed(aircraft, requirement, field, tried), psi_c_rad).straight_left_m
+
+    if of.min_threshold <= _THRESHOLD_MAX:
+        yield Change("threshold", requirement.threshold, of.min_threshold, because)
+    yield Change(
+        "range_max_m",
+        requirement.range_max_m,
+        of.min_threshold * requirement.range_max_m / requirement.threshold,
+        because,
+    )
+    for field, value, ends in (
+        ("target_speed_max_m_s", requirement.target_speed_max_m_s, (0.0, requirement.target_speed_max_m_s)),
+        ("range_min_m", requirement.range_min_m, (0.0, requirement.range_min_m)),
+        ("airspeed_m_s", aircraft.airspeed_m_s, (aircraft.airspeed_m_s, 10.0 * aircraft.airspeed_m_s)),
+        ("radius_m", aircraft.radius_m, (min(aircraft.min_radius_m, aircraft.radius_m), aircraft.radius_m)),
+    ):
+        if straight_left_m(ends[0], field) * straight_left_m(ends[1], field) > 0.0:
+            continue
+        nearest = float(brentq(straight_left_m, *ends, args=(field,)))
+        flown, _ = _changed(aircraft, requirement, field, nearest)
+        if nearest > 0.0 and flown.radius_m >= flown.min_radius_m * (1.0 - 1e-9):
+            yield Change(field, value, nearest, because)
+
+
+def _changed(aircraft: Aircraft, requirement: Requirement, field: str, value: float) -> tuple[Aircraft, Requirement]:
+    if hasattr(aircraft, field):
+        return replace(aircraft, **{field: value}), requirement
+    return aircraft, replace(requirement, **{field: value})  # type: ignore[arg-type]  # a field that is a number

@@ -1,0 +1,48 @@
+"""Where the circle beside the target lies (equations 17-22)."""
+
+from __future__ import annotations
+
+import math
+
+from mission.core.circle import Circle
+from mission.core.requirement import Aircraft, Requirement
+
+
+def stand_off_m(aircraft: Aircraft, requirement: Requirement) -> float:
+    """Return D = Dmin + R, the distance from the target to the circle's centre: the circle just touches Dmin."""
+    return requirement.range_min_m + aircraft.radius_m
+
+
+def fits_band(aircraft: Aircraft, requirement: Requirement) -> bool:
+    """Tell whether the whole circle lies in the range band of a standing target (19)."""
+    return requirement.range_min_m + 2.0 * aircraft.radius_m <= requirement.range_max_m
+
+
+def circle_beside(
+    target_east_m: float, target_north_m: float, course_rad: float, aircraft: Aircraft, requirement: Requirement
+) -> Circle:
+    """Return the circle on the required side of a target that moves on ``course_rad`` (20-21)."""
+    return circle_towards(
+        target_east_m, target_north_m, course_rad + requirement.side.normal_turn_rad, aircraft, requirement
+    )
+
+
+def circle_towards(
+    target_east_m: float, target_north_m: float, outward_rad: float, aircraft: Aircraft, requirement: Requirement
+) -> Circle:
+    """Return the circle whose centre is seen from the target in direction ``outward_rad``.
+
+    For a target that has not moved there is no side yet: the direction is that of the aircraft (22).
+    """
+    distance_m = stand_off_m(aircraft, requirement)
+    return Circle(
+        target_east_m + distance_m * math.sin(outward_rad),
+        target_north_m + distance_m * math.cos(outward_rad),
+        aircraft.radius_m,
+        requirement.side.clockwise,
+    )
+
+
+def shifted(circle: Circle, east_m: float, north_m: float) -> Circle:
+    """Return the circle after the regular step O2 = O1 + e (17)."""
+    return Circle(circle.east_m + east_m, circle.north_m + north_m, circle.radius_m, circle.clockwise)

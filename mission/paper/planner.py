@@ -1,0 +1,265 @@
+"""The paper's planner: once a lap, at the switching heading, fly another lap or move the circle.
+
+Rules
+-----
+1. The regular step is O2 = O1 + e on ABCD (17): it keeps the compass direction in which the circle lies from the
+   target. It is taken when another lap would end outside [Dmin, C Dmax], and refused when ABCD has no room for it.
+2. The circle is placed anew beside the target (20-22) when it is not one of ours, when the regular step would not
+   keep the required side of the target's motion, or when the circle dips below Dmin. Of ABCD and stretched laps
+   that move takes the first which keeps its distance, or else the one that does best; the paper leaves it open. A
+   circle flown the other way round is left at once, by turn, straight and turn.
+3. A decision falls in the last call before the aircraft comes to A, once a lap.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from estimators.estimate import TargetEstimate, TrackQuality
+from mission.core.circle import Circle
+from mission.core.path import Path
+from mission.core.plan import AircraftState, Decision, Plan
+from mission.core.requirement import Aircraft, Requirement, Wind
+from mission.geometry.approach import turn_straight_turn
+from mission.geometry.switching import must_move, range_after_lap_m
+from mission.geometry.transition import abcd, min_move_m
+from mission.geometry.wind import LapClock, WindError, path_times_s
+from mission.paper.departure import Move, Situation, Vector, next_move
+from mission.paper.placement import circle_beside, shifted
+from mission.paper.reference_model import RelativePosition, displacement_m
+from mission.paper.stretched_lap import stretched_lap
+from mission.viewpoint.course_hold import CourseHold
+from mission.viewpoint.descriptions import describe_move
+from mission.viewpoint.side_policy import SidePolicy, Viewpoint
+
+_STRETCHES_RAD = (math.radians(60.0), math.radians(90.0), math.radians(120.0))
+_DIP = 0.1  # of Dmin: noise and the flown radius reach below it by that much
+_LONGEST_INTERVAL_S = 2.0  # between two calls; the first call after a pause counts as this much
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    """A circle, and where the target it was chosen for would be seen now had it stood still since.
+
+    placed tells that the planner put it beside the target; a circle found flown is only adopted.
+    """
+
+    circle: Circle
+    reference: RelativePosition
+    placed: bool
+
+
+class PaperPlanner:
+    """Implements :class:`mission.core.plan.Planner`; to be called at least every other second.
+
+    psi_c_rad is the paper's; where the requirement is not feasible with it, give
+    :func:`mission.paper.scope.largest_psi_c_rad`, which shortens the transition until it fits.
+    """
+
+    def __init__(self, aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2) -> None:
+        self._aircraft, self._requirement, self._psi_c_rad = aircraft, requirement, psi_c_rad
+        self._min_move_m = min_move_m(aircraft.radius_m, self._psi_c_rad)
+        self._chosen: _Chosen | None = None
+        self._proposed: _Chosen | None = None
+        self._last: AircraftState | None = None
+        # The other side is nearer only when the target's line is crossed by as much as it may be approached.
+        self._policy = SidePolicy(requirement, requirement.range_min_m)
+        self._motion = CourseHold()
+        self._viewpoint = Viewpoint(0.0, requirement.side, 0.0)
+        self._decided_until_s = -math.inf
+        self._arrival: tuple[Plan, float] | None = None
+
+    def decide(
+        self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
+    ) -> Decision:
+        """Decide at the switching heading of each lap; see :class:`mission.core.plan.Planner`."""
+        now_s = aircraft.time_s
+        interval_s = min(now_s - self._last.time_s, _LONGEST_INTERVAL_S) if self._last else _LONGEST_INTERVAL_S
+        target_m = _extrapolated_m(target, now_s)
+        seen = RelativePosition.of(target_m[0] - aircraft.east_m, target_m[1] - aircraft.north_m)
+        chosen = self._follow(aircraft, seen, present)
+        self._viewpoint = self._policy.viewpoint(aircraft.east_m, aircraft.north_m, target)
+        self._motion.update(target)
+        if target.quality is TrackQuality.LOST:
+            return Decision(now_s, None, "circling on: the target is lost")
+        try:
+            clock = LapClock(present.circle, self._aircraft.airspeed_m_s, wind)
+            arrival_s = self._arrival_s(present, wind)
+        except WindError as error:
+            return Decision(now_s, None, f"circling on: {error}")
+        if now_s < arrival_s:
+            return Decision(now_s, None, "on the way to the new circle")
+        if now_s < self._decided_until_s:
+            return Decision(now_s, None, "decided for this lap")
+
+        situation = Situation(
+            present.circle,
+            present.circle.course_at(aircraft.east_m, aircraft.north_m),
+            clock,
+            target_m,
+            (0.0, 0.0) if self._motion.standing else (target.velocity_east_m_s, target.velocity_north_m_s),
+            self._aircraft.airspeed_m_s,
+            wind,
+            latency_s,
+        )
+        stood_m = tuple(
+            at - moved for at, moved in zip(target_m, displacement_m(seen, chosen.reference), strict=True)
+        )
+        move = next_move(
+            situation,
+            lambda at_m: shifted(present.circle, at_m[0] - stood_m[0], at_m[1] - stood_m[1]),
+            self._psi_c_rad,
+        )
+        transition: Path | None = None
+        anew = self._reason_to_place_anew(situation, move, chosen.placed)
+        if anew is not None:
+            move, transition = self._placed_anew(situation)
+        if move.wait_s - latency_s > 1.5 * interval_s:
+            return Decision(now_s, None, f"next decision in {move.wait_s - latency_s:.0f} s")
+        self._decided_until_s = now_s + move.wait_s + clock.lap_s / 2.0
+        departure_s = now_s + move.wait_s
+        values = {
+            "move_east_m": move.east_m,
+            "move_north_m": move.north_m,
+            "least_move_m": self._min_move_m,
+            "range_after_lap_m": move.range_after_lap_m,
+            "departure_s": departure_s,
+        }
+        if anew is None:
+            staying = self._reason_to_stay(move)
+            if staying is not None:
+                return Decision(now_s, None, staying, values)
+            transition = abcd(present.circle, move.circle, self._psi_c_rad)
+        seen_then = RelativePosition.of(move.target_m[0] - aircraft.east_m, move.target_m[1] - aircraft.north_m)
+        self._proposed = _Chosen(move.circle, seen_then, placed=True)
+        why = anew or self._range_words(situation, move)
+        reason = f"moving {describe_move(move.east_m, move.north_m)}: {why}"
+        return Decision(now_s, Plan(move.circle, transition, departure_s), reason, values)
+
+    # -- the reference model -------------------------------------------------------------------------------
+
+    def _follow(self, aircraft: AircraftState, seen: RelativePosition, present: Plan) -> _Chosen:
+        """Carry the reference models on to now; return the one of the circle that is flown.
+
+        A proposed circle waits beside the flown one until it is flown: an upload may fail.
+        """
+        last = self._last or aircraft
+        flown_m = (aircraft.east_m - last.east_m, aircraft.north_m - last.north_m)
+        self._last = aircraft
+        known = [
+            replace(chosen, reference=chosen.reference.after_flying(*flown_m))
+            for chosen in (self._proposed, self._chosen)
+            if chosen is not None
+        ]
+        flown = next((chosen for chosen in known if chosen.circle == present.circle), None)
+        if flown is None:
+            flown = _Chosen(present.circle, seen, placed=False)
+            self._decided_until_s = -math.inf
+        self._proposed = known[0] if self._proposed is not None and known[0] is not flown else None
+        self._chosen = flown
+        return flown
+
+    # -- why -----------------------------------------------------------------------------------------------
+
+    def _reason_to_stay(self, regular: Move) -> str | None:
+        if not must_move(regular.range_after_lap_m, self._requirement):
+            return f"another lap: after it the target would be {regular.range_after_lap_m:.0f} m away"
+        if regular.length_m < self._min_move_m:
+            return (
+                f"another lap: the move of {regular.length_m:.1f} m is shorter "
+                f"than the transition needs, {self._min_move_m:.1f} m"
+            )
+        return None
+
+    def _reason_to_place_anew(self, situation: Situation, regular: Move, placed: bool) -> str | None:
+        circle, side = situation.circle, self._viewpoint.side
+        ends_badly = must_move(regular.range_after_lap_m, self._requirement)
+        if circle.clockwise != side.clockwise:
+            return f"on the target's {side} the circle is flown the other way round"
+        if not self._on_side(regular.circle, regular.target_m) and (
+            ends_badly or not self._on_side(circle, regular.target_m)
+        ):
+            return f"the circle is no longer on the target's {side}"
+        lap_later_m = situation.target_after(regular.wait_s + situation.clock.lap_s)
+        nearest_m = min(_distance_m(circle, at_m) for at_m in (regular.target_m, lap_later_m)) - circle.radius_m
+        if nearest_m < (1.0 - _DIP) * self._requirement.range_min_m:
+            return f"the circle comes within {max(nearest_m, 0.0):.0f} m of the target"
+        if ends_badly and not placed:
+            return self._range_words(situation, regular)
+        return None
+
+    @staticmethod
+    def _range_words(situation: Situation, move: Move) -> str:
+        in_s = move.wait_s + situation.clock.lap_s
+        return f"in {in_s:.0f} s the target would be {move.range_after_lap_m:.0f} m away"
+
+    def _on_side(self, circle: Circle, target_m: Vector) -> bool:
+        viewpoint = self._viewpoint
+        outward_rad = math.atan2(circle.east_m - target_m[0], circle.north_m - target_m[1])
+        return math.cos(outward_rad - viewpoint.course_rad - viewpoint.side.normal_turn_rad) >= 0.0
+
+    # -- where to ------------------------------------------------------------------------------------------
+
+    def _placed_anew(self, situation: Situation) -> tuple[Move, Path | None]:
+        """Return the move to the circle beside the target, and its line.
+
+        None for the line where both ways to a circle of another kind overlap: the autopilot finds its own.
+        """
+        tried: list[tuple[float, Move, Path]] = []
+        for lead_rad in (self._psi_c_rad, *_STRETCHES_RAD):
+            by_abcd = not tried and lead_rad == self._psi_c_rad
+            move = next_move(situation, self._beside, lead_rad)
+            if not _alike(situation.circle, move.circle):
+                return self._at_once(situation)
+            if by_abcd and move.length_m < self._min_move_m:
+                continue
+            path = (abcd if by_abcd else stretched_lap)(situation.circle, move.circle, lead_rad)
+            min_m = situation.min_range_m(path, move.wait_s)
+            if min_m >= (1.0 - _DIP) * self._requirement.range_min_m:
+                return move, path
+            tried.append((min_m, move, path))
+        _, move, path = max(tried, key=lambda one: one[0])
+        return move, path
+
+    def _at_once(self, situation: Situation) -> tuple[Move, Path | None]:
+        """Return the move as soon as it can be on board, by the turn that keeps farther from the target."""
+        circle, wait_s = situation.circle, situation.latency_s
+        turn = 1.0 if circle.clockwise else -1.0
+        begin_s = situation.clock.time_s(turn * situation.course_rad)
+        course_rad = turn * situation.clock.turn_rad(begin_s + wait_s)
+        east_m, north_m = circle.position_at_course(course_rad)
+        start = AircraftState(wait_s, east_m, north_m, course_rad, situation.airspeed_m_s, circle.curvature_per_m)
+        target_m = situation.target_after(wait_s)
+        new = self._beside(target_m)
+        range_m = range_after_lap_m((east_m, north_m), target_m, situation.velocity_m_s, situation.clock.lap_s)
+        move = Move(new, wait_s, new.east_m - circle.east_m, new.north_m - circle.north_m, target_m, range_m)
+        paths = [turn_straight_turn(start, new, first * self._aircraft.radius_m) for first in (1.0, -1.0)]
+        found = [path for path in paths if path is not None]
+        return move, max(found, key=lambda path: situation.min_range_m(path, wait_s)) if found else None
+
+    def _beside(self, target_m: Vector) -> Circle:
+        wanted = replace(self._requirement, side=self._viewpoint.side)
+        return circle_beside(*target_m, self._viewpoint.course_rad, self._aircraft, wanted)
+
+    def _arrival_s(self, present: Plan, wind: Wind) -> float:
+        """Return when the present plan reaches its circle; reckoned once a plan."""
+        if present.transition is None:
+            return -math.inf
+        if self._arrival is None or self._arrival[0] is not present:
+            flight_s = float(path_times_s(present.transition, self._aircraft.airspeed_m_s, wind)[-1])
+            self._arrival = (present, present.departure_s + flight_s)
+        return self._arrival[1]
+
+
+def _alike(a: Circle, b: Circle) -> bool:
+    return a.clockwise == b.clockwise and math.isclose(a.radius_m, b.radius_m)
+
+
+def _distance_m(circle: Circle, target_m: Vector) -> float:
+    return math.hypot(circle.east_m - target_m[0], circle.north_m - target_m[1])
+
+
+def _extrapolated_m(target: TargetEstimate, time_s: float) -> Vector:
+    ahead_s = time_s - target.time_s
+    return target.east_m + target.velocity_east_m_s * ahead_s, target.north_m + target.velocity_north_m_s * ahead_s

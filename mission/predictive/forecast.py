@@ -1,0 +1,41 @@
+"""Why the aircraft moves, or stays, in plain words: what would come of flying on as planned."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mission.core.requirement import Requirement, Side
+from mission.predictive.rollout import Outlook
+
+_OFF_SIDE_MIN_S = 2.0  # shorter visits to the other side are not worth a word
+
+
+def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s: float) -> str | None:
+    """Return the first breach of the requirement on the first line of ``seen``; None when there is none.
+
+    lead_s: from now to the outlook's time 0.
+    """
+    x_m, time_s = seen.x_m[0], seen.time_s[0]
+    range_m = np.hypot(x_m, seen.y_m[0])
+    out = np.flatnonzero((range_m < requirement.range_min_m) | (range_m > requirement.range_max_m))
+    off = np.flatnonzero(x_m > 0.0) if requirement.sector is None else np.empty(0, np.intp)
+    if off.size and float(time_s[off[-1]] - time_s[off[0]]) < _OFF_SIDE_MIN_S:
+        off = off[:0]
+    if out.size and (not off.size or out[0] <= off[0]):
+        first = out[0]
+        extreme_m = range_m.max() if range_m[first] > requirement.range_max_m else range_m.min()
+        when_s = float(time_s[np.flatnonzero(range_m == extreme_m)[0]]) + lead_s
+        return f"in {when_s:.0f} s the target would be {extreme_m:.0f} m away"
+    if off.size:
+        when_s = float(time_s[off[0]]) + lead_s
+        other = Side.RIGHT if side is Side.LEFT else Side.LEFT
+        if when_s < 1.0:
+            return f"the aircraft is on the target's {other}"
+        return f"in {when_s:.0f} s the aircraft would be on the target's {other}"
+    return None
+
+
+def describe_range(seen: Outlook) -> str:
+    """Return the ranges met along the first line of ``seen``."""
+    range_m = np.hypot(seen.x_m[0], seen.y_m[0])
+    return f"the target stays {range_m.min():.0f} to {range_m.max():.0f} m away for {seen.time_s[0, -1]:.0f} s"

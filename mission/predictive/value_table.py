@@ -1,0 +1,276 @@
+"""The worth of a place and heading beside the target: expected future cost of going on as well as can be.
+
+V(class, heading, x, y) is the discounted cost of flying on from there, from the clockwise circle, by the best moves,
+in the watch frame of :mod:`mission.predictive.cost`. A class is velocities of target and wind in that frame. The target keeps
+its velocity until it turns (a Poisson event); the value after a turn averages over where it may go then. One table
+serves both sides, by mirroring. :mod:`mission.predictive.value_iteration` computes it once per configuration; the shell keeps
+it in a file named by ``configuration.key()``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from mission.core.path import FloatArray
+from mission.predictive.cost import WatchCost
+
+Float32 = npt.NDArray[np.float32]
+
+HEADINGS = 24
+HEADING_STEP_RAD = 2.0 * math.pi / HEADINGS
+_BEYOND_BAND_M = 75.0  # the grid reaches this far past the far edge
+_SPEEDS = (0.0, 0.5, 1.0)  # rings of classes, as shares of the target's greatest speed
+# Classes on each ring: of the target's motion where the frame does not turn with it, else of the wind, if any.
+_TARGET_DIRECTIONS, _WIND_DIRECTIONS = 8, 4
+_VERSION = "1"  # of the way the table is computed; part of its key
+
+
+@dataclass(frozen=True, slots=True)
+class TargetHabits:
+    """How a target moves: about every mean_leg_s it stops (chance ``stop``), or turns and draws another speed.
+
+    Half of the moving legs are at its greatest speed, the others uniform between least_speed (a share of the
+    greatest) and that.
+    """
+
+    mean_leg_s: float = 120.0
+    stop: float = 1.0 / 3.0
+    min_speed: float = 0.2
+    turns_deg: tuple[float, ...] = (-90.0, -45.0, -20.0, 0.0, 20.0, 45.0, 90.0, 180.0)
+    chances: tuple[float, ...] = (0.12, 0.15, 0.15, 0.10, 0.15, 0.15, 0.12, 0.06)
+
+    def speed_weights(self) -> Float32:
+        """Return the chances of the rings in a moving leg, (3,), by linear interpolation between them."""
+        speeds = np.append(np.linspace(self.min_speed, 1.0, 101), np.ones(101))
+        return np.stack([np.interp(speeds, _SPEEDS, row).mean() for row in np.eye(3)]).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class TableConfiguration:
+    """All that the table depends on. follows_course: the frame turns with the target (a side, not a sector).
+
+    sharpness_per_m2 is that of the transitions in still air. cells: of the grid, from the target to its edge (even).
+    improvements: of the policy, on the coarse grid and on the fine one.
+    """
+
+    airspeed_m_s: float
+    radius_m: float
+    sharpness_per_m2: float
+    target_speed_max_m_s: float
+    cost: WatchCost
+    follows_course: bool = True
+    habits: TargetHabits = field(default_factory=TargetHabits)
+    wind_speed_m_s: float = 0.0
+    discount_per_s: float = 0.005
+    leave_cost: float = 0.5
+    cells: int = 28
+    improvements: tuple[int, int] = (8, 5)
+
+    def key(self) -> str:
+        """Return a hash of everything that shapes the table."""
+        return hashlib.sha256(f"{_VERSION} {sorted(asdict(self).items())}".encode()).hexdigest()[:24]
+
+    @property
+    def half_width_m(self) -> float:
+        """Half the side of the square that the grid covers."""
+        return self.cost.far_m + _BEYOND_BAND_M
+
+    def classes(self) -> tuple[FloatArray, FloatArray]:
+        """Return the classes' velocities of target and wind, (classes, 2) each, in the watch frame: x right, y ahead.
+
+        Where the frame turns with the target the wind has every direction in it; else the target has.
+        """
+        speeds = np.array(_SPEEDS) * self.target_speed_max_m_s
+        if not self.follows_course:
+            ring = _ring(_TARGET_DIRECTIONS)
+            targets = np.concatenate([np.zeros((1, 2)), speeds[1] * ring, speeds[2] * ring])
+            return targets, np.zeros_like(targets)
+        targets = np.stack([np.zeros(3), speeds], axis=1)
+        if self.wind_speed_m_s == 0.0:
+            return targets, np.zeros_like(targets)
+        winds = self.wind_speed_m_s * _ring(_WIND_DIRECTIONS)
+        return np.repeat(targets, _WIND_DIRECTIONS, axis=0), np.tile(winds, (3, 1))
+
+
+def _ring(directions: int) -> FloatArray:
+    """Return unit vectors (directions, 2), the first one ahead, the others clockwise."""
+    angle = np.arange(directions) * 2.0 * math.pi / directions
+    return np.stack([np.sin(angle), np.cos(angle)], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ValueTable:
+    """values, after_turn: (classes, headings, n, n), axes x then y. after_turn is the expectation at a turn."""
+
+    configuration: TableConfiguration
+    values: Float32
+    after_turn: Float32
+
+    def under(self, target_m_s: tuple[float, float], wind_m_s: tuple[float, float] = (0.0, 0.0)) -> MotionTable:
+        """Return the table for velocities of target and wind in the watch frame, interpolated between the classes.
+
+        Of the wind only the direction counts: its speed is the configuration's.
+        """
+        c = self.configuration
+        values, after_turn = np.zeros_like(self.values[0]), np.zeros_like(self.values[0])
+        for which, weight in self._class_weights(target_m_s, wind_m_s):
+            values += np.float32(weight) * self.values[which]
+            after_turn += np.float32(weight) * self.after_turn[which]
+        cell_m = 2.0 * c.half_width_m / (self.values.shape[-1] - 1)
+        return MotionTable(cell_m, values, after_turn, c.discount_per_s, c.habits.mean_leg_s)
+
+    def _class_weights(
+        self, target_m_s: tuple[float, float], wind_m_s: tuple[float, float]
+    ) -> list[tuple[int, float]]:
+        share = min(math.hypot(*target_m_s) / self.configuration.target_speed_max_m_s, 1.0)
+        ring = 0 if share < _SPEEDS[1] else 1
+        outer = (share - _SPEEDS[ring]) / (_SPEEDS[ring + 1] - _SPEEDS[ring])
+        rings = ((ring, 1.0 - outer), (ring + 1, outer))
+        if not self.configuration.follows_course:
+            # Class 0 is the standing target, which has no direction.
+            return [
+                (1 + (which - 1) * _TARGET_DIRECTIONS + direction if which else 0, weight * part)
+                for which, weight in rings
+                for direction, part in _direction_weights(target_m_s, _TARGET_DIRECTIONS)
+            ]
+        if self.configuration.wind_speed_m_s == 0.0:
+            return list(rings)
+        return [
+            (which * _WIND_DIRECTIONS + direction, weight * part)
+            for which, weight in rings
+            for direction, part in _direction_weights(wind_m_s, _WIND_DIRECTIONS)
+        ]
+
+
+def _direction_weights(vector: tuple[float, float], directions: int) -> tuple[tuple[int, float], tuple[int, float]]:
+    """Return the two directions of the classes next to a vector's, with weights that sum to 1."""
+    direction = math.atan2(*vector) / (2.0 * math.pi) * directions % directions
+    first, past = int(direction), direction - int(direction)
+    return (first % directions, 1.0 - past), ((first + 1) % directions, past)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionTable:
+    """The table for one velocity of the target: arrays (headings, n, n)."""
+
+    cell_m: float
+    values: Float32
+    after_turn: Float32
+    discount_per_s: float
+    mean_leg_s: float
+
+    def value(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, heading_rad: npt.ArrayLike) -> Float32:
+        """Return V at places and headings of the watch frame; beyond the grid that of its edge."""
+        return _looked_up(self.values, self.cell_m, x_m, y_m, heading_rad)
+
+    def expected_after_turn(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, heading_rad: npt.ArrayLike) -> Float32:
+        """Return the expected V if the target turned now."""
+        return _looked_up(self.after_turn, self.cell_m, x_m, y_m, heading_rad)
+
+
+def _looked_up(
+    table: Float32, cell_m: float, x_m: npt.ArrayLike, y_m: npt.ArrayLike, heading_rad: npt.ArrayLike
+) -> Float32:
+    n = table.shape[-1]
+    x = np.clip(np.asarray(x_m, np.float32) / np.float32(cell_m) + (n - 1) / 2, 0.0, n - 1.001)
+    y = np.clip(np.asarray(y_m, np.float32) / np.float32(cell_m) + (n - 1) / 2, 0.0, n - 1.001)
+    heading = (np.asarray(heading_rad) / HEADING_STEP_RAD % HEADINGS).astype(np.float32)
+    i, j, k = x.astype(np.int64), y.astype(np.int64), heading.astype(np.int64)
+    across, along, turn = x - i, y - j, heading - k
+    flat = table.ravel()
+    total = np.zeros(np.broadcast_shapes(x.shape, y.shape, heading.shape), np.float32)
+    for plane, weight in ((k % HEADINGS, 1.0 - turn), ((k + 1) % HEADINGS, turn)):
+        base = plane * (n * n) + i * n + j
+        low = flat[base] * (1.0 - along) + flat[base + 1] * along
+        high = flat[base + n] * (1.0 - along) + flat[base + n + 1] * along
+        total += weight * (low * (1.0 - across) + high * across)
+    return total
+
+
+def completed(configuration: TableConfiguration, values: Float32) -> ValueTable:
+    """Return the table of stored values. Raises ValueError when they are not of this configuration."""
+    n = 2 * configuration.cells + 1
+    shape = (len(configuration.classes()[0]), HEADINGS, n, n)
+    if values.shape != shape or not np.isfinite(values).all():
+        raise ValueError(f"values: expected finite numbers of shape {shape}, found shape {values.shape}")
+    return ValueTable(configuration, values, expected_after_turn(configuration, values))
+
+
+def expected_after_turn(configuration: TableConfiguration, values: Float32) -> Float32:
+    """Return the expectation of V over the target's next leg, for each class: same shape as ``values``."""
+    habits = configuration.habits
+    weights = habits.speed_weights()
+    if configuration.follows_course:
+        # Rings first, then directions of the wind. A stop leaves the course, and with it the side, as it was.
+        rings = values.reshape(len(_SPEEDS), -1, *values.shape[1:])
+        turned = _turned_frame(habits, np.tensordot(weights, rings, axes=1))
+        expected = habits.stop * rings[0] + (1.0 - habits.stop) * turned
+        return np.tile(expected, (len(_SPEEDS), 1, 1, 1))
+    outer = values[1:].reshape(2, _TARGET_DIRECTIONS, *values.shape[1:])
+    moving = weights[0] * values[0] + weights[1] * outer[0] + weights[2] * outer[1]
+    standing = habits.stop * values[0] + (1.0 - habits.stop) * moving.mean(axis=0)
+    turned = np.zeros_like(moving)
+    for turn_deg, chance in zip(habits.turns_deg, habits.chances, strict=True):
+        turned += np.float32(chance) * _rolled(moving, -turn_deg / 360.0 * _TARGET_DIRECTIONS)
+    turned = habits.stop * values[0] + (1.0 - habits.stop) * turned
+    return np.concatenate([standing[None], np.tile(turned, (2, 1, 1, 1))])
+
+
+def _turned_frame(habits: TargetHabits, moving: Float32) -> Float32:
+    """Return V (directions of the wind, headings, n, n) averaged over turns of a frame that follows the course."""
+    total = np.zeros_like(moving)
+    flat = moving.reshape(moving.shape[0], -1)
+    for turn_deg, chance in zip(habits.turns_deg, habits.chances, strict=True):
+        # The frame turns clockwise: places, headings and the wind, as seen from it, turn the other way.
+        seen = _rolled(flat, turn_deg / 360.0 * _WIND_DIRECTIONS) if len(flat) > 1 else flat
+        for index, weight in _rotation(moving.shape[-1], turn_deg):
+            total += np.float32(chance) * weight * seen[:, index]
+    return total
+
+
+def _rolled(classes: Float32, steps: float) -> Float32:
+    """Return classes (directions, ...) moved on by a number of directions: at d what was at d - steps."""
+    whole = math.floor(steps)
+    past = np.float32(steps - whole)
+    return (1.0 - past) * np.roll(classes, whole, axis=0) + past * np.roll(classes, whole + 1, axis=0)
+
+
+@lru_cache(maxsize=32)
+def _rotation(n: int, turn_deg: float) -> tuple[tuple[npt.NDArray[np.intp], Float32], ...]:
+    """Return flat indices and weights (headings, n, n) that show a table in a frame turned clockwise."""
+    sin_t, cos_t = math.sin(math.radians(turn_deg)), math.cos(math.radians(turn_deg))
+    axis = np.arange(n) - (n - 1) / 2
+    x, y = axis[:, None], axis[None, :]
+    heading = np.arange(HEADINGS)[:, None, None] - turn_deg / math.degrees(HEADING_STEP_RAD)
+    shape = (HEADINGS, n, n)
+    seen_x, seen_y = np.broadcast_to(x * cos_t - y * sin_t, shape), np.broadcast_to(x * sin_t + y * cos_t, shape)
+    return corners(np.broadcast_to(heading, shape), seen_x, seen_y, n)
+
+
+def corners(
+    heading: FloatArray, x: FloatArray, y: FloatArray, n: int
+) -> tuple[tuple[npt.NDArray[np.intp], Float32], ...]:
+    """Return flat indices and weights, in a table (headings, n, n), of the eight nodes about each point.
+
+    heading is in steps, x and y in cells from the middle. Points beyond the grid go to its edge.
+    """
+    x, y = np.clip(x + (n - 1) / 2, 0.0, n - 1.001), np.clip(y + (n - 1) / 2, 0.0, n - 1.001)
+    k, i, j = np.floor(heading).astype(np.intp), x.astype(np.intp), y.astype(np.intp)
+    turn, across, along = heading - k, x - i, y - j
+    return tuple(
+        (
+            ((k + a) % HEADINGS * n + i + b) * n + j + c,
+            ((turn if a else 1.0 - turn) * (across if b else 1.0 - across) * (along if c else 1.0 - along)).astype(
+                np.float32
+            ),
+        )
+        for a in (0, 1)
+        for b in (0, 1)
+        for c in (0, 1)
+    )

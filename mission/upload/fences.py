@@ -1,0 +1,95 @@
+"""Where the aircraft may fly: keep-in and keep-out polygons in the plane, a floor and a ceiling."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from shapely import LineString, Point, Polygon, union_all
+
+from mission.core.circle import Circle
+from mission.core.plan import Plan
+
+Outline = Sequence[tuple[float, float]]
+
+_QUARTER_CIRCLE_SEGMENTS = 32  # keeps the polygon within 0.06 % of the radius
+
+
+class FenceError(ValueError):
+    """A fence that is no polygon."""
+
+
+class Fences:
+    """Fences in the local plane; outlines are corners (east, north) in order, without repeating the first.
+
+    The aircraft stays inside the union of ``keep_in`` (anywhere, where there is none), outside each of
+    ``keep_out``, and ``margin_m`` from every border: for what the flown line is off the planned one. Heights are
+    above home. Raises FenceError naming a polygon with fewer than three corners or crossing sides.
+    """
+
+    def __init__(
+        self,
+        keep_in: Sequence[Outline] = (),
+        keep_out: Sequence[Outline] = (),
+        floor_m: float | None = None,
+        ceiling_m: float | None = None,
+        margin_m: float = 20.0,
+    ) -> None:
+        inside = [_polygon(outline, f"keep_in polygon {number}") for number, outline in enumerate(keep_in, 1)]
+        self._keep_in = union_all(inside) if inside else None
+        self._keep_out = [
+            (f"keep_out polygon {number}", _polygon(outline, f"keep_out polygon {number}"))
+            for number, outline in enumerate(keep_out, 1)
+        ]
+        self._floor_m, self._ceiling_m, self._margin_m = floor_m, ceiling_m, margin_m
+
+    def rejection(self, plan: Plan, height_m: float) -> str | None:
+        """Return which part of the plan breaks which fence, in words, or None.
+
+        The whole transition and the whole circle are looked at; of a plan without a transition the circle alone,
+        as nobody knows how the autopilot gets there.
+        """
+        if self._floor_m is not None and height_m < self._floor_m:
+            return f"the height of {height_m:.0f} m is below the floor of {self._floor_m:.0f} m"
+        if self._ceiling_m is not None and height_m > self._ceiling_m:
+            return f"the height of {height_m:.0f} m is above the ceiling of {self._ceiling_m:.0f} m"
+        if plan.transition is not None:
+            line = LineString(np.column_stack((plan.transition.east_m, plan.transition.north_m)))
+            broken = self._broken_by("the transition", line)
+            if broken is not None:
+                return broken
+        return self._broken_by("the new circle", _ring(plan.circle))
+
+    def check(self, height_m: float) -> Callable[[Plan], str | None]:
+        """Return :meth:`rejection` at one height, as the control step wants it."""
+        return lambda plan: self.rejection(plan, height_m)
+
+    def _broken_by(self, part: str, line: Any) -> str | None:
+        if self._keep_in is not None:
+            if not self._keep_in.contains(line):
+                return f"{part} leaves the keep_in polygons"
+            near_m = line.distance(self._keep_in.boundary)
+            if near_m < self._margin_m:
+                return f"{part} comes within {near_m:.0f} m of the keep_in border, less than {self._margin_m:.0f} m"
+        for name, polygon in self._keep_out:
+            near_m = line.distance(polygon)
+            if near_m == 0.0:
+                return f"{part} crosses {name}"
+            if near_m < self._margin_m:
+                return f"{part} comes within {near_m:.0f} m of {name}, less than {self._margin_m:.0f} m"
+        return None
+
+
+def _ring(circle: Circle) -> Any:
+    disc = Point(circle.east_m, circle.north_m).buffer(circle.radius_m, quad_segs=_QUARTER_CIRCLE_SEGMENTS)
+    return disc.exterior
+
+
+def _polygon(outline: Outline, name: str) -> Any:
+    if len(outline) < 3:
+        raise FenceError(f"{name} has {len(outline)} corners; it needs at least three")
+    polygon = Polygon(outline)
+    if not polygon.is_valid:
+        raise FenceError(f"{name} has sides that cross")
+    return polygon

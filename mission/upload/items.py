@@ -1,0 +1,86 @@
+"""A plan as mission items: circles are LOITER_UNLIM, transitions are waypoints.
+
+::
+
+    [waypoints of the transition ...] [new circle]
+
+Setting the first of them current at the departure flies the transition; the circle at its end never completes, so it
+needs no one again, and an upload behind it moves nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from estimators.frames import LocalPlane
+from mission.core.circle import Circle
+from mission.core.plan import Plan
+from mission.upload.line_tracking import LineTracking
+from mission.upload.waypoints import lay_out
+
+# MAV_CMD and MAV_FRAME of common.xml.
+NAV_WAYPOINT, NAV_LOITER_UNLIM = 16, 17
+FRAME_GLOBAL, FRAME_GLOBAL_RELATIVE_ALT = 0, 3
+
+
+class UnflyableError(ValueError):
+    """No few waypoints make the autopilot fly the transition closely enough."""
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """MISSION_ITEM_INT in our units. height_m is above home, or above the ellipsoid's sea level in FRAME_GLOBAL."""
+
+    command: int
+    frame: int
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+    param1: float = 0.0
+    param2: float = 0.0
+    param3: float = 0.0
+    param4: float = 0.0
+    autocontinue: bool = True
+
+
+def circle_item(circle: Circle, plane: LocalPlane, height_m: float) -> Item:
+    """Return the circle without end: param3 is the radius, negative counter-clockwise."""
+    return Item(
+        NAV_LOITER_UNLIM,
+        FRAME_GLOBAL_RELATIVE_ALT,
+        *plane.latitude_longitude_deg(circle.east_m, circle.north_m),
+        height_m,
+        param3=circle.radius_m if circle.clockwise else -circle.radius_m,
+    )
+
+
+def plan_items(
+    plan: Plan, plane: LocalPlane, height_m: float, tolerance_m: float, tracking: LineTracking | None = None
+) -> tuple[Item, ...]:
+    """Return the line of a plan: the waypoints of its transition, as few as possible, and its circle.
+
+    ``tracking`` is how the autopilot flies them, ArduPlane's defaults at 15 m/s if not given; param2 of a waypoint
+    is its acceptance radius. Raises UnflyableError when the flown line would leave the transition by more than
+    ``tolerance_m``.
+    """
+    circle = circle_item(plan.circle, plane, height_m)
+    if plan.transition is None:
+        return (circle,)
+    tracking = tracking or LineTracking()
+    layout = lay_out(plan.transition, plan.circle, tracking, tolerance_m)
+    if layout.deviation_m > tolerance_m:
+        raise UnflyableError(
+            f"the autopilot would fly {layout.deviation_m:.0f} m beside the transition; "
+            f"tolerance_m is {tolerance_m:.0f}"
+        )
+    waypoints = (
+        Item(
+            NAV_WAYPOINT,
+            FRAME_GLOBAL_RELATIVE_ALT,
+            *plane.latitude_longitude_deg(east_m, north_m),
+            height_m,
+            param2=float(round(tracking.switch_m)),
+        )
+        for east_m, north_m in layout.waypoints
+    )
+    return (*waypoints, circle)

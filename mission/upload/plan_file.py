@@ -1,0 +1,86 @@
+"""QGroundControl's .plan files: a mission with its fences, to look at, or to fly without us."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from estimators.frames import LocalPlane
+from mission.upload.fences import Outline
+from mission.upload.items import FRAME_GLOBAL, Item
+
+_ALTITUDE_MODE_RELATIVE, _ALTITUDE_MODE_ABSOLUTE = 1, 2
+_FIXED_WING = 1  # MAV_TYPE
+_FIRMWARE = {"arduplane": 3, "px4": 12}  # MAV_AUTOPILOT
+
+
+def plan_file(
+    items: Sequence[Item],
+    plane: LocalPlane,
+    home_altitude_m: float,
+    airspeed_m_s: float,
+    autopilot: str,
+    keep_in: Sequence[Outline] = (),
+    keep_out: Sequence[Outline] = (),
+) -> str:
+    """Return the text of a .plan file, version 1, with home at the plane's origin.
+
+    ``items`` go without a home item: the file has a field of its own for it, and whoever loads it for ArduPilot puts
+    home at 0. home_altitude_m is above mean sea level; ``autopilot`` is ``arduplane`` or ``px4``; fences are outlines
+    in the plane.
+    """
+    document = {
+        "fileType": "Plan",
+        "version": 1,
+        "groundStation": "sidelong",
+        "mission": {
+            "version": 2,
+            "firmwareType": _FIRMWARE[autopilot],
+            "vehicleType": _FIXED_WING,
+            "cruiseSpeed": airspeed_m_s,
+            "hoverSpeed": airspeed_m_s,
+            "globalPlanAltitudeMode": _ALTITUDE_MODE_RELATIVE,
+            "plannedHomePosition": [plane.origin_latitude_deg, plane.origin_longitude_deg, home_altitude_m],
+            "items": [_simple_item(number, item) for number, item in enumerate(items, 1)],
+        },
+        "geoFence": {
+            "version": 2,
+            "circles": [],
+            "polygons": [
+                *(_polygon(outline, plane, inclusion=True) for outline in keep_in),
+                *(_polygon(outline, plane, inclusion=False) for outline in keep_out),
+            ],
+        },
+        "rallyPoints": {"version": 2, "points": []},
+    }
+    return json.dumps(document, indent=4, allow_nan=False) + "\n"
+
+
+def _simple_item(number: int, item: Item) -> dict[str, Any]:
+    params = (item.param1, item.param2, item.param3, item.param4)
+    return {
+        "type": "SimpleItem",
+        "doJumpId": number,
+        "command": item.command,
+        "frame": item.frame,
+        "autoContinue": item.autocontinue,
+        "params": [
+            *(None if math.isnan(param) else param for param in params),
+            item.latitude_deg,
+            item.longitude_deg,
+            item.height_m,
+        ],
+        "Altitude": item.height_m,
+        "AltitudeMode": _ALTITUDE_MODE_ABSOLUTE if item.frame == FRAME_GLOBAL else _ALTITUDE_MODE_RELATIVE,
+        "AMSLAltAboveTerrain": None,
+    }
+
+
+def _polygon(outline: Outline, plane: LocalPlane, inclusion: bool) -> dict[str, Any]:
+    return {
+        "version": 1,
+        "inclusion": inclusion,
+        "polygon": [list(plane.latitude_longitude_deg(*corner)) for corner in outline],
+    }

@@ -1,0 +1,190 @@
+r"""As few waypoints as keep the flown line within a tolerance of the planned one.
+
+A vehicle that tracks straight lines flies outside of a curve, so the waypoints lie inside of it::
+
+        flown .--------.         The offset e at which the model of :mod:`mission.upload.line_tracking` flies the planned
+           .'  o------o  '.      curvature follows from its law. The line of these offsets is simplified as far as
+          /   /        \   \     it goes; then the waypoints are shifted square to the line until the model's flight
+             o waypoints o       of them keeps the tolerance, or the next finer line is tried.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from shapely import LineString
+
+from mission.core.circle import Circle
+from mission.core.path import FloatArray, Path
+from mission.geometry.wind import path_times_s
+from mission.upload.line_tracking import LineTracking, Point
+
+_SIMPLIFICATIONS_M = (60.0, 40.0, 27.0, 18.0, 12.0, 8.0, 5.0, 3.0)
+_HOPEFUL_M = 60.0  # where the model flies farther off, shifting the waypoints does not help
+_SHIFTS = 4
+_PROBE_M = 3.0
+_SHIFT_MAX_M = 20.0
+_STIFFNESS = 0.05  # how much a metre of shift counts against a metre of deviation, squared
+_GRID_M = 10.0
+_WINDOW_M = 80.0  # the nearest point of the plan is looked for so far before and after the planned one
+_SETTLING_M = 100.0  # of the new circle: the deviation counts there too
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Waypoints (east, north), and how far the model flies from the planned line at most."""
+
+    waypoints: tuple[Point, ...]
+    deviation_m: float
+
+
+def lay_out(transition: Path, circle: Circle, tracking: LineTracking, tolerance_m: float) -> Layout:
+    """Return the fewest waypoints found that lead along ``transition`` to ``circle`` within the tolerance.
+
+    Where no layout keeps the tolerance, the one with the least deviation is returned.
+    """
+    problem = _Problem(transition, circle, tracking)
+    best = Layout((), problem.deviations_m(np.empty((0, 2)))[1])  # straight to the circle
+    count = 0
+    if best.deviation_m <= tolerance_m:
+        return best
+    for simplification_m in _SIMPLIFICATIONS_M:
+        waypoints = np.array(problem.reference.simplify(simplification_m, preserve_topology=False).coords)
+        if len(waypoints) == count:
+            continue
+        count = len(waypoints)
+        layout = _shifted(problem, waypoints, tolerance_m)
+        if layout.deviation_m <= tolerance_m:
+            return layout
+        if layout.deviation_m < best.deviation_m:
+            best = layout
+    return best
+
+
+class _Problem:
+    """A planned line, and the model's flight of waypoints along it."""
+
+    def __init__(self, transition: Path, circle: Circle, tracking: LineTracking) -> None:
+        self._start = transition
+        self._circle, self._tracking = circle, tracking
+        self._line = _continued(transition, circle, _SETTLING_M + tracking.switch_m)
+        self._times_s = path_times_s(self._line, tracking.airspeed_m_s, tracking.wind)
+        self._grid_m = np.arange(0.0, transition.length_m + _SETTLING_M, _GRID_M)
+
+        # The last waypoint is where the switch to the circle comes at the transition's end.
+        offset_m = _offsets_m(self._line, tracking)
+        line = self._line
+        first_m, last_m = tracking.first_m, transition.length_m + tracking.switch_m
+        between = (line.arc_m >= first_m) & (line.arc_m <= max(last_m, first_m + 2.0 * _GRID_M))
+        self.reference = LineString(
+            np.column_stack(
+                (
+                    line.east_m + offset_m * np.cos(line.course_rad),
+                    line.north_m - offset_m * np.sin(line.course_rad),
+                )
+            )[between]
+        )
+
+    def deviations_m(self, waypoints: FloatArray) -> tuple[FloatArray, float]:
+        """Return how far right of the line the model flies, on a grid along it, and the greatest of all."""
+        start, line = self._start, self._line
+        flown = self._tracking.fly(
+            (float(start.east_m[0]), float(start.north_m[0])),
+            float(start.course_rad[0]),
+            float(start.curvature_per_m[0]),
+            [(float(east_m), float(north_m)) for east_m, north_m in waypoints],
+            self._circle,
+            float(self._times_s[-1]),
+        )
+        planned_m = np.interp(flown[:, 0], self._times_s, line.arc_m)
+        east_m = flown[:, 1, None] - line.east_m
+        north_m = flown[:, 2, None] - line.north_m
+        apart_m2 = east_m**2 + north_m**2
+        apart_m2[np.abs(line.arc_m - planned_m[:, None]) > _WINDOW_M] = np.inf
+        nearest = np.argmin(apart_m2, axis=1)
+        at = (np.arange(nearest.size), nearest)
+        course_rad = line.course_rad[nearest]
+        right_m = east_m[at] * np.cos(course_rad) - north_m[at] * np.sin(course_rad)
+        return np.interp(self._grid_m, line.arc_m[nearest], right_m), float(np.sqrt(apart_m2[at]).max())
+
+    def normals(self, waypoints: FloatArray) -> FloatArray:
+        """Return the unit vectors to the right of the line at the points of it nearest to the waypoints."""
+        apart_m = np.hypot(waypoints[:, 0, None] - self._line.east_m, waypoints[:, 1, None] - self._line.north_m)
+        course_rad = self._line.course_rad[np.argmin(apart_m, axis=1)]
+        return np.column_stack((np.cos(course_rad), -np.sin(course_rad)))
+
+
+def _shifted(problem: _Problem, waypoints: FloatArray, tolerance_m: float) -> Layout:
+    """Shift the waypoints square to the line by Gauss-Newton steps, weighted to where the deviation is greatest."""
+    right_m, worst_m = problem.deviations_m(waypoints)
+    normals = problem.normals(waypoints)
+    for _ in range(_SHIFTS):
+        if worst_m <= tolerance_m or worst_m > _HOPEFUL_M:
+            break
+        effects = np.empty((right_m.size, len(waypoints)))
+        for index, normal in enumerate(normals):
+            probed = waypoints.copy()
+            probed[index] += _PROBE_M * normal
+            effects[:, index] = (problem.deviations_m(probed)[0] - right_m) / _PROBE_M
+        weights = 0.1 + np.abs(right_m) / np.max(np.abs(right_m))
+        normal_matrix = (effects.T * weights) @ effects + _STIFFNESS * np.eye(len(waypoints))
+        shifts_m = np.clip(
+            -np.linalg.solve(normal_matrix, effects.T @ (weights * right_m)), -_SHIFT_MAX_M, _SHIFT_MAX_M
+        )
+        for share in (1.0, 0.5, 0.25):
+            tried = waypoints + share * shifts_m[:, None] * normals
+            tried_right_m, tried_worst_m = problem.deviations_m(tried)
+            if tried_worst_m < worst_m:
+                break
+        else:
+            break
+        waypoints, right_m, worst_m = tried, tried_right_m, tried_worst_m
+    return Layout(tuple((float(east_m), float(north_m)) for east_m, north_m in waypoints), worst_m)
+
+
+def _offsets_m(line: Path, tracking: LineTracking) -> FloatArray:
+    """Return how far right of ``line`` the tracked line must lie for the curvature to be flown.
+
+    A leg begins ``switch_m`` before its waypoint, so at arc s the vehicle tracks the tangent at s + switch. The law
+    wants an angle of asin(curvature / g) between its course and the direction it steers for; the tangent's own
+    direction supplies part of it, the distance from it over l the rest. The slant of the offset line counts too,
+    which makes the offset follow with a length of l - switch. The roll follows the law with a lag.
+    """
+    speed_m_s, ahead_m = tracking.airspeed_m_s, tracking.switch_m
+    gain_per_m, look_ahead_m = tracking.gain_per_m(speed_m_s), tracking.look_ahead_m(speed_m_s)
+
+    def at(arc_m: FloatArray, values: FloatArray) -> FloatArray:
+        return np.interp(arc_m, line.arc_m, values)
+
+    behind_m = np.maximum(line.arc_m - ahead_m, 0.0)
+    lagged_per_m = at(behind_m + tracking.roll_lag_s * speed_m_s, line.curvature_per_m)
+    wanted_rad = np.arcsin(np.clip(lagged_per_m / gain_per_m, -0.95, 0.95))
+    tangent_rad = line.course_rad - at(behind_m, line.course_rad)
+    tangent_m = (line.east_m - at(behind_m, line.east_m)) * np.cos(line.course_rad) - (
+        line.north_m - at(behind_m, line.north_m)
+    ) * np.sin(line.course_rad)
+    steady_m = look_ahead_m * (wanted_rad - tangent_rad) - tangent_m
+    following_m = max(look_ahead_m - ahead_m, 0.25 * look_ahead_m)
+    offset_m = float(np.interp(ahead_m, line.arc_m, steady_m))
+    offsets_m = []
+    for arc_m, before_m, wanted_m in zip(line.arc_m, np.append(0.0, line.arc_m), steady_m, strict=False):
+        if arc_m > ahead_m:
+            offset_m += (wanted_m - offset_m) * (1.0 - math.exp(-(arc_m - before_m) / following_m))
+        offsets_m.append(offset_m)
+    return np.array(offsets_m)
+
+
+def _continued(transition: Path, circle: Circle, length_m: float) -> Path:
+    """Return the transition and ``length_m`` of the circle after it."""
+    on_m = np.linspace(0.0, length_m, math.ceil(length_m / 2.0) + 1)[1:]
+    course_rad = transition.course_rad[-1] + circle.curvature_per_m * on_m
+    places_m = np.array([circle.position_at_course(float(course)) for course in course_rad])
+    return Path(
+        np.concatenate((transition.arc_m, transition.length_m + on_m)),
+        np.concatenate((transition.east_m, places_m[:, 0])),
+        np.concatenate((transition.north_m, places_m[:, 1])),
+        np.concatenate((transition.course_rad, course_rad)),
+        np.concatenate((transition.curvature_per_m, np.full(on_m.size, circle.curvature_per_m))),
+    )

@@ -1,0 +1,17 @@
+"""Directions and places in plain words, for the reasons that go with decisions."""
+
+from __future__ import annotations
+
+import math
+
+_WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+
+
+def compass_word(bearing_rad: float) -> str:
+    """Return the nearest of the eight winds."""
+    return _WINDS[round(bearing_rad / (math.pi / 4)) % 8]
+
+
+def describe_move(east_m: float, north_m: float) -> str:
+    """Return a shift in words: ``212 m east``."""
+    return f"{math.hypot(east_m, north_m):.0f} m {compass_word(math.atan2(east_m, north_m))}"
