@@ -41,6 +41,11 @@ class TargetEstimate:
     def speed_m_s(self) -> float:
         return math.hypot(self.velocity_east_m_s, self.velocity_north_m_s)
 
+    def position_m(self, time_s: float) -> tuple[float, float]:
+        """Return (east, north) carried on at the estimated velocity; never back in time."""
+        ahead_s = max(time_s - self.time_s, 0.0)
+        return self.east_m + ahead_s * self.velocity_east_m_s, self.north_m + ahead_s * self.velocity_north_m_s
+
     @property
     def ellipse_95(self) -> Ellipse:
         """The ellipse about the position that holds the target with 95 % probability."""

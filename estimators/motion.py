@@ -28,7 +28,7 @@ TURN_SIGMA_RAD_S = 0.25
 _TURN_DRIFT_RAD2_S3 = 1e-4
 
 # How often one kind of motion gives way to another, 1/s, from row to column.
-_SWITCH_RATES_1_S = np.array(
+_SWITCH_RATES_PER_S = np.array(
     [
         [0.0, 0.005, 0.002, 0.04],
         [0.002, 0.0, 0.003, 0.02],
@@ -36,7 +36,7 @@ _SWITCH_RATES_1_S = np.array(
         [0.1, 0.15, 0.1, 0.0],
     ]
 )
-_GENERATOR = _SWITCH_RATES_1_S - np.diag(_SWITCH_RATES_1_S.sum(axis=1))
+_GENERATOR = _SWITCH_RATES_PER_S - np.diag(_SWITCH_RATES_PER_S.sum(axis=1))
 
 
 @lru_cache(maxsize=256)

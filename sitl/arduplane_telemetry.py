@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from sitl.arduplane_mission import ArduPlaneMission
 from sitl.arduplane_modes import Mode
-from sitl.telemetry import NAN, Builder, Telemetry
-
-if TYPE_CHECKING:
-    from sitl.arduplane import ArduPlane
+from sitl.arduplane_navigator import ArduPlaneNavigator
+from sitl.place import Place
+from sitl.telemetry import NAN, Builder, Reported, Telemetry
 
 # MAV_SYS_STATUS bits as the stock simulator sends them.
 _PRESENT = 0x1261FC3F
@@ -47,6 +47,23 @@ DATA_STREAMS = _GROUPS | {mavlink.MAV_DATA_STREAM_ALL: _STREAMED}
 DEFAULT_INTERVAL_S = dict.fromkeys((mavlink.MAVLINK_MSG_ID_HEARTBEAT, *_STREAMED), 1.0)
 
 
+class ReportedPlane(Reported, Protocol):
+    """What ArduPlane's telemetry reads besides."""
+
+    @property
+    def mission(self) -> ArduPlaneMission: ...
+    @property
+    def navigator(self) -> ArduPlaneNavigator: ...
+    @property
+    def roll_goal_rad(self) -> float: ...
+    @property
+    def here(self) -> Place: ...
+    @property
+    def height_goal_m(self) -> float: ...
+    @property
+    def airspeed_goal_m_s(self) -> float: ...
+
+
 class ArduPlaneTelemetry(Telemetry):
     gps_fix = mavlink.GPS_FIX_TYPE_RTK_FIXED
     gps_dilution = (121, 200)
@@ -55,7 +72,7 @@ class ArduPlaneTelemetry(Telemetry):
     software = (4, 7)
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 
-    def __init__(self, vehicle: ArduPlane) -> None:
+    def __init__(self, vehicle: ReportedPlane) -> None:
         super().__init__(vehicle)
         self._plane = vehicle
 

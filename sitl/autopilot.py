@@ -20,7 +20,7 @@ from sitl.settings import Settings
 from sitl.telemetry import Builder
 from sitl.transfer import ProtocolQuirks, Store, Transfer
 
-_ALTITUDE_GAIN_1_S = 0.4
+_ALTITUDE_GAIN_PER_S = 0.4
 _LIFT_OFF_FRACTION = 0.85  # of the cruise airspeed
 
 
@@ -154,7 +154,7 @@ class Autopilot(ABC):
             self.roll_goal_rad = max(-limit_rad, min(limit_rad, math.atan(lateral_m_s2 / GRAVITY_M_S2)))
         craft = self.craft
         if craft.flying:
-            climb_m_s = _ALTITUDE_GAIN_1_S * (self.height_goal_m - craft.height_m) if self.armed else -math.inf
+            climb_m_s = _ALTITUDE_GAIN_PER_S * (self.height_goal_m - craft.height_m) if self.armed else -math.inf
             craft.fly(dt_s, self.roll_goal_rad, self.airspeed_goal_m_s * self.true_airspeed_ratio, climb_m_s)
             self.lifting_off = False
             if not craft.flying:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 from pymavlink.dialects.v20 import all as mavlink
 
+from sitl.px4_mission import Px4Mission
 from sitl.px4_modes import BY_PILOT, Mode
-from sitl.telemetry import NAN, Builder, Telemetry
+from sitl.px4_navigator import Px4Navigator
+from sitl.telemetry import NAN, Builder, Reported, Telemetry
+from sitl.transfer import Transfer
 from sitl.wire import mission_current
-
-if TYPE_CHECKING:
-    from sitl.px4 import Px4
 
 # MAV_SYS_STATUS bits as the stock simulator sends them.
 _PRESENT = 0x300403F
@@ -46,6 +47,22 @@ DEFAULT_INTERVAL_S = {
 }
 
 
+class ReportedPx4(Reported, Protocol):
+    """What PX4's telemetry reads besides."""
+
+    @property
+    def mission(self) -> Px4Mission: ...
+    @property
+    def navigator(self) -> Px4Navigator: ...
+    @property
+    def mission_state(self) -> int: ...
+    @property
+    def transfers(self) -> Mapping[int, Transfer]: ...
+    @property
+    def mission_types(self) -> tuple[int, ...]: ...
+    def take_relayed_range(self) -> Any: ...
+
+
 class Px4Telemetry(Telemetry):
     gps_fix = mavlink.GPS_FIX_TYPE_3D_FIX
     gps_dilution = (70, 110)
@@ -54,7 +71,7 @@ class Px4Telemetry(Telemetry):
     software = (1, 17)
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 
-    def __init__(self, vehicle: Px4) -> None:
+    def __init__(self, vehicle: ReportedPx4) -> None:
         super().__init__(vehicle)
         self._px4 = vehicle
         self._pings = 0

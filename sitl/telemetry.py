@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 from pymavlink.dialects.v20 import all as mavlink
 
-if TYPE_CHECKING:
-    from sitl.autopilot import Autopilot
+from sitl.airframe import Airframe
+from sitl.geodesy import HomePlane
+from sitl.settings import Home, Settings
 
 NAN = math.nan
 _BATTERY_S = 3.0 * 3600.0
@@ -30,6 +31,45 @@ def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[float
     )
 
 
+class Reported(Protocol):
+    """What telemetry reads of a vehicle."""
+
+    @property
+    def craft(self) -> Airframe: ...
+    @property
+    def settings(self) -> Settings: ...
+    @property
+    def home(self) -> Home: ...
+    @property
+    def plane(self) -> HomePlane: ...
+    @property
+    def system_id(self) -> int: ...
+    @property
+    def autopilot_id(self) -> int: ...
+    @property
+    def mode(self) -> int: ...
+    @property
+    def base_mode(self) -> int: ...
+    @property
+    def armed(self) -> bool: ...
+    @property
+    def ready(self) -> bool: ...
+    @property
+    def home_known(self) -> bool: ...
+    @property
+    def lifting_off(self) -> bool: ...
+    @property
+    def landed_state(self) -> int: ...
+    @property
+    def now_s(self) -> float: ...
+    @property
+    def boot_ms(self) -> int: ...
+    @property
+    def boot_us(self) -> int: ...
+    @property
+    def true_airspeed_ratio(self) -> float: ...
+
+
 class Telemetry:
     """Makes messages; ``builders`` tells which, by message id."""
 
@@ -40,7 +80,7 @@ class Telemetry:
     software: ClassVar[tuple[int, int]]
     parameter_capability: ClassVar[int]
 
-    def __init__(self, vehicle: Autopilot) -> None:
+    def __init__(self, vehicle: Reported) -> None:
         self._vehicle = vehicle
         self._craft = vehicle.craft
 

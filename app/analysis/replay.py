@@ -1,8 +1,8 @@
 """A recorded log through the same telemetry, filter and planner as a live flight.
 
 The aircraft of a foreign log did not fly our plans. So each time the step decides, it starts from the circle that
-the aircraft is really on (``ControlAcquired`` with the circle of its present bank), and a plan it proposes is answered with
-"failed: not flown in this log". The decisions then tell what would have been done from there.
+the aircraft is really on (``ControlAcquired`` with the circle of its present bank), and a plan it proposes is
+answered with "failed: not flown in this log". The decisions then tell what would have been done from there.
 """
 
 from __future__ import annotations

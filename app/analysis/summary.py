@@ -10,7 +10,7 @@ from typing import Any, Literal
 from rich.table import Table
 
 from app.analysis.score import Moment, Score, score
-from app.records.truth import Truth
+from app.analysis.truth import Truth
 from estimators.biases import Calibration
 from estimators.frames import LocalPlane
 from mission.control.controller import Snapshot

@@ -1,4 +1,4 @@
-"""What differs between autopilots, as one Protocol; ``app.autopilots.arduplane`` and ``app.autopilots.px4`` fill it in.
+"""What differs between autopilots, as one Protocol; the modules beside this one fill it in.
 
 The rest of the program does not know which one it flies.
 """
@@ -86,7 +86,7 @@ class Autopilot(Protocol):
         ...
 
     def required_parameters(self, values: Mapping[str, float], airspeed_m_s: float) -> tuple[RequiredParameter, ...]:
-        """Return the parameters that stand in the way of a mission at an airspeed, of those in ``relevant_parameters``."""
+        """Return those of ``relevant_parameters`` that have to be set for a mission at an airspeed."""
         ...
 
     def head(self, home: Home) -> tuple[RawItem, ...]:

@@ -11,10 +11,11 @@ from rich.table import Table
 
 from app.autopilots.autopilot import parameter_notes
 from app.autopilots.parameters import read_parameters
+from app.autopilots.queries import home_of, mode_of
 from app.commands.output import JsonOption, checked_output, console, write_json
 from app.config import Config, load_config
 from app.flight.flight import connected
-from app.flight.preflight import ask_for_streams, checks, home_of, listen, mode_of
+from app.flight.preflight import ask_for_streams, checks, listen
 from app.shutdown import run
 
 

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from app.analysis.replay import JournalReplay, LogReplay, Replayed, announcements, require_sightings
 from app.analysis.summary import Summary, SummaryCollector, describe_calibration, summarise
+from app.analysis.truth import Truth, read_truth
 from app.assembly import controller_of, fence_check
 from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
 from app.config import Config, load_config, with_values
@@ -23,7 +24,6 @@ from app.link.telemetry import Telemetry
 from app.records.journal import JournalReader
 from app.records.log import open_log
 from app.records.run_folder import RunFolder
-from app.records.truth import Truth, read_truth
 from app.view.address import DEFAULT_PORT, Address
 from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay, clock

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from app.autopilots.autopilot import Autopilot, CircleOrder, Home
+from app.autopilots.queries import mode_of
 from app.delivery.guidance import SwapError
 from app.delivery.leading_circle import leading_circle
-from app.flight.preflight import mode_of
 from app.link.link import LinkError
 from app.link.message import Message
 from app.link.telemetry import AUTOPILOT_COMPONENT

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from pymavlink import mavutil
 
 from app.autopilots.autopilot import Autopilot, Home
+from app.autopilots.queries import is_flying, mode_of
 from app.config import Config
 from app.delivery.command_guidance import OrbitCommandBackend
 from app.delivery.mission_guidance import MissionItemBackend
 from app.errors import FlightError, InputError
-from app.flight.preflight import is_flying, mode_of
 from app.link.link import RawItem, UploadResult
 from app.link.telemetry import Telemetry
 from app.link.vehicle import Vehicle

@@ -7,8 +7,8 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from app.autopilots.autopilot import Autopilot
+from app.autopilots.queries import mode_of
 from app.delivery.guidance import PlanBackend, SwapError
-from app.flight.preflight import mode_of
 from app.link.link import LinkError
 from app.link.message import Message
 from app.link.vehicle import Vehicle

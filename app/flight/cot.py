@@ -18,7 +18,6 @@ from uuid import uuid4
 from xml.etree import ElementTree
 
 from app.errors import InputError
-from app.prediction import predicted_m
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.frames import LocalPlane
@@ -36,7 +35,7 @@ _ADDRESS = re.compile(r"udp://([^:/]+):(\d{1,5})")
 
 def cot_event(estimate: TargetEstimate, plane: LocalPlane, time_s: float, now: datetime, uid: str) -> bytes:
     """Return the event for the target at ``time_s`` of the vehicle's clock, which is ``now`` by the wall's."""
-    latitude_deg, longitude_deg = plane.latitude_longitude_deg(*predicted_m(estimate, time_s))
+    latitude_deg, longitude_deg = plane.latitude_longitude_deg(*estimate.position_m(time_s))
     position = estimate.covariance[:2, :2]
     event = ElementTree.Element(
         "event",

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.analysis.summary import Summary, SummaryCollector, summarise
+from app.analysis.truth import read_truth
 from app.assembly import fence_check
 from app.autopilots.autopilot import Autopilot, Home
 from app.autopilots.parameters import RequiredParameter, read_parameters, temporary_parameters
+from app.autopilots.queries import home_of, is_flying
 from app.config import Config
 from app.delivery.command_guidance import OrbitCommandBackend
 from app.delivery.engaging import Takeover
@@ -25,12 +27,11 @@ from app.flight.cot import CotOutput
 from app.flight.display import FlightDisplay
 from app.flight.loop import ControlLoop, Display
 from app.flight.point_gimbal import GimbalPointer
-from app.flight.preflight import ask_for_streams, autopilot_of, checks, home_of, is_flying, listen
+from app.flight.preflight import ask_for_streams, autopilot_of, checks, listen
 from app.flight.recording import Recording
 from app.link.mavsdk_link import FrameListener, MavsdkLink
 from app.link.telemetry import Telemetry
 from app.link.vehicle import Vehicle
-from app.records.truth import read_truth
 from app.shutdown import ends_within
 from mission.control.controller import Phase, Snapshot, StandoffController
 from mission.core.events import Announce, ControlAcquired, Event

@@ -15,7 +15,6 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from app.link.link import LinkError
 from app.link.vehicle import Vehicle
-from app.prediction import predicted_m
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.frames import LocalPlane
@@ -57,7 +56,7 @@ class GimbalPointer:
         if snapshot.time_s < self._next_s or self._sending is not None:
             return
         self._next_s = snapshot.time_s + _EVERY_S
-        east_m, north_m = predicted_m(estimate, snapshot.time_s)
+        east_m, north_m = estimate.position_m(snapshot.time_s)
         range_m = math.hypot(aircraft.east_m - east_m, aircraft.north_m - north_m)
         self._sending = asyncio.create_task(self._send(estimate, east_m, north_m, range_m))
         self._sending.add_done_callback(self._sent)

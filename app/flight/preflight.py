@@ -13,7 +13,7 @@ from app.autopilots.px4 import Px4
 from app.config import Config
 from app.errors import InputError
 from app.link.message import Message
-from app.link.modes import ARMED_FLAG, AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, TYPE_FIXED_WING, mode_name
+from app.link.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, TYPE_FIXED_WING
 from app.link.telemetry import Telemetry, has_fix
 from app.link.vehicle import Vehicle
 from estimators.readings import GimbalReading, PositionReading, RangeReading, Source, TargetFixReading
@@ -21,8 +21,6 @@ from mission.core.requirement import Aircraft
 
 _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
-_FLYING_HEIGHT_M = 25.0
-_HOME_POSITION_ID = 242
 _STREAMS_HZ = {30: 20.0, 33: 10.0, 42: 5.0, 87: 2.0, 168: 1.0, 231: 1.0, 360: 2.0, 436: 20.0}
 """ATTITUDE, GLOBAL_POSITION_INT, MISSION_CURRENT, POSITION_TARGET_GLOBAL_INT, WIND, WIND_COV, and
 ORBIT_EXECUTION_STATUS, CURRENT_MODE."""
@@ -87,36 +85,10 @@ def autopilot_of(vehicle: Vehicle) -> Autopilot:
     return autopilot
 
 
-def mode_of(vehicle: Vehicle) -> str:
-    """Return the flight mode by name, as the vehicle told it last: in a heartbeat, or at once where it can."""
-    heartbeat, told = vehicle.latest["HEARTBEAT"], vehicle.latest.get("CURRENT_MODE")
-    newer = told if told is not None and told.received_s > heartbeat.received_s else heartbeat
-    fields = heartbeat.fields
-    return mode_name(int(fields["autopilot"]), int(fields["base_mode"]), int(newer.fields["custom_mode"]))
-
-
-def is_flying(vehicle: Vehicle) -> bool:
-    """Tell whether the vehicle is armed and well above its home."""
-    armed = int(vehicle.latest["HEARTBEAT"].fields["base_mode"]) & ARMED_FLAG
-    position = vehicle.latest.get("GLOBAL_POSITION_INT")
-    return bool(armed) and position is not None and position.fields["relative_alt"] * 1e-3 > _FLYING_HEIGHT_M
-
-
 async def ask_for_streams(vehicle: Vehicle) -> None:
     """Ask for the messages that the mission lives on; default rates are 1 Hz on ArduPlane."""
     for message_id, rate_hz in _STREAMS_HZ.items():
         await vehicle.set_rate(message_id, rate_hz)
-
-
-async def home_of(vehicle: Vehicle, timeout_s: float = 1.0) -> Home | None:
-    """Return the vehicle's home, asking for it if it has not been told."""
-    if "HOME_POSITION" not in vehicle.latest:
-        await vehicle.command(512, _HOME_POSITION_ID)
-    message = await vehicle.heard("HOME_POSITION", timeout_s)
-    if message is None:
-        return None
-    fields = message.fields
-    return Home(fields["latitude"] * 1e-7, fields["longitude"] * 1e-7, fields["altitude"] * 1e-3)
 
 
 async def listen(vehicle: Vehicle, wall_s: float) -> tuple[SourceRate, ...]:
@@ -157,7 +129,7 @@ def checks(
     rates: tuple[SourceRate, ...],
     required_parameters: tuple[RequiredParameter, ...] = (),
 ) -> tuple[Check, ...]:
-    """Return every requirement with whether it is met; ``required_parameters`` are those of the parameters that are not."""
+    """Return every requirement with whether it is met; ``required_parameters`` are those that are not set yet."""
     aircraft = config.aircraft.aircraft()
     return (
         _health_check(vehicle),

@@ -21,10 +21,11 @@ import numpy as np
 
 from app.errors import InputError
 from app.records.appender import Appender
+from app.records.old_formats import OLDEST_FORMAT, upgraded
 from app.records.windows import Progress
 from estimators.frames import LocalPlane
 
-FORMAT = 1
+FORMAT = 2
 
 _OPENING = b'{"event":"'
 _CHECKSUM = b',"crc32":"%08x"}\n'
@@ -99,15 +100,18 @@ class JournalReader:
         first = next(self._records(), None)
         if first is None or first[0] != Header.__name__:
             raise InputError(f"{path} has no journal header: it is no journal, or its beginning is damaged.")
-        if first[1].get("format") != FORMAT:
-            raise InputError(f"{path} is a journal of format {first[1].get('format')}; this program reads {FORMAT}.")
+        self._format = first[1].get("format")
+        if self._format not in range(OLDEST_FORMAT, FORMAT + 1):
+            raise InputError(
+                f"{path} is a journal of format {self._format}; this program reads {OLDEST_FORMAT} to {FORMAT}."
+            )
         self.header: Header = self._structured(*first)
 
     def __iter__(self) -> Iterator[Any]:
         records = self._records()
         next(records)
         for name, fields in records:
-            yield self._structured(name, fields)
+            yield self._structured(*upgraded(name, fields, self.header.format))
 
     def _structured(self, name: str, fields: dict[str, Any]) -> Any:
         try:

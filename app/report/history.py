@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from app.analysis.score import Moment
-from app.records.truth import Truth
+from app.analysis.truth import Truth
 from estimators.estimate import TargetEstimate
 from estimators.frames import LocalPlane
 from estimators.readings import (

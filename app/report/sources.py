@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from app.analysis.replay import require_sightings
 from app.analysis.summary import Summary
+from app.analysis.truth import read_truth
 from app.assembly import fence_outlines, tracker_of
 from app.config import Config, load_config
 from app.errors import InputError
@@ -19,7 +20,6 @@ from app.link.telemetry import Telemetry
 from app.records.journal import JournalReader
 from app.records.log import open_log
 from app.records.run_folder import RunFolder
-from app.records.truth import read_truth
 from app.records.windows import Progress
 from app.report.history import FlightRequirements, History, HistoryBuilder
 from app.report.results import read_summary, summary_of

@@ -17,7 +17,7 @@ _LAW_PERIOD_S = 0.2
 _DECISION_PERIOD_S = 1.0
 _TIMED_EVERY = 8
 # Following a line: curvature for each metre beside it and each radian off its course, critically damped.
-_BESIDE_GAIN_1_M2, _COURSE_GAIN_1_M = 1.0 / 20.0**2, 2.0 / 20.0
+_BESIDE_GAIN_PER_M2, _COURSE_GAIN_PER_M = 1.0 / 20.0**2, 2.0 / 20.0
 
 T = TypeVar("T")
 GuidanceLaw = Callable[[AircraftState, TargetEstimate], float]
@@ -102,4 +102,4 @@ class PlanPilot:
         off_rad = math.remainder(line.course_rad - aircraft.course_rad, 2.0 * math.pi)
         sin_c, cos_c = math.sin(line.course_rad), math.cos(line.course_rad)
         cross_track_m = (aircraft.east_m - line.east_m) * cos_c - (aircraft.north_m - line.north_m) * sin_c
-        return line.curvature_per_m + _COURSE_GAIN_1_M * off_rad - _BESIDE_GAIN_1_M2 * cross_track_m
+        return line.curvature_per_m + _COURSE_GAIN_PER_M * off_rad - _BESIDE_GAIN_PER_M2 * cross_track_m

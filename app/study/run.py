@@ -30,7 +30,7 @@ _BANK_RESERVE = 1.1
 # The guidance laws, tuned by grid search over 20 other targets with perfect sensors: of those that always keep the
 # band the one most on the side, with room to both edges. Radii 150 to 400 m, gains 0.25 to 2 1/s, look-aheads 40 to
 # 180 m; the other way round they are on the side for 42 % of the time.
-_FIELD_RADIUS_M, _FIELD_GAIN_1_S = 350.0, 0.25
+_FIELD_RADIUS_M, _FIELD_GAIN_PER_S = 350.0, 0.25
 _LATERAL_RADIUS_M, _LATERAL_LOOK_AHEAD_M = 350.0, 80.0
 
 FloatArray = npt.NDArray[np.float64]
@@ -126,7 +126,7 @@ def _pilot(settings: StudySettings, planner: PlannerName, table: ValueTable | No
         case PlannerName.PAPER:
             return PlanPilot(PaperPlanner(aircraft, requirement), circle, wind, settings.latency_s)
         case PlannerName.LVFG:
-            field = VectorField(_FIELD_RADIUS_M, requirement.side.clockwise, _FIELD_GAIN_1_S)
+            field = VectorField(_FIELD_RADIUS_M, requirement.side.clockwise, _FIELD_GAIN_PER_S)
             return LawPilot(field.curvature_per_m)
         case PlannerName.PARK:
             law = LateralGuidance(_LATERAL_RADIUS_M, requirement.side.clockwise, _LATERAL_LOOK_AHEAD_M)

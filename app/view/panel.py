@@ -12,7 +12,6 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from app.prediction import predicted_m
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TrackQuality
 from estimators.frames import LocalPlane
@@ -181,7 +180,7 @@ class PanelDisplay:
 def _range_m(shown: Snapshot) -> float | None:
     if shown.aircraft is None or shown.estimate is None:
         return None
-    east_m, north_m = predicted_m(shown.estimate, shown.time_s)
+    east_m, north_m = shown.estimate.position_m(shown.time_s)
     return math.hypot(shown.aircraft.east_m - east_m, shown.aircraft.north_m - north_m)
 
 

@@ -9,7 +9,6 @@ import math
 from typing import Any
 
 from app.config import Config
-from app.prediction import predicted_m
 from estimators.ellipse import confidence_ellipse
 from estimators.frames import LocalPlane, wrap_rad
 from mission.control.controller import Snapshot
@@ -98,7 +97,7 @@ class StateEncoder:
             return None
         if estimate.speed_m_s >= _STANDING_M_S:
             self._course_rad = estimate.course_rad
-        at_m = predicted_m(estimate, snapshot.time_s)
+        at_m = estimate.position_m(snapshot.time_s)
         ellipse = confidence_ellipse(estimate.covariance[:2, :2])
         return {
             "at_m": _rounded(*at_m),

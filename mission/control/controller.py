@@ -62,10 +62,10 @@ from mission.geometry.progress import nearest_arc_m, off_track, point_at
 
 # A plan that got ready after its time still departs, up to so much later, while the aircraft is near its line: a
 # transition parts slowly from the line before it. Later than that the aircraft banks the wrong way for it.
-_LATE_S, _BESIDE_M, _ASKEW_RAD = 1.5, 15.0, math.radians(15.0)
+_LATE_S, _JOINABLE_M, _JOINABLE_RAD = 1.5, 15.0, math.radians(15.0)
 # Off its transition for so long, an aircraft does not come back by itself. So it is when it turns that much tighter
 # than any plan asks for: it orbits a waypoint that it cannot reach, near to the line all the time.
-_STRAYED_S, _ORBITS = 6.0, 2.0
+_OFF_TRACK_S, _ORBITS = 6.0, 2.0
 # The present circle is sent again when its flown radius is off by more than this share.
 _RADIUS_TOLERANCE = 0.03
 # The latency expected is the longest of so many uploads but one: one that hung says nothing of the next.
@@ -312,7 +312,7 @@ class StandoffController:
         orbits = abs(aircraft.curvature_per_m) * present.circle.radius_m > _ORBITS
         if not orbits and not off_track(aircraft, nearest):
             self._on_line_s = self.time_s
-        return self.time_s - self._on_line_s > _STRAYED_S
+        return self.time_s - self._on_line_s > _OFF_TRACK_S
 
     def _prepared(self, plan: Plan, present: Plan, reason: str) -> UploadPlan:
         self._number += 1
@@ -388,7 +388,7 @@ class StandoffController:
         if plan.transition is None:
             return True  # a circle is flown to from anywhere
         line = point_at(plan, nearest_arc_m(plan, self._aircraft), self._aircraft)
-        return not off_track(self._aircraft, line, _BESIDE_M, _ASKEW_RAD)
+        return not off_track(self._aircraft, line, _JOINABLE_M, _JOINABLE_RAD)
 
     # -- other hands ---------------------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from mission.core.requirement import Wind
 
 @dataclass(frozen=True, slots=True)
 class AircraftState:
-    """The aircraft over the ground at ``time_s``. curvature_per_m is that of its flown line, positive to the right."""
+    """The aircraft over the ground at ``time_s``. curvature_per_m: of its flown line, positive to the right."""
 
     time_s: float
     east_m: float

@@ -13,7 +13,7 @@ from mission.core.plan import AircraftState, Plan
 # Metres that count as much as one radian of course when the fitting point of a line that crosses itself is sought.
 _COURSE_WEIGHT_M = 50.0
 # Further off its line than this, or on another course, an aircraft is not following its plan.
-_STRAYED_M, _STRAYED_RAD = 40.0, math.radians(40.0)
+_OFF_TRACK_M, _OFF_TRACK_RAD = 40.0, math.radians(40.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +86,8 @@ def line_at(plan: Plan, arc_m: FloatArray, aircraft: AircraftState) -> tuple[Flo
 def off_track(
     aircraft: AircraftState,
     point: LinePoint,
-    cross_track_m: float = _STRAYED_M,
-    course_error_rad: float = _STRAYED_RAD,
+    cross_track_m: float = _OFF_TRACK_M,
+    course_error_rad: float = _OFF_TRACK_RAD,
 ) -> bool:
     """Tell whether an aircraft is too far from the point of its plan that fits best to be following it."""
     off_m = math.hypot(aircraft.east_m - point.east_m, aircraft.north_m - point.north_m)

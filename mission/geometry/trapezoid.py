@@ -8,8 +8,8 @@ r"""Curvature trapezoids: the transition that can begin anywhere, at any moment,
                   '---- hold --------'
               ramp      hold_length    ramp          arc length ->
 
-Curvature is continuous and its rate along the line never exceeds ``sharpness_per_m2``; where start, hold and final are
-within +-1/R, so is every point between. A transition under way is retargeted by starting another trapezoid from
+Curvature is continuous and its rate along the line never exceeds ``sharpness_per_m2``; where start, hold and final
+are within +-1/R, so is every point between. A transition under way is retargeted by starting another trapezoid from
 the curvature it has there. Course is a piecewise quadratic of arc length (exact); position is its Gauss quadrature.
 """
 

@@ -76,7 +76,7 @@ class PaperPlanner:
         """Decide at the switching heading of each lap; see :class:`mission.core.plan.Planner`."""
         now_s = aircraft.time_s
         interval_s = min(now_s - self._last.time_s, _LONGEST_INTERVAL_S) if self._last else _LONGEST_INTERVAL_S
-        target_m = _extrapolated_m(target, now_s)
+        target_m = target.position_m(now_s)
         seen = RelativePosition.of(target_m[0] - aircraft.east_m, target_m[1] - aircraft.north_m)
         chosen = self._follow(aircraft, seen, present)
         self._viewpoint = self._policy.viewpoint(aircraft.east_m, aircraft.north_m, target)
@@ -258,8 +258,3 @@ def _alike(a: Circle, b: Circle) -> bool:
 
 def _distance_m(circle: Circle, target_m: Vector) -> float:
     return math.hypot(circle.east_m - target_m[0], circle.north_m - target_m[1])
-
-
-def _extrapolated_m(target: TargetEstimate, time_s: float) -> Vector:
-    ahead_s = time_s - target.time_s
-    return target.east_m + target.velocity_east_m_s * ahead_s, target.north_m + target.velocity_north_m_s * ahead_s

@@ -21,7 +21,7 @@ _TURN_STRIDE = 3
 
 @dataclass(frozen=True, slots=True)
 class WatchFrame:
-    """The frame of :mod:`mission.predictive.cost` at a moment: origin, course, and -1 where left and right are swapped."""
+    """The frame of the cost at a moment: origin, course, and -1 where left and right are swapped."""
 
     east_m: float
     north_m: float

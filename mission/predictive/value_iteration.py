@@ -1,4 +1,4 @@
-"""Value iteration for :mod:`mission.predictive.value_table`: improve the policy, then evaluate it several times, cheaply.
+"""Value iteration for the value table: improve the policy, then evaluate it several times, cheaply.
 
 On a grid of places every move displaces all places alike, so its backup is a shifted copy of the table: one
 improvement costs a few slices for each (class, heading, move). Between improvements the policy stands, and an

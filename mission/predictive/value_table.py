@@ -1,10 +1,10 @@
 """The worth of a place and heading beside the target: expected future cost of going on as well as can be.
 
 V(class, heading, x, y) is the discounted cost of flying on from there, from the clockwise circle, by the best moves,
-in the watch frame of :mod:`mission.predictive.cost`. A class is velocities of target and wind in that frame. The target keeps
-its velocity until it turns (a Poisson event); the value after a turn averages over where it may go then. One table
-serves both sides, by mirroring. :mod:`mission.predictive.value_iteration` computes it once per configuration; the shell keeps
-it in a file named by ``configuration.key()``.
+in the watch frame of :mod:`mission.predictive.cost`. A class is velocities of target and wind in that frame. The
+target keeps its velocity until it turns (a Poisson event); the value after a turn averages over where it may go then.
+One table serves both sides, by mirroring. :mod:`mission.predictive.value_iteration` computes it once per
+configuration; the shell keeps it in a file named by ``configuration.key()``.
 """
 
 from __future__ import annotations

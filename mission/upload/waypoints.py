@@ -2,7 +2,7 @@ r"""As few waypoints as keep the flown line within a tolerance of the planned on
 
 A vehicle that tracks straight lines flies outside of a curve, so the waypoints lie inside of it::
 
-        flown .--------.         The offset e at which the model of :mod:`mission.upload.line_tracking` flies the planned
+        flown .--------.         The offset e at which which the tracking model flies the planned
            .'  o------o  '.      curvature follows from its law. The line of these offsets is simplified as far as
           /   /        \   \     it goes; then the waypoints are shifted square to the line until the model's flight
              o waypoints o       of them keeps the tolerance, or the next finer line is tried.

@@ -17,10 +17,11 @@ import time
 import pytest
 
 from app.autopilots.autopilot import same_items
+from app.autopilots.queries import home_of
 from app.delivery.guidance import SwapError
 from app.delivery.mission_guidance import MissionItemBackend
 from app.flight.flight import connected
-from app.flight.preflight import ask_for_streams, home_of
+from app.flight.preflight import ask_for_streams
 from app.flight.simulated import free_udp_port
 from app.link.link import RawItem, UploadResult
 from mission.core.circle import Circle

@@ -130,7 +130,7 @@ def test_thresholds_whose_paths_differ(one: float, other: float) -> None:
     assert np.max(np.abs(places_m[0] - places_m[1])) > 100.0
 
 
-@pytest.mark.parametrize(("threshold", "greatest_m"), [(0.8, 467.0), (1.0, 504.0), (1.2, 601.0)])
+@pytest.mark.parametrize(("threshold", "max_m"), [(0.8, 467.0), (1.0, 504.0), (1.2, 601.0)])
 def test_the_range_in_the_papers_example(threshold: float, max_m: float) -> None:
     """The printed figures carry the step of the simulation they came from, half a second of target travel."""
     flight = fly_the_papers_example(threshold)

@@ -165,7 +165,7 @@ def test_a_file_without_a_header_is_an_input_error(tmp_path, content):
 def test_a_journal_of_another_format_is_an_input_error(tmp_path):
     newer = Header("sidelong 9", {}, None, {}, format=9)
     (tmp_path / "j.jsonl").write_bytes(encode(newer))
-    with pytest.raises(InputError, match=r"format 9; this program reads 1\."):
+    with pytest.raises(InputError, match=r"format 9; this program reads 1 to 2\."):
         JournalReader(tmp_path / "j.jsonl", [Inner])
 
 
@@ -178,3 +178,21 @@ def test_an_event_of_an_unknown_type_is_an_input_error(tmp_path):
 def test_a_missing_journal_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         JournalReader(tmp_path / "j.jsonl", [])
+
+
+def test_a_journal_of_the_first_format_is_read_in_todays_words(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    header = b'{"event":"Header","fields":{"program":"sidelong 0","config":{},"plane":null,"seeds":{},"format":1}'
+    swap = b'{"event":"SwapReported","fields":{"time_s":1.0,"number":2,"stage":"ready","detail":""}'
+    transition = b'{"arc_m":[0.0],"east_m":[0.0],"north_m":[0.0],"course_rad":[0.0],"curvature_1_m":[0.02]}'
+    prepare = (
+        b'{"event":"Prepare","fields":{"time_s":1.0,"number":2,"plan":{"circle":{"east_m":0.0,"north_m":1.0,'
+        b'"radius_m":50.0,"clockwise":true},"transition":' + transition + b',"departure_s":3.0},"commanded":'
+        b'{"east_m":0.0,"north_m":1.0,"radius_m":50.0,"clockwise":true},"present":{"circle":{"east_m":0.0,'
+        b'"north_m":1.0,"radius_m":50.0,"clockwise":true},"transition":null,"departure_s":0.0},'
+        b'"wind":{"east_m_s":0.0,"north_m_s":0.0},"reason":"why"}'
+    )
+    path.write_bytes(b"".join(line + b',"crc32":"%08x"}\n' % zlib.crc32(line) for line in (header, swap, prepare)))
+    read = list(JournalReader(path, (PlanStatus, UploadPlan)))
+    assert read[0] == PlanStatus(1.0, 2, "ready")
+    assert read[1].plan.transition.curvature_per_m == [0.02]

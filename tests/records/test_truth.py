@@ -6,8 +6,8 @@ import random
 
 import pytest
 
+from app.analysis.truth import read_truth
 from app.errors import InputError
-from app.records.truth import read_truth
 from estimators.frames import LocalPlane
 
 PLANE = LocalPlane(47.4, 8.5)

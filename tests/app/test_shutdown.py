@@ -7,29 +7,29 @@ import pytest
 
 LEFT = """
 import asyncio, threading
-from app import shutdown as ending
+from app import shutdown
 async def main():
     asyncio.get_running_loop().run_in_executor(None, threading.Event().wait)
     await asyncio.sleep(0.01)
     print("done")
     return 3
-ending.leave(ending.run(main()))
+shutdown.exit_process(shutdown.run(main()))
 """
 
 HELD_UP = """
 import threading
-from app import shutdown as ending
-with ending.ends_within(0.2, "closing"):
+from app import shutdown
+with shutdown.ends_within(0.2, "closing"):
     threading.Event().wait()
 """
 
 IN_TIME = """
 import time
-from app import shutdown as ending
-with ending.ends_within(0.05, "closing"):
+from app import shutdown
+with shutdown.ends_within(0.05, "closing"):
     pass
 time.sleep(0.2)
-ending.leave(0)
+shutdown.exit_process(0)
 """
 
 

@@ -1,0 +1,36 @@
+"""What the vehicle last said of itself, asked by those who bring plans to it and by those who check it."""
+
+from __future__ import annotations
+
+from app.autopilots.autopilot import Home
+from app.link.modes import ARMED_FLAG, mode_name
+from app.link.vehicle import Vehicle
+
+_FLYING_HEIGHT_M = 25.0
+_HOME_POSITION_ID = 242
+
+
+def mode_of(vehicle: Vehicle) -> str:
+    """Return the flight mode by name, as the vehicle told it last: in a heartbeat, or at once where it can."""
+    heartbeat, told = vehicle.latest["HEARTBEAT"], vehicle.latest.get("CURRENT_MODE")
+    newer = told if told is not None and told.received_s > heartbeat.received_s else heartbeat
+    fields = heartbeat.fields
+    return mode_name(int(fields["autopilot"]), int(fields["base_mode"]), int(newer.fields["custom_mode"]))
+
+
+def is_flying(vehicle: Vehicle) -> bool:
+    """Tell whether the vehicle is armed and well above its home."""
+    armed = int(vehicle.latest["HEARTBEAT"].fields["base_mode"]) & ARMED_FLAG
+    position = vehicle.latest.get("GLOBAL_POSITION_INT")
+    return bool(armed) and position is not None and position.fields["relative_alt"] * 1e-3 > _FLYING_HEIGHT_M
+
+
+async def home_of(vehicle: Vehicle, timeout_s: float = 1.0) -> Home | None:
+    """Return the vehicle's home, asking for it if it has not been told."""
+    if "HOME_POSITION" not in vehicle.latest:
+        await vehicle.command(512, _HOME_POSITION_ID)
+    message = await vehicle.heard("HOME_POSITION", timeout_s)
+    if message is None:
+        return None
+    fields = message.fields
+    return Home(fields["latitude"] * 1e-7, fields["longitude"] * 1e-7, fields["altitude"] * 1e-3)
