@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 import struct
+import zlib
 from dataclasses import dataclass, fields, is_dataclass
 from enum import StrEnum
 from itertools import accumulate
@@ -20,6 +21,7 @@ from hypothesis import strategies as st
 from app.errors import InputError
 from app.records.journal import Header, JournalReader, JournalWriter, encode
 from estimators.frames import LocalPlane
+from mission.core.events import PlanStatus, UploadPlan
 
 HEADER = Header("sidelong 0", {"aircraft": {"radius_m": 80.0}}, LocalPlane(47.4, 8.5), {"target": 3})
 
