@@ -22,7 +22,7 @@ _LABELS = {
     "shortest_move_m": ("shortest move of the circle", "m"),
     "longest_move_m": ("longest move of the circle", "m"),
     "straight_left_m": ("straight part left for correcting the course", "m"),
-    "least_threshold": ("least threshold C that works", ""),
+    "min_threshold": ("least threshold C that works", ""),
 }
 
 

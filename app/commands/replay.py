@@ -19,7 +19,7 @@ from app.assembly import controller_of, fence_check
 from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
 from app.config import Config, load_config, with_values
 from app.errors import FlightError, InputError
-from app.flight.recording import JOURNAL_TYPES
+from app.flight.recording import JOURNAL_TYPES, journalled_config
 from app.link.telemetry import Telemetry
 from app.records.journal import JournalReader
 from app.records.log import open_log
@@ -122,7 +122,7 @@ def _replay_run(
     with _progress() as progress:
         task = progress.add_task(folder.path.name, total=1.0)
         journal = JournalReader(folder.journal, JOURNAL_TYPES, lambda share: progress.update(task, completed=share))
-        flown = load_config(config) if config is not None else Config.model_validate(dict(journal.header.config))
+        flown = load_config(config) if config is not None else journalled_config(journal)
         settings = with_values(flown, changes, "--set")
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")

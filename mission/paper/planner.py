@@ -122,7 +122,7 @@ class PaperPlanner:
         values = {
             "move_east_m": move.east_m,
             "move_north_m": move.north_m,
-            "least_move_m": self._min_move_m,
+            "min_move_m": self._min_move_m,
             "range_after_lap_m": move.range_after_lap_m,
             "departure_s": departure_s,
         }
