@@ -3,22 +3,39 @@
 from __future__ import annotations
 
 import math
-import tomllib
+from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from app.errors import InputError
+from app.text_file import read_toml
 from mission.feasibility import feasibility, unflyable
 from mission.requirement import Aircraft, Requirement, Side
 from mission.scope import largest_psi_c_rad
 from mission.side_policy import watching_from
 
+_SHOWN_CHARACTERS = 80  # of a wrong value
+
 LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
-Polygon = Annotated[list[LatLon], Field(min_length=3)]
+Polygon = Annotated[list[LatLon], Field(min_length=3, max_length=500)]
+
+
+def _brackets_counted(polygons: Any) -> Any:
+    """Refuse a polygon where a list of polygons belongs: one pair of brackets too few."""
+    match polygons:
+        case [[int() | float(), *_], *_] | [int() | float(), *_]:
+            raise ValueError(
+                "one pair of brackets is missing; a list of polygons looks like "
+                "[[[47.40, 8.50], [47.42, 8.50], [47.42, 8.53]]]"
+            )
+    return polygons
+
+
+Polygons = Annotated[list[Polygon], Field(max_length=100), BeforeValidator(_brackets_counted)]
 
 
 def _known_side(words: str) -> str:
@@ -27,7 +44,7 @@ def _known_side(words: str) -> str:
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, allow_inf_nan=False)
 
 
 class AircraftSection(_Section):
@@ -68,6 +85,14 @@ class RequirementSection(_Section):
     threshold: float = Field(0.9, gt=0, le=2)
     """Factor C on range_max_m at which the paper's planner moves the circle."""
 
+    @model_validator(mode="after")
+    def _band_not_empty(self) -> RequirementSection:
+        if self.range_min_m >= self.range_max_m:
+            raise ValueError(
+                f"range_min_m = {self.range_min_m:g} is not below range_max_m = {self.range_max_m:g}; change one"
+            )
+        return self
+
     def requirement(self) -> Requirement:
         """Return the planner's view of it."""
         plain = Requirement(self.range_min_m, self.range_max_m, Side.LEFT, self.target_speed_max_m_s, self.threshold)
@@ -83,7 +108,7 @@ class PlannerSection(_Section):
     """mission: plans are uploaded as mission items; command: the circle is moved by one command, again and again."""
     tolerance_m: float = Field(15.0, ge=1, le=200)
     """How far the flown line of a transition may leave the planned one, m."""
-    winds_m_s: list[Annotated[float, Field(gt=0, le=30)]] = Field(default_factory=list)
+    winds_m_s: list[Annotated[float, Field(gt=0, le=30)]] = Field(default_factory=list, max_length=8)
     """Steady winds to be prepared for with value tables of their own, m/s; the nearest one is used."""
     lost_after_s: float = Field(60.0, ge=1, le=3600)
     """The circle is held when the target has been unseen for this long, s."""
@@ -134,9 +159,9 @@ class LinkSection(_Section):
 class FencesSection(_Section):
     """Where the aircraft may fly: polygons of [latitude, longitude] in degrees, heights above home in m."""
 
-    keep_in: list[Polygon] = Field(default_factory=list)
+    keep_in: Polygons = Field(default_factory=list)
     """The aircraft stays inside the union of these."""
-    keep_out: list[Polygon] = Field(default_factory=list)
+    keep_out: Polygons = Field(default_factory=list)
     """The aircraft stays outside each of these."""
     floor_m: float | None = Field(None, ge=0)
     """Least height above home, m."""
@@ -144,6 +169,12 @@ class FencesSection(_Section):
     """Greatest height above home, m."""
     margin_m: float = Field(20.0, ge=0, le=500)
     """Kept from every fence, for the error of the flown line, m."""
+
+    @model_validator(mode="after")
+    def _floor_below_ceiling(self) -> FencesSection:
+        if self.floor_m is not None and self.ceiling_m is not None and self.floor_m >= self.ceiling_m:
+            raise ValueError(f"floor_m = {self.floor_m:g} is not below ceiling_m = {self.ceiling_m:g}; change one")
+        return self
 
 
 class SimulationSection(_Section):
@@ -195,19 +226,18 @@ def load_config(path: Path | None, overrides: dict[str, dict[str, Any]] | None =
     values: dict[str, Any] = {}
     name = "command line"
     if path is not None:
-        name = str(path)
-        try:
-            values = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a TOML file.") from error
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"{path}: is not valid TOML: {error}.") from error
+        name, values = str(path), read_toml(path)
     return _validated(values, overrides or {}, name)
 
 
 def with_values(config: Config, overrides: dict[str, dict[str, Any]], name: str) -> Config:
     """Return the configuration with other values. Raises InputError that begins with ``name``."""
     return _validated(config.model_dump(), overrides, name)
+
+
+def config_from(values: Mapping[str, Any], name: str) -> Config:
+    """Return the configuration of a journal's plain values. Raises InputError that begins with ``name``."""
+    return _validated(dict(values), {}, name)
 
 
 def _validated(values: dict[str, Any], overrides: dict[str, dict[str, Any]], name: str) -> Config:
@@ -230,7 +260,10 @@ def _sentence(error: ValidationError) -> str:
     if problem["type"] == "value_error":
         return f"{where}: {problem['ctx']['error']}."
     message = problem["msg"][0].lower() + problem["msg"][1:]
-    return f"{where} = {problem['input']!r}: {message}{_nearest(problem)}."
+    found = repr(problem["input"])
+    if len(found) > _SHOWN_CHARACTERS:
+        found = found[:_SHOWN_CHARACTERS] + "..."
+    return f"{where} = {found}: {message}{_nearest(problem)}."
 
 
 def _nearest(problem: ErrorDetails) -> str:

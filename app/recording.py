@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import get_args
 
 from app.assembly import tracker_of
-from app.config import Config
+from app.config import Config, config_from
 from app.errors import InputError
 from app.records.journal import Header, JournalReader, JournalWriter
 from app.records.mcap import McapLog
@@ -19,6 +19,13 @@ from estimators.frames import LocalPlane
 from mission.events import Command, Event
 
 JOURNAL_TYPES: tuple[type, ...] = (*get_args(Event), *get_args(Command))
+
+
+def journalled_config(journal: JournalReader) -> Config:
+    """Return the configuration that a run was flown with. Raises InputError naming the journal."""
+    return config_from(
+        journal.header.config, f"{journal.path}: its configuration cannot be used; give one by --config"
+    )
 
 
 class Recording:

@@ -1,7 +1,12 @@
-"""Value tables on disk: computed once per configuration, then read in milliseconds."""
+"""Value tables on disk: computed once per configuration, then read in milliseconds.
+
+A file is the SHA-256 of key and values, then the values as little-endian 32-bit floats. Whatever is not exactly that
+is computed anew: a damaged table would be believed otherwise.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tempfile
 from collections.abc import Callable
@@ -10,12 +15,18 @@ from pathlib import Path
 import numpy as np
 
 from mission.value_iteration import compute
-from mission.value_table import TableConfiguration, ValueTable, completed
+from mission.value_table import Float32, TableConfiguration, ValueTable, completed
+
+_STORED = np.dtype("<f4")
+_DIGEST_BYTES = hashlib.sha256().digest_size
 
 
-def cache_directory() -> Path:
-    """Return where tables are kept: $XDG_CACHE_HOME/sidelong, else ~/.cache/sidelong."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sidelong"
+def cache_directory() -> Path | None:
+    """Return where tables are kept: $XDG_CACHE_HOME/sidelong, else ~/.cache/sidelong; None without a home."""
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sidelong"
+    except RuntimeError:
+        return None
 
 
 def value_table(
@@ -23,25 +34,50 @@ def value_table(
     progress: Callable[[float], None] = lambda _share: None,
     directory: Path | None = None,
 ) -> ValueTable:
-    """Return the table from its file; compute and store it when there is none or it cannot be read.
+    """Return the table from its file; compute and store it when there is none or it is not whole.
 
     progress is called with the share 0..1 of the computation. A directory that cannot be written costs only time.
     """
-    file = (directory or cache_directory()) / f"value-{configuration.key()}.npy"
-    try:
-        return completed(configuration, np.load(file, allow_pickle=False))
-    except (OSError, ValueError, EOFError):
-        table = compute(configuration, progress)
+    directory = directory or cache_directory()
+    file = directory / f"value-{configuration.key()}.table" if directory is not None else None
+    values = _stored(file, configuration) if file is not None else None
+    if values is not None:
+        return completed(configuration, values)
+    table = compute(configuration, progress)
+    if file is not None:
         _store(file, table)
-        return table
+    return table
+
+
+def _stored(file: Path, configuration: TableConfiguration) -> Float32 | None:
+    shape = configuration.shape
+    size = _DIGEST_BYTES + int(np.prod(shape)) * _STORED.itemsize
+    try:
+        if file.stat().st_size != size:
+            return None
+        data = file.read_bytes()
+    except OSError:
+        return None
+    digest, values = data[:_DIGEST_BYTES], data[_DIGEST_BYTES:]
+    if digest != _digest(configuration, values):
+        return None
+    return np.frombuffer(values, _STORED).reshape(shape).astype(np.float32)
+
+
+def _digest(configuration: TableConfiguration, values: bytes) -> bytes:
+    return hashlib.sha256(configuration.key().encode() + values).digest()
 
 
 def _store(file: Path, table: ValueTable) -> None:
     """Write under another name first: a reader meets a whole file or none."""
+    values = table.values.astype(_STORED).tobytes()
+    part: Path | None = None
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=file.parent, suffix=".part", delete=False) as part:
-            np.save(part, table.values)
-        Path(part.name).replace(file)
+        with tempfile.NamedTemporaryFile(dir=file.parent, suffix=".part", delete=False) as out:
+            part = Path(out.name)
+            out.write(_digest(table.configuration, values) + values)
+        part.replace(file)
     except OSError:
-        return
+        if part is not None:
+            part.unlink(missing_ok=True)

@@ -77,6 +77,12 @@ class TableConfiguration:
         return hashlib.sha256(f"{_VERSION} {sorted(asdict(self).items())}".encode()).hexdigest()[:24]
 
     @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Shape of the table: classes, headings, and the square grid."""
+        n = 2 * self.cells + 1
+        return len(self.classes()[0]), HEADINGS, n, n
+
+    @property
     def half_width_m(self) -> float:
         """Half the side of the square that the grid covers."""
         return self.cost.far_m + _BEYOND_BAND_M
@@ -195,8 +201,7 @@ def _looked_up(
 
 def completed(configuration: TableConfiguration, values: Float32) -> ValueTable:
     """Return the table of stored values. Raises ValueError when they are not of this configuration."""
-    n = 2 * configuration.cells + 1
-    shape = (len(configuration.classes()[0]), HEADINGS, n, n)
+    shape = configuration.shape
     if values.shape != shape or not np.isfinite(values).all():
         raise ValueError(f"values: expected finite numbers of shape {shape}, found shape {values.shape}")
     return ValueTable(configuration, values, expected_after_turn(configuration, values))

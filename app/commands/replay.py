@@ -16,7 +16,7 @@ from app.assembly import fence_check, watch_of
 from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
 from app.config import Config, load_config, with_values
 from app.errors import FlightError, InputError
-from app.recording import JOURNAL_TYPES
+from app.recording import JOURNAL_TYPES, journalled_config
 from app.records.journal import JournalReader
 from app.records.log import open_log
 from app.records.run_folder import RunFolder
@@ -122,7 +122,7 @@ def _replay_run(
     with _progress() as progress:
         task = progress.add_task(folder.path.name, total=1.0)
         journal = JournalReader(folder.journal, JOURNAL_TYPES, lambda share: progress.update(task, completed=share))
-        flown = load_config(config) if config is not None else Config.model_validate(dict(journal.header.config))
+        flown = load_config(config) if config is not None else journalled_config(journal)
         settings = with_values(flown, changes, "--set")
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")

@@ -93,7 +93,7 @@ class JournalReader:
     """
 
     def __init__(self, path: Path, types: Collection[type], progress: Progress | None = None) -> None:
-        self._path, self._progress = path, progress
+        self.path, self._progress = path, progress
         self._types = {kind.__name__: kind for kind in (Header, *types)}
         self.damaged_lines = 0
         first = next(self._records(), None)
@@ -113,13 +113,13 @@ class JournalReader:
         try:
             return _CONVERTER.structure(fields, self._types[name])
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{self._path} has an event {name} that this program does not know.") from error
+            raise InputError(f"{self.path} has an event {name} that this program does not know.") from error
 
     def _records(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield type name and fields of every whole line."""
         self.damaged_lines = 0
         try:
-            with self._path.open("rb") as file:
+            with self.path.open("rb") as file:
                 size = max(1, file.seek(0, io.SEEK_END))
                 file.seek(0)
                 for number, line in enumerate(file):
@@ -133,7 +133,7 @@ class JournalReader:
                     if self._progress and number % _PROGRESS_LINES == 0:
                         self._progress(file.tell() / size)
         except OSError as error:
-            raise InputError(f"{self._path} cannot be read: {error.strerror}.") from error
+            raise InputError(f"{self.path} cannot be read: {error.strerror}.") from error
 
 
 def _whole_body(line: bytes) -> bytes | None:

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-from pydantic import ValidationError
 
 from app.assembly import fence_outlines, tracker_of
 from app.config import Config, load_config
 from app.errors import InputError
-from app.recording import JOURNAL_TYPES
+from app.recording import JOURNAL_TYPES, journalled_config
 from app.records.journal import JournalReader
 from app.records.log import open_log
 from app.records.run_folder import RunFolder
@@ -57,7 +53,7 @@ def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: P
     reader = JournalReader(folder.journal, JOURNAL_TYPES, progress)
     if reader.header.plane is None:
         raise InputError(f"{folder.path} holds no flight: it ended before the vehicle's position was known.")
-    settings = load_config(config) if config is not None else _journalled(folder, reader.header.config)
+    settings = load_config(config) if config is not None else journalled_config(reader)
     builder = HistoryBuilder(tracker_of(settings))
     for record in reader:
         if isinstance(record, Command):
@@ -72,15 +68,6 @@ def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: P
     result = read_summary(folder.read_summary()) if whole else summary_of(history, "cut off")
     name = folder.path.resolve().name
     return Flown(name, reader.header.program, settings, history, result, reader.damaged_lines)
-
-
-def _journalled(folder: RunFolder, values: Mapping[str, Any]) -> Config:
-    try:
-        return Config.model_validate(values)
-    except ValidationError as error:
-        raise InputError(
-            f"{folder.journal} has a configuration that this program does not know; give one with --config."
-        ) from error
 
 
 def _log(path: Path, truth: Path | None, config: Path | None, progress: Progress | None) -> Flown:

@@ -9,9 +9,9 @@ from app.errors import InputError
 from mission.requirement import Side
 
 
-def write(tmp_path, text: str):
+def write(tmp_path, content: str | bytes):
     path = tmp_path / "mission.toml"
-    path.write_text(text)
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return path
 
 
@@ -38,6 +38,19 @@ def test_the_command_line_wins_over_the_file_and_none_says_nothing(tmp_path):
         ("[requirement]\nside = 'above'\n", ["requirement.side", "left", "right"]),
         ("aircraft = 3\n", ["aircraft"]),
         ("[aircraft\n", ["TOML"]),
+        ("[sensors]\nlever_arm_m = [nan, 0, 0]\n", ["sensors.lever_arm_m.0", "nan", "finite"]),
+        ("[sensors]\nmount_deg = [0, inf, 0]\n", ["sensors.mount_deg.1", "inf", "finite"]),
+        ("[fences]\nfloor_m = 200\nceiling_m = 100\n", ["fences", "floor_m", "ceiling_m", "change"]),
+        ("[requirement]\nrange_min_m = 300\nrange_max_m = 300\n", ["requirement", "range_min_m", "range_max_m"]),
+        ("[fences]\nkeep_in = [[47.39, 8.5], [47.4, 8.5], [47.4, 8.6]]\n", ["fences.keep_in", "brackets", "[[[47.4"]),
+        (f"[fences]\nkeep_in = [{'[[1, 2], [3, 4]], ' * 9000}]\n", ["fences.keep_in", "at most 100"]),
+        ("a = " + "[" * 20_000, ["nested"]),
+        ("a = " + "1" * 5000, ["TOML", "4300 digits"]),
+        (".".join("a" * 20_000) + " = 1\n", ["16 parts"]),
+        (".".join(['"a b"'] * 20_000) + " = 1\n", ["16 parts"]),
+        ("# long\n" * 50_000, ["longer than 256 KiB"]),
+        (bytes(range(256)), ["UTF-8", "sidelong init"]),
+        (f"[aircraft]\nradius_m = '{'b' * 9000}'\n", ["aircraft.radius_m", "bbb..."]),
     ],
 )
 def test_a_wrong_file_is_one_sentence_that_names_the_field(tmp_path, text, named):
@@ -49,6 +62,17 @@ def test_a_wrong_file_is_one_sentence_that_names_the_field(tmp_path, text, named
     assert message.endswith(".")
     for part in ["mission.toml", *named]:
         assert part in message
+
+
+def test_a_long_text_with_dots_is_no_long_key(tmp_path):
+    path = write(tmp_path, f"# {'a.' * 40}\n[simulation]\ntarget = '{'a.' * 40}gpx'  # {'b.' * 40}\n")
+    assert load_config(path).simulation.target.endswith("a.gpx")
+
+
+@pytest.mark.parametrize("name", [".", "no\0name"])
+def test_what_is_no_file_is_named(tmp_path, name):
+    with pytest.raises(InputError, match="sidelong init"):
+        load_config(tmp_path / name)
 
 
 def test_a_missing_file_is_named(tmp_path):

@@ -1,9 +1,12 @@
+import resource
 from dataclasses import replace
+from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from app.value_cache import value_table
+from app.value_cache import _store, cache_directory, value_table
 from mission.cost import WatchCost
 from mission.value_table import TableConfiguration
 
@@ -27,13 +30,57 @@ def test_a_table_is_computed_once_with_progress(computed):
     np.testing.assert_array_equal(first.after_turn, again.after_turn)
 
 
-@pytest.mark.parametrize("length", [0, 1000])
-def test_a_damaged_file_is_computed_anew(computed, tmp_path, length):
+def flipped(data: bytes, at: int) -> bytes:
+    return data[:at] + bytes([data[at] ^ 0x01]) + data[at + 1 :]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: b"",
+        lambda data: data[:1000],
+        lambda data: data + b"\0",
+        lambda data: flipped(data, 0),
+        lambda data: flipped(data, len(data) // 2),
+        lambda data: bytes(len(data)),
+    ],
+    ids=["empty", "cut", "longer", "checksum flipped", "value flipped", "zeros"],
+)
+def test_a_damaged_file_is_computed_anew(computed, tmp_path, damage):
     first, folder, _ = computed
     (whole,) = folder.iterdir()
-    (tmp_path / whole.name).write_bytes(whole.read_bytes()[:length])
-    np.testing.assert_array_equal(value_table(SMALL, directory=tmp_path).values, first.values)
+    (tmp_path / whole.name).write_bytes(damage(whole.read_bytes()))
+    shares = []
+    np.testing.assert_array_equal(value_table(SMALL, shares.append, tmp_path).values, first.values)
+    assert shares
     assert (tmp_path / whole.name).read_bytes() == whole.read_bytes()
+
+
+def test_a_table_of_another_configuration_is_not_taken(computed, tmp_path):
+    (whole,) = computed[1].iterdir()
+    other = replace(SMALL, target_speed_max_m_s=6.0)
+    (tmp_path / f"value-{other.key()}.table").write_bytes(whole.read_bytes())
+    shares = []
+    value_table(other, shares.append, tmp_path)
+    assert shares
+
+
+def test_a_user_without_a_home_has_no_cache(monkeypatch):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", Mock(side_effect=RuntimeError("Could not determine home directory.")))
+    assert cache_directory() is None
+    assert value_table(SMALL).values.shape[0] == 3
+
+
+def test_a_full_disk_costs_only_time_and_leaves_nothing(computed, tmp_path):
+    table, directory = computed[0], tmp_path / "tables"
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))  # a write beyond it fails as on a full disk
+    try:
+        _store(directory / "value.table", table)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not list(directory.iterdir())
 
 
 def test_another_configuration_has_another_file(computed, tmp_path):

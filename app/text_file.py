@@ -1,0 +1,53 @@
+"""Small text files of people and of earlier runs, read within bounds: what is wrong becomes one sentence."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from app.errors import InputError
+
+_CONFIG_MAX_BYTES = 256 << 10
+_STRING_OR_COMMENT = re.compile(
+    r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
+)
+# The time that tomllib takes for a dotted key grows with the cube of its parts.
+_LONG_KEY = re.compile(r"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){16}")
+
+
+def read_text(path: Path, max_bytes: int, remedy: str) -> str:
+    """Return a UTF-8 file's text. Raises InputError, which ends in ``remedy``, for what is none or too long."""
+    try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is no file; {remedy}.")
+        with path.open("rb") as file:
+            data = file.read(max_bytes + 1)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise InputError(f"{path}: cannot be read ({reason}); {remedy}.") from error
+    if len(data) > max_bytes:
+        raise InputError(f"{path}: is longer than {max_bytes >> 10} KiB; {remedy}.")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not text in UTF-8 (byte {error.start}); {remedy}.") from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the values of a TOML file. Raises InputError naming the file, what is wrong and the way out."""
+    remedy = "give the path of a TOML file (sidelong init writes one)"
+    text = read_text(path, _CONFIG_MAX_BYTES, remedy)
+    if _LONG_KEY.search(_STRING_OR_COMMENT.sub("s", text)):
+        raise InputError(f"{path}: is not valid TOML for this: a key has more than 16 parts; {remedy}.")
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise InputError(f"{path}: is not valid TOML for this: brackets are nested too deep; {remedy}.") from error
+    except ValueError as error:
+        raise InputError(f"{path}: is not valid TOML: {_cut(str(error))}; correct it, or {remedy}.") from error
+
+
+def _cut(text: str, longest: int = 160) -> str:
+    return text if len(text) <= longest else text[: longest - 3] + "..."
