@@ -12,7 +12,6 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import asdict, dataclass, field
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -229,53 +228,23 @@ def expected_after_turn(configuration: TableConfiguration, values: Float32) -> F
 
 def _turned_frame(habits: TargetHabits, moving: Float32) -> Float32:
     """Return V (directions of the wind, headings, n, n) averaged over turns of a frame that follows the course."""
+    # Only computing a table needs it, and compiling takes a moment to load.
+    from mission._value_kernel import add_turned  # noqa: PLC0415
+
     total = np.zeros_like(moving)
-    flat = moving.reshape(moving.shape[0], -1)
     for turn_deg, chance in zip(habits.turns_deg, habits.chances, strict=True):
         # The frame turns clockwise: places, headings and the wind, as seen from it, turn the other way.
-        seen = _rolled(flat, turn_deg / 360.0 * _WIND_DIRECTIONS) if len(flat) > 1 else flat
-        for index, weight in _rotation(moving.shape[-1], turn_deg):
-            total += np.float32(chance) * weight * seen[:, index]
+        seen = _rolled(moving, turn_deg / 360.0 * _WIND_DIRECTIONS) if len(moving) > 1 else moving
+        for direction, values in enumerate(seen):
+            add_turned(total[direction], values, chance, math.radians(turn_deg), HEADING_STEP_RAD)
     return total
 
 
 def _rolled(classes: Float32, steps: float) -> Float32:
     """Return classes (directions, ...) moved on by a number of directions: at d what was at d - steps."""
     whole = math.floor(steps)
-    past = np.float32(steps - whole)
-    return (1.0 - past) * np.roll(classes, whole, axis=0) + past * np.roll(classes, whole + 1, axis=0)
-
-
-@lru_cache(maxsize=32)
-def _rotation(n: int, turn_deg: float) -> tuple[tuple[npt.NDArray[np.intp], Float32], ...]:
-    """Return flat indices and weights (headings, n, n) that show a table in a frame turned clockwise."""
-    sin_t, cos_t = math.sin(math.radians(turn_deg)), math.cos(math.radians(turn_deg))
-    axis = np.arange(n) - (n - 1) / 2
-    x, y = axis[:, None], axis[None, :]
-    heading = np.arange(HEADINGS)[:, None, None] - turn_deg / math.degrees(HEADING_STEP_RAD)
-    shape = (HEADINGS, n, n)
-    seen_x, seen_y = np.broadcast_to(x * cos_t - y * sin_t, shape), np.broadcast_to(x * sin_t + y * cos_t, shape)
-    return corners(np.broadcast_to(heading, shape), seen_x, seen_y, n)
-
-
-def corners(
-    heading: FloatArray, x: FloatArray, y: FloatArray, n: int
-) -> tuple[tuple[npt.NDArray[np.intp], Float32], ...]:
-    """Return flat indices and weights, in a table (headings, n, n), of the eight nodes about each point.
-
-    heading is in steps, x and y in cells from the middle. Points beyond the grid go to its edge.
-    """
-    x, y = np.clip(x + (n - 1) / 2, 0.0, n - 1.001), np.clip(y + (n - 1) / 2, 0.0, n - 1.001)
-    k, i, j = np.floor(heading).astype(np.intp), x.astype(np.intp), y.astype(np.intp)
-    turn, across, along = heading - k, x - i, y - j
-    return tuple(
-        (
-            ((k + a) % HEADINGS * n + i + b) * n + j + c,
-            ((turn if a else 1.0 - turn) * (across if b else 1.0 - across) * (along if c else 1.0 - along)).astype(
-                np.float32
-            ),
-        )
-        for a in (0, 1)
-        for b in (0, 1)
-        for c in (0, 1)
+    past = steps - whole
+    moved = (1.0 - past) * np.roll(np.eye(len(classes)), whole, axis=0) + past * np.roll(
+        np.eye(len(classes)), whole + 1, axis=0
     )
+    return np.tensordot(moved.astype(np.float32), classes, axes=1)

@@ -1,0 +1,52 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+CALLEE = """
+from estimators.compiled import compiled
+
+@compiled
+def inner(x):
+    return {} * x
+"""
+CALLER = """
+from callee import inner
+from estimators.compiled import compiled
+
+@compiled
+def outer(x):
+    return inner(x) + 1.0
+
+print(outer(1.0), sum(outer.stats.cache_hits.values()))
+"""
+
+
+def outer(folder, **environment):
+    done = subprocess.run(
+        [sys.executable, str(folder / "caller.py")],
+        env=os.environ | {"PYTHONPATH": f"{ROOT}:{folder}", "PYTHONDONTWRITEBYTECODE": "1"} | environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.split()
+
+
+def test_a_change_of_what_is_called_compiles_the_caller_anew(tmp_path):
+    (tmp_path / "caller.py").write_text(CALLER)
+    (tmp_path / "callee.py").write_text(CALLEE.format(2.0))
+    assert outer(tmp_path) == ["3.0", "0"]
+    assert outer(tmp_path) == ["3.0", "1"]
+    (tmp_path / "callee.py").write_text(CALLEE.format(5.0))
+    assert outer(tmp_path) == ["6.0", "0"]
+
+
+def test_without_a_place_to_keep_it_each_start_compiles(tmp_path):
+    (tmp_path / "caller.py").write_text(CALLER)
+    (tmp_path / "callee.py").write_text(CALLEE.format(2.0))
+    (tmp_path / "__pycache__").write_text("a file where the folder would be")
+    nowhere = {"XDG_CACHE_HOME": str(tmp_path / "callee.py"), "NUMBA_CACHE_DIR": ""}
+    assert outer(tmp_path, **nowhere) == ["3.0", "0"]
+    assert outer(tmp_path, **nowhere) == ["3.0", "0"]
