@@ -14,8 +14,17 @@ from xml.etree import ElementTree
 from sitl.geodesy import HomePlane
 
 _SPIKE_SPEED_M_S = 15.0
+_SPIKE_DETOUR = 3.0  # by way of a spike, over the direct way past it
 _LIVELY_SPEED_M_S = 2.5
 _LIVELY_WINDOW_S = 60.0
+
+
+_Point = tuple[float, float, float]  # time, then east and north or latitude and longitude
+# What the columns of a CSV may be called: time and two of place; whether these are degrees.
+_COLUMNS = (
+    ((("t_s", "time_s", "time", "t"), ("east_m",), ("north_m",)), False),
+    ((("time", "t_s", "time_s", "t"), ("lat", "latitude", "lat_deg"), ("lon", "longitude", "lon_deg")), True),
+)
 
 
 class TrackError(ValueError):
@@ -82,17 +91,18 @@ class TrackMotion:
 
 
 def read_track(path: Path) -> Track:
-    """Read a .gpx track or a .csv with the columns time_s,east_m,north_m or time,lat,lon.
+    """Read a .gpx track, or a .csv whose header names t_s, east_m, north_m or time, lat, lon among its columns.
 
+    Points come in the order of time, relative to the first; spikes of the receiver are left out.
     Raises TrackError when the file cannot be read or holds fewer than two usable points.
     """
     try:
         rows = _read_gpx(path) if path.suffix.lower() == ".gpx" else _read_csv(path)
     except OSError as error:
         raise TrackError(f"{path} cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, ElementTree.ParseError, ValueError, KeyError) as error:
+    except (UnicodeDecodeError, ElementTree.ParseError, ValueError, csv.Error) as error:
         raise TrackError(f"{path} is no readable track: {error}") from error
-    points = _without_spikes(sorted(rows))
+    points = _without_spikes(_rising([row for row in rows if all(map(math.isfinite, row))]))
     if len(points) < 2:
         raise TrackError(f"{path} holds {len(points)} usable points with times; a track needs two")
     first_s = points[0][0]
@@ -100,26 +110,41 @@ def read_track(path: Path) -> Track:
     return Track([t - first_s for t in time_s], east_m, north_m)
 
 
-def _read_gpx(path: Path) -> list[tuple[float, float, float]]:
+def _read_gpx(path: Path) -> list[_Point]:
     rows = []
     for point in ElementTree.parse(path).iter():
         if not point.tag.endswith("}trkpt") and point.tag != "trkpt":
             continue
         stamp = next((child.text for child in point if child.tag.rpartition("}")[2] == "time"), None)
-        if stamp:
-            rows.append((_seconds(stamp), float(point.attrib["lat"]), float(point.attrib["lon"])))
+        place = point.attrib.get("lat"), point.attrib.get("lon")
+        if stamp and place[0] and place[1]:
+            rows.append((_seconds(stamp), float(place[0]), float(place[1])))
     return _from_geodetic(rows)
 
 
-def _read_csv(path: Path) -> list[tuple[float, float, float]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
-        columns = reader.fieldnames or ()
-        if {"time_s", "east_m", "north_m"} <= set(columns):
-            return [(float(r["time_s"]), float(r["east_m"]), float(r["north_m"])) for r in reader]
-        if {"time", "lat", "lon"} <= set(columns):
-            return _from_geodetic([(_seconds(r["time"]), float(r["lat"]), float(r["lon"])) for r in reader])
-    raise ValueError("the header is neither time_s,east_m,north_m nor time,lat,lon")
+def _read_csv(path: Path) -> list[_Point]:
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        header = file.readline()
+        columns = [name.strip().lower() for name in next(csv.reader([header], delimiter=_delimiter(header)), [])]
+        rows = csv.reader(file, delimiter=_delimiter(header))
+        for names, geodetic in _COLUMNS:
+            places = [next((columns.index(n) for n in alike if n in columns), None) for alike in names]
+            if None not in places:
+                points = [_point([row[k] for k in places if k is not None and k < len(row)]) for row in rows]
+                found = [point for point in points if point is not None]
+                return _from_geodetic(found) if geodetic else found
+    raise ValueError("the header names neither t_s, east_m, north_m nor time, lat, lon")
+
+
+def _delimiter(header: str) -> str:
+    return max(",;\t", key=header.count)
+
+
+def _point(cells: list[str]) -> _Point | None:
+    """Return a row's time and place, None where a cell is empty. Raises ValueError for one that is no number."""
+    if len(cells) < 3 or not all(cell.strip() for cell in cells):
+        return None
+    return _seconds(cells[0]), float(cells[1]), float(cells[2])
 
 
 def _seconds(stamp: str) -> float:
@@ -129,7 +154,7 @@ def _seconds(stamp: str) -> float:
         return datetime.datetime.fromisoformat(stamp.strip()).timestamp()
 
 
-def _from_geodetic(rows: list[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
+def _from_geodetic(rows: list[_Point]) -> list[_Point]:
     if not rows:
         return []
     plane = HomePlane(rows[0][1], rows[0][2])
@@ -138,26 +163,35 @@ def _from_geodetic(rows: list[tuple[float, float, float]]) -> list[tuple[float, 
     ]
 
 
-def _without_spikes(rows: list[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
-    """Drop repeated times and single points that a ground vehicle could not have reached and left again."""
-    kept: list[tuple[float, float, float]] = []
-    for i, row in enumerate(rows):
-        if not all(math.isfinite(value) for value in row):
-            continue
-        if kept and row[0] <= kept[-1][0]:
-            continue
-        follower = rows[i + 1] if i + 1 < len(rows) else None
-        if kept and _speed_m_s(kept[-1], row) > _SPIKE_SPEED_M_S:
-            confirmed = follower is not None and _speed_m_s(row, follower) <= _SPIKE_SPEED_M_S
-            if not confirmed:
-                continue
-        kept.append(row)
+def _rising(rows: list[_Point]) -> list[_Point]:
+    """Return the points in the order of time, the first of each time."""
+    return [row for k, row in enumerate(rows) if k == 0 or row[0] > rows[k - 1][0]] if (rows := sorted(rows)) else []
+
+
+def _without_spikes(points: list[_Point]) -> list[_Point]:
+    """Drop single points that lie far off the way between their neighbours, faster there and back than is possible.
+
+    The last point has no neighbour behind it: it is dropped when it cannot be reached at the speed of the others.
+    """
+    kept: list[_Point] = []
+    for k, point in enumerate(points):
+        if kept:
+            there_m_s, there_m = _speed_m_s(kept[-1], point), math.dist(kept[-1][1:], point[1:])
+            if k + 1 == len(points):
+                before_m_s = _speed_m_s(kept[-2], kept[-1]) if len(kept) > 1 else 0.0
+                if there_m_s > _SPIKE_SPEED_M_S and there_m_s > before_m_s + _SPIKE_SPEED_M_S:
+                    continue
+            else:
+                back_m, direct_m = (math.dist(points[k + 1][1:], p[1:]) for p in (point, kept[-1]))
+                hurried = min(there_m_s, _speed_m_s(point, points[k + 1])) > _SPIKE_SPEED_M_S
+                if hurried and there_m + back_m > _SPIKE_DETOUR * direct_m:
+                    continue
+        kept.append(point)
     return kept
 
 
-def _speed_m_s(one: tuple[float, float, float], other: tuple[float, float, float]) -> float:
-    step_s = other[0] - one[0]
-    return math.hypot(other[1] - one[1], other[2] - one[2]) / step_s if step_s > 0.0 else math.inf
+def _speed_m_s(one: _Point, other: _Point) -> float:
+    return math.dist(one[1:], other[1:]) / (other[0] - one[0])
 
 
 def _interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:

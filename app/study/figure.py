@@ -33,7 +33,7 @@ def _path(axes: Axes, result: StudyResult) -> None:
         axes.plot(track.east_m, track.north_m, linewidth=0.8, label=name, zorder=3 - 0.1 * k)
     target = next(iter(result.planners.values())).first_track
     axes.plot(target.target_east_m, target.target_north_m, "k", linewidth=2.0, label="target")
-    ticks = np.searchsorted(target.time_s, np.arange(0.0, result.settings.duration_s, _TICK_S))
+    ticks = np.searchsorted(target.time_s, np.arange(0.0, target.time_s[-1], _TICK_S))
     axes.plot(target.target_east_m[ticks], target.target_north_m[ticks], "k.", markersize=6.0)
     axes.set(title=f"first run, a dot every {_TICK_S:.0f} s", xlabel="east, m", ylabel="north, m")
     axes.set_aspect("equal", adjustable="datalim")
@@ -76,7 +76,7 @@ def _histogram(axes: Axes, result: StudyResult) -> None:
         counts = planner.observation_histogram
         axes.stairs(100.0 * counts / counts.sum(), np.linspace(-180.0, 180.0, counts.size + 1), label=name)
     axes.set(
-        title=f"observation angle of all {result.settings.runs} runs",
+        title=f"observation angle of all {result.settings.all_runs} runs",
         xlabel="angle, °",
         ylabel="share of the time in 5°, %",
         xlim=(-180.0, 180.0),

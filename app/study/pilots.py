@@ -42,9 +42,9 @@ class StopWatch:
 
 
 class Pilot(Protocol):
-    """Steers one aircraft through one run. watch times its decisions."""
+    """Steers one aircraft through one run. changed_s: when it took up each plan; watch times its decisions."""
 
-    moves: int
+    changed_s: list[float]
     watch: StopWatch
 
     def curvature_1_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
@@ -57,7 +57,7 @@ class LawPilot:
 
     def __init__(self, law: GuidanceLaw) -> None:
         self._law = law
-        self.moves = 0
+        self.changed_s: list[float] = []
         self.watch = StopWatch()
         self._command_1_m: float | None = None
         self._next_s = 0.0
@@ -79,7 +79,7 @@ class PlanPilot:
         self._planner, self._wind, self._latency_s = planner, wind, latency_s
         self._plan = Plan(circle)
         self._coming: Plan | None = None
-        self.moves = 0
+        self.changed_s: list[float] = []
         self.watch = StopWatch()
         self._next_s = 0.0
 
@@ -94,7 +94,7 @@ class PlanPilot:
                 ).plan
         if self._coming is not None and aircraft.time_s >= self._coming.departure_s - 1e-6:
             self._plan, self._coming = self._coming, None
-            self.moves += 1
+            self.changed_s.append(aircraft.time_s)
         return self._following(aircraft)
 
     def _following(self, aircraft: AircraftState) -> float:

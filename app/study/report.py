@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy.typing as npt
 from rich import box
 from rich.table import Table
 
+from app.study.settings import StudySettings
 from app.study.study import PlannerResult, StudyResult
 
 FloatArray = npt.NDArray[np.float64]
@@ -18,6 +20,7 @@ FloatArray = npt.NDArray[np.float64]
 _SPREADS: tuple[tuple[str, Callable[[PlannerResult], FloatArray], int, Callable[[FloatArray], Any], int], ...] = (
     ("time in band, %", lambda p: 100.0 * p.time_in_band, 5, np.min, 2),
     ("time on side, %", lambda p: 100.0 * p.time_on_side, 5, np.min, 1),
+    ("by the course of 5 s, %", lambda p: 100.0 * p.time_on_side_5s, 5, np.min, 1),
     ("least range, m", lambda p: p.min_range_m, 5, np.min, 0),
     ("greatest range, m", lambda p: p.max_range_m, 95, np.max, 0),
 )
@@ -26,9 +29,15 @@ _SPREADS: tuple[tuple[str, Callable[[PlannerResult], FloatArray], int, Callable[
 def study_title(result: StudyResult) -> str:
     """Return one line that tells what was flown."""
     s = result.settings
+    target = f"to {s.target_speed_max_m_s:g} m/s"
+    if s.tracks:
+        target = f"recorded, {target}"
+        runs = f"{s.all_runs} runs, {result.simulated_s / len(s.planners) / 3600.0:.1f} h"
+    else:
+        runs = f"{s.all_runs} runs of {s.duration_s / 60.0:.0f} min"
+        target += f", legs of {s.legs_s[0]:g}-{s.legs_s[1]:g} s"
     return (
-        f"{s.runs} runs of {s.duration_s / 60.0:.0f} min at {s.airspeed_m_s:g} m/s on circles of {s.radius_m:g} m; "
-        f"target to {s.target_speed_max_m_s:g} m/s, legs of {s.legs_s[0]:g}-{s.legs_s[1]:g} s; "
+        f"{runs} at {s.airspeed_m_s:g} m/s on circles of {s.radius_m:g} m; target {target}; "
         f"wind {s.wind_speed_m_s:g} m/s; {'perfect sensors' if s.perfect_sensors else 'noisy laser and gimbal'}"
     )
 
@@ -40,10 +49,12 @@ def study_table(result: StudyResult) -> Table:
         column.justify = "right"
     planners = list(result.planners.values())
     for label, values, tail, worst, digits in _SPREADS:
-        table.add_row(label, "mean", *(f"{values(p).mean():.{digits}f}" for p in planners))
-        table.add_row("", f"{tail} %", *(f"{np.percentile(values(p), tail):.{digits}f}" for p in planners))
-        table.add_row("", "worst", *(f"{worst(values(p)):.{digits}f}" for p in planners))
+        known = [v[np.isfinite(v)] for v in map(values, planners)]
+        for name, of in (("mean", np.mean), (f"{tail} %", partial(np.percentile, q=tail)), ("worst", worst)):
+            words = (f"{of(v):.{digits}f}" if v.size else "-" for v in known)
+            table.add_row(label if name == "mean" else "", name, *words)
     table.add_row("moves per hour", "mean", *(f"{p.moves_per_hour.mean():.0f}" for p in planners))
+    table.add_row("within 10 s of the last", "mean", *(f"{p.quick_changes_per_hour.mean():.1f}" for p in planners))
     table.add_row("observation angle, °", "spread", *(f"{p.observation_spread_deg.mean():.0f}" for p in planners))
     for tail in (50, 99):
         times_s = (1e3 * float(np.percentile(p.decision_s, tail)) for p in planners)
@@ -53,31 +64,41 @@ def study_table(result: StudyResult) -> Table:
 
 def study_json(result: StudyResult) -> dict[str, Any]:
     """Return the summary that ``--json`` writes."""
+    settings = result.settings
     return {
-        "planners": {str(name): _planner_json(planner) for name, planner in result.planners.items()},
-        "runs": result.settings.runs,
-        "seed": result.settings.seed,
+        "planners": {str(name): _planner_json(planner, settings) for name, planner in result.planners.items()},
+        "runs": settings.runs,
+        "noise_draws": settings.noise_draws,
+        "seed": settings.seed,
+        "targets": settings.runs,
+        "skipped": len(settings.skipped),
+        "skipped_targets": [{"file": file, "reason": reason} for file, reason in settings.skipped],
         "simulated_s": result.simulated_s,
         "wall_s": result.wall_s,
     }
 
 
-def _planner_json(planner: PlannerResult) -> dict[str, Any]:
+def _planner_json(planner: PlannerResult, settings: StudySettings) -> dict[str, Any]:
     p50_s, p99_s = np.percentile(planner.decision_s, (50, 99))
     return {
-        "time_in_band": _spread(planner.time_in_band),
-        "time_on_side": _spread(planner.time_on_side),
-        "min_range_m": {"worst": float(planner.min_range_m.min())},
-        "max_range_m": {"worst": float(planner.max_range_m.max())},
-        "moves_per_hour": float(planner.moves_per_hour.mean()),
+        "targets": settings.runs,
+        "skipped": len(settings.skipped),
+        "time_in_band": _spread(planner.time_in_band, 5),
+        "time_on_side": _spread(planner.time_on_side, 5),
+        "time_on_side_5s": _spread(planner.time_on_side_5s, 5),
+        "min_range_m": _spread(planner.min_range_m, 5),
+        "max_range_m": _spread(planner.max_range_m, 95),
+        "moves_per_hour": _spread(planner.moves_per_hour, 95),
+        "quick_changes_per_hour": _spread(planner.quick_changes_per_hour, 95),
         "observation_spread_deg": float(planner.observation_spread_deg.mean()),
         "decision_ms": {"p50": 1e3 * float(p50_s), "p99": 1e3 * float(p99_s)},
     }
 
 
-def _spread(values: FloatArray) -> dict[str, float]:
-    return {
-        "mean": float(values.mean()),
-        "p5": float(np.percentile(values, 5)),
-        "worst": float(values.min()),
-    }
+def _spread(values: FloatArray, tail: int) -> dict[str, float | None]:
+    """Return mean, tail and worst; the worst is the least where the tail is a low percentile, else the greatest."""
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return dict.fromkeys(("mean", f"p{tail}", "worst"))
+    worst = values.min() if tail < 50 else values.max()
+    return {"mean": float(values.mean()), f"p{tail}": float(np.percentile(values, tail)), "worst": float(worst)}

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
+from app.study.recorded import RecordedTarget
 from mission.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 
 
@@ -22,7 +23,9 @@ class PlannerName(StrEnum):
 class StudySettings:
     """The paper's requirement. In wind the circle grows, so that its bank at the greatest ground speed stays.
 
-    latency_s: from a decision to the earliest departure.
+    runs: targets; each is flown noise_draws times by each planner. latency_s: from a decision to the earliest
+    departure. tracks: recorded targets in place of random ones, as many as runs, each flown to its end or for
+    duration_s; skipped: (file, reason) of others.
     """
 
     planners: tuple[PlannerName, ...] = tuple(PlannerName)
@@ -38,6 +41,14 @@ class StudySettings:
     range_min_m: float = 100.0
     range_max_m: float = 500.0
     latency_s: float = 0.2
+    tracks: tuple[RecordedTarget, ...] = ()
+    skipped: tuple[tuple[str, str], ...] = ()
+    noise_draws: int = 1
+
+    @property
+    def all_runs(self) -> int:
+        """Runs of each planner."""
+        return self.runs * self.noise_draws
 
     @property
     def radius_m(self) -> float:

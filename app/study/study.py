@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.study.run import RunResult, Track, run
+from app.study.judging import RunResult, Track
+from app.study.run import run
+from app.study.scene import scene
 from app.study.settings import PlannerName, StudySettings
 from mission.value_table import ValueTable
 
@@ -22,13 +24,18 @@ Progress = Callable[[int], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannerResult:
-    """One planner's runs, in order: arrays (runs,); decision_s of all runs together."""
+    """One planner's runs, in order: arrays (runs,); decision_s of all runs together.
+
+    Sides are not a number where a target never moved; one planner's values have the same gaps as another's.
+    """
 
     time_in_band: npt.NDArray[np.float64]
     time_on_side: npt.NDArray[np.float64]
+    time_on_side_5s: npt.NDArray[np.float64]
     min_range_m: npt.NDArray[np.float64]
     max_range_m: npt.NDArray[np.float64]
     moves_per_hour: npt.NDArray[np.float64]
+    quick_changes_per_hour: npt.NDArray[np.float64]
     observation_spread_deg: npt.NDArray[np.float64]
     observation_histogram: npt.NDArray[np.int64]
     decision_s: npt.NDArray[np.float32]
@@ -42,9 +49,11 @@ class PlannerResult:
         return PlannerResult(
             np.array([r.time_in_band for r in runs]),
             np.array([r.time_on_side for r in runs]),
+            np.array([r.time_on_side_5s for r in runs]),
             np.array([r.min_range_m for r in runs]),
             np.array([r.max_range_m for r in runs]),
             np.array([r.moves_per_hour for r in runs]),
+            np.array([r.quick_changes_per_hour for r in runs]),
             np.array([r.observation_spread_deg for r in runs]),
             np.sum([r.observation_histogram for r in runs], axis=0),
             np.concatenate([r.decision_s for r in runs]),
@@ -74,7 +83,7 @@ def run_study(
     interrupt ends the worker processes at once.
     """
     begun_s = time.perf_counter()
-    tasks = [(planner, number) for planner in settings.planners for number in range(settings.runs)]
+    tasks = [(planner, number) for planner in settings.planners for number in range(settings.all_runs)]
     found: dict[tuple[PlannerName, int], RunResult] = {}
     processes = min(jobs or os.cpu_count() or 1, len(tasks))
     with _uninterrupted():
@@ -85,10 +94,11 @@ def run_study(
             found[task] = result
             progress(1)
     planners = {
-        planner: PlannerResult.of([found[planner, number] for number in range(settings.runs)])
+        planner: PlannerResult.of([found[planner, number] for number in range(settings.all_runs)])
         for planner in settings.planners
     }
-    return StudyResult(settings, planners, len(tasks) * settings.duration_s, time.perf_counter() - begun_s)
+    flown_s = sum(scene(settings, number).duration_s for number in range(settings.all_runs))
+    return StudyResult(settings, planners, len(settings.planners) * flown_s, time.perf_counter() - begun_s)
 
 
 @contextlib.contextmanager

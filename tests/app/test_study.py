@@ -48,15 +48,20 @@ def test_the_result_does_not_depend_on_the_number_of_processes(small):
 def test_the_summary_has_every_key(small):
     result, _ = small
     summary = json.loads(json.dumps(study_json(result), allow_nan=False))
-    assert set(summary) == {"planners", "runs", "seed", "simulated_s", "wall_s"}
-    assert summary["runs"] == 3
+    assert set(summary) == {
+        *("planners", "runs", "seed", "simulated_s", "wall_s"),
+        *("noise_draws", "targets", "skipped", "skipped_targets"),
+    }
+    assert (summary["runs"], summary["targets"], summary["skipped"]) == (3, 3, 0)
     assert summary["simulated_s"] == 3 * 3 * 150.0
     for planner in summary["planners"].values():
         assert {"mean", "p5", "worst"} == set(planner["time_in_band"]) == set(planner["time_on_side"])
         assert planner["time_on_side"]["worst"] <= planner["time_on_side"]["p5"] <= planner["time_on_side"]["mean"]
         assert planner["min_range_m"]["worst"] <= planner["max_range_m"]["worst"]
         assert 0.0 <= planner["decision_ms"]["p50"] <= planner["decision_ms"]["p99"]
-        assert planner["moves_per_hour"] >= 0.0
+        assert 0.0 <= planner["moves_per_hour"]["mean"] <= planner["moves_per_hour"]["worst"]
+        assert 0.0 <= planner["quick_changes_per_hour"]["worst"] <= planner["moves_per_hour"]["worst"]
+        assert planner["time_on_side_5s"]["worst"] <= planner["time_on_side_5s"]["mean"]
 
 
 @pytest.mark.parametrize(("suffix", "begin"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")])

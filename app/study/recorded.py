@@ -1,0 +1,145 @@
+"""Recorded tracks as the targets of a study: resampled, smoothed, and told why one is left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from app.errors import InputError
+from app.study.course import SHORT, course_made_good_rad
+from app.study.target import TargetTruth
+from sitl.track import Track, TrackError, read_track
+
+FloatArray = npt.NDArray[np.float64]
+
+_STEP_S = 0.5
+_SMOOTHED_OVER = 5  # steps: 2.5 s
+_SHORTEST_S = 30.0
+# A single step so much faster than both its neighbours, and over so much, is the receiver's jump and no motion.
+_JUMP_M_S, _JUMP_OVER_OTHERS_M_S = 15.0, 10.0
+_SUFFIXES = (".csv", ".gpx")
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedTarget:
+    """A recorded track from its first point, which is the origin: arrays (n,) at steps of half a second."""
+
+    name: str
+    east_m: FloatArray
+    north_m: FloatArray
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first point to the last."""
+        return _STEP_S * (self.east_m.size - 1)
+
+    @cached_property
+    def key(self) -> int:
+        """A number that is the track's own, whatever its file is called."""
+        return int.from_bytes(sha256(self.east_m.tobytes() + self.north_m.tobytes()).digest()[:8])
+
+    @cached_property
+    def speed_p95_m_s(self) -> float:
+        """The speed that is exceeded for a twentieth of the time."""
+        return float(np.percentile(np.hypot(*self._velocity_m_s), 95))
+
+    @cached_property
+    def _velocity_m_s(self) -> tuple[FloatArray, FloatArray]:
+        return np.gradient(self.east_m, _STEP_S), np.gradient(self.north_m, _STEP_S)
+
+    @cached_property
+    def _course_rad(self) -> FloatArray:
+        return course_made_good_rad(self.east_m, self.north_m, _STEP_S, *SHORT)
+
+    def sampled(self, time_s: FloatArray) -> FloatArray:
+        """Return (n, 5) at times (n,): east, north, velocity east, velocity north, course. It stands at its end."""
+        own_s = _STEP_S * np.arange(self.east_m.size)
+        k = np.clip((time_s / _STEP_S + 1e-9).astype(int), 0, self.east_m.size - 1)
+        east, north = np.interp(time_s, own_s, self.east_m), np.interp(time_s, own_s, self.north_m)
+        return np.stack([east, north, *(v[k] for v in self._velocity_m_s), self._course_rad[k]], axis=1)
+
+    def at(self, time_s: float) -> TargetTruth:
+        """See :class:`app.study.target.Target`."""
+        return TargetTruth(*map(float, self.sampled(np.array([time_s]))[0]))
+
+
+def prepared(name: str, track: Track) -> RecordedTarget:
+    """Resample and smooth a track.
+
+    Gaps are bridged; jumps are taken out: what follows is joined to what was before.
+    """
+    time_s, east_m, north_m = (np.asarray(values, float) for values in (track.time_s, track.east_m, track.north_m))
+    steps_m = np.stack([np.diff(east_m), np.diff(north_m)])
+    speed_m_s = np.hypot(*steps_m) / np.diff(time_s)
+    around_m_s = np.maximum(np.append(speed_m_s[1:], 0.0), np.insert(speed_m_s[:-1], 0, 0.0))
+    steps_m[:, (speed_m_s > _JUMP_M_S) & (speed_m_s > around_m_s + _JUMP_OVER_OTHERS_M_S)] = 0.0
+    grid_s = np.arange(0.0, time_s[-1], _STEP_S)
+    smooth = []
+    for step_m in steps_m:
+        place_m = np.interp(grid_s, time_s, np.insert(np.cumsum(step_m), 0, 0.0))
+        padded_m = np.pad(place_m, _SMOOTHED_OVER // 2, "edge")
+        place_m = np.convolve(padded_m, np.full(_SMOOTHED_OVER, 1.0 / _SMOOTHED_OVER), "valid")
+        smooth.append(place_m - place_m[0])
+    return RecordedTarget(name, *smooth)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedTargets:
+    """The tracks to be flown in the order of their names, and why others are not: (name, reason)."""
+
+    flown: tuple[RecordedTarget, ...]
+    skipped: tuple[tuple[str, str], ...]
+
+
+def recorded_targets(places: list[Path], speed_max_m_s: float) -> RecordedTargets:
+    """Read the .csv and .gpx tracks in folders, or single files.
+
+    Tables without a track's columns, such as a list of the files, are passed over. Tracks whose 95th percentile of
+    speed is above speed_max_m_s, and those too short or unreadable, are skipped.
+    Raises InputError when none is left.
+    """
+    flown, skipped = [], []
+    for file in _files(places):
+        try:
+            track = read_track(file)
+        except TrackError as error:
+            if "the header names neither" not in str(error) or file in places:
+                skipped.append((file.name, str(error).removeprefix(f"{file} ")))
+            continue
+        if track.time_s[-1] < _SHORTEST_S:
+            skipped.append((file.name, f"lasts {track.time_s[-1]:.0f} s, and {_SHORTEST_S:.0f} s is the least"))
+            continue
+        target = prepared(file.stem, track)
+        if target.speed_p95_m_s > speed_max_m_s:
+            speeds = f"95th percentile of speed {target.speed_p95_m_s:.1f} m/s is above {speed_max_m_s:g} m/s"
+            skipped.append((file.name, speeds))
+        else:
+            flown.append(target)
+    if not flown:
+        where = ", ".join(map(str, places))
+        reason = f"the first: {skipped[0][0]}, {skipped[0][1]}" if skipped else "there is no .csv or .gpx track"
+        raise InputError(
+            f"--targets: no track to fly in {where} ({reason}); give tracks with the columns t_s, east_m, north_m, "
+            f"or raise --target-speed-max from {speed_max_m_s:g} m/s."
+        )
+    return RecordedTargets(tuple(flown), tuple(skipped))
+
+
+def _files(places: list[Path]) -> list[Path]:
+    files: list[Path] = []
+    for place in places:
+        if place.is_dir():
+            try:
+                files += sorted(p for p in place.iterdir() if p.suffix.lower() in _SUFFIXES and p.is_file())
+            except OSError as error:
+                raise InputError(f"--targets: {place} cannot be read ({error.strerror}); give a folder.") from error
+        elif place.is_file():
+            files.append(place)
+        else:
+            raise InputError(f"--targets: there is no {place}; give a folder of .csv and .gpx tracks.")
+    return files
