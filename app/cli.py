@@ -16,6 +16,7 @@ from app.commands.launch import launch
 from app.commands.replay import replay
 from app.commands.report import report
 from app.commands.study import study
+from app.commands.terrain import terrain
 from app.errors import FlightError, InputError
 from app.shutdown import exit_process
 from sitl.cli import run as sitl
@@ -31,7 +32,7 @@ Begin with: sidelong launch
 app = typer.Typer(
     name="sidelong", help=_HELP, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
 )
-for command in (launch, connect, replay, report, export, check, init, study):
+for command in (launch, connect, replay, report, export, check, init, study, terrain):
     app.command()(command)
 app.command(name="sitl")(sitl)
 
