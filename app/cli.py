@@ -15,6 +15,7 @@ from app.commands.init import init
 from app.commands.launch import launch
 from app.commands.replay import replay
 from app.commands.report import report
+from app.commands.terrain import terrain
 from app.ending import leave
 from app.errors import FlightError, InputError
 from app.study.command import study
@@ -31,7 +32,7 @@ Begin with: sidelong launch
 app = typer.Typer(
     name="sidelong", help=_HELP, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
 )
-for command in (launch, connect, replay, report, export, check, init, study):
+for command in (launch, connect, replay, report, export, check, init, study, terrain):
     app.command()(command)
 app.command(name="sitl")(sitl)
 

@@ -1,0 +1,232 @@
+"""A folder of elevation data: the window about home, and what it covers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from app.errors import InputError
+from app.terrain.geotiff import GeoTiff
+from app.terrain.srtm import SrtmTile
+from app.terrain.tile import Bounds, HeightArray, Posts, Tile
+from estimators.frames import LocalPlane
+
+if TYPE_CHECKING:
+    from estimators.terrain.ground import Ground
+
+_READERS: dict[str, type[SrtmTile] | type[GeoTiff]] = {".hgt": SrtmTile, ".tif": GeoTiff, ".tiff": GeoTiff}
+_TILES_MAX = 5_000
+_REACH_M = 25_000.0  # an hour at 7 m/s
+_POSTS_MAX = 6_000_000  # 24 MB
+_STRIP_POSTS, _COVERAGE_POSTS_MAX = 2_000_000, 20_000_000
+_KNOTS = 51
+_METRES_PER_DEG = 111_320.0
+
+
+@dataclass(frozen=True, slots=True)
+class TileCoverage:
+    """What one tile has of some bounds: shares 0..1 of the bounds, heights above sea level, None where all void."""
+
+    path: Path
+    spacing_m: float
+    covered: float
+    void: float
+    lowest_m: float | None
+    highest_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """covered and void are shares 0..1 of the bounds; void is within what the tiles outline."""
+
+    bounds: Bounds
+    covered: float
+    void: float
+    tiles: tuple[TileCoverage, ...]
+
+
+class ElevationData:
+    """The elevation data of a folder or a single file. Raises InputError naming what is wrong with it.
+
+    Where tiles overlap, the one with the finer spacing counts, and the other fills its voids.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.tiles = sorted(map(_opened, _files(path)), key=lambda tile: tile.posts.step_north_deg)
+
+    def read(self, wanted: Posts) -> HeightArray:
+        """Return heights above sea level (rows, columns) at posts, NaN where void."""
+        heights = np.full((wanted.rows, wanted.columns), np.nan, np.float32)
+        for tile in self.tiles:
+            if tile.posts.bounds.overlap(wanted.bounds) is None or not np.isnan(heights).any():
+                continue
+            found = tile.read(wanted)
+            np.copyto(heights, found, where=np.isnan(heights))
+        return heights
+
+    def ground(
+        self, plane: LocalPlane, home_deg: tuple[float, float], sigma_m: float, reach_m: float = _REACH_M
+    ) -> Ground:
+        """Return the ground about home (latitude, longitude) in the plane; heights are above that at home."""
+        latitude_deg, longitude_deg = home_deg
+        reach_north_deg = 1.05 * reach_m / _METRES_PER_DEG  # meridians lean against the plane
+        reach_east_deg = min(reach_north_deg / max(math.cos(math.radians(latitude_deg)), 0.01), 179.0)
+        about = Bounds(
+            max(latitude_deg - reach_north_deg, -90.0),
+            max(longitude_deg - reach_east_deg, -180.0),
+            min(latitude_deg + reach_north_deg, 90.0),
+            min(longitude_deg + reach_east_deg, 180.0),
+        )
+        finest = next((tile for tile in self.tiles if tile.posts.bounds.overlap(about)), None)
+        if finest is None:
+            raise InputError(
+                f"{self.path}: no elevation data about home at {latitude_deg:.4f}, {longitude_deg:.4f}; "
+                f"add {_tile_name(latitude_deg, longitude_deg)}."
+            )
+        above_sea = _in_plane(self.read(posts := _within(about, finest.posts)), posts, plane, reach_m, sigma_m)
+        home_m = above_sea.height_m(*plane.east_north_m(*home_deg))
+        if math.isnan(home_m):
+            raise InputError(
+                f"{self.path}: the elevation data is void at home, {latitude_deg:.4f}, {longitude_deg:.4f}; "
+                f"add a {_tile_name(latitude_deg, longitude_deg)} whose voids are filled."
+            )
+        return replace(above_sea, heights_m=above_sea.heights_m - np.float32(home_m))
+
+    def height_above_sea_m(self, latitude_deg: float, longitude_deg: float) -> float:
+        """Return the height at a place, NaN where void."""
+        step_deg = self.tiles[0].posts.step_north_deg
+        return float(self.read(Posts(latitude_deg, longitude_deg, step_deg, step_deg, 2, 2))[0, 0])
+
+    def coverage(self, bounds: Bounds) -> Coverage:
+        """Return what is covered, and where it is void, at the spacing of the data; strip by strip."""
+        tiles = tuple(_tile_coverage(tile, bounds) for tile in self.tiles if tile.posts.bounds.overlap(bounds))
+        known = outlined = total = 0
+        finest = next((tile for tile in self.tiles if tile.posts.bounds.overlap(bounds)), None)
+        if finest is None:
+            return Coverage(bounds, 0.0, 0.0, ())
+        for strip in _strips(_within(bounds, finest.posts, _COVERAGE_POSTS_MAX)):
+            known += int(np.isfinite(self.read(strip)).sum())
+            outlined += _outlined(strip, [tile.posts.bounds for tile in self.tiles])
+            total += strip.rows * strip.columns
+        return Coverage(bounds, known / total, (outlined - known) / total, tiles)
+
+
+def _in_plane(heights: HeightArray, posts: Posts, plane: LocalPlane, reach_m: float, sigma_m: float) -> Ground:
+    """Return heights (rows, columns) at posts as a grid of the plane, twice as fine so that peaks stay."""
+    from estimators.terrain.ground import Ground  # noqa: PLC0415  # what is compiled takes a second to load
+
+    spacing_m = 0.5 * posts.step_north_deg * _METRES_PER_DEG
+    count = 2 * math.floor(min(reach_m / spacing_m, 0.5 * math.sqrt(_POSTS_MAX))) + 1
+    axis_m = np.linspace(-reach_m, reach_m, count)
+    # Degrees by metres bend slowly: between knots of a kilometre a line is right to centimetres.
+    knots_m = np.linspace(-reach_m, reach_m, _KNOTS)
+    knots = np.array([[plane.latitude_longitude_deg(east, north) for east in knots_m] for north in knots_m])
+    knots[..., 1] = np.unwrap(np.unwrap(knots[..., 1], axis=1, period=360.0), axis=0, period=360.0)
+    across = np.array([[np.interp(axis_m, knots_m, line) for line in knots[..., k]] for k in (0, 1)])
+    in_degrees = Ground(heights, posts.west_deg, posts.south_deg, posts.step_east_deg, posts.step_north_deg)
+    found = np.empty((count, count), np.float32)
+    for row, north_m in enumerate(axis_m):
+        k = min(int(np.searchsorted(knots_m, north_m, "right")) - 1, _KNOTS - 2)
+        u = (north_m - knots_m[k]) / (knots_m[k + 1] - knots_m[k])
+        latitude_deg, longitude_deg = (1.0 - u) * across[:, k] + u * across[:, k + 1]
+        found[row] = in_degrees.heights_at_m(longitude_deg, latitude_deg)
+    step_m = float(axis_m[1] - axis_m[0])
+    return Ground(found, -reach_m, -reach_m, step_m, step_m, sigma_m)
+
+
+def _files(path: Path) -> list[Path]:
+    if not path.exists():
+        raise InputError(f"{path}: there is no such folder of elevation data; give one with .hgt tiles or GeoTIFF.")
+    if path.is_file():
+        if path.suffix.lower() not in _READERS:
+            raise InputError(f"{path}: elevation data is .hgt or .tif; give such a file or a folder of them.")
+        return [path]
+    try:
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in _READERS)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give a folder that can.") from error
+    if not files:
+        raise InputError(f"{path}: holds no elevation data; put .hgt tiles or GeoTIFF files there.")
+    if len(files) > _TILES_MAX:
+        raise InputError(f"{path}: holds {len(files):,} tiles; {_TILES_MAX:,} at most serve.")
+    return files
+
+
+def _opened(path: Path) -> Tile:
+    tile: Tile = _READERS[path.suffix.lower()](path)
+    return tile
+
+
+def _tile_name(latitude_deg: float, longitude_deg: float) -> str:
+    south, west = math.floor(latitude_deg), math.floor(longitude_deg)
+    return f"{'S' if south < 0 else 'N'}{abs(south):02d}{'W' if west < 0 else 'E'}{abs(west):03d}.hgt"
+
+
+def _within(bounds: Bounds, raster: Posts, posts_max: int = _POSTS_MAX) -> Posts:
+    """Return the raster's own posts within bounds, continued beyond its edges; thinned out if they are too many."""
+
+    def axis(low: float, high: float, first: float, step: float) -> tuple[int, int]:
+        return math.ceil((low - first) / step - 1e-6), math.floor((high - first) / step + 1e-6)
+
+    rows = axis(bounds.south_deg, bounds.north_deg, raster.south_deg, raster.step_north_deg)
+    columns = axis(bounds.west_deg, bounds.east_deg, raster.west_deg, raster.step_east_deg)
+    counts = max(rows[1] - rows[0] + 1, 2), max(columns[1] - columns[0] + 1, 2)
+    thin = max(1, math.ceil(math.sqrt(counts[0] * counts[1] / posts_max)))
+    return Posts(
+        raster.south_deg + rows[0] * raster.step_north_deg,
+        raster.west_deg + columns[0] * raster.step_east_deg,
+        thin * raster.step_north_deg,
+        thin * raster.step_east_deg,
+        max(counts[0] // thin, 2),
+        max(counts[1] // thin, 2),
+    )
+
+
+def _strips(posts: Posts) -> Iterator[Posts]:
+    rows = max(1, _STRIP_POSTS // posts.columns)
+    for first in range(0, posts.rows, rows):
+        yield posts.part(first, min(rows, posts.rows - first))
+
+
+def _outlined(strip: Posts, outlines: list[Bounds]) -> int:
+    """Return how many posts lie within any of the outlines."""
+    latitude = strip.south_deg + np.arange(strip.rows) * strip.step_north_deg
+    longitude = strip.west_deg + np.arange(strip.columns) * strip.step_east_deg
+    inside = np.zeros((strip.rows, strip.columns), bool)
+    for one in outlines:
+        if one.overlap(strip.bounds) is None and strip.rows > 1:
+            continue
+        rows = (latitude >= one.south_deg - 1e-9) & (latitude <= one.north_deg + 1e-9)
+        columns = (longitude >= one.west_deg - 1e-9) & (longitude <= one.east_deg + 1e-9)
+        inside |= rows[:, None] & columns
+    return int(inside.sum())
+
+
+def _tile_coverage(tile: Tile, bounds: Bounds) -> TileCoverage:
+    common = tile.posts.bounds.overlap(bounds)
+    assert common is not None
+    known = total = 0
+    lowest_m, highest_m = math.inf, -math.inf
+    for strip in _strips(_within(common, tile.posts, _COVERAGE_POSTS_MAX)):
+        heights = tile.read(strip)
+        finite = np.isfinite(heights)
+        known += int(finite.sum())
+        total += heights.size
+        if finite.any():
+            lowest_m = min(lowest_m, float(heights[finite].min()))
+            highest_m = max(highest_m, float(heights[finite].max()))
+    share = common.area_deg2 / bounds.area_deg2
+    return TileCoverage(
+        tile.path,
+        tile.posts.step_north_deg * _METRES_PER_DEG,
+        share * known / total,
+        share * (total - known) / total,
+        lowest_m if known else None,
+        highest_m if known else None,
+    )

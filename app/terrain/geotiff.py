@@ -1,0 +1,86 @@
+"""GeoTIFF files through rasterio, which comes with the extra ``terrain``."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.errors import InputError
+from app.terrain.tile import HIGHEST_M, LOWEST_M, HeightArray, Posts, at_posts, needed
+
+_MARGIN = 1e-9
+
+
+class GeoTiff:
+    """See :class:`app.terrain.tile.Tile`. Any projection; the first band is metres above sea level."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            import rasterio  # noqa: PLC0415  # an extra: SRTM tiles do without it
+            from rasterio.errors import RasterioError  # noqa: PLC0415
+            from rasterio.vrt import WarpedVRT  # noqa: PLC0415
+        except ImportError as error:
+            raise InputError(
+                f"{path}: reading GeoTIFF needs the package rasterio; install sidelong[terrain], or give .hgt tiles."
+            ) from error
+        self._error: type[Exception] = RasterioError
+        try:
+            dataset = rasterio.open(path)
+            if dataset.crs is None:
+                raise InputError(f"{path}: tells no coordinate system; write it with one.")
+            self._raster: Any = WarpedVRT(dataset, crs="EPSG:4326", resampling=rasterio.enums.Resampling.bilinear)
+        except (RasterioError, OSError) as error:
+            raise InputError(f"{path}: is no readable GeoTIFF ({error}); replace it.") from error
+        transform = self._raster.transform
+        rows, columns = self._raster.height, self._raster.width
+        if rows < 2 or columns < 2 or not all(map(math.isfinite, transform[:6])):
+            raise InputError(f"{path}: has no raster of heights; replace it.")
+        # Posts stand in the middle of the pixels; rows come from north to south.
+        self.posts = Posts(
+            transform.f + (rows - 0.5) * transform.e,
+            transform.c + 0.5 * transform.a,
+            -transform.e,
+            transform.a,
+            rows,
+            columns,
+        )
+
+    def read(self, wanted: Posts) -> HeightArray:
+        """See :class:`app.terrain.tile.Tile`."""
+        own = self.posts
+        south, north, west, east = needed(wanted, own)
+        if south == north or west == east:
+            return np.full((wanted.rows, wanted.columns), np.nan, np.float32)
+        # Far finer than wanted, the file is thinned out while it is read, so that memory stays bounded.
+        thin_rows = max(1, int(wanted.step_north_deg / own.step_north_deg + _MARGIN))
+        thin_columns = max(1, int(wanted.step_east_deg / own.step_east_deg + _MARGIN))
+        if thin_rows > 1:
+            south, north = max(south - thin_rows, 0), min(north + thin_rows, own.rows)
+        if thin_columns > 1:
+            west, east = max(west - thin_columns, 0), min(east + thin_columns, own.columns)
+        window = ((own.rows - north, own.rows - south), (west, east))
+        shape = (math.ceil((north - south) / thin_rows), math.ceil((east - west) / thin_columns))
+        try:
+            band = self._raster.read(1, window=window, out_shape=shape, masked=True)
+        except (self._error, OSError) as error:
+            raise InputError(f"{self.path}: cannot be read ({error}); replace it.") from error
+        heights: HeightArray = np.ma.filled(band.astype(np.float32), np.nan)[::-1]
+        heights[~((heights >= LOWEST_M) & (heights <= HIGHEST_M))] = np.nan
+        if shape == (north - south, east - west):
+            return at_posts(wanted, own, heights, south, west)
+        step_north, step_east = (
+            (north - south) / shape[0] * own.step_north_deg,
+            (east - west) / shape[1] * own.step_east_deg,
+        )
+        thinned = Posts(
+            own.south_deg + south * own.step_north_deg + 0.5 * (step_north - own.step_north_deg),
+            own.west_deg + west * own.step_east_deg + 0.5 * (step_east - own.step_east_deg),
+            step_north,
+            step_east,
+            *shape,
+        )
+        return at_posts(wanted, thinned, heights, 0, 0)

@@ -1,0 +1,110 @@
+"""The ground as an elevation grid in the local plane."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from estimators.terrain._ground_kernel import (
+    FloatArray,
+    Grid,
+    height_and_slope,
+    heights_at,
+    horizon,
+    ray_cut_m,
+    sight_clearance_m,
+)
+
+# Places in the data are off by about this part of a post's spacing; on a slope that is an error of height.
+_MISPLACED = 0.25
+_STEPS_PER_POST = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class GroundPatch:
+    """The ground about one place: a plane, its height above home, and the standard deviation of that height."""
+
+    east_m: float
+    north_m: float
+    height_m: float
+    slope_east: float
+    slope_north: float
+    sigma_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """Heights (rows, columns) at posts, above home; row 0 in the south, column 0 in the west; NaN where void.
+
+    west_m and south_m place the first post in the plane. sigma_m is one standard deviation of a height against the
+    height at home. A grid has two posts each way at least.
+    """
+
+    heights_m: npt.NDArray[np.float32]
+    west_m: float
+    south_m: float
+    step_east_m: float
+    step_north_m: float
+    sigma_m: float = 4.0
+
+    @property
+    def grid(self) -> Grid:
+        """The same as the compiled loops take it."""
+        return self.heights_m, self.west_m, self.south_m, self.step_east_m, self.step_north_m
+
+    @property
+    def step_m(self) -> float:
+        """The finer of the two spacings of posts."""
+        return min(self.step_east_m, self.step_north_m)
+
+    def height_m(self, east_m: float, north_m: float) -> float:
+        """Return the height at a place, NaN where it is not known."""
+        return height_and_slope(self.grid, east_m, north_m)[0]
+
+    def heights_at_m(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> FloatArray:
+        """Return the heights at places, arrays of one shape."""
+        east, north = np.asarray(east_m, np.float64), np.asarray(north_m, np.float64)
+        return heights_at(self.grid, east.ravel(), north.ravel()).reshape(east.shape)
+
+    def patch(self, east_m: float, north_m: float) -> GroundPatch | None:
+        """Return the ground about a place, None where it is not known."""
+        height_m, slope_east, slope_north = height_and_slope(self.grid, east_m, north_m)
+        if math.isnan(height_m):
+            return None
+        misplaced_m = _MISPLACED * self.step_m * math.hypot(slope_east, slope_north)
+        return GroundPatch(east_m, north_m, height_m, slope_east, slope_north, math.hypot(self.sigma_m, misplaced_m))
+
+    def cut_m(
+        self,
+        east_m: float,
+        north_m: float,
+        height_m: float,
+        bearing_rad: float,
+        depression_rad: float,
+        max_m: float,
+    ) -> float | None:
+        """Return the horizontal distance at which a ray from a point first meets the ground; None if it does not.
+
+        A void on the way counts as not meeting it: nobody knows.
+        """
+        step_m = self.step_m / _STEPS_PER_POST
+        found_m = ray_cut_m(self.grid, east_m, north_m, height_m, bearing_rad, depression_rad, step_m, max_m)
+        return None if math.isnan(found_m) else found_m
+
+    def sees(
+        self, a_m: tuple[float, float, float], b_m: tuple[float, float, float], clearance_m: float = 0.0
+    ) -> bool:
+        """Tell whether the line between two points (east, north, height) clears the ground. Voids hide nothing."""
+        return sight_clearance_m(self.grid, a_m, b_m, self.step_m / _STEPS_PER_POST) >= clearance_m
+
+    def horizon_m(
+        self, east_m: float, north_m: float, height_m: float, azimuths: int, rings: int, ring_m: float
+    ) -> npt.NDArray[np.float32]:
+        """Return the height (azimuths, rings) from which a point is seen, at distances of 1..rings times ``ring_m``.
+
+        The first azimuth is north, the rest follow clockwise. Voids hide nothing.
+        """
+        return horizon(self.grid, east_m, north_m, height_m, azimuths, rings, ring_m)
