@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from math import radians
 
-from app.config import Config, Polygon
+from app.config import Config, Polygon, SensorsSection
 from app.errors import InputError
 from app.value_cache import value_table
 from estimators.frames import LocalPlane
@@ -24,28 +24,31 @@ _COASTING_AFTER_S = 3.0
 
 def tracker_of(config: Config) -> Tracker:
     """Return the target tracker for the configured sensors."""
-    sensors, mount = config.sensors, config.sensors.mount_deg
+    return Tracker(tracker_settings(config.sensors, config.planner.lost_after_s))
+
+
+def tracker_settings(sensors: SensorsSection, lost_after_s: float) -> TrackerSettings:
+    """Return what the tracker is told of the configured sensors."""
+    mount = sensors.mount_deg
 
     def chosen(component_id: int | None) -> SourceChoice | None:
         return None if component_id is None else SourceChoice(component_id=component_id)
 
-    return Tracker(
-        TrackerSettings(
-            filter=sensors.filter,
-            range_sigma_m=sensors.range_sigma_m,
-            yaw_sigma_rad=radians(sensors.angle_sigma_deg),
-            pitch_sigma_rad=radians(sensors.angle_sigma_deg),
-            latency_s=sensors.latency_s,
-            lever_arm_body_m=sensors.lever_arm_m,
-            mount_roll_pitch_yaw_rad=(radians(mount[0]), radians(mount[1]), radians(mount[2])),
-            yaw_bias_sigma_rad=radians(sensors.yaw_bias_sigma_deg),
-            pitch_bias_sigma_rad=radians(sensors.pitch_bias_sigma_deg),
-            range_bias_sigma_m=sensors.range_bias_sigma_m,
-            range_source=chosen(sensors.range_component),
-            gimbal_source=chosen(sensors.gimbal_component),
-            coasting_after_s=_COASTING_AFTER_S,
-            lost_after_s=config.planner.lost_after_s,
-        )
+    return TrackerSettings(
+        filter=sensors.filter,
+        range_sigma_m=sensors.range_sigma_m,
+        yaw_sigma_rad=radians(sensors.angle_sigma_deg),
+        pitch_sigma_rad=radians(sensors.angle_sigma_deg),
+        latency_s=sensors.latency_s,
+        lever_arm_body_m=sensors.lever_arm_m,
+        mount_roll_pitch_yaw_rad=(radians(mount[0]), radians(mount[1]), radians(mount[2])),
+        yaw_bias_sigma_rad=radians(sensors.yaw_bias_sigma_deg),
+        pitch_bias_sigma_rad=radians(sensors.pitch_bias_sigma_deg),
+        range_bias_sigma_m=sensors.range_bias_sigma_m,
+        range_source=chosen(sensors.range_component),
+        gimbal_source=chosen(sensors.gimbal_component),
+        coasting_after_s=_COASTING_AFTER_S,
+        lost_after_s=lost_after_s,
     )
 
 

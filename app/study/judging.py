@@ -73,14 +73,22 @@ def judged(
     long_rad = _truth_course_rad(target_east_m, target_north_m, *LONG) if settings.tracks else course_rad
     moved = np.hypot(target_east_m - target_east_m[0], target_north_m - target_north_m[0]) > _MOVED_M
     moved = np.logical_or.accumulate(moved)
-    side_turn_rad = settings.requirement().side.normal_turn_rad
-    short, observation_rad = (_wrapped(bearing_rad - course - side_turn_rad) for course in (short_rad, long_rad))
+    requirement = settings.requirement()
+    half_width_rad, sector = math.pi / 2, requirement.sector
+    if sector is not None:
+        half_width_rad = sector.half_width_rad
+        short = observation_rad = _wrapped(bearing_rad - sector.middle_rad)
+    else:
+        turn_rad = requirement.side.normal_turn_rad
+        short, observation_rad = (_wrapped(bearing_rad - course - turn_rad) for course in (short_rad, long_rad))
+    if requirement.either_side:
+        half_width_rad = math.pi
     in_band = (range_m >= settings.range_min_m) & (range_m <= settings.range_max_m)
     per_hour = 3600.0 / (STEP_S * len(log))
     return RunResult(
         float(in_band.mean()),
-        _share_on_side(observation_rad[moved] if settings.tracks else observation_rad),
-        _share_on_side(short[moved]),
+        _share_within(half_width_rad, observation_rad[moved] if settings.tracks else observation_rad),
+        _share_within(half_width_rad, short[moved]),
         float(range_m.min()),
         float(range_m.max()),
         len(changed_s) * per_hour,
@@ -104,5 +112,5 @@ def _wrapped(angle_rad: FloatArray) -> FloatArray:
     return np.asarray((angle_rad + math.pi) % (2.0 * math.pi) - math.pi)
 
 
-def _share_on_side(observation_rad: FloatArray) -> float:
-    return float((np.abs(observation_rad) <= math.pi / 2).mean()) if observation_rad.size else math.nan
+def _share_within(half_width_rad: float, observation_rad: FloatArray) -> float:
+    return float((np.abs(observation_rad) <= half_width_rad).mean()) if observation_rad.size else math.nan

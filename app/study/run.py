@@ -7,6 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from app.assembly import tracker_settings
 from app.study.airframe import KinematicAircraft
 from app.study.judging import STEP_S, RunResult, judged
 from app.study.pilots import LawPilot, Pilot, PlanPilot
@@ -45,6 +46,8 @@ def run(
     requirement, aircraft = settings.requirement(), settings.aircraft()
     wind = settings.wind
     normal_rad = target.at(0.0).course_rad + requirement.side.normal_turn_rad
+    if requirement.sector is not None:
+        normal_rad = requirement.sector.middle_rad
     circle = Circle(
         _START_RANGE_M * math.sin(normal_rad),
         _START_RANGE_M * math.cos(normal_rad),
@@ -65,10 +68,10 @@ def run(
         math.atan(_BANK_RESERVE * math.tan(settings.circle_bank_rad)),
         aircraft.roll_rate_max_rad_s,
         wind,
+        settings.lag_s,
     )
     pilot = _pilot(settings, planner, table, circle)
-    noisy = PayloadSensing(flown.sensor_rng, PayloadErrors())
-    sensing: Sensing = PerfectSensing() if settings.perfect_sensors else noisy
+    sensing: Sensing = PerfectSensing() if settings.perfect_sensors else _payload(settings, flown.sensor_rng)
 
     log = fly(target, body, pilot, sensing, flown.duration_s)
     return judged(settings, log, pilot.changed_s, pilot.controller.taken_s, keep_track)
@@ -85,6 +88,12 @@ def fly(target: Target, body: KinematicAircraft, pilot: Pilot, sensing: Sensing,
         log[k] = (state.time_s, state.east_m, state.north_m, truth.east_m, truth.north_m, truth.course_rad)
         state = body.step(pilot.curvature_per_m(state, sensing.estimate), STEP_S)
     return log
+
+
+def _payload(settings: StudySettings, rng: np.random.Generator) -> PayloadSensing:
+    sensors = settings.sensors
+    errors = PayloadErrors(sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg))
+    return PayloadSensing(rng, errors, tracker_settings(sensors, settings.lost_after_s), settings.height_m)
 
 
 def _pilot(settings: StudySettings, planner: PlannerName, table: ValueTable | None, circle: Circle) -> Pilot:

@@ -14,7 +14,6 @@ from estimators.readings import AttitudeReading, GimbalReading, PositionReading,
 from estimators.tracker import Tracker, TrackerSettings
 from mission.core.plan import AircraftState
 
-_HEIGHT_M = 100.0
 _LASER = Source("DISTANCE_SENSOR", 154, 1, 100)
 _GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
 
@@ -67,10 +66,18 @@ class PayloadErrors:
 class PayloadSensing:
     """Laser and gimbal with noise, through the real tracker."""
 
-    def __init__(self, rng: np.random.Generator, errors: PayloadErrors) -> None:
-        self._rng, self._errors = rng, errors
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        errors: PayloadErrors,
+        tracker: TrackerSettings | None = None,
+        height_m: float = 100.0,
+    ) -> None:
+        """tracker: None tells it the errors as they are, but for the bias."""
+        self._rng, self._errors, self._height_m = rng, errors, height_m
         self._tracker = Tracker(
-            TrackerSettings(
+            tracker
+            or TrackerSettings(
                 range_sigma_m=errors.range_sigma_m,
                 yaw_sigma_rad=errors.angle_sigma_rad,
                 pitch_sigma_rad=errors.angle_sigma_rad,
@@ -83,16 +90,18 @@ class PayloadSensing:
         velocity_east = aircraft.ground_speed_m_s * math.sin(aircraft.course_rad)
         velocity_north = aircraft.ground_speed_m_s * math.cos(aircraft.course_rad)
         self._tracker.add(
-            PositionReading(time_s, aircraft.east_m, aircraft.north_m, _HEIGHT_M, velocity_east, velocity_north, 0.0)
+            PositionReading(
+                time_s, aircraft.east_m, aircraft.north_m, self._height_m, velocity_east, velocity_north, 0.0
+            )
         )
         self._tracker.add(AttitudeReading(time_s, bank_rad, 0.0, aircraft.course_rad))
         east_m, north_m = target.east_m - aircraft.east_m, target.north_m - aircraft.north_m
         horizontal_m = math.hypot(east_m, north_m)
         range_noise, yaw_noise, pitch_noise = self._rng.normal(size=3)
         yaw_rad = math.atan2(east_m, north_m) + self._errors.yaw_bias_rad + self._errors.angle_sigma_rad * yaw_noise
-        pitch_rad = -math.atan2(_HEIGHT_M, horizontal_m) + self._errors.angle_sigma_rad * pitch_noise
+        pitch_rad = -math.atan2(self._height_m, horizontal_m) + self._errors.angle_sigma_rad * pitch_noise
         self._tracker.add(GimbalReading(time_s, _quaternion(yaw_rad, pitch_rad), "earth", _GIMBAL))
-        slant_m = math.hypot(horizontal_m, _HEIGHT_M) + self._errors.range_sigma_m * range_noise
+        slant_m = math.hypot(horizontal_m, self._height_m) + self._errors.range_sigma_m * range_noise
         self._tracker.add(RangeReading(time_s, slant_m, _LASER, quality=0.9))
 
     def estimate(self, time_s: float) -> TargetEstimate | None:

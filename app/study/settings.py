@@ -1,4 +1,4 @@
-"""What a study is to compare."""
+"""What a run of a study is flown with."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
+from app.config import SensorsSection
 from app.study.recorded import RecordedTarget
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
+from mission.viewpoint.side_policy import watching_from
 
 
 class PlannerName(StrEnum):
@@ -19,12 +21,17 @@ class PlannerName(StrEnum):
     PARK = "park"
 
 
+# The study's laser has an unknown offset.
+STUDIED_SENSORS = SensorsSection(range_bias_sigma_m=0.5)  # type: ignore[call-arg]  # every field has a default
+
+
 @dataclass(frozen=True, slots=True)
 class StudySettings:
     """The paper's requirement. In wind the circle grows, so that its bank at the greatest ground speed stays.
 
     runs: targets; each is flown noise_draws times by each planner. latency_s: from a decision to the earliest
-    departure. tracks: recorded targets in place of random ones, as many as runs, each flown to its end or for
+    departure. lag_s: time constant with which the bank follows its command, within the roll rate; 0: the roll rate
+    alone. tracks: recorded targets in place of random ones, as many as runs, each flown to its end or for
     duration_s; skipped: (file, reason) of others.
     """
 
@@ -44,6 +51,15 @@ class StudySettings:
     tracks: tuple[RecordedTarget, ...] = ()
     skipped: tuple[tuple[str, str], ...] = ()
     noise_draws: int = 1
+    lag_s: float = 0.0
+    wind_from_deg: float = 270.0
+    side: str = "left"
+    threshold: float = 1.0  # the paper's C that keeps the band longest
+    bank_max_deg: float = 45.0
+    roll_rate_max_deg_s: float = 30.0
+    height_m: float = 100.0
+    lost_after_s: float = 60.0
+    sensors: SensorsSection = STUDIED_SENSORS
 
     @property
     def all_runs(self) -> int:
@@ -62,13 +78,24 @@ class StudySettings:
 
     @property
     def wind(self) -> Wind:
-        """The target's course is random, so one direction of the wind stands for all."""
-        return Wind(self.wind_speed_m_s, 0.0)
+        """From the west: a random target's course is random, so that one direction stands for all."""
+        if self.wind_from_deg == 270.0:
+            return Wind(self.wind_speed_m_s, 0.0)
+        from_rad = math.radians(self.wind_from_deg)
+        return Wind(-self.wind_speed_m_s * math.sin(from_rad), -self.wind_speed_m_s * math.cos(from_rad))
 
     def aircraft(self) -> Aircraft:
         """Return the planner's view of the aircraft."""
-        return Aircraft(self.airspeed_m_s, self.radius_m)
+        return Aircraft(
+            self.airspeed_m_s,
+            self.radius_m,
+            math.radians(self.bank_max_deg),
+            math.radians(self.roll_rate_max_deg_s),
+        )
 
     def requirement(self) -> Requirement:
-        """Return what is asked for: the left side. The threshold is the paper's C that keeps the band longest."""
-        return Requirement(self.range_min_m, self.range_max_m, Side.LEFT, self.target_speed_max_m_s, threshold=1.0)
+        """Return what is asked for."""
+        plain = Requirement(
+            self.range_min_m, self.range_max_m, Side.LEFT, self.target_speed_max_m_s, threshold=self.threshold
+        )
+        return watching_from(plain, self.side)

@@ -1,0 +1,174 @@
+"""The designs of a study: one for each combination of the swept parameters."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from app.config import Config, with_values
+from app.errors import InputError
+from app.study.settings import StudySettings
+from mission.paper.feasibility import unflyable
+
+Value = float | str
+Overrides = dict[str, dict[str, Any]]
+
+# What of the configuration shapes a run; the rest is about links, fences and real vehicles.
+SHAPING = {
+    "aircraft": ("airspeed_m_s", "radius_m", "bank_max_deg", "roll_rate_max_deg_s", "height_m"),
+    "requirement": ("range_min_m", "range_max_m", "side", "target_speed_max_m_s", "threshold"),
+    "planner": ("lost_after_s",),
+    "sensors": (
+        *("range_sigma_m", "angle_sigma_deg", "yaw_bias_sigma_deg", "pitch_bias_sigma_deg", "range_bias_sigma_m"),
+        "filter",
+    ),
+    "simulation": ("wind_speed_m_s", "wind_from_deg"),
+    "study": ("latency_s", "lag_s"),
+}
+_DESIGNS_MAX = 10_000
+_ROOMY_RADIUS_M = 105.0  # the widest circle that leaves room in the band of 100 to 500 m
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """swept: this design's values of the swept parameters, in the order they were given."""
+
+    settings: StudySettings
+    swept: tuple[tuple[str, Value], ...] = ()
+
+    def __str__(self) -> str:
+        return ", ".join(
+            f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}" for key, value in self.swept
+        )
+
+
+def parsed_sweep(words: str) -> tuple[str, tuple[Value, ...]]:
+    """Return the parameter and the values of ``KEY=V1,V2`` or ``KEY=FROM:TO:STEP``, ends included.
+
+    Raises InputError.
+    """
+    key, equals, text = words.partition("=")
+    key = key.strip()
+    section, _, field = key.partition(".")
+    if not equals or not text.strip():
+        raise InputError(f"--sweep: {words!r} is not of the form KEY=V1,V2 or KEY=FROM:TO:STEP.")
+    if field not in SHAPING.get(section, ()):
+        known = ", ".join(f"{section}.{field}" for section, fields in SHAPING.items() for field in fields)
+        raise InputError(f"--sweep: {key} is no parameter that shapes a study; these are: {known}.")
+    if text.count(":") == 2:
+        return key, _stepped(words, text)
+    return key, tuple(dict.fromkeys(_value(one.strip()) for one in text.split(",")))
+
+
+def _stepped(words: str, text: str) -> tuple[Value, ...]:
+    try:
+        first, last, step = map(float, text.split(":"))
+        count = math.floor((last - first) / step + 1e-9) + 1
+    except (ValueError, ZeroDivisionError, OverflowError):
+        count = 0
+    if not 1 <= count <= _DESIGNS_MAX:
+        raise InputError(f"--sweep: {words!r} has no values; FROM:TO:STEP is like 300:600:50.")
+    return tuple(round(first + k * step, 9) for k in range(count))
+
+
+def _value(word: str) -> Value:
+    try:
+        return float(word)
+    except ValueError:
+        return word
+
+
+def designs(
+    base: StudySettings,
+    overrides: Overrides,
+    sweeps: list[tuple[str, tuple[Value, ...]]],
+    skip: Callable[[str], None] = lambda _words: None,
+) -> tuple[Design, ...]:
+    """Return the designs of every combination of the swept values over what is configured.
+
+    overrides: the configured values by section and key, the study's own under ``study``. Combinations that no
+    planner can fly are told to ``skip``, in words. Raises InputError for a wrong value, for a single design that
+    cannot be flown, and where none is left.
+    """
+    if math.prod(len(values) for _, values in sweeps) > _DESIGNS_MAX:
+        raise InputError(f"--sweep: more than {_DESIGNS_MAX} combinations; sweep fewer values.")
+    found, refused = [], ""
+    for values in itertools.product(*(values for _, values in sweeps)):
+        swept = tuple(zip((key for key, _ in sweeps), values, strict=True))
+        given: Overrides = {section: dict(keys) for section, keys in overrides.items()}
+        for key, value in swept:
+            section, _, field = key.partition(".")
+            given.setdefault(section, {})[field] = value
+        settings = _settings(base, given, "--sweep" if sweeps else "command line")
+        design = Design(settings, swept)
+        reasons = unflyable(settings.aircraft(), settings.requirement())
+        if not reasons:
+            found.append(design)
+            continue
+        refused = "infeasible: " + "; ".join(map(str, reasons))
+        if sweeps:
+            skip(f"skipped {design}: {refused}")
+    if not found:
+        raise InputError(f"{refused}.")
+    return tuple(found)
+
+
+def configured(config: Config) -> Overrides:
+    """Return what of a mission's configuration shapes a run, as overrides."""
+    return {
+        section: {field: getattr(getattr(config, section), field) for field in fields}
+        for section, fields in SHAPING.items()
+        if section != "study"
+    }
+
+
+def _base_config(base: StudySettings) -> Config:
+    """Return the settings as a configuration."""
+    flat = {"wind_speed_m_s": base.wind_speed_m_s, "radius_m": base.radius_m}
+    values: Overrides = {
+        section: {field: flat[field] if field in flat else getattr(base, field) for field in SHAPING[section]}
+        for section in ("aircraft", "requirement", "planner", "simulation")
+    }
+    return with_values(Config(sensors=base.sensors), values, "command line")
+
+
+def _settings(base: StudySettings, given: Overrides, name: str) -> StudySettings:
+    """Return the settings; every value is checked as the configuration's."""
+    own = given.get("study", {})
+    config = with_values(_base_config(base), {k: v for k, v in given.items() if k != "study"}, name)
+    aircraft, wanted, wind_m_s = config.aircraft, config.requirement, config.simulation.wind_speed_m_s
+    airspeed_m_s = aircraft.airspeed_m_s
+    if wind_m_s > 0.7 * airspeed_m_s:
+        raise InputError(f"--wind: {wind_m_s:g} m/s is not from 0 to {0.7 * airspeed_m_s:g} m/s.")
+    still_air_radius_m = min(50.0 * max(1.0, (airspeed_m_s / 10.0) ** 2), _ROOMY_RADIUS_M)
+    if "radius_m" in given.get("aircraft", {}):
+        still_air_radius_m = aircraft.radius_m / (1.0 + wind_m_s / airspeed_m_s) ** 2
+    speed_max_m_s = wanted.target_speed_max_m_s
+    if given.get("requirement", {}).get("target_speed_max_m_s") is None:
+        speed_max_m_s = 0.5 * airspeed_m_s
+    for key, bound_s in (("latency_s", 10.0), ("lag_s", 5.0)):
+        value = own.get(key, getattr(base, key))
+        if not isinstance(value, float | int) or not 0.0 <= value <= bound_s:
+            raise InputError(f"--{key.removesuffix('_s')}: {value} s is not from 0 to {bound_s:g} s.")
+    return replace(
+        base,
+        target_speed_max_m_s=speed_max_m_s,
+        wind_speed_m_s=wind_m_s,
+        wind_from_deg=config.simulation.wind_from_deg,
+        airspeed_m_s=airspeed_m_s,
+        still_air_radius_m=still_air_radius_m,
+        range_min_m=wanted.range_min_m,
+        range_max_m=wanted.range_max_m,
+        side=wanted.side,
+        threshold=wanted.threshold,
+        bank_max_deg=aircraft.bank_max_deg,
+        roll_rate_max_deg_s=aircraft.roll_rate_max_deg_s,
+        height_m=aircraft.height_m,
+        lost_after_s=config.planner.lost_after_s,
+        sensors=config.sensors,
+        latency_s=float(own.get("latency_s", base.latency_s)),
+        lag_s=float(own.get("lag_s", base.lag_s)),
+    )
