@@ -4,22 +4,14 @@ from __future__ import annotations
 
 import sys
 import traceback
-from typing import NoReturn
+from importlib import import_module
+from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
-from app.commands.check import check
-from app.commands.connect import connect
-from app.commands.export import export
-from app.commands.init import init
-from app.commands.launch import launch
-from app.commands.replay import replay
-from app.commands.report import report
-from app.commands.study import study
-from app.commands.terrain import terrain
 from app.errors import FlightError, InputError
 from app.shutdown import exit_process
-from sitl.cli import run as sitl
 
 _HELP = """Watch a moving ground target from one side with a fixed-wing UAV.
 
@@ -29,12 +21,71 @@ target moves. It observes; it carries no other function.
 Begin with: sidelong launch
 """
 
+# Each command with its module and its short help: a module is loaded when its command is called.
+COMMANDS = {
+    "launch": ("app.commands.launch", "Fly beside a moving target, in simulation or a real vehicle."),
+    "connect": ("app.commands.connect", "Tell what is there and what is not ready yet."),
+    "replay": ("app.commands.replay", "Run filter and planner over a recorded flight."),
+    "report": ("app.commands.report", "Write one HTML page about a flight."),
+    "export": ("app.commands.export", "Write a flight for other programs."),
+    "check": ("app.commands.check", "Check whether a requirement can be kept."),
+    "init": ("app.commands.init", "Write a configuration file with every key explained."),
+    "study": ("app.commands.study", "Compare planners over many targets."),
+    "terrain": ("app.commands.terrain", "Tell what elevation data covers."),
+    "sitl": ("sitl.cli", "Fly a simulated vehicle that speaks MAVLink."),
+}
+
+
+class _Commands(TyperGroup):
+    """The commands, each loaded when it is called."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        return load_command(cmd_name) if cmd_name in COMMANDS else None
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        listed = {
+            name: TyperCommand(name, help=help_, rich_markup_mode=None) for name, (_, help_) in COMMANDS.items()
+        }
+        width = formatter.width - 6 - max(map(len, listed))
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, command.get_short_help_str(width)) for name, command in listed.items()])
+
+
+def load_command(name: str) -> Any:
+    """Return a command, ready to be called, with its module loaded."""
+    module = import_module(COMMANDS[name][0])
+    single = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    single.command(name)(getattr(module, "run" if name == "sitl" else name))
+    return typer.main.get_command(single)
+
+
 app = typer.Typer(
-    name="sidelong", help=_HELP, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
+    name="sidelong",
+    cls=_Commands,
+    help=_HELP,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
 )
-for command in (launch, connect, replay, report, export, check, init, study, terrain):
-    app.command()(command)
-app.command(name="sitl")(sitl)
+
+
+def _tell_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version  # noqa: PLC0415  # it takes a while to load
+
+        print(f"sidelong {version('sidelong')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None: ...
 
 
 def main() -> NoReturn:

@@ -20,11 +20,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import sici
 
 from mission.core.circle import Circle
 from mission.core.path import FloatArray, Path
+from mission.geometry.root import root
 from mission.geometry.switching import departure_course_rad
 
 _SETTLING = 3.0  # AB lasts 3 T
@@ -102,7 +102,7 @@ def _first_half(
 
     settled = _SETTLED
     if reach_m(_SETTLED) > half_m:
-        settled = float(brentq(lambda s: reach_m(s) - half_m, 0.0, _SETTLED, xtol=1e-13))
+        settled = root(lambda s: reach_m(s) - half_m, 0.0, _SETTLED, 1e-13)
 
     ab_m = np.linspace(0.0, scale_m * settled, max(2, math.ceil(scale_m * settled / step_m) + 1))
     lean_rad = psi_c_rad * np.exp(-ab_m / scale_m)

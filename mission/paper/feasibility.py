@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-
-from scipy.optimize import brentq
+from functools import partial
 
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement
+from mission.geometry.root import root
 from mission.paper.placement import fits_band
 from mission.paper.scope import scope
 
@@ -136,7 +136,7 @@ def _moves_too_short(aircraft: Aircraft, requirement: Requirement, psi_c_rad: fl
     ):
         if straight_left_m(ends[0], field) * straight_left_m(ends[1], field) > 0.0:
             continue
-        nearest = float(brentq(straight_left_m, *ends, args=(field,)))
+        nearest = root(partial(straight_left_m, field=field), *ends)
         flown, _ = _changed(aircraft, requirement, field, nearest)
         if nearest > 0.0 and flown.radius_m >= flown.min_radius_m * (1.0 - 1e-9):
             yield Change(field, value, nearest, because)

@@ -16,10 +16,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
 
 from mission.core.circle import Circle
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement
+from mission.geometry.root import root
 from mission.geometry.transition import abcd, min_move_m
 from mission.paper.placement import fits_band, stand_off_m
 from mission.paper.scope import scope
@@ -94,10 +94,10 @@ def threshold_bounds(
     least = max(scope(aircraft, requirement, psi_c_rad).min_threshold, _in_time(aircraft, requirement, psi_c_rad))
     if least >= _THRESHOLD_END or headroom_m(least) < 0.0:
         return None
-    greatest = float(brentq(headroom_m, least, _THRESHOLD_END))
+    greatest = root(headroom_m, least, _THRESHOLD_END)
     best = least
     if spare_m(least) < headroom_m(least):
-        best = float(brentq(lambda threshold: spare_m(threshold) - headroom_m(threshold), least, greatest))
+        best = root(lambda threshold: spare_m(threshold) - headroom_m(threshold), least, greatest)
     room_m = min(spare_m(best), headroom_m(best))
     return ThresholdBounds(least, greatest, best, room_m, requirement.range_max_m - headroom_m(best))
 
@@ -156,4 +156,4 @@ def _in_time(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float) -> 
         return 0.0
     if early_m(_THRESHOLD_END) <= 0.0:
         return math.inf
-    return float(brentq(early_m, 0.0, _THRESHOLD_END))
+    return root(early_m, 0.0, _THRESHOLD_END)

@@ -12,9 +12,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from scipy.optimize import brentq
-
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement
+from mission.geometry.root import root
 from mission.geometry.transition import min_move_m, transition_length_m
 from mission.paper.placement import stand_off_m
 
@@ -84,4 +83,4 @@ def largest_psi_c_rad(aircraft: Aircraft, requirement: Requirement) -> float:
         return math.pi / 2
     if straight_left_m(min_rad) <= 0.0:
         return min_rad
-    return float(brentq(straight_left_m, min_rad, math.pi / 2))
+    return root(straight_left_m, min_rad, math.pi / 2)

@@ -1,8 +1,32 @@
+"""What the command line loads, and that each of its commands can be loaded."""
+
 import subprocess
 import sys
 
+import pytest
 
-def test_the_command_line_starts_without_what_takes_long_to_load():
-    code = "import sys, app.cli; print(*{'numba', 'matplotlib', 'filterpy'}.intersection(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == ""
+from app.cli import COMMANDS, load_command
+
+SLOW = {"numba", "matplotlib", "filterpy", "scipy", "numpy", "pydantic", "mavsdk", "pymavlink", "shapely"}
+
+
+def loaded(code: str) -> set[str]:
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys\n{code}\nprint(*sys.modules)"], capture_output=True, text=True, check=True
+    )
+    return set(done.stdout.split()) & SLOW
+
+
+def test_the_list_of_commands_loads_nothing_slow():
+    assert loaded("import app.cli") == set()
+
+
+def test_a_check_loads_no_link_and_no_compiler():
+    assert loaded("import app.commands.check") <= {"numpy", "scipy", "pydantic"}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_command_loads(name):
+    command = load_command(name)
+    assert command.name == name
+    assert "Example" in command.help
