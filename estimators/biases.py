@@ -41,6 +41,7 @@ class Biases:
 
     @staticmethod
     def prior(settings: TrackerSettings) -> Biases:
+        """Return what the settings say before anything was measured: zero, with their standard deviations."""
         sigmas = (
             settings.yaw_bias_sigma_rad,
             settings.pitch_bias_sigma_rad,
@@ -57,4 +58,5 @@ class Biases:
 
     @property
     def calibration(self) -> Calibration:
+        """The same for people: each bias with one standard deviation, rad and m."""
         return Calibration(*self.mean.tolist(), *np.sqrt(np.diag(self.covariance)).tolist())

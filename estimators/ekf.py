@@ -38,6 +38,7 @@ class TargetEkf:
         self._kf.x, self._kf.P = mean, covariance
 
     def predict(self, time_s: float) -> None:
+        """Carry the state on to ``time_s``; see :class:`estimators.target_filter.TargetFilter`."""
         step_s = round(time_s - self.time_s, 6)
         self.time_s = time_s
         if step_s > 0.0:
@@ -46,6 +47,7 @@ class TargetEkf:
             self._kf.predict()
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
+        """Take a sighting in and return its normalised innovation squared; beyond ``gate_nis`` it counts less."""
         kf = self._kf
         mean, covariance = kf.x, kf.P
         place_variance_m2 = float(covariance[EAST, EAST] + covariance[NORTH, NORTH])
@@ -64,12 +66,15 @@ class TargetEkf:
         self._kf.update(comparison.residual, lambda _: comparison.jacobian, lambda _: 0.0, R=noise)
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
+        """Return mean (4,) and covariance (4, 4) of (east, north, velocity east, velocity north)."""
         return self._kf.x[:4], self._kf.P[:4, :4]
 
     def biases(self) -> Biases:
+        """Return the sensor biases with their covariance."""
         return self._prior.updated(self._kf.x[BIASES:], self._kf.P[BIASES:, BIASES:])
 
     def copy(self) -> Self:
+        """Return a filter that goes on by itself from the same state."""
         other = copy.copy(self)
         # filterpy replaces its arrays and never writes into them.
         other._kf = copy.copy(self._kf)

@@ -39,6 +39,7 @@ class TargetEstimate:
 
     @property
     def speed_m_s(self) -> float:
+        """Speed over the ground, m/s."""
         return math.hypot(self.velocity_east_m_s, self.velocity_north_m_s)
 
     def position_m(self, time_s: float) -> tuple[float, float]:
@@ -53,4 +54,5 @@ class TargetEstimate:
 
     @property
     def course_rad(self) -> float:
+        """Course of the estimated velocity, rad clockwise from north; meaningless for a target that stands."""
         return math.atan2(self.velocity_east_m_s, self.velocity_north_m_s)

@@ -64,6 +64,7 @@ class TargetImm:
         self._mode_probabilities = _START
 
     def predict(self, time_s: float) -> None:
+        """Carry the state on to ``time_s``; see :class:`estimators.target_filter.TargetFilter`."""
         step_s = round(time_s - self.time_s, 6)
         self.time_s = time_s
         if step_s <= 0.0:
@@ -93,6 +94,7 @@ class TargetImm:
         return means, covariances
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
+        """Take a sighting in and return its normalised innovation squared; beyond ``gate_nis`` it counts less."""
         means, covariances, mode_probabilities = self._means, self._covariances, self._mode_probabilities
         middle = mode_probabilities @ means
         place_variance_m2 = float(mode_probabilities @ (covariances[:, EAST, EAST] + covariances[:, NORTH, NORTH]))
@@ -132,10 +134,12 @@ class TargetImm:
         ) @ apart
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
+        """Return mean (4,) and covariance (4, 4) of (east, north, velocity east, velocity north)."""
         mean, covariance = self._combined()
         return mean[:4], covariance[:4, :4]
 
     def biases(self) -> Biases:
+        """Return the sensor biases with their covariance."""
         mean, covariance = self._combined()
         return self._prior.updated(mean[BIASES:TURN], covariance[BIASES:TURN, BIASES:TURN])
 
@@ -145,4 +149,5 @@ class TargetImm:
         return self._mode_probabilities
 
     def copy(self) -> Self:
+        """Return a filter that goes on by itself from the same state."""
         return copy.copy(self)

@@ -31,6 +31,7 @@ class LineOfSight:
 
 
 def ned_from_body(attitude: AttitudeReading) -> Quaternion:
+    """Return the rotation of the aircraft's attitude, body (FRD) to north-east-down."""
     return from_roll_pitch_yaw(attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad)
 
 

@@ -12,8 +12,12 @@ from estimators.readings import AttitudeReading, PositionReading
 
 
 class Timed(Protocol):
+    """Anything with a time stamp."""
+
     @property
-    def time_s(self) -> float: ...
+    def time_s(self) -> float:
+        """When it was measured, s on the vehicle's clock."""
+        ...
 
 
 T = TypeVar("T", bound=Timed)
@@ -64,6 +68,7 @@ class History(Generic[T]):
         return None if at == len(self._items) else (before, self._items[at])
 
     def newest(self) -> T | None:
+        """Return the latest item, None while there is none."""
         return self._items[-1] if self._items else None
 
 
@@ -78,6 +83,7 @@ class PoseHistory:
         self.attitudes: History[AttitudeReading] = History(self._SPAN_S)
 
     def add(self, reading: PositionReading | AttitudeReading) -> None:
+        """Take a reading; those that come late are put in their place."""
         if isinstance(reading, PositionReading):
             self.positions.add(reading)
         else:

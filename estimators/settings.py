@@ -19,6 +19,7 @@ class SourceChoice:
     orientation: int | None = None
 
     def matches(self, source: Source) -> bool:
+        """Tell whether a source is one of those meant; what is None does not matter."""
         return all(
             wanted is None or wanted == found
             for wanted, found in (

@@ -45,18 +45,22 @@ class Sighting:
 
     @property
     def horizontal_range_m(self) -> float:
+        """Range over the ground, m: the slant range times the cosine of the depression."""
         return self.slant_range_m * math.cos(self.depression_rad)
 
     @property
     def east_m(self) -> float:
+        """Where the sighting puts the target: metres east in the local plane."""
         return self.aircraft_east_m + self.horizontal_range_m * math.sin(self.bearing_rad)
 
     @property
     def north_m(self) -> float:
+        """Where the sighting puts the target: metres north in the local plane."""
         return self.aircraft_north_m + self.horizontal_range_m * math.cos(self.bearing_rad)
 
     @property
     def height_m(self) -> float:
+        """Where the sighting puts the target: metres above home."""
         return self.aircraft_height_m - self.slant_range_m * math.sin(self.depression_rad)
 
     @property
@@ -135,6 +139,7 @@ class Fix:
 
     @property
     def variances(self) -> tuple[float, float, float]:
+        """Of east and north, m^2; a fix has no third measurement: its variance is 1."""
         return self.sigma_m**2, self.sigma_m**2, 1.0
 
     @property

@@ -100,10 +100,12 @@ class Tracker:
 
     @property
     def range_source(self) -> Source | None:
+        """The laser in use, None before the first."""
         return self._ranges.chosen
 
     @property
     def gimbal_source(self) -> Source | None:
+        """The gimbal in use, None before the first."""
         return self._gimbals.chosen
 
     @property

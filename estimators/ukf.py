@@ -47,12 +47,14 @@ class TargetUkf:
         self._kf.x, self._kf.P = mean, covariance
 
     def predict(self, time_s: float) -> None:
+        """Carry the state on to ``time_s``; see :class:`estimators.target_filter.TargetFilter`."""
         step_s = max(round(time_s - self.time_s, 6), 0.0)
         self.time_s = time_s
         self._kf.Q = cruise_noise(self._kf.x.size, step_s, self._density_m2_s3, self._drift)
         self._kf.predict(dt=step_s)
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
+        """Take a sighting in and return its normalised innovation squared; beyond ``gate_nis`` it counts less."""
         kf = self._kf
         mean, covariance = kf.x, kf.P
         # Everything is measured against the sighting, so that no bearing wraps within the cloud.
@@ -74,12 +76,15 @@ class TargetUkf:
         return expected
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
+        """Return mean (4,) and covariance (4, 4) of (east, north, velocity east, velocity north)."""
         return self._kf.x[:4], self._kf.P[:4, :4]
 
     def biases(self) -> Biases:
+        """Return the sensor biases with their covariance."""
         return self._prior.updated(self._kf.x[BIASES:], self._kf.P[BIASES:, BIASES:])
 
     def copy(self) -> Self:
+        """Return a filter that goes on by itself from the same state."""
         other = copy.copy(self)
         other._kf = copy.copy(self._kf)
         other._kf.hx = other._expected

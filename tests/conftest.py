@@ -8,6 +8,12 @@ import socket
 from collections.abc import Callable
 
 import pytest
+from hypothesis import settings
+
+# Where it decides over a change, the same examples are tried each time; at a desk Hypothesis may look for new ones.
+settings.register_profile("ci", derandomize=True, deadline=None, print_blob=True)
+if os.environ.get("CI"):
+    settings.load_profile("ci")
 
 # Below the ports that systems give away by themselves: one of those may go to another socket before it is used.
 _FIRST, _COUNT = 12_000, 16_000

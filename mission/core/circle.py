@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Circle:
+    """A circle in the local plane, metres; clockwise as seen from above."""
+
     east_m: float
     north_m: float
     radius_m: float
@@ -15,6 +17,7 @@ class Circle:
 
     @property
     def curvature_per_m(self) -> float:
+        """Curvature of its flight, 1/m: positive turns right."""
         return 1.0 / self.radius_m if self.clockwise else -1.0 / self.radius_m
 
     def position_at_course(self, course_rad: float) -> tuple[float, float]:

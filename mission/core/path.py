@@ -26,4 +26,5 @@ class Path:
 
     @property
     def length_m(self) -> float:
+        """Length of the whole path, m."""
         return float(self.arc_m[-1])

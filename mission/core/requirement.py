@@ -40,6 +40,7 @@ class Sector:
 
     @property
     def middle_rad(self) -> float:
+        """Bearing in the middle of the sector, rad clockwise from north, seen from the target."""
         return self.from_rad + self.half_width_rad
 
 
@@ -89,4 +90,5 @@ class Wind:
 
     @property
     def speed_m_s(self) -> float:
+        """Speed of the air over the ground, m/s."""
         return math.hypot(self.east_m_s, self.north_m_s)

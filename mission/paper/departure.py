@@ -34,6 +34,7 @@ class Situation:
     latency_s: float
 
     def target_after(self, wait_s: float) -> Vector:
+        """Return (east, north) of the target after ``wait_s`` at its present velocity, m."""
         return (
             self.target_m[0] + self.velocity_m_s[0] * wait_s,
             self.target_m[1] + self.velocity_m_s[1] * wait_s,
@@ -60,6 +61,7 @@ class Move:
 
     @property
     def length_m(self) -> float:
+        """How far the circle moves, m."""
         return math.hypot(self.east_m, self.north_m)
 
 

@@ -22,10 +22,12 @@ class RelativePosition:
 
     @property
     def east_m(self) -> float:
+        """Metres east of the target from the aircraft."""
         return self.range_m * math.sin(self.bearing_rad)
 
     @property
     def north_m(self) -> float:
+        """Metres north of the target from the aircraft."""
         return self.range_m * math.cos(self.bearing_rad)
 
     def after_flying(self, east_m: float, north_m: float) -> RelativePosition:
