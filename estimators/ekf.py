@@ -47,7 +47,7 @@ class TargetEkf:
             self._kf.predict()
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
-        """Take a sighting in and return its normalised innovation squared; beyond ``gate_nis`` it counts less."""
+        """Take a sighting in unless it lies beyond the gate; return its normalised innovation squared."""
         kf = self._kf
         mean, covariance = kf.x, kf.P
         place_variance_m2 = float(covariance[EAST, EAST] + covariance[NORTH, NORTH])

@@ -94,7 +94,7 @@ class TargetImm:
         return means, covariances
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
-        """Take a sighting in and return its normalised innovation squared; beyond ``gate_nis`` it counts less."""
+        """Take a sighting in unless it lies beyond the gate; return its normalised innovation squared."""
         means, covariances, mode_probabilities = self._means, self._covariances, self._mode_probabilities
         middle = mode_probabilities @ means
         place_variance_m2 = float(mode_probabilities @ (covariances[:, EAST, EAST] + covariances[:, NORTH, NORTH]))

@@ -54,7 +54,7 @@ class TargetUkf:
         self._kf.predict(dt=step_s)
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
-        """Take a sighting in and return its normalised innovation squared; beyond ``gate_nis`` it counts less."""
+        """Take a sighting in unless it lies beyond the gate; return its normalised innovation squared."""
         kf = self._kf
         mean, covariance = kf.x, kf.P
         # Everything is measured against the sighting, so that no bearing wraps within the cloud.
