@@ -13,6 +13,8 @@ from xml.etree import ElementTree
 
 from sitl.geodesy import HomePlane
 
+_FILE_MAX_BYTES = 8 << 20
+_TIME_PIECES = 64  # of the text of a time
 _SPIKE_SPEED_M_S = 15.0
 _SPIKE_DETOUR = 3.0  # by way of a spike, over the direct way past it
 _LIVELY_SPEED_M_S = 2.5
@@ -94,13 +96,19 @@ def read_track(path: Path) -> Track:
     """Read a .gpx track, or a .csv whose header names t_s, east_m, north_m or time, lat, lon among its columns.
 
     Points come in the order of time, relative to the first; spikes of the receiver are left out.
-    Raises TrackError when the file cannot be read or holds fewer than two usable points.
+    Raises TrackError when the file cannot be read, is too long, or holds fewer than two usable points.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise TrackError(f"{path} cannot be read: it is no file")
+        if path.stat().st_size > _FILE_MAX_BYTES:
+            raise TrackError(f"{path} is longer than {_FILE_MAX_BYTES >> 20} MiB; cut the track")
         rows = _read_gpx(path) if path.suffix.lower() == ".gpx" else _read_csv(path)
     except OSError as error:
         raise TrackError(f"{path} cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, ElementTree.ParseError, ValueError, csv.Error) as error:
+    except (ElementTree.ParseError, csv.Error, LookupError, ArithmeticError, ValueError) as error:
+        if isinstance(error, TrackError):
+            raise
         raise TrackError(f"{path} is no readable track: {error}") from error
     points = _without_spikes(_rising([row for row in rows if all(map(math.isfinite, row))]))
     if len(points) < 2:
@@ -110,16 +118,50 @@ def read_track(path: Path) -> Track:
     return Track([t - first_s for t in time_s], east_m, north_m)
 
 
+class _Points:
+    """A target of the XML parser: it keeps the points of tracks and nothing else of the file."""
+
+    def __init__(self) -> None:
+        self.rows: list[_Point] = []
+        self._place: tuple[float, float] | None = None
+        self._time: list[str] | None = None  # pieces of the text of the time that is being read
+        self._time_s: float | None = None
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        name = tag.rpartition("}")[2]
+        if name == "trkpt":
+            place = attributes.get("lat"), attributes.get("lon")
+            self._place = (float(place[0]), float(place[1])) if place[0] and place[1] else None
+            self._time_s = None
+        elif name == "time" and self._place is not None:
+            self._time = []
+
+    def data(self, text: str) -> None:
+        if self._time is not None and len(self._time) < _TIME_PIECES:
+            self._time.append(text)
+
+    def end(self, tag: str) -> None:
+        name = tag.rpartition("}")[2]
+        if name == "time" and self._time is not None:
+            stamp, self._time = "".join(self._time).strip(), None
+            self._time_s = _seconds(stamp) if stamp else None
+        elif name == "trkpt" and self._place is not None:
+            if self._time_s is not None:
+                self.rows.append((self._time_s, *self._place))
+            self._place = None
+
+    def close(self) -> None:
+        pass
+
+
 def _read_gpx(path: Path) -> list[_Point]:
-    rows = []
-    for point in ElementTree.parse(path).iter():
-        if not point.tag.endswith("}trkpt") and point.tag != "trkpt":
-            continue
-        stamp = next((child.text for child in point if child.tag.rpartition("}")[2] == "time"), None)
-        place = point.attrib.get("lat"), point.attrib.get("lon")
-        if stamp and place[0] and place[1]:
-            rows.append((_seconds(stamp), float(place[0]), float(place[1])))
-    return _from_geodetic(rows)
+    points = _Points()
+    parser = ElementTree.XMLParser(target=points)
+    with path.open("rb") as file:
+        while piece := file.read(1 << 16):
+            parser.feed(piece)
+    parser.close()
+    return _from_geodetic(points.rows)
 
 
 def _read_csv(path: Path) -> list[_Point]:
@@ -155,6 +197,7 @@ def _seconds(stamp: str) -> float:
 
 
 def _from_geodetic(rows: list[_Point]) -> list[_Point]:
+    rows = [row for row in rows if abs(row[1]) <= 90.0 and abs(row[2]) <= 180.0]
     if not rows:
         return []
     plane = HomePlane(rows[0][1], rows[0][2])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,10 @@ from estimators.frames import LocalPlane
 
 _POSITION_COLUMNS = ("target_lat_deg", "target_lon_deg", "uav_lat_deg", "uav_lon_deg")
 _COLUMNS = ("time_boot_s", *_POSITION_COLUMNS)
+_FILE_MAX_BYTES = 64 << 20  # three days at 10 Hz
+_LINE_MAX_CHARACTERS = 4096
+_GREATEST = 1e10  # no time in seconds and no angle in degrees is that great
+_GAP_MAX_S = 10.0  # nothing is known of a longer time between two rows
 _VELOCITY_SPAN_S = 1.0  # the file's millimetres are too coarse to difference neighbouring rows
 
 
@@ -30,8 +35,11 @@ class Truth:
     positions_deg: npt.NDArray[np.float64]
 
     def at(self, time_s: float, plane: LocalPlane) -> Moment | None:
-        """Return both at ``time_s``, interpolated between rows; None outside the file's time."""
+        """Return both at ``time_s``, interpolated between rows; None outside the file's time and in its gaps."""
         if not self.time_s[0] <= time_s <= self.time_s[-1]:
+            return None
+        following = int(np.searchsorted(self.time_s, time_s))
+        if self.time_s[following] - self.time_s[max(following - 1, 0)] > _GAP_MAX_S:
             return None
         target_east_m, target_north_m, aircraft_east_m, aircraft_north_m = self._positions_m(time_s, plane)
         before_s = max(time_s - _VELOCITY_SPAN_S / 2, float(self.time_s[0]))
@@ -48,11 +56,18 @@ class Truth:
         )
 
     def moments(self, plane: LocalPlane, start_s: float, end_s: float, step_s: float) -> Iterator[Moment]:
-        """Yield both at every ``step_s`` from ``start_s`` to ``end_s``, as far as the file reaches."""
-        for time_s in np.arange(max(start_s, self.time_s[0]), min(end_s, self.time_s[-1]), step_s).tolist():
-            moment = self.at(time_s, plane)
-            if moment is not None:
-                yield moment
+        """Yield both at every ``step_s`` from ``start_s`` to ``end_s``, as far as the file reaches, without gaps."""
+        begin_s, end_s = max(start_s, float(self.time_s[0])), min(end_s, float(self.time_s[-1]))
+        if not begin_s < end_s:
+            return
+        rows_s = np.clip(self.time_s, begin_s, end_s)
+        step = np.ceil((rows_s - begin_s) / step_s).astype(np.int64)
+        # From row to row, so that damaged times make no more moments than there are rows to make them of.
+        for row in np.flatnonzero((np.diff(step) > 0) & (np.diff(self.time_s) <= _GAP_MAX_S)).tolist():
+            for number in range(int(step[row]), int(step[row + 1])):
+                moment = self.at(begin_s + number * step_s, plane)
+                if moment is not None:
+                    yield moment
 
     def _positions_m(self, time_s: float, plane: LocalPlane) -> tuple[float, float, float, float]:
         target_latitude, target_longitude, latitude, longitude = (
@@ -66,15 +81,24 @@ def read_truth(path: Path) -> Truth:
 
     Raises InputError when it cannot be read, lacks a column or has fewer than two rows.
     """
+    rows: dict[float, list[float]] = {}
     try:
-        names, *lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
+        if path.stat().st_size > _FILE_MAX_BYTES:
+            raise InputError(
+                f"{path} is longer than {_FILE_MAX_BYTES >> 20} MiB; give the truth of a shorter flight."
+            )
+        with path.open(encoding="utf-8", errors="replace", newline="\n") as file:
+            columns = file.readline(_LINE_MAX_CHARACTERS).strip().split(",")
+            missing = [name for name in _COLUMNS if name not in columns]
+            if missing:
+                raise InputError(f"{path} is no truth file: it lacks the column {missing[0]}.")
+            places = [columns.index(name) for name in _COLUMNS]
+            while line := file.readline(_LINE_MAX_CHARACTERS):
+                row = _row(line.split(","), places)
+                if row is not None:
+                    rows[row[0]] = row[1:]
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
-    columns = names.strip().split(",")
-    missing = [name for name in _COLUMNS if name not in columns]
-    if missing:
-        raise InputError(f"{path} is no truth file: it lacks the column {missing[0]}.")
-    rows = dict(filter(None, (_row(dict(zip(columns, line.split(","), strict=False))) for line in lines)))
     if len(rows) < 2:
         raise InputError(f"{path} has fewer than two rows with times and positions.")
     time_s = np.array(sorted(rows))
@@ -83,9 +107,10 @@ def read_truth(path: Path) -> Truth:
     return Truth(time_s, positions_deg)
 
 
-def _row(fields: dict[str, str]) -> tuple[float, list[float]] | None:
+def _row(texts: list[str], places: list[int]) -> list[float] | None:
     try:
-        time_s, *positions = (float(fields[name]) for name in _COLUMNS)
-    except (KeyError, ValueError):
+        row = [float(texts[place]) for place in places]
+    except (IndexError, ValueError):
         return None
-    return (time_s, positions) if np.isfinite([time_s, *positions]).all() else None
+    sane = all(map(math.isfinite, row)) and all(abs(value) <= _GREATEST for value in row)
+    return row if sane else None

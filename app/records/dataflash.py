@@ -42,9 +42,13 @@ class _Kind:
         self.length = length
         if length != 3 + self._unpacker.size or len(self._field_names) != len(formats):
             raise ValueError(f"the definition of {self.name} contradicts itself")
+        if ("TimeUS", "Q") not in zip(self._field_names, _text(letters), strict=True):
+            self._field_names = []  # no time: nothing to be read of it
 
     def entry(self, data: bytes, position: int) -> Entry | None:
         """Return the entry at ``position``; None for those without a time."""
+        if not self._field_names:
+            return None
         values = self._unpacker.unpack_from(data, position + 3)
         scaled = (
             value if divisor is None else value / divisor
@@ -52,7 +56,7 @@ class _Kind:
         )
         fields: dict[str, Any] = dict(zip(self._field_names, scaled, strict=True))
         instance = next((fields[name] for name in _INSTANCE_NAMES if name in fields), 0)
-        return Entry(fields["TimeUS"], self.name, instance, fields) if "TimeUS" in fields else None
+        return Entry(fields["TimeUS"], self.name, instance, fields)
 
 
 def _text(characters: bytes) -> str:

@@ -15,6 +15,7 @@ from app.link.message import Message
 _ABSURD = 1e10
 _JUMP_US = 60_000_000
 _CREDIBLE = 10  # entries this many together are no damage
+_LATEST_US = 10**13  # no vehicle has been up for longer than four months
 
 
 class Entry(NamedTuple):
@@ -32,7 +33,7 @@ def in_order(entries: Iterable[Entry]) -> list[Entry]:
     These logs have no checksums: a damaged stamp shows only in standing alone or with few, a minute or more from all
     others.
     """
-    ordered = sorted(entries, key=lambda entry: entry.time_us)
+    ordered = sorted((entry for entry in entries if 0 <= entry.time_us < _LATEST_US), key=lambda entry: entry.time_us)
     jumps = np.diff([entry.time_us for entry in ordered], prepend=0) > _JUMP_US
     periods = zip(ordered, np.cumsum(jumps).tolist(), strict=True)
     groups = [[entry for entry, _ in group] for _, group in groupby(periods, key=lambda pair: pair[1])]
@@ -61,9 +62,12 @@ class Translator:
         return frozenset(self._makers)
 
     def messages(self, entries: Iterable[Entry]) -> Iterator[Message]:
-        """Yield the messages; entries that lack a field (another version) or make no sense are passed over."""
+        """Yield the messages; entries that lack a field (another version) or make no sense are passed over.
+
+        TypeError: a damaged definition may make text of a number.
+        """
         for entry in entries:
-            with suppress(KeyError, ValueError, ArithmeticError):
+            with suppress(KeyError, ValueError, ArithmeticError, TypeError):
                 for name, fields in self._makers[entry.name](entry):
                     if any(_ABSURD < abs(value) < math.inf for value in fields.values() if isinstance(value, float)):
                         continue  # damaged: no unit here makes a flight's number that great

@@ -13,6 +13,7 @@ import json
 import zlib
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, get_origin
 
@@ -31,6 +32,7 @@ _OPENING = b'{"event":"'
 _CHECKSUM = b',"crc32":"%08x"}\n'
 _CHECKSUM_BYTES = len(_CHECKSUM % 0)
 _PROGRESS_LINES = 1000
+_LINE_MAX_BYTES = 4 << 20  # a plan takes a hundredth of that
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +118,8 @@ class JournalReader:
     def _structured(self, name: str, fields: dict[str, Any]) -> Any:
         try:
             return _CONVERTER.structure(fields, self._types[name])
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{self.path} has an event {name} that this program does not know.") from error
+        except Exception as error:  # cattrs passes on whatever a type's constructor makes of another's values
+            raise InputError(f"{self.path} has an event {name:.40} that this program does not know.") from error
 
     def _records(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield type name and fields of every whole line."""
@@ -126,13 +128,16 @@ class JournalReader:
             with self.path.open("rb") as file:
                 size = max(1, file.seek(0, io.SEEK_END))
                 file.seek(0)
-                for number, line in enumerate(file):
+                for number in count():
+                    line = file.readline(_LINE_MAX_BYTES)
+                    if not line:
+                        return
                     body = _whole_body(line)
-                    if body is not None:
-                        record = json.loads(body + b"}")
-                        yield record["event"], record["fields"]
+                    record = _record(body) if body is not None else None
+                    if record is not None:
+                        yield record
                     self.damaged_lines += line.endswith(b"\n") and (
-                        body is None or len(body) + _CHECKSUM_BYTES < len(line)
+                        body is None or record is None or len(body) + _CHECKSUM_BYTES < len(line)
                     )
                     if self._progress and number % _PROGRESS_LINES == 0:
                         self._progress(file.tell() / size)
@@ -140,15 +145,22 @@ class JournalReader:
             raise InputError(f"{self.path} cannot be read: {error.strerror}.") from error
 
 
+def _record(body: bytes) -> tuple[str, dict[str, Any]] | None:
+    """Return type name and fields; None where a whole line holds something else."""
+    try:
+        record = json.loads(body + b"}")
+        name, fields = record["event"], record["fields"]
+    except (ValueError, KeyError, RecursionError):
+        return None
+    return (name, fields) if isinstance(name, str) and isinstance(fields, dict) else None
+
+
 def _whole_body(line: bytes) -> bytes | None:
     """Return what stands before the checksum if it holds, else None.
 
-    A line whose end was damaged runs on into the next one, which is whole: so every opening is tried.
+    A line whose end was damaged runs on into the next one, which is whole: so the last opening counts. There is no
+    other in a whole line, since JSON writes quotation marks inside texts with a backslash.
     """
-    start = line.find(_OPENING)
-    while start >= 0:
-        body = line[start:-_CHECKSUM_BYTES]
-        if line[-_CHECKSUM_BYTES:] == _CHECKSUM % zlib.crc32(body):
-            return body
-        start = line.find(_OPENING, start + 1)
-    return None
+    start = line.rfind(_OPENING)
+    body = line[start:-_CHECKSUM_BYTES]
+    return body if start >= 0 and line[-_CHECKSUM_BYTES:] == _CHECKSUM % zlib.crc32(body) else None

@@ -66,6 +66,8 @@ def open_log(path: Path) -> Log:
     Raises InputError when it cannot be read or is no log.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path} cannot be read: it is no file; give a tlog, a ULog or a DataFlash log.")
         with path.open("rb") as file:
             opening = file.read(len(ULOG_MAGIC))
         if not opening:
@@ -80,13 +82,13 @@ def open_log(path: Path) -> Log:
         for log in (_ulog(path), _dataflash(path)):
             if log.contents():
                 return log
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: a name with a zero in it
         raise _unreadable(path, error) from error
     raise InputError(f"{path} is no log: expected a tlog, a PX4 ULog (.ulg) or an ArduPilot DataFlash log (.bin).")
 
 
-def _unreadable(path: Path, error: OSError) -> InputError:
-    return InputError(f"{path} cannot be read: {error.strerror}.")
+def _unreadable(path: Path, error: OSError | ValueError) -> InputError:
+    return InputError(f"{path} cannot be read: {getattr(error, 'strerror', error)}.")
 
 
 def _tlog(path: Path) -> Log:

@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from app.errors import InputError
+from app.text_file import read_text
+
+_SUMMARY_MAX_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +89,12 @@ class RunFolder:
 
     def read_summary(self) -> dict[str, Any]:
         """Return the summary; raises InputError when the run did not get as far as writing one."""
+        remedy = "the run has not ended in order; without this file its figures are made of the journal"
+        text = read_text(self.summary, _SUMMARY_MAX_BYTES, remedy)
         try:
-            summary: dict[str, Any] = json.loads(self.summary.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise InputError(f"{self.summary} cannot be read: the run has not ended in order.") from error
+            summary = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"{self.summary}: is no JSON; {remedy}.") from error
+        if not isinstance(summary, dict):
+            raise InputError(f"{self.summary}: is no summary of a run; {remedy}.")
         return summary

@@ -8,11 +8,15 @@ from itertools import dropwhile
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from app.analysis.score import Moment, score
 from app.analysis.summary import Summary
+from app.errors import InputError
 from app.report.history import History
 from app.report.series import estimate_errors
+
+_SUMMARY = TypeAdapter(Summary)
 
 
 def summary_of(history: History, outcome: str) -> Summary:
@@ -41,10 +45,13 @@ def summary_of(history: History, outcome: str) -> Summary:
     )
 
 
-def read_summary(values: dict[str, Any]) -> Summary:
-    """Return the summary that a run wrote, without what later programs may add to it."""
-    known = Summary.__dataclass_fields__
-    return Summary(**{key: value for key, value in values.items() if key in known})
+def read_summary(values: dict[str, Any], name: str) -> Summary:
+    """Return the summary that a run wrote, without what later programs add. Raises InputError by ``name``."""
+    try:
+        return _SUMMARY.validate_python(values, strict=False)
+    except ValidationError as error:
+        field = ".".join(map(str, error.errors()[0]["loc"]))
+        raise InputError(f"{name}: its {field} is missing or wrong; delete the file to have it made anew.") from error
 
 
 def rows(summary: Summary) -> list[tuple[str, str]]:

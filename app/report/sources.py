@@ -65,7 +65,7 @@ def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: P
     history = _built(builder, settings, folder.path, reader.header.plane, truth)
     # The figures of a run that was cut off are worth having all the same.
     whole = folder.summary.exists()
-    result = read_summary(folder.read_summary()) if whole else summary_of(history, "cut off")
+    result = read_summary(folder.read_summary(), str(folder.summary)) if whole else summary_of(history, "cut off")
     name = folder.path.resolve().name
     return Flown(name, reader.header.program, settings, history, result, reader.damaged_lines)
 
