@@ -254,7 +254,7 @@ def _validated(values: dict[str, Any], overrides: dict[str, dict[str, Any]], nam
 def _sentence(error: ValidationError) -> str:
     """Return the first problem as one sentence that names the field, what is wrong, and the nearest that is right."""
     problem = error.errors()[0]
-    where = ".".join(str(part) for part in problem["loc"])
+    where = ".".join(f"{part!s:.40}" for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
         return f"unknown key {where}; known there: {', '.join(_known_keys(problem['loc']))}."
     if problem["type"] == "value_error":

@@ -39,7 +39,7 @@ def value_table(
     """
     directory = directory or cache_directory()
     file = directory / f"value-{configuration.key()}.table" if directory is not None else None
-    values = _stored(file, configuration) if file is not None else None
+    values = stored_table(file, configuration) if file is not None else None
     if values is not None:
         return completed(configuration, values)
     # What is compiled takes a moment to load: only who computes a table waits for it.
@@ -51,7 +51,8 @@ def value_table(
     return table
 
 
-def _stored(file: Path, configuration: TableConfiguration) -> Float32 | None:
+def stored_table(file: Path, configuration: TableConfiguration) -> Float32 | None:
+    """Return the values that a file holds; None when it is not whole, or of another configuration."""
     shape = configuration.shape
     size = _DIGEST_BYTES + int(np.prod(shape)) * _STORED.itemsize
     try:

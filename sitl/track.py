@@ -109,7 +109,7 @@ def read_track(path: Path) -> Track:
     except (ElementTree.ParseError, csv.Error, LookupError, ArithmeticError, ValueError) as error:
         if isinstance(error, TrackError):
             raise
-        raise TrackError(f"{path} is no readable track: {error}") from error
+        raise TrackError(f"{path} is no readable track: {error!s:.160}") from error
     points = _without_spikes(_rising([row for row in rows if all(map(math.isfinite, row))]))
     if len(points) < 2:
         raise TrackError(f"{path} holds {len(points)} usable points with times; a track needs two")

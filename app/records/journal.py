@@ -102,10 +102,10 @@ class JournalReader:
         first = next(self._records(), None)
         if first is None or first[0] != Header.__name__:
             raise InputError(f"{path} has no journal header: it is no journal, or its beginning is damaged.")
-        self._format = first[1].get("format")
+        self._format: int = first[1].get("format", 0)
         if self._format not in range(OLDEST_FORMAT, FORMAT + 1):
             raise InputError(
-                f"{path} is a journal of format {self._format}; this program reads {OLDEST_FORMAT} to {FORMAT}."
+                f"{path} is a journal of format {self._format!r:.20}; this program reads {OLDEST_FORMAT} to {FORMAT}."
             )
         self.header: Header = self._structured(*first)
 
@@ -113,10 +113,11 @@ class JournalReader:
         records = self._records()
         next(records)
         for name, fields in records:
-            yield self._structured(*upgraded(name, fields, self.header.format))
+            yield self._structured(name, fields)
 
     def _structured(self, name: str, fields: dict[str, Any]) -> Any:
         try:
+            name, fields = upgraded(name, fields, self._format)
             return _CONVERTER.structure(fields, self._types[name])
         except Exception as error:  # cattrs passes on whatever a type's constructor makes of another's values
             raise InputError(f"{self.path} has an event {name:.40} that this program does not know.") from error

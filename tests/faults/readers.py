@@ -1,0 +1,215 @@
+"""Every reader of files, with a whole file of its kind to be damaged."""
+
+from __future__ import annotations
+
+import json
+import random
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.analysis.truth import read_truth
+from app.config import Config, load_config
+from app.errors import InputError
+from app.flight.recording import JOURNAL_TYPES, journalled_config
+from app.link.telemetry import Telemetry
+from app.records.journal import Header, JournalReader, encode
+from app.records.log import open_log
+from app.records.run_folder import RunFolder
+from app.report.results import read_summary
+from app.value_cache import stored_table
+from estimators.frames import LocalPlane
+from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from mission.core.circle import Circle
+from mission.core.events import Announce, ControlAcquired, DecisionRecord, End, ModeReported, PlanStatus, UploadPlan
+from mission.core.plan import Plan
+from mission.core.requirement import Wind
+from mission.predictive.cost import WatchCost
+from mission.predictive.value_table import TableConfiguration
+from sitl.track import TrackError, read_track
+from tests.faults.damage import Damage, damaged, resealed
+
+DATA = Path(__file__).resolve().parent.parent / "data"
+_EXCERPT_BYTES = 60_000
+TABLE = TableConfiguration(10.0, 50.0, 0.0008, 5.0, WatchCost.inside(100.0, 500.0), cells=2, improvements=(1, 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """read raises one of ``complaints``, whose text is the sentence, or returns."""
+
+    name: str
+    suffix: str
+    whole: bytes
+    read: Callable[[Path], object]
+    damage: Damage = damaged
+
+
+def _log(path: Path) -> None:
+    log, telemetry = open_log(path), Telemetry()
+    for message in log.messages(telemetry.wanted):
+        telemetry.event(message)
+    log.looked_for()
+
+
+def _journal(path: Path) -> None:
+    reader = JournalReader(path, JOURNAL_TYPES)
+    for _ in reader:
+        pass
+    journalled_config(reader)
+
+
+def _summary(path: Path) -> None:
+    folder = RunFolder(path.parent)
+    path.replace(folder.summary)
+    read_summary(folder.read_summary(), str(folder.summary)).table()
+
+
+def _table(path: Path) -> None:
+    assert stored_table(path, TABLE) is None
+
+
+def _ulog() -> bytes:
+    topics = {
+        "home_position": ("uint64_t timestamp;double lat;double lon;float alt;", "<Qddf", (47.4, 8.5, 488.0)),
+        "vehicle_global_position": (
+            "uint64_t timestamp;double lat;double lon;float alt;",
+            "<Qddf",
+            (47.4, 8.5, 600.0),
+        ),
+        "vehicle_local_position": (
+            "uint64_t timestamp;float vx;float vy;float vz;bool xy_global;bool z_global;",
+            *("<Qfff??", (1.0, 2.0, 3.0, True, True)),
+        ),
+        "vehicle_attitude": ("uint64_t timestamp;float[4] q;", "<Q4f", (1.0, 0.0, 0.0, 0.0)),
+        "wind": ("uint64_t timestamp;float windspeed_north;float windspeed_east;", "<Qff", (1.0, 2.0)),
+    }
+    parts = [b"ULog\x01\x12\x35\x01" + bytes(8)]
+
+    def message(letter: bytes, body: bytes) -> None:
+        parts.append(struct.pack("<H", len(body)) + letter + body)
+
+    for name, (fields, _, _) in topics.items():
+        message(b"F", f"{name}:{fields}".encode())
+    for number, name in enumerate(topics):
+        message(b"A", struct.pack("<BH", 0, number) + name.encode())
+    for moment in range(150):
+        for number, (_, form, values) in enumerate(topics.values()):
+            message(b"D", struct.pack("<H", number) + struct.pack(form, 1_000_000 + 100_000 * moment, *values))
+    return b"".join(parts)
+
+
+def _dataflash() -> bytes:
+    kinds = {
+        "FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns", ""),
+        "GPS": (130, "QBIHLLfff", "TimeUS,Status,GMS,GWk,Lat,Lng,Spd,GCrs,VZ", "<QBIHiifff"),
+        "ATT": (131, "Qccc", "TimeUS,Roll,Pitch,Yaw", "<Qhhh"),
+        "POS": (132, "QLLff", "TimeUS,Lat,Lng,Alt,RelHomeAlt", "<Qiiff"),
+        "RFND": (133, "QBCBB", "TimeUS,Instance,Dist,Stat,Orient", "<QBHBB"),
+    }
+    values = {
+        "GPS": (3, 1000, 2300, 474000000, 85000000, 15.0, 90.0, 0.0),
+        "ATT": (100, -200, 9000),
+        "POS": (474000000, 85000000, 600.0, 112.0),
+        "RFND": (0, 25_000, 4, 0),
+    }
+    parts = []
+    for name, (number, letters, columns, form) in kinds.items():
+        length = 3 + (struct.calcsize(form) if form else 86)
+        body = struct.pack("<BB4s16s64s", number, length, name.encode(), letters.encode(), columns.encode())
+        parts.append(b"\xa3\x95\x80" + body)
+    for moment in range(300):
+        for name, rest in values.items():
+            number, _, _, form = kinds[name]
+            parts.append(b"\xa3\x95" + bytes([number]) + struct.pack(form, 1_000_000 + 100_000 * moment, *rest))
+    return b"".join(parts)
+
+
+def _journal_bytes() -> bytes:
+    circle, laser = Circle(0.0, 250.0, 50.0, True), Source("DISTANCE_SENSOR", 154, 1, 100)
+    plan = Plan(circle, None, 12.0)
+    events = [Header("sidelong", Config().model_dump(mode="json"), LocalPlane(47.4, 8.5), {"simulation": 1})]
+    events += [ModeReported(10.0, "AUTO", True), ControlAcquired(10.0, circle, "AUTO")]
+    for step in range(40):
+        time_s = 10.0 + 0.1 * step
+        events += [
+            AttitudeReading(time_s, 0.4, 0.0, 1.0),
+            PositionReading(time_s, 1.5 * step, 300.0, 100.0, 15.0, 0.0, 0.0),
+            GimbalReading(time_s, (1.0, 0.0, 0.0, 0.0), "earth", Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)),
+            RangeReading(time_s, 250.0, laser, quality=0.9),
+        ]
+    events += [
+        DecisionRecord(14.0, True, "moving 50 m", {"cost": 1.0}),
+        UploadPlan(14.0, 1, plan, circle, Plan(circle), Wind(), "moving 50 m"),
+        Announce(14.0, "decision", "moving 50 m"),
+        PlanStatus(14.5, 1, "ready"),
+        PlanStatus(15.0, 1, "departed"),
+        End(20.0, "hold", "ended by the operator"),
+    ]
+    return b"".join(map(encode, events))
+
+
+_CONFIG = b"""
+[aircraft]
+airspeed_m_s = 15.0
+radius_m = 50.0
+[requirement]
+range_min_m = 100.0
+side = "120-200"
+[planner]
+winds_m_s = [4.0, 8.0]
+[sensors]
+lever_arm_m = [0.1, 0.0, -0.2]
+[link]
+url = "udpin://0.0.0.0:14540"
+[fences]
+keep_in = [[[47.40, 8.50], [47.42, 8.50], [47.42, 8.53], [47.40, 8.53]]]
+floor_m = 60.0
+ceiling_m = 150.0
+"""
+_SUMMARY = {
+    **dict.fromkeys(("duration_s", "time_in_band", "time_on_side", "min_range_m", "max_range_m"), 1.0),
+    **dict.fromkeys(("moves", "uploads", "upload_failures", "sightings", "rejected"), 3),
+    **{"source": "truth", "estimate_rmse_m": None, "outcome": "completed"},
+}
+_CSV_TRACK = b"time_s,east_m,north_m\n" + b"".join(b"%d,%d.5,%d.25\n" % (t, 2 * t, t) for t in range(300))
+
+
+def _excerpt(name: str, begin: int = 0) -> bytes:
+    return (DATA / name).read_bytes()[begin : begin + _EXCERPT_BYTES]
+
+
+def readers(table: bytes) -> dict[str, Reader]:
+    """Return every reader by name; ``table`` is the file of a value table of ``TABLE``."""
+    every = (
+        Reader("tlog", ".tlog", _excerpt("px4-follow-walk-and-drive.tlog", 700_000), _log),
+        Reader("ulog", ".ulg", _ulog(), _log),
+        Reader("dataflash", ".bin", _dataflash(), _log),
+        Reader("journal", ".jsonl", _journal_bytes(), _journal),
+        Reader("journal, sealed", ".jsonl", _journal_bytes(), _journal, resealed),
+        Reader("truth", ".csv", _excerpt("arduplane-follow-bike.truth.csv"), read_truth),
+        Reader("summary", ".json", json.dumps(_SUMMARY, indent=2).encode(), _summary),
+        Reader("gpx", ".gpx", _excerpt("target-bike.gpx"), read_track),
+        Reader("csv track", ".csv", _CSV_TRACK, read_track),
+        Reader("config", ".toml", _CONFIG, load_config),
+        Reader("value table", ".table", table, _table),
+    )
+    return {reader.name: reader for reader in every}
+
+
+def fault(reader: Reader, path: Path, seed: str) -> str | None:
+    """Read one damaged file, drawn from the seed; return what was wrong with how it was taken, None if nothing."""
+    content = reader.damage(reader.whole, random.Random(seed))
+    if content == reader.whole:
+        return None
+    path.write_bytes(content)
+    try:
+        reader.read(path)
+    except (InputError, TrackError) as error:
+        sentence = str(error)
+        if "\n" in sentence or str(path.parent) not in sentence or len(sentence) > 1500:
+            return f"no sentence that names the file: {sentence[:200]!r}"
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"[:300]
+    return None

@@ -1,0 +1,28 @@
+"""Some thousand damaged files, a few hundred of every kind; tests/bench/test_faults.py has a million."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.faults.campaign import Count, run
+
+INPUTS = 400
+NAMES = (
+    *("tlog", "ulog", "dataflash", "journal", "journal, sealed", "truth", "summary", "gpx", "csv track", "config"),
+    "value table",
+)
+
+
+@pytest.fixture(scope="module")
+def counts() -> dict[str, Count]:
+    return {count.reader: count for count in run(INPUTS, campaign=12)}
+
+
+def test_every_reader_takes_part(counts):
+    assert sorted(counts) == sorted(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_damaged_file_is_one_sentence_or_read_as_far_as_it_is_whole(counts, name):
+    assert counts[name].inputs == INPUTS
+    assert not counts[name].faults
