@@ -24,16 +24,37 @@ class AircraftState:
     curvature_per_m: float
 
 
+@dataclass(frozen=True, slots=True)
+class HeightProfile:
+    """Heights above home along a plan: ``from_m`` at the departure, then by ``slope`` to ``to_m``, the circle's.
+
+    slope is metres of height for each metre flown, positive both for a climb and for a descent.
+    """
+
+    from_m: float
+    to_m: float
+    slope: float
+
+    def at_m(self, arc_m: float) -> float:
+        """Return the height so far along the plan."""
+        change_m = self.slope * arc_m
+        if self.to_m >= self.from_m:
+            return min(self.from_m + change_m, self.to_m)
+        return max(self.from_m - change_m, self.to_m)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """Leave the present line at ``departure_s`` on ``transition``, then fly ``circle`` for ever.
 
-    transition is None for a plan that is only a circle (the first one, or one that is already flown).
+    transition is None for a plan that is only a circle (the first one, or one that is already flown). heights is
+    None where all is flown at the one configured height.
     """
 
     circle: Circle
     transition: Path | None = None
     departure_s: float = 0.0
+    heights: HeightProfile | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
