@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from math import radians
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from app.config import Config, Polygon, SensorsSection
 from app.errors import InputError
+from app.terrain.elevation_data import elevation_data
 from app.value_cache import value_table
 from estimators.frames import LocalPlane
 from estimators.tracker import SourceChoice, Tracker, TrackerSettings
@@ -17,6 +21,9 @@ from mission.paper.planner import PaperPlanner
 from mission.paper.scope import largest_psi_c_rad
 from mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
 from mission.upload.fences import FenceError, Fences, Outline
+
+if TYPE_CHECKING:
+    from estimators.terrain.ground import Ground
 
 # Lasers miss for a second or two all the time; that is nothing to tell anybody.
 _COASTING_AFTER_S = 3.0
@@ -74,7 +81,9 @@ def controller_of(config: Config, progress: Callable[[float], None] = lambda _sh
         )
 
         def check(plan: Plan) -> str | None:
-            return controller.check(plan)  # asked each time: the fences are known only when the plane is
+            # Asked each time: fences and ground are known only when the plane is.
+            cleared = controller.cleared(plan)
+            return cleared if isinstance(cleared, str) else None
 
         return PredictivePlanner(aircraft, wanted, calm, settings, windy, check)
 
@@ -109,3 +118,36 @@ def fence_check(config: Config, plane: LocalPlane) -> Callable[[Plan], str | Non
     except FenceError as error:
         raise InputError(f"fences: {error}; correct its corners.") from error
     return built.check(config.aircraft.height_m)
+
+
+def settle(controller: StandoffController, config: Config, plane: LocalPlane, home_deg: tuple[float, float]) -> None:
+    """Tell the control step of fences and ground, once the plane and home (latitude, longitude) are known.
+
+    Raises InputError naming a fence that is no polygon, or elevation data that does not serve.
+    """
+    controller.check = fence_check(config, plane)
+    ground = ground_of(config, plane, home_deg)
+    if ground is None:
+        return
+    # What is compiled takes a second to load: only who has elevation data waits for it.
+    from mission.terrain.heights import FlightHeights, HeightRules  # noqa: PLC0415
+
+    aircraft = config.aircraft
+    rules = HeightRules(
+        aircraft.height_m,
+        aircraft.height_above,
+        aircraft.clearance_m,
+        aircraft.airspeed_m_s,
+        aircraft.climb_m_s,
+        aircraft.descent_m_s,
+        config.fences.margin_m,
+        math.inf if config.fences.ceiling_m is None else config.fences.ceiling_m,
+    )
+    controller.level = FlightHeights(ground, rules).levelled
+
+
+def ground_of(config: Config, plane: LocalPlane, home_deg: tuple[float, float]) -> Ground | None:
+    """Return the ground about home, None where no elevation data is configured. Raises InputError."""
+    if config.terrain.folder is None:
+        return None
+    return elevation_data(Path(config.terrain.folder)).ground(plane, home_deg, config.terrain.sigma_m)

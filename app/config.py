@@ -59,7 +59,15 @@ class AircraftSection(_Section):
     roll_rate_max_deg_s: float = Field(30.0, ge=2, le=180)
     """Roll rate the aircraft reaches in its ordinary turns, degrees/s."""
     height_m: float = Field(100.0, ge=20, le=3000)
-    """Height above home at which it circles, m."""
+    """Height at which it circles, above what height_above says, m."""
+    height_above: Literal["home", "ground"] = "home"
+    """home: one height for all; ground: above the ground under the target, for which [terrain] is needed."""
+    clearance_m: float = Field(50.0, ge=0, le=1000)
+    """Least height over the ground everywhere on its way, where [terrain] tells the ground, m."""
+    climb_m_s: float = Field(3.0, gt=0, le=30)
+    """Climb rate it reaches with its engine as usual, m/s."""
+    descent_m_s: float = Field(2.0, gt=0, le=30)
+    """Descent rate it reaches, m/s."""
 
     def aircraft(self) -> Aircraft:
         """Return the planner's view of it."""
@@ -177,6 +185,15 @@ class FencesSection(_Section):
         return self
 
 
+class TerrainSection(_Section):
+    """The ground. Without elevation data it is taken as flat and at the height of home."""
+
+    folder: str | None = None
+    """Folder of SRTM .hgt tiles or GeoTIFF files, or one such file."""
+    sigma_m: float = Field(4.0, gt=0, le=100)
+    """Standard deviation of its heights against that at home, m."""
+
+
 class SimulationSection(_Section):
     """The simulated vehicle that is flown when no link is given."""
 
@@ -203,7 +220,16 @@ class Config(_Section):
     sensors: SensorsSection = SensorsSection()  # type: ignore[call-arg]
     link: LinkSection = LinkSection()  # type: ignore[call-arg]
     fences: FencesSection = FencesSection()  # type: ignore[call-arg]
+    terrain: TerrainSection = TerrainSection()  # type: ignore[call-arg]
     simulation: SimulationSection = SimulationSection()  # type: ignore[call-arg]
+
+    @model_validator(mode="after")
+    def _ground_known(self) -> Config:
+        if self.aircraft.height_above == "ground" and self.terrain.folder is None:
+            raise ValueError(
+                'aircraft.height_above = "ground" needs elevation data; give terrain.folder, or "home" instead'
+            )
+        return self
 
 
 def check_flyable(config: Config) -> None:

@@ -28,6 +28,7 @@ _EXAMPLES = {
     "fences.keep_out": "[[[47.405, 8.51], [47.410, 8.51], [47.410, 8.52]]]",
     "fences.floor_m": "60.0",
     "fences.ceiling_m": "150.0",
+    "terrain.folder": '"dem"',
 }
 
 

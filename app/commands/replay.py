@@ -15,7 +15,7 @@ from rich.text import Text
 from app.analysis.replay import JournalReplay, LogReplay, Replayed, announcements, require_sightings
 from app.analysis.summary import Summary, SummaryCollector, describe_calibration, summarise
 from app.analysis.truth import Truth, read_truth
-from app.assembly import controller_of, fence_check
+from app.assembly import controller_of, settle
 from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
 from app.config import Config, load_config, with_values
 from app.errors import FlightError, InputError
@@ -94,7 +94,8 @@ def _replay_log(path: Path, truth: Path | None, settings: Config, quiet: bool, s
     controller = controller_of(settings, table_progress(console.print))
 
     def fence(plane: LocalPlane) -> None:
-        controller.check = fence_check(settings, plane)
+        # A log does not tell where home is: the first position of an aircraft on the ground is near it.
+        settle(controller, settings, plane, (plane.origin_latitude_deg, plane.origin_longitude_deg))
 
     steps = LogReplay(controller, telemetry, fence)
     with _progress() as progress:
@@ -127,8 +128,10 @@ def _replay_run(
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")
         controller = controller_of(settings, table_progress(console.print))
-        if journal.header.plane is not None:
-            controller.check = fence_check(settings, journal.header.plane)
+        plane = journal.header.plane
+        if plane is not None:
+            origin_deg = (plane.origin_latitude_deg, plane.origin_longitude_deg)
+            settle(controller, settings, plane, journal.header.home_deg or origin_deg)
         steps = JournalReplay(controller)
         judged = _Judged(settings, steps.controller, progress, quiet or verify)
         _follow(judged, steps.run(journal), shown, settings, lambda: journal.header.plane)

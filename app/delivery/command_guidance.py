@@ -19,7 +19,7 @@ from app.link.vehicle import Vehicle
 from estimators.frames import LocalPlane
 from mission.core.circle import Circle
 from mission.core.events import UploadPlan
-from mission.core.plan import AircraftState
+from mission.core.plan import AircraftState, Plan
 
 _PERIOD_S = 1.0  # of the vehicle's time
 _MODE_S, _POLL_S = 5.0, 0.05
@@ -57,9 +57,9 @@ class OrbitCommandBackend:
     def mode(self) -> str:
         return self._autopilot.circle_mode
 
-    async def engage(self, circle: Circle) -> bool:
+    async def engage(self, first: Plan) -> bool:
         """Take the aircraft over from any mode onto a circle; True when it flies in our mode."""
-        answer = await self._autopilot.fly_circle(self._vehicle, self._order(circle), take_over=True)
+        answer = await self._autopilot.fly_circle(self._vehicle, self._order(first.circle, first), take_over=True)
         deadline_s = asyncio.get_running_loop().time() + _MODE_S
         while answer.accepted and mode_of(self._vehicle) != self.mode:
             if asyncio.get_running_loop().time() > deadline_s:
@@ -126,18 +126,19 @@ class OrbitCommandBackend:
         circle = replace(circle, radius_m=circle.radius_m * command.commanded.radius_m / wanted.radius_m)
         if mode_of(self._vehicle) != self.mode:
             raise SwapError(f"the flight mode is {mode_of(self._vehicle)}")
-        answer = await self._autopilot.fly_circle(self._vehicle, self._order(circle), take_over=False)
+        answer = await self._autopilot.fly_circle(self._vehicle, self._order(circle, command.plan), take_over=False)
         if not answer.accepted:
             raise SwapError(f"the autopilot's answer to a circle: {answer}")
         return done
 
-    def _order(self, circle: Circle) -> CircleOrder:
+    def _order(self, circle: Circle, plan: Plan) -> CircleOrder:
+        height_m = self._height_m if plan.heights is None else plan.heights.to_m
         latitude_deg, longitude_deg = self._plane.latitude_longitude_deg(circle.east_m, circle.north_m)
         order = CircleOrder(
             round(latitude_deg * 1e7),
             round(longitude_deg * 1e7),
-            self._height_m,
-            self._home.altitude_m + self._height_m,
+            height_m,
+            self._home.altitude_m + height_m,
             circle.radius_m if circle.clockwise else -circle.radius_m,
         )
         self._ordered.append(order)

@@ -6,6 +6,7 @@ import asyncio
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from pymavlink import mavutil
 
@@ -36,7 +37,7 @@ _ROUND = 2.5  # so many radii from its centre an aircraft counts as circling
 
 
 class Takeover:
-    """One vehicle's way into the mission. check names the fence that a plan would break, or returns None."""
+    """One vehicle's way into the mission. cleared gives a plan its heights, or names what is in its way."""
 
     def __init__(
         self,
@@ -46,29 +47,28 @@ class Takeover:
         config: Config,
         plane: LocalPlane,
         home: Home,
-        check: Callable[[Plan], str | None],
+        cleared: Callable[[Plan], Plan | str],
         note: Callable[[str], object],
     ) -> None:
         self._vehicle, self._autopilot, self._telemetry = vehicle, autopilot, telemetry
         self._config, self._plane, self._home = config, plane, home
-        self._check, self._note = check, note
+        self._cleared, self._note = cleared, note
 
     async def engage(self, missions: MissionItemBackend, commands: OrbitCommandBackend) -> ControlAcquired:
         """Return what is engaged in, once it is flown. Raises InputError or FlightError."""
         guided = self._config.planner.guidance == "command"
         if not is_flying(self._vehicle):
             circle = commanded = self._circle_at_home()
-            self._refuse_broken(circle)
-            await self._take_off(missions, circle)
+            await self._take_off(missions, self._first(circle))
         else:
             circle, commanded, adopted = await self._flown(missions)
-            self._refuse_broken(circle)
+            first = self._first(circle)
             if not guided and not adopted:
-                await self._load(missions, commanded, ())
+                await self._load(missions, replace(first, circle=commanded), ())
                 await self._in_mission_mode()
                 await missions.select()
-                await self._until_circling(missions.line_first)
-        if guided and not await commands.engage(commanded):
+                await self._until_circling(missions.line_first, first)
+        if guided and not await commands.engage(replace(self._first(circle), circle=commanded)):
             raise FlightError(f"the circle was not taken over{self._last_status_text()}.")
         mode = self._autopilot.circle_mode if guided else self._autopilot.mission_mode
         return ControlAcquired(self._telemetry.now_s, circle, mode, commanded)
@@ -77,10 +77,12 @@ class Takeover:
     def _height_m(self) -> float:
         return float(self._vehicle.latest["GLOBAL_POSITION_INT"].fields["relative_alt"]) * 1e-3
 
-    def _refuse_broken(self, circle: Circle) -> None:
-        broken = self._check(Plan(circle))
-        if broken is not None:
-            raise InputError(f"the first circle cannot be flown: {broken}; change the fences or where it begins.")
+    def _first(self, circle: Circle) -> Plan:
+        """Return the first plan. Raises InputError when something is in its way."""
+        cleared = self._cleared(Plan(circle))
+        if isinstance(cleared, str):
+            raise InputError(f"the first circle cannot be flown: {cleared}; change the fences or where it begins.")
+        return cleared
 
     # -- from the air --------------------------------------------------------------------------------------
 
@@ -138,8 +140,8 @@ class Takeover:
         east_m, north_m = self._plane.east_north_m(self._home.latitude_deg, self._home.longitude_deg)
         return Circle(east_m, north_m, self._config.aircraft.radius_m, self._clockwise)
 
-    async def _take_off(self, missions: MissionItemBackend, circle: Circle) -> None:
-        await self._load(missions, circle, (self._take_off_item(),))
+    async def _take_off(self, missions: MissionItemBackend, first: Plan) -> None:
+        await self._load(missions, first, (self._take_off_item(),))
         await self._arm()
         try:
             await self._in_mission_mode()
@@ -147,10 +149,10 @@ class Takeover:
             await self._autopilot.disarm(self._vehicle)  # still on the ground; refused if it is not
             raise
         self._note("taking off")
-        await self._until_circling(missions.line_first)
+        await self._until_circling(missions.line_first, first)
 
-    async def _load(self, missions: MissionItemBackend, circle: Circle, lead_in: tuple[RawItem, ...]) -> None:
-        result = await missions.load(missions.line(Plan(circle)), lead_in)
+    async def _load(self, missions: MissionItemBackend, first: Plan, lead_in: tuple[RawItem, ...]) -> None:
+        result = await missions.load(missions.line(first), lead_in)
         if result is not UploadResult.ACCEPTED:
             raise FlightError(f"the first mission was not taken ({result}); nothing was commanded.")
 
@@ -190,17 +192,18 @@ class Takeover:
             await asyncio.sleep(_POLL_S)
         return True
 
-    async def _until_circling(self, first: int) -> None:
+    async def _until_circling(self, first: int, plan: Plan) -> None:
         deadline_s, wall_s = self._telemetry.now_s + _TAKE_OFF_WITHIN_S, time.monotonic() + _TAKE_OFF_WITHIN_S
-        while not self._circling(first):
+        while not self._circling(first, plan):
             if self._telemetry.now_s > deadline_s or time.monotonic() > wall_s:
                 raise FlightError(f"the first circle was not reached{self._last_status_text()}.")
             await asyncio.sleep(_POLL_S)
 
-    def _circling(self, first: int) -> bool:
+    def _circling(self, first: int, plan: Plan) -> bool:
         said = self._vehicle.latest.get("MISSION_CURRENT")
         at_item = said is not None and said.fields["seq"] >= first
-        return at_item and self._height_m > _HIGH_ENOUGH * self._config.aircraft.height_m
+        wanted_m = self._config.aircraft.height_m if plan.heights is None else plan.heights.to_m
+        return at_item and self._height_m > _HIGH_ENOUGH * wanted_m
 
     def _last_status_text(self) -> str:
         said = self._vehicle.latest.get("STATUSTEXT")

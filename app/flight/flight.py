@@ -12,7 +12,7 @@ from pathlib import Path
 
 from app.analysis.summary import Summary, SummaryCollector, summarise
 from app.analysis.truth import read_truth
-from app.assembly import fence_check
+from app.assembly import settle
 from app.autopilots.autopilot import Autopilot, Home
 from app.autopilots.parameters import RequiredParameter, read_parameters, temporary_parameters
 from app.autopilots.queries import home_of, is_flying
@@ -112,8 +112,9 @@ class Flight:
     async def _watched(self, home: Home, stopped: asyncio.Event) -> str:
         plane = self._telemetry.plane
         assert plane is not None  # the position check has passed
-        self._controller.check = fence_check(self._config, plane)
-        self._recording.begin(plane)
+        home_deg = (home.latitude_deg, home.longitude_deg)
+        settle(self._controller, self._config, plane, home_deg)
+        self._recording.begin(plane, home_deg)
         queue: asyncio.Queue[Event | None] = asyncio.Queue()
         missions = MissionItemBackend(
             self._vehicle,
@@ -145,7 +146,7 @@ class Flight:
             self._config,
             plane,
             home,
-            self._controller.check,
+            self._controller.cleared_first,
             self._display.note,
         )
         observers: list[Display] = [self._display]

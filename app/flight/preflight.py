@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import Counter
 from dataclasses import dataclass
+from pathlib import Path
 
 from app.autopilots.arduplane import ArduPlane
 from app.autopilots.autopilot import Autopilot, Home, Limits
@@ -16,11 +18,13 @@ from app.link.message import Message
 from app.link.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, TYPE_FIXED_WING
 from app.link.telemetry import Telemetry, has_fix
 from app.link.vehicle import Vehicle
+from app.terrain.elevation_data import elevation_data
 from estimators.readings import GimbalReading, PositionReading, RangeReading, Source, TargetFixReading
 from mission.core.requirement import Aircraft
 
 _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
+_HOME_OFF_MAX_M = 60.0  # geoid models differ by a metre, a GPS height by some, terrain data by twenty
 _STREAMS_HZ = {30: 20.0, 33: 10.0, 42: 5.0, 87: 2.0, 168: 1.0, 231: 1.0, 360: 2.0, 436: 20.0}
 """ATTITUDE, GLOBAL_POSITION_INT, MISSION_CURRENT, POSITION_TARGET_GLOBAL_INT, WIND, WIND_COV, and
 ORBIT_EXECUTION_STATUS, CURRENT_MODE."""
@@ -135,6 +139,7 @@ def checks(
         _health_check(vehicle),
         _position_check(vehicle),
         Check("home", home is not None, "known" if home else "not known", "wait for the GPS fix that sets it"),
+        _ground_check(config, home),
         *_limit_checks(config, aircraft, limits),
         *(
             Check(need.name, False, f"{need.present:g}: {need.why}", f"set {need.value:g}, or give --set-parameters")
@@ -164,6 +169,20 @@ def _position_check(vehicle: Vehicle) -> Check:
         f"{fields['lat'] * 1e-7:.6f}, {fields['lon'] * 1e-7:.6f}, {fields['relative_alt'] * 1e-3:.0f} m above home"
     )
     return Check("position", True, found)
+
+
+def _ground_check(config: Config, home: Home | None) -> Check:
+    """Compare the elevation data with the autopilot's own height of home: a wrong home or datum shows there."""
+    if config.terrain.folder is None:
+        return Check("ground", True, "no elevation data: taken as flat, at the height of home")
+    if home is None:
+        return Check("ground", False, "home is not known", "wait for the GPS fix that sets it")
+    told_m = elevation_data(Path(config.terrain.folder)).height_above_sea_m(home.latitude_deg, home.longitude_deg)
+    if math.isnan(told_m):
+        return Check("ground", False, "the elevation data is void at home", "add tiles whose voids are filled")
+    found = f"{told_m:.0f} m above sea at home by the elevation data, {home.altitude_m:.0f} m by the autopilot"
+    remedy = "see which of the two is wrong: home, or the tiles"
+    return Check("ground", abs(told_m - home.altitude_m) <= _HOME_OFF_MAX_M, found, remedy)
 
 
 def _limit_checks(config: Config, aircraft: Aircraft, limits: Limits) -> tuple[Check, ...]:

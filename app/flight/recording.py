@@ -45,13 +45,14 @@ class Recording:
         """Whether the flight, and with it the journal, has begun."""
         return self._journal is not None
 
-    def begin(self, plane: LocalPlane) -> None:
-        """Open the journal."""
+    def begin(self, plane: LocalPlane, home_deg: tuple[float, float]) -> None:
+        """Open the journal; home is (latitude, longitude)."""
         header = Header(
             program=f"sidelong {version('sidelong')}",
             config=self._config.model_dump(mode="json"),
             plane=plane,
             seeds={"simulation": self._config.simulation.seed},
+            home_deg=home_deg,
         )
         self._journal = JournalWriter(self._folder.journal, header, self._on_trouble)
 

@@ -37,13 +37,17 @@ _LINE_MAX_BYTES = 4 << 20  # a plan takes a hundredth of that
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What a replay needs before the first event. plane is None when the run began before it was known."""
+    """What a replay needs before the first event. plane is None when the run began before it was known.
+
+    home_deg is (latitude, longitude); journals of before did not tell it.
+    """
 
     program: str
     config: Mapping[str, Any]
     plane: LocalPlane | None
     seeds: Mapping[str, int]
     format: int = FORMAT
+    home_deg: tuple[float, float] | None = None
 
 
 def _is_array(kind: object) -> bool:

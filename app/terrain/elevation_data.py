@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -115,6 +116,12 @@ class ElevationData:
             outlined += _outlined(strip, [tile.posts.bounds for tile in self.tiles])
             total += strip.rows * strip.columns
         return Coverage(bounds, known / total, (outlined - known) / total, tiles)
+
+
+@lru_cache(maxsize=1)
+def elevation_data(path: Path) -> ElevationData:
+    """Return the elevation data of a path, opened once. Raises InputError."""
+    return ElevationData(path)
 
 
 def _in_plane(heights: HeightArray, posts: Posts, plane: LocalPlane, reach_m: float, sigma_m: float) -> Ground:

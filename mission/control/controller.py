@@ -55,7 +55,7 @@ from mission.core.events import (
     Yield,
     YieldRequested,
 )
-from mission.core.plan import AircraftState, Decision, Plan, Planner
+from mission.core.plan import AircraftState, Decision, Plan, Planner, settled_m
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 from mission.geometry.approach import approach
 from mission.geometry.progress import nearest_arc_m, off_track, point_at
@@ -135,6 +135,7 @@ class _Counts:
 
 
 FenceCheck = Callable[[Plan], str | None]
+Levelling = Callable[[Plan, float | None, tuple[float, float] | None], Plan | str]
 PlannerFactory = Callable[[Requirement], Planner]
 
 
@@ -142,10 +143,16 @@ def _no_fence(_plan: Plan) -> str | None:
     return None
 
 
+def _one_height(plan: Plan, _flown_m: float | None, _target_m: tuple[float, float] | None) -> Plan:
+    return plan
+
+
 @dataclass
 class StandoffController:
     """The mission's whole state. ``check`` names the fence that a plan would break, or returns None.
 
+    ``level`` gives a plan its heights, from the present height and the target's place as far as they are known, or
+    tells why there are none.
     ``make_planner`` builds the planner for a requirement; it is called again when the side changes.
     """
 
@@ -153,6 +160,7 @@ class StandoffController:
     tracker: Tracker
     make_planner: PlannerFactory
     check: FenceCheck = _no_fence
+    level: Levelling = _one_height
     phase: Phase = Phase.WAITING
     time_s: float = -math.inf
     decision: Decision | None = None
@@ -161,6 +169,7 @@ class StandoffController:
     _requirement: Requirement = field(init=False)
     _planner: Planner = field(init=False)
     _aircraft: AircraftState | None = None
+    _height_m: float | None = None  # the aircraft's, above home
     _sensor_status: SensorStatus = field(default_factory=SensorStatus)
     _wind: Wind = field(default_factory=Wind)
     _mode: str = ""
@@ -193,7 +202,9 @@ class StandoffController:
                 return self._mode_reported(event)
             case ControlAcquired() if self.phase in (Phase.WAITING, Phase.WATCHING):
                 self.phase, self._engaged_mode = Phase.WATCHING, event.mode
-                self.present = Plan(event.circle, None, event.time_s)
+                begun = Plan(event.circle, None, event.time_s)
+                cleared = self.cleared_first(begun)
+                self.present = begun if isinstance(cleared, str) else cleared
                 self._commanded = event.commanded or event.circle
                 self._flown_radius = FlownRadius(event.circle.radius_m / self._commanded.radius_m)
             case PlanStatus():
@@ -239,7 +250,7 @@ class StandoffController:
         self._read(reading)
         if reading.time_s <= self.time_s:
             return ()  # overtaken on the way: it has helped the tracker, the clock stays
-        self.time_s = reading.time_s
+        self.time_s, self._height_m = reading.time_s, reading.height_m
         ground_speed_m_s = math.hypot(reading.velocity_east_m_s, reading.velocity_north_m_s)
         # A coordinated turn at this bank bends the flown line by g tan(bank) across it.
         curvature_per_m = GRAVITY_M_S2 * math.tan(self._sensor_status.bank_rad) / max(ground_speed_m_s, 5.0) ** 2
@@ -282,7 +293,7 @@ class StandoffController:
         assert self._aircraft is not None
         if self._is_off_track(self._aircraft, self.present):
             reason = "the aircraft has left its line: going to the circle directly"
-            plan = Plan(self.present.circle, None, self.time_s + self._latency_s)
+            plan = replace(self.present, transition=None, departure_s=self.time_s + self._latency_s)
             return (Announce(self.time_s, "swap", reason), self._prepared(plan, self.present, reason))
         unseen_s = self.time_s - self.estimate.last_sighting_s
         if unseen_s > self.settings.give_up_after_s:
@@ -293,9 +304,12 @@ class StandoffController:
             self.decision = Decision(self.time_s, None, f"holding the circle: target unseen for {unseen_s:.0f} s")
             return ()
         decision = self._choose(self._aircraft, self.estimate, self.present)
-        broken = self.check(decision.plan) if decision.plan is not None else None
-        if broken is not None:
+        cleared = self.cleared(decision.plan) if decision.plan is not None else None
+        broken = cleared if isinstance(cleared, str) else None
+        if isinstance(cleared, str):
             decision = replace(decision, plan=None, reason=f"staying: {broken}")
+        else:
+            decision = replace(decision, plan=cleared)
         self.decision = decision
         decided = DecisionRecord(self.time_s, decision.plan is not None, decision.reason, decision.values)
         if decision.plan is not None:
@@ -304,6 +318,21 @@ class StandoffController:
         if broken is not None:
             return (decided, Announce(self.time_s, "decision", decision.reason))
         return (decided, *self._corrected_radius(self.present))
+
+    def cleared(self, plan: Plan) -> Plan | str:
+        """Return the plan with its heights, or in words which fence it breaks or what ground is in its way."""
+        target = self.estimate
+        levelled = self.level(
+            plan,
+            None if self._height_m is None else settled_m(self._height_m, self.present),
+            None if target is None else (target.east_m, target.north_m),
+        )
+        return levelled if isinstance(levelled, str) else self.check(levelled) or levelled
+
+    def cleared_first(self, plan: Plan) -> Plan | str:
+        """Return the same of the first circle, which is gone to from anywhere and before anything is seen."""
+        levelled = self.level(plan, None, None)
+        return levelled if isinstance(levelled, str) else self.check(levelled) or levelled
 
     def _is_off_track(self, aircraft: AircraftState, present: Plan) -> bool:
         if present.transition is None:
@@ -326,7 +355,7 @@ class StandoffController:
         wanted_m = self._flown_radius.commanded(present.circle).radius_m
         if abs(wanted_m / self._commanded.radius_m - 1.0) <= _RADIUS_TOLERANCE:
             return ()
-        plan = Plan(present.circle, None, self.time_s + self._latency_s)
+        plan = replace(present, transition=None, departure_s=self.time_s + self._latency_s)
         reason = f"asking for a radius of {wanted_m:.0f} m, so that {present.circle.radius_m:.0f} m is flown"
         return (Announce(self.time_s, "decision", reason), self._prepared(plan, present, reason))
 

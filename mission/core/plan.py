@@ -11,6 +11,8 @@ from mission.core.circle import Circle
 from mission.core.path import Path
 from mission.core.requirement import Wind
 
+_SAME_HEIGHT_M = 10.0  # an autopilot is seldom farther from what it holds
+
 
 @dataclass(frozen=True, slots=True)
 class AircraftState:
@@ -55,6 +57,13 @@ class Plan:
     transition: Path | None = None
     departure_s: float = 0.0
     heights: HeightProfile | None = None
+
+
+def settled_m(height_m: float, plan: Plan | None) -> float:
+    """Return the height an aircraft flies: that of its plan, when it is about there."""
+    if plan is None or plan.heights is None or abs(height_m - plan.heights.to_m) > _SAME_HEIGHT_M:
+        return height_m
+    return plan.heights.to_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)

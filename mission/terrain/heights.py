@@ -37,7 +37,6 @@ _HEIGHT_SLACK = 0.2
 # The share of the rates that is counted on: in a tailwind the ground comes sooner.
 _RATE_RESERVE = 0.7
 _ARC_STEP_M = 8.0
-_SAME_HEIGHT_M = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,13 +149,6 @@ class FlightHeights:
 
     def _highest_along(self, east_m: FloatArray, north_m: FloatArray) -> float:
         return highest_along(self._highest, self._grid, east_m, north_m)
-
-
-def settled_m(height_m: float, plan: Plan | None) -> float:
-    """Return the height an aircraft flies: that of its plan, when it is about there."""
-    if plan is None or plan.heights is None or abs(height_m - plan.heights.to_m) > _SAME_HEIGHT_M:
-        return height_m
-    return plan.heights.to_m
 
 
 def _too_low(part: str, clearance_m: float, wanted_m: float, how: str = "") -> str:

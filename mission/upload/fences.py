@@ -62,8 +62,12 @@ class Fences:
         return self._broken_by("the new circle", _ring(plan.circle))
 
     def check(self, height_m: float) -> Callable[[Plan], str | None]:
-        """Return :meth:`rejection` at one height, as the control step wants it."""
-        return lambda plan: self.rejection(plan, height_m)
+        """Return :meth:`rejection` at the heights of plans, or at this one, as the control step wants it."""
+
+        def rejection(plan: Plan) -> str | None:
+            return self.rejection(plan, height_m if plan.heights is None else plan.heights.to_m)
+
+        return rejection
 
     def _broken_by(self, part: str, line: Any) -> str | None:
         if self._keep_in is not None:

@@ -12,9 +12,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from estimators.frames import LocalPlane
 from mission.core.circle import Circle
-from mission.core.plan import Plan
+from mission.core.path import Path
+from mission.core.plan import HeightProfile, Plan
 from mission.upload.line_tracking import LineTracking
 from mission.upload.waypoints import lay_out
 
@@ -59,11 +62,11 @@ def plan_items(
 ) -> tuple[Item, ...]:
     """Return the line of a plan: the waypoints of its transition, as few as possible, and its circle.
 
-    ``tracking`` is how the autopilot flies them, ArduPlane's defaults at 15 m/s if not given; param2 of a waypoint
-    is its acceptance radius. Raises UnflyableError when the flown line would leave the transition by more than
-    ``tolerance_m``.
+    height_m is that of a plan without heights of its own. ``tracking`` is how the autopilot flies them, ArduPlane's
+    defaults at 15 m/s if not given; param2 of a waypoint is its acceptance radius. Raises UnflyableError when the
+    flown line would leave the transition by more than ``tolerance_m``.
     """
-    circle = circle_item(plan.circle, plane, height_m)
+    circle = circle_item(plan.circle, plane, height_m if plan.heights is None else plan.heights.to_m)
     if plan.transition is None:
         return (circle,)
     tracking = tracking or LineTracking()
@@ -78,9 +81,19 @@ def plan_items(
             NAV_WAYPOINT,
             FRAME_GLOBAL_RELATIVE_ALT,
             *plane.latitude_longitude_deg(east_m, north_m),
-            height_m,
+            _height_beside_m(plan.transition, plan.heights, east_m, north_m, height_m),
             param2=float(round(tracking.switch_m)),
         )
         for east_m, north_m in layout.waypoints
     )
     return (*waypoints, circle)
+
+
+def _height_beside_m(
+    line: Path, heights: HeightProfile | None, east_m: float, north_m: float, height_m: float
+) -> float:
+    """Return the height where a line passes a waypoint."""
+    if heights is None:
+        return height_m
+    nearest = int(np.argmin(np.hypot(line.east_m - east_m, line.north_m - north_m)))
+    return heights.at_m(float(line.arc_m[nearest]))
