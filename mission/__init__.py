@@ -9,3 +9,49 @@ curvature_per_m    change of course per metre flown; positive turns right (clock
 clockwise        direction of flight round a circle, seen from above; its curvature is +1/radius.
 left, right      of the target's direction of motion.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mission.core.circle import Circle
+    from mission.core.plan import AircraftState, Decision, Plan, Planner
+    from mission.core.requirement import Aircraft, Requirement, Side, Wind
+    from mission.paper.planner import PaperPlanner
+    from mission.predictive.planner import PredictivePlanner
+
+# What a researcher imports from here; each is loaded when it is first used.
+_HOMES = {
+    "Aircraft": "core.requirement",
+    "AircraftState": "core.plan",
+    "Circle": "core.circle",
+    "Decision": "core.plan",
+    "PaperPlanner": "paper.planner",
+    "Plan": "core.plan",
+    "Planner": "core.plan",
+    "PredictivePlanner": "predictive.planner",
+    "Requirement": "core.requirement",
+    "Side": "core.requirement",
+    "Wind": "core.requirement",
+}
+__all__ = [
+    "Aircraft",
+    "AircraftState",
+    "Circle",
+    "Decision",
+    "PaperPlanner",
+    "Plan",
+    "Planner",
+    "PredictivePlanner",
+    "Requirement",
+    "Side",
+    "Wind",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

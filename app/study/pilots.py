@@ -42,10 +42,10 @@ class StopWatch:
 
 
 class Pilot(Protocol):
-    """Steers one aircraft through one run. changed_s: when it took up each plan; watch times its decisions."""
+    """Steers one aircraft through one run. changed_s: when it took up each plan; stopwatch times its decisions."""
 
     changed_s: list[float]
-    controller: StopWatch
+    stopwatch: StopWatch
 
     def curvature_per_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
         """Return the curvature to fly now."""
@@ -58,7 +58,7 @@ class LawPilot:
     def __init__(self, law: GuidanceLaw) -> None:
         self._law = law
         self.changed_s: list[float] = []
-        self.controller = StopWatch()
+        self.stopwatch = StopWatch()
         self._command_per_m: float | None = None
         self._next_s = 0.0
 
@@ -68,7 +68,7 @@ class LawPilot:
             self._next_s = aircraft.time_s + _LAW_PERIOD_S
             estimate = estimate_at(aircraft.time_s)
             if estimate is not None:
-                self._command_per_m = self.controller(lambda: self._law(aircraft, estimate))
+                self._command_per_m = self.stopwatch(lambda: self._law(aircraft, estimate))
         return aircraft.curvature_per_m if self._command_per_m is None else self._command_per_m
 
 
@@ -80,7 +80,7 @@ class PlanPilot:
         self._plan = Plan(circle)
         self._coming: Plan | None = None
         self.changed_s: list[float] = []
-        self.controller = StopWatch()
+        self.stopwatch = StopWatch()
         self._next_s = 0.0
 
     def curvature_per_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
@@ -89,7 +89,7 @@ class PlanPilot:
             self._next_s = aircraft.time_s + _DECISION_PERIOD_S
             estimate = estimate_at(aircraft.time_s)
             if estimate is not None:
-                self._coming = self.controller(
+                self._coming = self.stopwatch(
                     lambda: self._planner.decide(aircraft, estimate, self._plan, self._wind, self._latency_s)
                 ).plan
         if self._coming is not None and aircraft.time_s >= self._coming.departure_s - 1e-6:

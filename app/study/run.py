@@ -74,7 +74,7 @@ def run(
     sensing: Sensing = PerfectSensing() if settings.perfect_sensors else _payload(settings, flown.sensor_rng)
 
     log = fly(target, body, pilot, sensing, flown.duration_s)
-    return judged(settings, log, pilot.changed_s, pilot.controller.taken_s, keep_track)
+    return judged(settings, log, pilot.changed_s, pilot.stopwatch.taken_s, keep_track)
 
 
 def fly(target: Target, body: KinematicAircraft, pilot: Pilot, sensing: Sensing, duration_s: float) -> FloatArray:
