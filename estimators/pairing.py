@@ -20,6 +20,7 @@ from estimators.sighting import Sighting
 _SPAN_S = 12.0
 _WAIT_S = 1.5
 _GIMBAL_GAP_MAX_S = 1.0
+_WAITING_MAX = 32  # so that what has waited is never long to take in
 _time_s = attrgetter("time_s")
 
 
@@ -46,6 +47,9 @@ class Pairing:
         """Keep a range until it can be paired."""
         if self._ranges.add(reading):
             insort(self.waiting, reading, key=_time_s)
+            if len(self.waiting) > _WAITING_MAX:
+                del self.waiting[0]
+                self.unpaired += 1
 
     def completed(self) -> list[Sighting]:
         """Return the sightings that can be made now, oldest first."""

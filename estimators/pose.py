@@ -77,6 +77,7 @@ class PoseHistory:
 
     _SPAN_S = 12.0
     _EXTRAPOLATION_MAX_S = 0.3
+    _GAP_MAX_S = 3.0  # between two readings: across more, nothing tells what the aircraft did
 
     def __init__(self) -> None:
         self.positions: History[PositionReading] = History(self._SPAN_S)
@@ -90,7 +91,7 @@ class PoseHistory:
             self.attitudes.add(reading)
 
     def position_at(self, time_s: float) -> PositionReading | None:
-        """Return where the aircraft was; None before the first and well after the last reading.
+        """Return where the aircraft was; None before the first, well after the last reading, and in a long gap.
 
         Follows the cubic through two positions and their velocities: at 1 Hz and 0.5 g of turn it stays within
         0.1 m where a straight line errs by 0.6 m. Past the last reading, its velocity is held for 0.3 s.
@@ -102,6 +103,8 @@ class PoseHistory:
         step_s = b.time_s - a.time_s
         if step_s <= 0.0:
             return a
+        if step_s > self._GAP_MAX_S:
+            return None
         u = (time_s - a.time_s) / step_s
         # Hermite's cubic: weights of the two positions, then of the two velocities.
         weight_b = u * u * (3 - 2 * u)
@@ -134,13 +137,15 @@ class PoseHistory:
         )
 
     def attitude_at(self, time_s: float) -> AttitudeReading | None:
-        """Return how the aircraft was turned, angles interpolated linearly; None outside the readings."""
+        """Return how the aircraft was turned, angles interpolated linearly; None outside the readings and in a long gap."""
         pair = self.attitudes.around(time_s)
         if pair is None:
             return None
         a, b = pair
         if b.time_s <= a.time_s:
             return a
+        if b.time_s - a.time_s > self._GAP_MAX_S:
+            return None
         u = (time_s - a.time_s) / (b.time_s - a.time_s)
         return AttitudeReading(
             time_s,

@@ -16,8 +16,9 @@ from estimators.settings import TrackerSettings
 from estimators.sighting import AnySighting, SightingOutcome
 from estimators.target_filter import FloatArray, TargetFilter
 
-_HISTORY_S = 5.0
-_STEP_MAX_S = 1.0  # longer predictions go by steps, so that the motion models can mix on the way
+_HISTORY_S, _REPEATED_MAX = 5.0, 60
+# Longer predictions go by steps, so that the motion models can mix on the way; the longest by so many larger ones.
+_STEP_MAX_S, _STEPS_MAX = 1.0, 60
 
 FilterStart = Callable[[TrackerSettings, AnySighting, Biases], TargetFilter]
 
@@ -75,8 +76,7 @@ class Track:
         if nis <= settings.gate_nis:
             self._accept(sighting, before, ahead)
             return SightingOutcome(sighting, True, nis)
-        self._astray.append(sighting)
-        agreeing = self._astray[-settings.reacquire_after :]
+        agreeing = self._astray = [*self._astray, sighting][-settings.reacquire_after :]
         if len(agreeing) == settings.reacquire_after and self._one_target_explains(agreeing):
             self._restart(agreeing, ahead.biases())
             return SightingOutcome(sighting, True, nis, "restarted where the rejected sightings agree")
@@ -88,7 +88,7 @@ class Track:
         while at > 0 and self._steps[at - 1].sighting.time_s > sighting.time_s:
             at -= 1
         later = self._steps[at:]
-        if not later or later[0].before.time_s > sighting.time_s:
+        if not later or later[0].before.time_s > sighting.time_s or len(later) > _REPEATED_MAX:
             return self._rejected(sighting, math.nan, f"older than the {_HISTORY_S:.0f} s that can be gone back")
         before = later[0].before
         ahead = _predicted(before, sighting.time_s)
@@ -194,7 +194,10 @@ class Track:
 def _predicted(start: TargetFilter, time_s: float) -> TargetFilter:
     """Return a copy of the filter, moved on to ``time_s``."""
     ahead = start.copy()
-    while time_s - ahead.time_s > _STEP_MAX_S:
-        ahead.predict(ahead.time_s + _STEP_MAX_S)
+    step_s = max(_STEP_MAX_S, (time_s - start.time_s) / _STEPS_MAX)
+    for _ in range(_STEPS_MAX):
+        if time_s - ahead.time_s <= step_s:
+            break
+        ahead.predict(ahead.time_s + step_s)
     ahead.predict(time_s)
     return ahead

@@ -25,9 +25,21 @@ from mission.core.requirement import Aircraft
 _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
 _HOME_OFF_MAX_M = 60.0  # geoid models differ by a metre, a GPS height by some, terrain data by twenty
-_STREAMS_HZ = {30: 20.0, 33: 10.0, 42: 5.0, 87: 2.0, 168: 1.0, 231: 1.0, 360: 2.0, 436: 20.0}
-"""ATTITUDE, GLOBAL_POSITION_INT, MISSION_CURRENT, POSITION_TARGET_GLOBAL_INT, WIND, WIND_COV, and
-ORBIT_EXECUTION_STATUS, CURRENT_MODE."""
+_STREAMS_HZ = {
+    24: 2.0,
+    30: 20.0,
+    33: 10.0,
+    42: 5.0,
+    87: 2.0,
+    168: 1.0,
+    193: 2.0,
+    230: 2.0,
+    231: 1.0,
+    360: 2.0,
+    436: 20.0,
+}
+"""GPS_RAW_INT, ATTITUDE, GLOBAL_POSITION_INT, MISSION_CURRENT, POSITION_TARGET_GLOBAL_INT, WIND, EKF_STATUS_REPORT,
+ESTIMATOR_STATUS, WIND_COV, ORBIT_EXECUTION_STATUS, CURRENT_MODE."""
 
 
 _SENSORS = {

@@ -1,16 +1,19 @@
 """MAVLink messages into the events of the control step: units, frames and time stamps are settled here.
 
-All range and gimbal sources pass through; which of them to believe is the estimation's business.
+All range and gimbal sources pass through; which of them to believe is the estimation's business, and whether what is
+said can be is that of the control step. Here it only counts who says it: position, wind and what GPS and EKF report
+are the autopilot's alone to say.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Literal
 
 from app.link.message import Message
 from app.link.modes import ARMED_FLAG, AUTOPILOT_INVALID, mode_name
+from estimators.clock import VehicleClock
 from estimators.frames import LocalPlane
 from estimators.readings import (
     AttitudeReading,
@@ -20,11 +23,19 @@ from estimators.readings import (
     Source,
     TargetFixReading,
 )
-from mission.core.events import Event, ModeReported, WindReported, YieldRequested
+from mission.core.events import Event, ModeReported, NavigationReported, WindReported
 
 AUTOPILOT_COMPONENT = 1
-_REBOOT_STEP_S = 5.0
 _NO_FIX_DEG_E7 = 100_000
+_LATITUDE_MAX_E7, _LONGITUDE_MAX_E7 = 900_000_000, 1_800_000_000
+# time_boot_ms counts in 32 bits: it begins anew after 49.7 days.
+_WRAP_S, _NEAR_WRAP_S = 2**32 * 1e-3, 60.0
+_GPS_FIX_3D = 3
+# EKF_STATUS_FLAGS of ArduPilot and ESTIMATOR_STATUS_FLAGS agree but for the flag of a GPS glitch.
+_POSITION_GOOD, _POSITION_HELD = 16, 128
+_EKF_GLITCH, _ESTIMATOR_GLITCH = 32768, 1024
+# MAV_COMP_ID of whatever may track a target: cameras, gimbals, companion computers.
+_TRACKERS = frozenset((*range(100, 106), 154, *range(171, 176), *range(191, 198)))
 
 # MAV_SENSOR_ORIENTATION and GIMBAL_DEVICE_FLAGS of the MAVLink common dialect.
 _ORIENTATION_CUSTOM = 100
@@ -40,13 +51,15 @@ class Telemetry:
     """Turns one vehicle's messages into events.
 
     plane is set by the first position fix; system_id by the first autopilot heartbeat, unless given.
-    now_s is the vehicle's clock: its latest time stamp, -inf before the first.
+    now_s is the vehicle's clock: its latest time stamp, -inf before the first; a stamp that stands alone does not
+    move it.
     """
 
     def __init__(self, system_id: int | None = None) -> None:
         self.system_id = system_id
         self.plane: LocalPlane | None = None
-        self.now_s = -math.inf
+        self._clock = VehicleClock()
+        self._wrapped_s = 0.0
         self._decoders: dict[str, Callable[[Message], Event | None]] = {
             "HEARTBEAT": self._heartbeat,
             "GLOBAL_POSITION_INT": self._position,
@@ -57,7 +70,14 @@ class Telemetry:
             "CAMERA_TRACKING_GEO_STATUS": self._target_fix,
             "WIND": self._wind,
             "WIND_COV": self._wind_cov,
+            "GPS_RAW_INT": self._gps,
+            "EKF_STATUS_REPORT": self._ekf,
+            "ESTIMATOR_STATUS": self._estimator,
         }
+
+    @property
+    def now_s(self) -> float:
+        return self._clock.now_s
 
     @property
     def wanted(self) -> frozenset[str]:
@@ -88,11 +108,7 @@ class Telemetry:
         fields = message.fields
         if message.component_id != AUTOPILOT_COMPONENT or not has_fix(fields):
             return None
-        time_s = fields["time_boot_ms"] * 1e-3
-        if time_s < self.now_s - _REBOOT_STEP_S:
-            self.now_s = time_s
-            return YieldRequested(time_s, "the autopilot has started anew")
-        self.now_s = max(self.now_s, time_s)
+        time_s = self._own_seconds(fields["time_boot_ms"])
         latitude_deg, longitude_deg = fields["lat"] * 1e-7, fields["lon"] * 1e-7
         if self.plane is None:
             self.plane = LocalPlane(latitude_deg, longitude_deg)
@@ -112,12 +128,51 @@ class Telemetry:
         angles = (fields["roll"], fields["pitch"], fields["yaw"])
         if message.component_id != AUTOPILOT_COMPONENT or not _finite(*angles):
             return None
-        return AttitudeReading(fields["time_boot_ms"] * 1e-3, *angles)
+        time_s = self._own_seconds(fields["time_boot_ms"])
+        return AttitudeReading(time_s, *angles)
+
+    def _own_seconds(self, boot_ms: int) -> float:
+        """Return a stamp of the vehicle's own, which moves its clock."""
+        time_s = self._seconds(boot_ms)
+        self._clock.take(time_s)
+        self._wrapped_s = math.floor(self.now_s / _WRAP_S) * _WRAP_S
+        return time_s
+
+    def _payload_seconds(self, boot_ms: int) -> float:
+        return self._seconds(boot_ms) if boot_ms else 0.0  # who does not know the time says so
+
+    def _seconds(self, boot_ms: int) -> float:
+        """Return a stamp in seconds, that goes on where 32 bits of milliseconds begin anew."""
+        now_s, stamp_s = self.now_s, boot_ms * 1e-3
+        for wraps_s in (self._wrapped_s - _WRAP_S, self._wrapped_s + _WRAP_S):
+            if wraps_s >= 0.0 and abs(wraps_s + stamp_s - now_s) < _NEAR_WRAP_S:
+                return wraps_s + stamp_s
+        return self._wrapped_s + stamp_s
+
+    def _gps(self, message: Message) -> Event | None:
+        fix = int(message.fields["fix_type"])
+        fault = "" if fix >= _GPS_FIX_3D else f"the GPS has no fix in space (fix type {fix})"
+        return self._navigation(message, "GPS", fault)
+
+    def _ekf(self, message: Message) -> Event | None:
+        return self._navigation(message, "EKF", _ekf_fault(int(message.fields["flags"]), _EKF_GLITCH))
+
+    def _estimator(self, message: Message) -> Event | None:
+        return self._navigation(message, "EKF", _ekf_fault(int(message.fields["flags"]), _ESTIMATOR_GLITCH))
+
+    def _navigation(self, message: Message, source: Literal["GPS", "EKF"], fault: str) -> Event | None:
+        if not self._of_autopilot(message):
+            return None
+        return NavigationReported(self.now_s, source, fault)
+
+    def _of_autopilot(self, message: Message) -> bool:
+        """Tell whether a message without a time is the autopilot's, and there is a time to give it."""
+        return message.component_id == AUTOPILOT_COMPONENT and self.now_s > -math.inf
 
     def _wind(self, message: Message) -> Event | None:
         # ArduPilot tells where the wind comes from.
         fields = message.fields
-        if self.now_s == -math.inf or not _finite(fields["direction"], fields["speed"]):
+        if not self._of_autopilot(message) or not _finite(fields["direction"], fields["speed"]):
             return None
         from_rad = math.radians(fields["direction"])
         speed_m_s = fields["speed"]
@@ -125,7 +180,7 @@ class Telemetry:
 
     def _wind_cov(self, message: Message) -> Event | None:
         fields = message.fields
-        if self.now_s == -math.inf or not _finite(fields["wind_x"], fields["wind_y"]):
+        if not self._of_autopilot(message) or not _finite(fields["wind_x"], fields["wind_y"]):
             return None
         return WindReported(self.now_s, fields["wind_y"], fields["wind_x"])
 
@@ -142,7 +197,7 @@ class Telemetry:
         orientation = int(fields["orientation"])
         quaternion = fields.get("quaternion") if orientation == _ORIENTATION_CUSTOM else None
         return RangeReading(
-            time_s=fields["time_boot_ms"] * 1e-3,
+            time_s=self._payload_seconds(fields["time_boot_ms"]),
             slant_range_m=distance_m,
             source=Source(message.name, message.component_id, int(fields["id"]), orientation),
             sigma_m=math.sqrt(covariance_cm2) * 1e-2 if 0 < covariance_cm2 < 255 else None,
@@ -169,11 +224,13 @@ class Telemetry:
         frame = "earth" if in_earth_frame else "vehicle" if flags & _ROLL_OR_PITCH_LOCK else "body"
         device_id = int(fields.get("gimbal_device_id") or 0)
         source = Source(message.name, message.component_id, device_id)
-        return GimbalReading(fields["time_boot_ms"] * 1e-3, quaternion, frame, source)  # type: ignore[arg-type]
+        return GimbalReading(self._payload_seconds(fields["time_boot_ms"]), quaternion, frame, source)  # type: ignore[arg-type]
 
     def _target_fix(self, message: Message) -> Event | None:
         fields = message.fields
-        if self.plane is None or fields["tracking_status"] != _TRACKING_ACTIVE or not _finite(fields["h_acc"]):
+        if message.component_id not in _TRACKERS or fields["tracking_status"] != _TRACKING_ACTIVE:
+            return None
+        if self.plane is None or not _finite(fields["h_acc"]) or not has_fix(fields):
             return None
         east_m, north_m = self.plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
         source = Source(message.name, message.component_id)
@@ -182,7 +239,17 @@ class Telemetry:
 
 def has_fix(fields: Fields) -> bool:
     """Tell whether a position is one: before its first fix ArduPlane's filter reports places near (0, 0)."""
-    return bool(max(abs(fields["lat"]), abs(fields["lon"])) > _NO_FIX_DEG_E7)
+    latitude_e7, longitude_e7 = abs(fields["lat"]), abs(fields["lon"])
+    on_earth = latitude_e7 <= _LATITUDE_MAX_E7 and longitude_e7 <= _LONGITUDE_MAX_E7
+    return bool(on_earth and max(latitude_e7, longitude_e7) > _NO_FIX_DEG_E7)
+
+
+def _ekf_fault(flags: int, glitch: int) -> str:
+    if flags & glitch:
+        return "the EKF sees a GPS glitch"
+    if flags & _POSITION_HELD or not flags & _POSITION_GOOD:
+        return f"the EKF does not know its position (flags {flags})"
+    return ""
 
 
 def _finite(*values: float | None) -> bool:

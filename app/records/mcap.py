@@ -22,6 +22,7 @@ from estimators.readings import AttitudeReading, GimbalReading, PositionReading,
 from estimators.rotations import from_roll_pitch_yaw
 from estimators.sighting import Sighting, SightingOutcome
 from estimators.tracker import Tracker
+from mission.control.plausibility import Plausibility
 from mission.core.circle import Circle
 from mission.core.events import Announce, Command, ControlAcquired, Event, PlanStatus, UploadPlan
 from mission.core.plan import Plan
@@ -50,25 +51,28 @@ class McapLog:
     ) -> None:
         self._out = _Messages(path, on_trouble, booted or _EPOCH)
         self._plane, self._tracker = plane, tracker
+        self._door = Plausibility()
         self._attitude: AttitudeReading | None = None
         self._plans: dict[int, Plan] = {}
 
     def event(self, event: Event) -> None:
         """Take an event."""
-        match event:
+        admitted, _ = self._door.admit(event)
+        match admitted:
             case AttitudeReading() | RangeReading() | GimbalReading() | TargetFixReading():
-                self._attitude = event if isinstance(event, AttitudeReading) else self._attitude
-                self._sightings(self._tracker.add(event))
+                self._attitude = admitted if isinstance(admitted, AttitudeReading) else self._attitude
+                self._sightings(self._tracker.add(admitted))
             case PositionReading():
-                self._sightings(self._tracker.add(event))
-                self._aircraft(event)
-                estimate = self._tracker.estimate(event.time_s)
+                if self._door.doubt is None:
+                    self._sightings(self._tracker.add(admitted))
+                self._aircraft(admitted)
+                estimate = self._tracker.estimate(admitted.time_s)
                 if estimate is not None:
                     self._target(estimate)
             case ControlAcquired():
-                self._circle(event.time_s, event.circle)
-            case PlanStatus(stage="departed") if event.number in self._plans:
-                self._circle(event.time_s, self._plans[event.number].circle)
+                self._circle(admitted.time_s, admitted.circle)
+            case PlanStatus(stage="departed") if admitted.number in self._plans:
+                self._circle(admitted.time_s, self._plans[admitted.number].circle)
 
     def command(self, command: Command) -> None:
         """Take a command."""

@@ -25,6 +25,7 @@ from estimators.readings import (
 )
 from estimators.sighting import SightingOutcome
 from estimators.tracker import Tracker
+from mission.control.plausibility import Plausibility
 from mission.core.circle import Circle
 from mission.core.events import (
     Announce,
@@ -124,6 +125,7 @@ class HistoryBuilder:
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
+        self._door = Plausibility()
         self._positions: list[PositionReading] = []
         self._estimates: list[TargetEstimate] = []
         self._sightings: list[SightingOutcome] = []
@@ -144,19 +146,20 @@ class HistoryBuilder:
 
     def event(self, event: Event) -> None:
         """Take an event."""
-        match event:
+        admitted, _ = self._door.admit(event)
+        match admitted:
             case PositionReading():
-                self._position(event)
+                self._position(admitted)
             case AttitudeReading() | RangeReading() | GimbalReading() | TargetFixReading():
-                self._sightings += self._tracker.add(event)
+                self._sightings += self._tracker.add(admitted)
             case ControlAcquired():
-                self._start_s = event.time_s if self._start_s is None else self._start_s
-                self._circles.append((event.time_s, event.circle))
+                self._start_s = admitted.time_s if self._start_s is None else self._start_s
+                self._circles.append((admitted.time_s, admitted.circle))
                 self._in_hand = True
             case PlanStatus():
-                self._swap(event)
-            case OperatorRequest(side=Side() as side) if event.action == "side" and self._in_hand:
-                self._sides.append((event.time_s, side))
+                self._swap(admitted)
+            case OperatorRequest(side=Side() as side) if admitted.action == "side" and self._in_hand:
+                self._sides.append((admitted.time_s, side))
 
     def command(self, command: Command) -> None:
         """Take a command."""
@@ -173,7 +176,8 @@ class HistoryBuilder:
                 self._in_hand = False
 
     def _position(self, reading: PositionReading) -> None:
-        self._sightings += self._tracker.add(reading)
+        if self._door.doubt is None:
+            self._sightings += self._tracker.add(reading)
         if not self._positions or reading.time_s >= self._positions[-1].time_s + _AIRCRAFT_STEP_S:
             self._positions.append(reading)
         last_s = self._estimates[-1].time_s if self._estimates else -math.inf

@@ -12,6 +12,8 @@ Rules
    to the transition's circle directly.
 6. Any flight mode but the one engaged in means that somebody else flies: Yield, latched.
 7. A target lost for ``give_up_after_s`` ends the mission.
+8. Every event passes :mod:`mission.control.plausibility` first. While that doubts the aircraft's own position, the
+   circle is held: nothing is decided, and no plan departs.
 
 The clock is the vehicle's: the latest time of a position reading.
 """
@@ -36,6 +38,7 @@ from estimators.readings import (
 )
 from estimators.tracker import Tracker
 from mission.control.flown_radius import FlownRadius
+from mission.control.plausibility import Plausibility
 from mission.control.sensor_status import SensorStatus
 from mission.core.circle import Circle
 from mission.core.events import (
@@ -68,6 +71,8 @@ _LATE_S, _JOINABLE_M, _JOINABLE_RAD = 1.5, 15.0, math.radians(15.0)
 _OFF_TRACK_S, _ORBITS = 6.0, 2.0
 # The present circle is sent again when its flown radius is off by more than this share.
 _RADIUS_TOLERANCE = 0.03
+# A stronger wind, as a share of the airspeed, is not flown in: one that is reported all the same is not believed.
+_WIND_MAX_SHARE = 0.9
 # The latency expected is the longest of so many uploads but one: one that hung says nothing of the next.
 _LATENCY_UPLOADS, _LATENCY_MARGIN_S = 5, 0.1
 
@@ -166,6 +171,7 @@ class StandoffController:
     decision: Decision | None = None
     estimate: TargetEstimate | None = None
     present: Plan | None = None
+    door: Plausibility = field(init=False)
     _requirement: Requirement = field(init=False)
     _planner: Planner = field(init=False)
     _aircraft: AircraftState | None = None
@@ -186,6 +192,7 @@ class StandoffController:
     _on_line_s: float = math.inf  # when the aircraft was last seen on its transition; inf: it flies none
 
     def __post_init__(self) -> None:
+        self.door = Plausibility(_WIND_MAX_SHARE * self.settings.aircraft.airspeed_m_s)
         self._requirement = self.settings.requirement
         self._planner = self.make_planner(self._requirement)
         self._latency_s = self.settings.latency_s
@@ -193,6 +200,13 @@ class StandoffController:
 
     def step(self, event: Event) -> tuple[Command, ...]:
         """Take one event; return what is to be done about it, in order."""
+        admitted, told = self.door.admit(event)
+        if admitted is None:
+            return told
+        commands = self._admitted(admitted)
+        return told + commands if told else commands
+
+    def _admitted(self, event: Event) -> tuple[Command, ...]:
         match event:
             case PositionReading():
                 return self._position(event)
@@ -207,6 +221,8 @@ class StandoffController:
                 self.present = begun if isinstance(cleared, str) else cleared
                 self._commanded = event.commanded or event.circle
                 self._flown_radius = FlownRadius(event.circle.radius_m / self._commanded.radius_m)
+                if self.door.two_vehicles is not None:
+                    return self._yield(event.time_s, self.door.two_vehicles)
             case PlanStatus():
                 return self._swap_reported(event)
             case LinkReported():
@@ -247,7 +263,8 @@ class StandoffController:
     # -- the aircraft's position is the tick ---------------------------------------------------------------
 
     def _position(self, reading: PositionReading) -> tuple[Command, ...]:
-        self._read(reading)
+        if self.door.doubt is None:
+            self._read(reading)
         if reading.time_s <= self.time_s:
             return ()  # overtaken on the way: it has helped the tracker, the clock stays
         self.time_s, self._height_m = reading.time_s, reading.height_m
@@ -262,7 +279,7 @@ class StandoffController:
             ground_speed_m_s,
             curvature_per_m,
         )
-        if self._commanded is not None:
+        if self._commanded is not None and not self.door.dead_reckoned:
             self._flown_radius.observe(self._aircraft, self._commanded)
         told: tuple[Command, ...] = ()
         due = self.time_s >= self._next_decision_s
@@ -272,6 +289,9 @@ class StandoffController:
             told = self._track_commands()
         if self._swap is not None:
             return told + self._drive_swap(self._swap)
+        if self.door.doubt is not None:
+            self.decision = Decision(self.time_s, None, f"holding the circle: {self.door.doubt}")
+            return told
         return told + self._decide() if due else ()
 
     def _track_commands(self) -> tuple[Command, ...]:
@@ -383,6 +403,11 @@ class StandoffController:
         if self.phase is not Phase.WATCHING:
             self._swap = None
             return ()
+        late_s = self.time_s - swap.plan.departure_s
+        if self.door.doubt is not None or late_s > _LATE_S:
+            self._swap = None
+            why = self.door.doubt or f"its time was {late_s:.1f} s ago"
+            return (Announce(self.time_s, "swap", f"plan {swap.number} does not depart: {why}"),)
         swap.stage = "departing"
         return (ActivatePlan(self.time_s, swap.number),)
 

@@ -32,6 +32,15 @@ class WindReported:
 
 
 @dataclass(frozen=True, slots=True)
+class NavigationReported:
+    """What GPS or EKF say of the vehicle's own position: ``fault`` in words, empty where it is good."""
+
+    time_s: float
+    source: Literal["GPS", "EKF"]
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class ModeReported:
     """A heartbeat of the autopilot: its flight mode by name, and whether it is armed."""
 
@@ -99,6 +108,7 @@ Event = (
     | GimbalReading
     | TargetFixReading
     | WindReported
+    | NavigationReported
     | ModeReported
     | ControlAcquired
     | PlanStatus
@@ -148,7 +158,7 @@ class Announce:
     """Tell the person in plain words; ``kind`` lets a display colour or filter it."""
 
     time_s: float
-    kind: Literal["decision", "track", "link", "yield", "swap", "operator", "end"]
+    kind: Literal["decision", "track", "link", "yield", "swap", "operator", "end", "position", "sensor"]
     text: str
 
 

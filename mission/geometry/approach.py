@@ -13,9 +13,9 @@ target, where an approach is used; beside the target the planners fly continuous
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from estimators.estimate import TargetEstimate
 from mission.core.circle import Circle
@@ -25,7 +25,7 @@ from mission.core.requirement import Aircraft, Requirement
 
 # Below this speed a course is noise, and the aircraft's present side serves instead.
 _MIN_SPEED_FOR_COURSE_M_S = 0.5
-_SAMPLE_M = 5.0
+_SAMPLE_M, _SAMPLES_MAX = 5.0, 1000  # of one part
 
 
 def approach(aircraft: AircraftState, target: TargetEstimate, airframe: Aircraft, requirement: Requirement) -> Plan:
@@ -129,21 +129,25 @@ def _join(aircraft: AircraftState, circle: Circle) -> Path:
 
 def _sampled(start: AircraftState, parts: tuple[tuple[float, float], ...]) -> Path:
     """Return the line of constant-curvature parts (length_m, curvature_per_m) from ``start``."""
-    east, north, course = [start.east_m], [start.north_m], [start.course_rad]
-    arc, curvature = [0.0], [parts[0][1]]
-    for length_m, curvature_per_m in parts:
-        steps = np.linspace(0.0, length_m, max(2, math.ceil(length_m / _SAMPLE_M) + 1))
-        for before_m, after_m in pairwise(steps):
-            step_m = float(after_m - before_m)
-            if step_m <= 0.0:
-                continue
-            turned_rad = curvature_per_m * step_m
-            # The chord of an arc points along its middle course and is shorter by sinc.
-            chord_m = step_m * float(np.sinc(turned_rad / (2.0 * math.pi)))
-            middle_rad = course[-1] + 0.5 * turned_rad
-            east.append(east[-1] + chord_m * math.sin(middle_rad))
-            north.append(north[-1] + chord_m * math.cos(middle_rad))
-            course.append(course[-1] + turned_rad)
-            arc.append(arc[-1] + step_m)
-            curvature.append(curvature_per_m)
-    return Path(*(np.asarray(column) for column in (arc, east, north, course, curvature)))
+    pieces = [_even(length_m) for length_m, _ in parts if length_m > 0.0]
+    step_m = np.concatenate(pieces)
+    bends_per_m = [curvature_per_m for length_m, curvature_per_m in parts if length_m > 0.0]
+    curvature_per_m = np.repeat(bends_per_m, [len(piece) for piece in pieces])
+    turned_rad = curvature_per_m * step_m
+    course_rad = start.course_rad + np.concatenate(([0.0], np.cumsum(turned_rad)))
+    # The chord of an arc points along its middle course and is shorter by sinc.
+    chord_m = step_m * np.sinc(turned_rad / (2.0 * math.pi))
+    middle_rad = course_rad[:-1] + 0.5 * turned_rad
+    return Path(
+        np.concatenate(([0.0], np.cumsum(step_m))),
+        start.east_m + np.concatenate(([0.0], np.cumsum(chord_m * np.sin(middle_rad)))),
+        start.north_m + np.concatenate(([0.0], np.cumsum(chord_m * np.cos(middle_rad)))),
+        course_rad,
+        np.concatenate(([parts[0][1]], curvature_per_m)),
+    )
+
+
+def _even(length_m: float) -> npt.NDArray[np.float64]:
+    """Return the lengths of the steps of a part: a bounded number, however long it is."""
+    steps = min(max(1, math.ceil(length_m / _SAMPLE_M)), _SAMPLES_MAX)
+    return np.full(steps, length_m / steps)

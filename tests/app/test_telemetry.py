@@ -9,7 +9,7 @@ import pytest
 from app.link.message import Message
 from app.link.telemetry import Telemetry
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
-from mission.core.events import ModeReported, WindReported, YieldRequested
+from mission.core.events import ModeReported, WindReported
 
 
 def message(name: str, component: int = 1, system: int = 1, **fields) -> Message:
@@ -136,9 +136,60 @@ def test_an_attitude_with_nan_is_none(telemetry):
     assert telemetry.event(message("ATTITUDE", time_boot_ms=10_100, roll=None, pitch=0.2, yaw=0.3)) is None
 
 
-def test_a_clock_that_starts_anew_is_a_reboot(telemetry):
-    assert isinstance(telemetry.event(position(200)), YieldRequested)
-    assert isinstance(telemetry.event(position(300)), PositionReading)
+def test_a_single_stamp_does_not_move_the_clock(telemetry):
+    telemetry.event(position(10_000 + 3_600_000))
+    assert telemetry.now_s == 10.0
+
+
+@pytest.mark.parametrize("boot_ms", [0xFFFFFFFF, 3_610_000])
+def test_a_foreign_stamp_stays_what_it_is(telemetry, boot_ms):
+    assert telemetry.event(laser(time_boot_ms=boot_ms)).time_s == pytest.approx(boot_ms * 1e-3, abs=1e-6)
+
+
+def test_the_clock_goes_on_where_its_32_bits_begin_anew():
+    decoder = Telemetry(1)
+    for boot_ms in range(2**32 - 1_000, 2**32 + 90_000, 100):
+        reading = decoder.event(position(boot_ms % 2**32))
+        assert reading.time_s == pytest.approx(boot_ms * 1e-3, abs=1e-6)
+        if boot_ms == 2**32 + 900:
+            assert decoder.event(laser(time_boot_ms=850)).time_s == pytest.approx(2**32 * 1e-3 + 0.85, abs=1e-6)
+            late = decoder.event(position(2**32 - 500))
+            assert late.time_s == pytest.approx((2**32 - 500) * 1e-3, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [
+        ("WIND", {"direction": 270.0, "speed": 5.0, "speed_z": 0.0}),
+        ("WIND_COV", {"wind_x": 2.0, "wind_y": -1.0}),
+        ("GPS_RAW_INT", {"fix_type": 0}),
+        ("EKF_STATUS_REPORT", {"flags": 0}),
+        ("ESTIMATOR_STATUS", {"flags": 0}),
+    ],
+)
+def test_only_the_autopilot_says_how_it_flies(telemetry, name, fields):
+    assert telemetry.event(message(name, **fields)) is not None
+    assert telemetry.event(message(name, 154, **fields)) is None
+    assert telemetry.event(message(name, system=2, **fields)) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "fault"),
+    [
+        ("GPS_RAW_INT", {"fix_type": 3}, ""),
+        ("GPS_RAW_INT", {"fix_type": 2}, "fix type 2"),
+        ("EKF_STATUS_REPORT", {"flags": 831}, ""),
+        ("EKF_STATUS_REPORT", {"flags": 831 | 32768}, "glitch"),
+        ("EKF_STATUS_REPORT", {"flags": 167}, "does not know its position"),
+        ("ESTIMATOR_STATUS", {"flags": 831}, ""),
+        ("ESTIMATOR_STATUS", {"flags": 831 | 1024}, "glitch"),
+        ("ESTIMATOR_STATUS", {"flags": 831 & ~16}, "does not know its position"),
+    ],
+)
+def test_what_gps_and_ekf_say_is_told_in_words(telemetry, name, fields, fault):
+    told = telemetry.event(message(name, **fields)).fault
+    assert fault in told
+    assert bool(fault) == bool(told)
 
 
 def test_a_cameras_own_fix_is_used_while_it_tracks(telemetry):
@@ -147,3 +198,4 @@ def test_a_cameras_own_fix_is_used_while_it_tracks(telemetry):
     assert isinstance(active, TargetFixReading)
     assert active.sigma_m == 4.0
     assert telemetry.event(message("CAMERA_TRACKING_GEO_STATUS", 100, tracking_status=0, **fields)) is None
+    assert telemetry.event(message("CAMERA_TRACKING_GEO_STATUS", 1, tracking_status=1, **fields)) is None

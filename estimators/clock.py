@@ -1,0 +1,178 @@
+"""Whose clock says what: the vehicle's own, told by its stamps alone, and those of its payload against it.
+
+A stamp fits a line of stamps when it is at most ``LATE_S`` behind its latest and ``AHEAD_S`` ahead of it. The vehicle's
+clock follows one line. Stamps elsewhere begin another, which is followed once it has gone on for long enough while
+nothing more of the first was heard: a link that was silent, or an autopilot that has started anew. Two lines that
+take turns are two vehicles with one system id.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum, auto
+
+LATE_S, AHEAD_S = 5.0, 2.0
+SILENCE_MAX_S = 60.0
+"""A line this little ahead may well be the same clock after a silence."""
+BOOTING_S = 60.0
+"""A line that begins so near to zero is an autopilot that has started anew."""
+
+PROOF_S = 20.0
+"""So long any other line has to go on."""
+
+_QUICK_S, _REBOOT_S = 0.5, 2.0
+_STAMPS_MIN = 5
+_TURNS_MAX = 8
+_TICKS = 16
+_SAMPLES, _SAMPLES_MIN, _SAMPLE_EVERY_S = 24, 12, 0.1
+_CLUSTER_S, _CLUSTER_SHARE = 0.7, 0.75
+_DELAY_MAX_S, _EARLY_MAX_S = 1.0, 0.5
+
+
+class Stamp(Enum):
+    """What became of a stamp: of the line that is followed; refused; the first of a new line that is followed."""
+
+    GOOD = auto()
+    REFUSED = auto()
+    NEW_LINE = auto()
+
+
+@dataclass(slots=True)
+class _Line:
+    first_s: float
+    last_s: float
+    count: int = 1
+    turns: int = 0
+    other_s: float = -math.inf  # the followed clock when this was last heard
+    was_followed: bool = False
+
+
+class VehicleClock:
+    """The vehicle's clock: ``now_s`` is its latest believed stamp, -inf before the first.
+
+    shift_s: how far the latest change of lines moved the clock. restarted: whether that was an autopilot that has
+    started anew. two_lines_s: the distance of two lines that take turns, None where there is one.
+    """
+
+    def __init__(self) -> None:
+        self._own: _Line | None = None
+        self._other: _Line | None = None
+        self._in_question = False
+        self._ticks_s: deque[float] = deque(maxlen=_TICKS)
+        self.shift_s = 0.0
+        self.restarted = False
+        self.two_lines_s: float | None = None
+
+    @property
+    def now_s(self) -> float:
+        return self._own.last_s if self._own is not None else -math.inf
+
+    @property
+    def tick_s(self) -> float:
+        """Longest step of the clock lately: a payload's stamp may be so much ahead of it."""
+        return max(self._ticks_s, default=1.0)
+
+    @property
+    def in_question_s(self) -> float | None:
+        """How far ahead (behind: negative) another line is that speaks while the clock's own is silent, else None."""
+        if not self._in_question or self._own is None or self._other is None:
+            return None
+        return self._other.last_s - self._own.last_s
+
+    @property
+    def questioned_for_s(self) -> float:
+        """How long that other line has gone on."""
+        return self._other.last_s - self._other.first_s if self._in_question and self._other is not None else 0.0
+
+    def take(self, stamp_s: float, confirmed_after_s: float | None = None) -> Stamp:
+        """Take a stamp of the vehicle. confirmed_after_s: how long a new line has to go on (None: as its place tells)."""
+        own = self._own
+        if own is None:
+            self._own = _Line(stamp_s, stamp_s)
+            return Stamp.GOOD
+        if own.last_s - LATE_S <= stamp_s <= own.last_s + AHEAD_S:
+            if stamp_s > own.last_s:
+                self._ticks_s.append(stamp_s - own.last_s)
+                own.last_s = stamp_s
+            own.count += 1
+            self._in_question = False
+            return Stamp.GOOD
+        return self._taken_elsewhere(own, stamp_s, confirmed_after_s)
+
+    def _taken_elsewhere(self, own: _Line, stamp_s: float, confirmed_after_s: float | None) -> Stamp:
+        other = self._other
+        gone_s = max(0.0, own.last_s - other.other_s) if other is not None else 0.0
+        if other is None or not other.last_s - LATE_S <= stamp_s <= other.last_s + gone_s + AHEAD_S:
+            other = self._other = _Line(stamp_s, stamp_s, other_s=own.last_s)
+        else:
+            if not self._in_question:  # the own line has been heard since
+                other.turns += 1
+                other.first_s, other.count = stamp_s, 0
+            other.last_s = max(other.last_s, stamp_s)
+            other.count += 1
+            other.other_s = own.last_s
+        self._in_question = True
+        if other.turns >= _TURNS_MAX:
+            self.two_lines_s = abs(other.last_s - own.last_s)
+        begun = own.count >= _STAMPS_MIN  # before, there is nothing to hold on to
+        if confirmed_after_s is None:
+            confirmed_after_s = self._confirmed_after_s(own, other)
+        lasts = other.last_s - other.first_s >= confirmed_after_s and other.count >= _STAMPS_MIN
+        if not lasts and (begun or other.count <= own.count):
+            return Stamp.REFUSED
+        self.shift_s = other.last_s - own.last_s
+        self.restarted = begun and self.shift_s < 0.0 and not other.was_followed
+        own.was_followed, own.other_s, own.turns = True, other.last_s, 0
+        self._own, self._other = other, own
+        self._in_question = False
+        self._ticks_s.clear()
+        return Stamp.NEW_LINE
+
+    @staticmethod
+    def _confirmed_after_s(own: _Line, other: _Line) -> float:
+        ahead_s = other.last_s - own.last_s
+        if other.was_followed or 0.0 < ahead_s <= SILENCE_MAX_S:
+            return _QUICK_S
+        return _REBOOT_S if ahead_s < 0.0 and other.first_s < BOOTING_S else PROOF_S
+
+
+class SourceClock:
+    """One payload source's clock against the vehicle's.
+
+    ahead_s: by how much its stamps are ahead of the vehicle's clock (behind: negative); 0 while they agree with it
+    up to what a link may delay.
+    """
+
+    def __init__(self) -> None:
+        self.ahead_s = 0.0
+        self._samples: deque[float] = deque(maxlen=_SAMPLES)
+        self._sampled_s = -math.inf
+
+    def corrected_s(self, stamp_s: float, clock: VehicleClock) -> float | None:
+        """Return the stamp on the vehicle's clock, or None when it fits neither that nor the source's own."""
+        ahead_s = stamp_s - clock.now_s
+        if abs(clock.now_s - self._sampled_s) >= _SAMPLE_EVERY_S:  # a clock that stands still is no measure
+            self._sampled_s = clock.now_s
+            self._samples.append(ahead_s)
+            self._estimate(clock.tick_s)
+        early_s = _EARLY_MAX_S + clock.tick_s
+        if -LATE_S <= ahead_s - self.ahead_s <= early_s:
+            return stamp_s - self.ahead_s
+        return stamp_s if -_DELAY_MAX_S <= ahead_s <= early_s else None
+
+    def _estimate(self, tick_s: float) -> None:
+        if len(self._samples) < _SAMPLES_MIN:
+            return
+        ordered = sorted(self._samples)
+        middle_s = ordered[len(ordered) // 2]
+        near = [ahead_s for ahead_s in ordered if abs(ahead_s - middle_s) <= _CLUSTER_S]
+        if len(near) < _CLUSTER_SHARE * len(ordered):
+            return
+        least_delayed_s = near[3 * len(near) // 4]
+        if -_DELAY_MAX_S <= least_delayed_s <= _EARLY_MAX_S + tick_s:
+            self.ahead_s = 0.0
+        elif abs(least_delayed_s - self.ahead_s) > _CLUSTER_S:
+            # Not at every sample: a correction that moves with each would add its noise to the sightings.
+            self.ahead_s = least_delayed_s

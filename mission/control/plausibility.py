@@ -1,0 +1,262 @@
+"""The door of plausibility: what the vehicle and its payload say, before anything is decided on it.
+
+Rules
+-----
+1. The vehicle's clock is the line of its own stamps (:class:`estimators.clock.VehicleClock`). A stamp elsewhere is
+   refused; a line elsewhere is followed once it has proved true. Until then nothing of the payload is taken. One that
+   begins anew is an autopilot that has started anew: Yield.
+2. The aircraft's position is believed as far as flight allows (:mod:`mission.control.position_check`). What lies
+   elsewhere is bridged by dead reckoning; after ``BRIDGED_S`` of that, or of a fault that GPS or EKF report, there is
+   ``doubt``: the circle is held, and nothing is decided.
+3. A payload's stamp is compared with the vehicle's clock. A source whose clock is constantly off is corrected, and it
+   is told; a single stamp that fits neither clock is refused. A source that is refused falls silent for the tracker,
+   so that another may take over. A stamp of 0 is none: the reading is taken as of now.
+4. Every magnitude has a bound; what is beyond is no reading.
+5. Two lines of stamps, or two places, that take turns are two vehicles with one system id: Yield, latched.
+
+Whatever is refused, corrected or doubted is told, each thing once in ``_TOLD_AGAIN_S``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from estimators.clock import PROOF_S, SILENCE_MAX_S, SourceClock, Stamp, VehicleClock
+from estimators.readings import (
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    Source,
+    TargetFixReading,
+)
+from mission.control.position_check import PositionCheck
+from mission.core.events import (
+    Announce,
+    Event,
+    NavigationReported,
+    WindReported,
+    YieldRequested,
+)
+
+BRIDGED_S = 3.0
+_FAULT_VALID_S = 10.0
+_TOLD_AGAIN_S = 30.0
+_SOURCES_MAX = 32
+_SAME_PLACE_M = 15.0
+
+_SPEED_MAX_M_S, _CLIMB_MAX_M_S = 150.0, 60.0
+_HEIGHT_MIN_M, _HEIGHT_MAX_M = -500.0, 12_000.0
+_FROM_HOME_MAX_M = 200_000.0
+_RANGE_MAX_M, _RANGE_SIGMA_MAX_M = 30_000.0, 1_000.0
+_FIX_RANGE_MAX_M, _FIX_SIGMA_MAX_M = 50_000.0, 1_000.0
+_NAMES = {RangeReading: "laser", GimbalReading: "gimbal", TargetFixReading: "camera"}
+
+Payload = RangeReading | GimbalReading | TargetFixReading
+Admitted = tuple[Event | None, tuple[Announce, ...]]
+
+
+class Plausibility:
+    """One flight's door. wind_max_m_s: no wind above is believed.
+
+    doubt: why nothing may be decided now, in words, or None. dead_reckoned: whether the latest position was. The
+    latest position is ``position.believed``.
+    """
+
+    def __init__(self, wind_max_m_s: float = math.inf) -> None:
+        self.doubt: str | None = None
+        self.dead_reckoned = False
+        self.two_vehicles: str | None = None
+        self.clock = VehicleClock()
+        self.position = PositionCheck()
+        self._wind_max_m_s = wind_max_m_s
+        self._bank_rad = 0.0
+        self._faults: dict[str, tuple[float, float, str]] = {}  # by source: since, latest, what
+        self._sources: dict[tuple[type, Source], SourceClock] = {}
+        self._told_s: dict[str, float] = {}
+        self._told: list[Announce] = []
+        self._yield: YieldRequested | None = None
+
+    def admit(self, event: Event) -> Admitted:
+        """Return the event as it may be believed, None where it may not be, and what a person is told of it."""
+        passed: Event | None
+        match event:
+            case AttitudeReading():
+                passed = self._attitude(event)
+            case PositionReading():
+                passed = self._position(event)
+            case RangeReading() | GimbalReading() | TargetFixReading():
+                passed = self._payload(event)
+            case WindReported():
+                passed = self._wind(event)
+            case NavigationReported():
+                passed = self._navigation(event)
+            case _:
+                return event, ()
+        if self._yield is not None:
+            passed, self._yield = self._yield, None
+        if not self._told:
+            return passed, ()
+        told, self._told = tuple(self._told), []
+        return passed, told
+
+    def _tell(self, key: str, kind: str, text: str) -> None:
+        now_s = self.clock.now_s
+        if now_s - self._told_s.get(key, -math.inf) >= _TOLD_AGAIN_S:
+            self._told_s[key] = now_s
+            self._told.append(Announce(now_s, kind, text))  # type: ignore[arg-type]  # literals
+
+    # -- the vehicle ---------------------------------------------------------------------------------------
+
+    def _attitude(self, reading: AttitudeReading) -> Event | None:
+        if abs(reading.roll_rad) > math.pi or abs(reading.pitch_rad) > math.pi or abs(reading.yaw_rad) > math.tau:
+            return None
+        if not self._on_time(reading.time_s, None):
+            return None
+        self._bank_rad = reading.roll_rad
+        return reading
+
+    def _position(self, reading: PositionReading) -> Event | None:
+        possible = _possible(reading)
+        if not self._on_time(reading.time_s, reading) or (self.position.believed is None and not possible):
+            return None
+        was_astray = self.position.astray_s is not None
+        sound = self._fault(reading.time_s) is None
+        believed = self.position.take(reading, self._bank_rad, possible=possible, sound=sound)
+        if self.position.two_places_m is not None:
+            self._yield_to_two(f"its positions take turns, {_length(self.position.two_places_m)} apart")
+        if believed is None:
+            return None
+        self.dead_reckoned = believed is not reading
+        if self.dead_reckoned and not was_astray:
+            self._tell("jump", "position", f"the position jumped by {_length(self.position.jump_m)}: dead reckoning")
+        self._judge(reading.time_s)
+        return believed
+
+    def _on_time(self, stamp_s: float, place: PositionReading | None) -> bool:
+        """Tell whether a stamp is of the vehicle's clock; place is where the aircraft is said to be then."""
+        clock = self.clock
+        doubtful = 0.0 < stamp_s - clock.now_s <= SILENCE_MAX_S and (place is None or self._is_where_it_was(place))
+        stamp = clock.take(stamp_s, PROOF_S if doubtful else None)
+        if stamp is Stamp.GOOD:
+            return True
+        if clock.two_lines_s is not None:
+            self._yield_to_two(f"its clocks take turns, {clock.two_lines_s:.0f} s apart")
+        if stamp is Stamp.NEW_LINE:
+            self.position = PositionCheck()
+            if clock.restarted:
+                self._yield = YieldRequested(stamp_s, "the autopilot has started anew")
+            return True
+        off_s = clock.in_question_s
+        if off_s is not None and clock.questioned_for_s > BRIDGED_S:
+            self._tell("clock", "position", f"the aircraft's clock is {_off(off_s)}: nothing is decided on it")
+        return False
+
+    def _is_where_it_was(self, place: PositionReading) -> bool:
+        """Tell whether no time has gone by for the aircraft but what its doubtful stamps themselves have told."""
+        last = self.position.believed
+        if last is None:
+            return False
+        moved_m = math.hypot(place.east_m - last.east_m, place.north_m - last.north_m)
+        speed_m_s = math.hypot(place.velocity_east_m_s, place.velocity_north_m_s)
+        return moved_m < _SAME_PLACE_M + speed_m_s * self.clock.questioned_for_s
+
+    def _yield_to_two(self, how: str) -> None:
+        if self.two_vehicles is None:
+            self.two_vehicles = f"two vehicles speak with the same system id: {how}"
+            self._yield = YieldRequested(self.clock.now_s, self.two_vehicles)
+
+    def _navigation(self, event: NavigationReported) -> Event:
+        if not event.fault:
+            self._faults.pop(event.source, None)
+        else:
+            since_s, _, _ = self._faults.get(event.source, (event.time_s, 0.0, ""))
+            self._faults[event.source] = (since_s, event.time_s, event.fault)
+        return event
+
+    def _fault(self, now_s: float) -> tuple[float, str] | None:
+        """Return since when GPS or EKF complain, and of what."""
+        valid = [(since_s, what) for since_s, latest_s, what in self._faults.values() if now_s - latest_s < _FAULT_VALID_S]
+        return min(valid, default=None)
+
+    def _judge(self, now_s: float) -> None:
+        """Settle whether there is doubt of the position."""
+        fault, astray_s = self._fault(now_s), self.position.astray_s
+        doubt = None
+        if fault is not None and now_s - fault[0] > BRIDGED_S:
+            doubt = fault[1]
+        elif astray_s is not None and now_s - astray_s > BRIDGED_S:
+            doubt = f"the position jumped by {_length(self.position.jump_m)}"
+        if doubt is not None and self.doubt is None:
+            self._told.append(Announce(now_s, "position", f"{doubt}: holding the circle, nothing is decided on it"))
+        elif doubt is None and self.doubt is not None:
+            self._told.append(Announce(now_s, "position", "the aircraft's position is believed again"))
+        self.doubt = doubt
+
+    def _wind(self, event: WindReported) -> Event | None:
+        speed_m_s = math.hypot(event.east_m_s, event.north_m_s)
+        if speed_m_s < self._wind_max_m_s:
+            return event
+        self._tell("wind", "position", f"a wind of {speed_m_s:.0f} m/s was reported, which nobody could fly in: not believed")
+        return None
+
+    # -- the payload ---------------------------------------------------------------------------------------
+
+    def _payload(self, reading: Payload) -> Event | None:
+        if self.clock.now_s == -math.inf or self.clock.in_question_s is not None or not self._credible(reading):
+            return None
+        if reading.time_s == 0.0:
+            return replace(reading, time_s=self.clock.now_s)
+        key = type(reading), reading.source
+        source = self._sources.get(key)
+        if source is None:
+            if len(self._sources) >= _SOURCES_MAX:
+                return None
+            source = self._sources[key] = SourceClock()
+        name = f"the {_NAMES[type(reading)]}'s clock (component {reading.source.component_id})"
+        before_s = source.ahead_s
+        time_s = source.corrected_s(reading.time_s, self.clock)
+        if source.ahead_s != before_s:
+            self._told_s.pop(name, None)
+            text = f"is {_off(source.ahead_s)}: corrected" if source.ahead_s else "agrees with the aircraft's again"
+            self._tell(name, "sensor", f"{name} {text}")
+        if time_s is None:
+            off_s = reading.time_s - self.clock.now_s
+            self._tell(name, "sensor", f"{name} is {_off(off_s)}: what it stamps is refused")
+            return None
+        return reading if time_s == reading.time_s else replace(reading, time_s=time_s)
+
+    def _credible(self, reading: Payload) -> bool:
+        match reading:
+            case RangeReading():
+                sigma_m = reading.sigma_m
+                return 0.0 < reading.slant_range_m <= _RANGE_MAX_M and (
+                    sigma_m is None or 0.0 < sigma_m <= _RANGE_SIGMA_MAX_M
+                )
+            case TargetFixReading():
+                own = self.position.believed
+                return (
+                    own is not None
+                    and 0.0 < reading.sigma_m <= _FIX_SIGMA_MAX_M
+                    and math.hypot(reading.east_m - own.east_m, reading.north_m - own.north_m) <= _FIX_RANGE_MAX_M
+                )
+            case _:
+                return True
+
+
+def _possible(reading: PositionReading) -> bool:
+    return (
+        math.hypot(reading.east_m, reading.north_m) <= _FROM_HOME_MAX_M
+        and _HEIGHT_MIN_M <= reading.height_m <= _HEIGHT_MAX_M
+        and math.hypot(reading.velocity_east_m_s, reading.velocity_north_m_s) <= _SPEED_MAX_M_S
+        and abs(reading.velocity_up_m_s) <= _CLIMB_MAX_M_S
+    )
+
+
+def _off(seconds: float) -> str:
+    return f"{abs(seconds):.{0 if abs(seconds) >= 10.0 else 1}f} s {'ahead' if seconds > 0.0 else 'behind'}"
+
+
+def _length(metres: float) -> str:
+    return f"{metres:.0f} m" if metres < 10_000.0 else f"{metres / 1000.0:.0f} km"

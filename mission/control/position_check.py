@@ -1,0 +1,135 @@
+"""The aircraft's own position, believed as far as flight allows.
+
+A reading is believed when it lies where dead reckoning from the last believed one puts the aircraft, within what the
+aircraft can have accelerated meanwhile. One that lies elsewhere is replaced by dead reckoning: by the velocity it
+tells, where that goes on from the last one, else by the last velocity turned as the bank turns it. A new place that
+holds for ``_PROOF_S`` while GPS and EKF have nothing to complain of is believed after all. Two places that take turns
+are two vehicles.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from estimators.readings import PositionReading
+from mission.core.requirement import GRAVITY_M_S2
+
+_SLACK_M, _ACCELERATION_M_S2 = 15.0, 8.0
+_GUST_M_S = 15.0
+_DRIFT_M_S = 3.0  # of dead reckoning
+_VELOCITY_SLACK_M_S, _VELOCITY_RATE_M_S2 = 6.0, 15.0
+_CLIMB_SLACK_M, _CLIMB_RATE_M_S = 20.0, 10.0
+_PROOF_S = 15.0
+_SETTLED = 5  # so many readings in order, before there is anything to hold on to
+_TURNS_MAX = 20
+
+
+class PositionCheck:
+    """astray_s: since when readings have lain elsewhere, None while they do not. jump_m: how far the first one lay."""
+
+    def __init__(self) -> None:
+        self.believed: PositionReading | None = None
+        self.astray_s: float | None = None
+        self.jump_m = 0.0
+        self.two_places_m: float | None = None
+        self._readings = 0
+        self._elsewhere: PositionReading | None = None
+        self._elsewhere_since_s = 0.0
+        self._turns = 0
+
+    def take(self, reading: PositionReading, bank_rad: float, *, possible: bool, sound: bool) -> PositionReading | None:
+        """Return the reading, or dead reckoning in its place; None for a late one that cannot have been.
+
+        bank_rad is the aircraft's now; possible tells whether any aircraft can be there, sound whether GPS and EKF are
+        content.
+        """
+        last = self.believed
+        if last is None:
+            return self._believe(reading)
+        step_s = reading.time_s - last.time_s
+        if step_s <= 0.0:
+            return reading if self.astray_s is None and self._follows(last, reading) else None
+        if self._follows(last, reading):
+            return self._believe(reading)
+        self._note_elsewhere(last, reading)
+        proven = sound and reading.time_s - self._elsewhere_since_s >= _PROOF_S
+        if possible and (self._readings < _SETTLED or proven):
+            self._readings = 0
+            return self._believe(reading)
+        reckoned = _dead_reckoned(last, reading, bank_rad)
+        self.believed = reckoned
+        return reckoned
+
+    def _believe(self, reading: PositionReading) -> PositionReading:
+        self.believed, self.astray_s = reading, None
+        self._readings += 1
+        return reading
+
+    def _note_elsewhere(self, last: PositionReading, reading: PositionReading) -> None:
+        before = self._elsewhere
+        agrees = before is not None and _reachable(before, reading, 0.0)
+        if self.astray_s is None:
+            self.astray_s = last.time_s
+            self.jump_m = math.hypot(reading.east_m - last.east_m, reading.north_m - last.north_m)
+            self._turns = self._turns + 1 if agrees else 0
+            if self._turns >= _TURNS_MAX:
+                self.two_places_m = self.jump_m
+            self._elsewhere_since_s = reading.time_s
+        elif not agrees:
+            self._elsewhere_since_s = reading.time_s
+        self._elsewhere = reading
+
+    def _follows(self, last: PositionReading, reading: PositionReading) -> bool:
+        reckoned_for_s = 0.0 if self.astray_s is None else last.time_s - self.astray_s
+        return _reachable(last, reading, reckoned_for_s)
+
+
+def _reachable(last: PositionReading, reading: PositionReading, reckoned_for_s: float) -> bool:
+    """Tell whether an aircraft that was there can be here; reckoned_for_s: how long the first was dead reckoned."""
+    step_s = reading.time_s - last.time_s
+    speed_m_s = math.hypot(last.velocity_east_m_s, last.velocity_north_m_s)
+    off_m = math.hypot(
+        reading.east_m - last.east_m - last.velocity_east_m_s * step_s,
+        reading.north_m - last.north_m - last.velocity_north_m_s * step_s,
+    )
+    turned_m = min(0.5 * _ACCELERATION_M_S2 * step_s**2, (2.0 * speed_m_s + _GUST_M_S) * abs(step_s))
+    if off_m > _SLACK_M + turned_m + _DRIFT_M_S * reckoned_for_s:
+        return False
+    climbed_m = reading.height_m - last.height_m - last.velocity_up_m_s * step_s
+    if abs(climbed_m) > _CLIMB_SLACK_M + _CLIMB_RATE_M_S * (abs(step_s) + reckoned_for_s):
+        return False
+    return _velocity_follows(last, reading, speed_m_s, reckoned_for_s)
+
+
+def _velocity_follows(
+    last: PositionReading, reading: PositionReading, speed_m_s: float, reckoned_for_s: float
+) -> bool:
+    changed_m_s = math.hypot(
+        reading.velocity_east_m_s - last.velocity_east_m_s, reading.velocity_north_m_s - last.velocity_north_m_s
+    )
+    possible_m_s = _VELOCITY_SLACK_M_S + _VELOCITY_RATE_M_S2 * abs(reading.time_s - last.time_s)
+    return changed_m_s <= min(possible_m_s, 2.0 * speed_m_s + _GUST_M_S) + _DRIFT_M_S * reckoned_for_s
+
+
+def _dead_reckoned(last: PositionReading, told: PositionReading, bank_rad: float) -> PositionReading:
+    """Return where the aircraft is at the time of a reading whose place is not believed."""
+    step_s = told.time_s - last.time_s
+    east_m_s, north_m_s = last.velocity_east_m_s, last.velocity_north_m_s
+    speed_m_s = math.hypot(east_m_s, north_m_s)
+    if _velocity_follows(last, told, speed_m_s, 0.0):
+        now_east_m_s, now_north_m_s = told.velocity_east_m_s, told.velocity_north_m_s
+    else:
+        turned_rad = GRAVITY_M_S2 * math.tan(bank_rad) / max(speed_m_s, 5.0) * step_s
+        sin_t, cos_t = math.sin(turned_rad), math.cos(turned_rad)
+        now_east_m_s = east_m_s * cos_t + north_m_s * sin_t
+        now_north_m_s = north_m_s * cos_t - east_m_s * sin_t
+    return replace(
+        last,
+        time_s=told.time_s,
+        east_m=last.east_m + 0.5 * (east_m_s + now_east_m_s) * step_s,
+        north_m=last.north_m + 0.5 * (north_m_s + now_north_m_s) * step_s,
+        velocity_east_m_s=now_east_m_s,
+        velocity_north_m_s=now_north_m_s,
+        velocity_up_m_s=0.0,
+    )
