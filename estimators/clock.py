@@ -1,9 +1,9 @@
 """Whose clock says what: the vehicle's own, told by its stamps alone, and those of its payload against it.
 
-A stamp fits a line of stamps when it is at most ``LATE_S`` behind its latest and ``AHEAD_S`` ahead of it. The vehicle's
-clock follows one line. Stamps elsewhere begin another, which is followed once it has gone on for long enough while
-nothing more of the first was heard: a link that was silent, or an autopilot that has started anew. Two lines that
-take turns are two vehicles with one system id.
+A stamp fits a line of stamps when it is at most ``LATE_S`` behind its latest and ``AHEAD_S`` ahead of it. The
+vehicle's clock follows one line. Stamps elsewhere begin another, which is followed once it has gone on for long
+enough while nothing more of the first was heard: a link that was silent, or an autopilot that has started anew. Two
+lines that take turns, again and again, are two vehicles with one system id.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PROOF_S = 20.0
 
 _QUICK_S, _REBOOT_S = 0.5, 2.0
 _STAMPS_MIN = 5
-_TURNS_MAX = 8
+_TURNS_MAX, _TURN_MAX_S = 8, 0.5
 _TICKS = 16
 _SAMPLES, _SAMPLES_MIN, _SAMPLE_EVERY_S = 24, 12, 0.1
 _CLUSTER_S, _CLUSTER_SHARE = 0.7, 0.75
@@ -87,7 +87,10 @@ class VehicleClock:
         return self._other.last_s - self._other.first_s if self._in_question and self._other is not None else 0.0
 
     def take(self, stamp_s: float, confirmed_after_s: float | None = None) -> Stamp:
-        """Take a stamp of the vehicle. confirmed_after_s: how long a new line has to go on (None: as its place tells)."""
+        """Take a stamp of the vehicle.
+
+        confirmed_after_s: how long another line has to go on before it is followed; None: as its distance tells.
+        """
         own = self._own
         if own is None:
             self._own = _Line(stamp_s, stamp_s)
@@ -108,7 +111,7 @@ class VehicleClock:
             other = self._other = _Line(stamp_s, stamp_s, other_s=own.last_s)
         else:
             if not self._in_question:  # the own line has been heard since
-                other.turns += 1
+                other.turns = other.turns + 1 if gone_s < _TURN_MAX_S else 0
                 other.first_s, other.count = stamp_s, 0
             other.last_s = max(other.last_s, stamp_s)
             other.count += 1

@@ -137,7 +137,7 @@ class PoseHistory:
         )
 
     def attitude_at(self, time_s: float) -> AttitudeReading | None:
-        """Return how the aircraft was turned, angles interpolated linearly; None outside the readings and in a long gap."""
+        """Return how the aircraft was turned, angles interpolated linearly; None outside them and in a long gap."""
         pair = self.attitudes.around(time_s)
         if pair is None:
             return None

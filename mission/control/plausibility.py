@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 from estimators.clock import PROOF_S, SILENCE_MAX_S, SourceClock, Stamp, VehicleClock
 from estimators.readings import (
@@ -101,11 +102,11 @@ class Plausibility:
         told, self._told = tuple(self._told), []
         return passed, told
 
-    def _tell(self, key: str, kind: str, text: str) -> None:
+    def _tell(self, key: str, kind: Literal["position", "sensor"], text: str) -> None:
         now_s = self.clock.now_s
         if now_s - self._told_s.get(key, -math.inf) >= _TOLD_AGAIN_S:
             self._told_s[key] = now_s
-            self._told.append(Announce(now_s, kind, text))  # type: ignore[arg-type]  # literals
+            self._told.append(Announce(now_s, kind, text))
 
     # -- the vehicle ---------------------------------------------------------------------------------------
 
@@ -177,7 +178,8 @@ class Plausibility:
 
     def _fault(self, now_s: float) -> tuple[float, str] | None:
         """Return since when GPS or EKF complain, and of what."""
-        valid = [(since_s, what) for since_s, latest_s, what in self._faults.values() if now_s - latest_s < _FAULT_VALID_S]
+        faults = self._faults.values()
+        valid = ((since_s, what) for since_s, latest_s, what in faults if now_s - latest_s < _FAULT_VALID_S)
         return min(valid, default=None)
 
     def _judge(self, now_s: float) -> None:
@@ -198,7 +200,7 @@ class Plausibility:
         speed_m_s = math.hypot(event.east_m_s, event.north_m_s)
         if speed_m_s < self._wind_max_m_s:
             return event
-        self._tell("wind", "position", f"a wind of {speed_m_s:.0f} m/s was reported, which nobody could fly in: not believed")
+        self._tell("wind", "position", f"a wind of {speed_m_s:.0f} m/s was reported: not believed")
         return None
 
     # -- the payload ---------------------------------------------------------------------------------------

@@ -22,11 +22,15 @@ _VELOCITY_SLACK_M_S, _VELOCITY_RATE_M_S2 = 6.0, 15.0
 _CLIMB_SLACK_M, _CLIMB_RATE_M_S = 20.0, 10.0
 _PROOF_S = 15.0
 _SETTLED = 5  # so many readings in order, before there is anything to hold on to
-_TURNS_MAX = 20
+_TURNS_MAX, _TURN_MAX_S = 20, 0.5
 
 
 class PositionCheck:
-    """astray_s: since when readings have lain elsewhere, None while they do not. jump_m: how far the first one lay."""
+    """What is believed of the aircraft's position.
+
+    astray_s: since when readings have lain elsewhere, None while they do not. jump_m: how far the first of them lay.
+    two_places_m: the distance of two places that take turns, None where there is one.
+    """
 
     def __init__(self) -> None:
         self.believed: PositionReading | None = None
@@ -38,19 +42,21 @@ class PositionCheck:
         self._elsewhere_since_s = 0.0
         self._turns = 0
 
-    def take(self, reading: PositionReading, bank_rad: float, *, possible: bool, sound: bool) -> PositionReading | None:
+    def take(
+        self, reading: PositionReading, bank_rad: float, *, possible: bool, sound: bool
+    ) -> PositionReading | None:
         """Return the reading, or dead reckoning in its place; None for a late one that cannot have been.
 
-        bank_rad is the aircraft's now; possible tells whether any aircraft can be there, sound whether GPS and EKF are
-        content.
+        bank_rad is the aircraft's now; possible tells whether any aircraft can be there, sound whether GPS and EKF
+        are content.
         """
         last = self.believed
         if last is None:
             return self._believe(reading)
         step_s = reading.time_s - last.time_s
         if step_s <= 0.0:
-            return reading if self.astray_s is None and self._follows(last, reading) else None
-        if self._follows(last, reading):
+            return reading if possible and self.astray_s is None and self._follows(last, reading) else None
+        if possible and self._follows(last, reading):
             return self._believe(reading)
         self._note_elsewhere(last, reading)
         proven = sound and reading.time_s - self._elsewhere_since_s >= _PROOF_S
@@ -72,7 +78,8 @@ class PositionCheck:
         if self.astray_s is None:
             self.astray_s = last.time_s
             self.jump_m = math.hypot(reading.east_m - last.east_m, reading.north_m - last.north_m)
-            self._turns = self._turns + 1 if agrees else 0
+            in_turn = before is not None and reading.time_s - before.time_s < _TURN_MAX_S
+            self._turns = self._turns + 1 if agrees and in_turn else 0
             if self._turns >= _TURNS_MAX:
                 self.two_places_m = self.jump_m
             self._elsewhere_since_s = reading.time_s
