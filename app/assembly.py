@@ -69,7 +69,7 @@ def controller_of(config: Config, progress: Callable[[float], None] = lambda _sh
     settings = PredictiveSettings(lost_after_s=config.planner.lost_after_s)
 
     winds_m_s = {*config.planner.winds_m_s}
-    if config.link.url is None and config.simulation.wind_speed_m_s > 0.0:
+    if not config.link.connections and config.simulation.wind_speed_m_s > 0.0:
         winds_m_s.add(config.simulation.wind_speed_m_s)
 
     def planner(wanted: Requirement) -> Planner:

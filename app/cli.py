@@ -29,6 +29,7 @@ COMMANDS = {
     "report": ("app.commands.report", "Write one HTML page about a flight."),
     "export": ("app.commands.export", "Write a flight for other programs."),
     "check": ("app.commands.check", "Check whether a requirement can be kept."),
+    "sign": ("app.commands.sign", "Make a key for signed links, give it to a vehicle."),
     "init": ("app.commands.init", "Write a configuration file with every key explained."),
     "study": ("app.commands.study", "Compare planners over many targets."),
     "terrain": ("app.commands.terrain", "Tell what elevation data covers."),

@@ -158,10 +158,19 @@ class LinkSection(_Section):
 
     url: str | None = None
     """MAVSDK URL (udpin://0.0.0.0:14540, tcpout://host:port, serial:///dev/ttyUSB0:57600); none: simulate."""
+    urls: list[str] = Field(default_factory=list)
+    """Several links to one vehicle, instead of url: the better one is used, another when that fails."""
+    signing_key_file: Path | None = None
+    """Key of MAVLink signing, a file only you can read (sidelong sign makes one); none: nothing is signed."""
     heartbeat_timeout_s: float = Field(10.0, ge=1, le=600)
     """How long to wait for the autopilot's first heartbeat, s."""
     set_parameters: bool = False
     """Set the autopilot's parameters that stand in the way, and set them back at the end."""
+
+    @property
+    def connections(self) -> tuple[str, ...]:
+        """The URLs that count; none: simulate."""
+        return tuple(self.urls) or ((self.url,) if self.url is not None else ())
 
 
 class FencesSection(_Section):

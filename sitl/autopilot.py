@@ -17,6 +17,7 @@ from sitl.parameters import Parameters
 from sitl.place import Place
 from sitl.radio import Radio, Station
 from sitl.settings import Settings
+from sitl.signing import Signing
 from sitl.telemetry import Builder
 from sitl.transfer import ProtocolQuirks, Store, Transfer
 
@@ -53,7 +54,7 @@ class Autopilot(ABC):
         self.plane = HomePlane(home.latitude_deg, home.longitude_deg)
         self.craft = Airframe(build, settings.wind, heading_rad)
         self.parameters = parameters
-        self.radio = Radio(settings.system_id, self.default_interval_s)
+        self.radio = Radio(settings.system_id, self.default_interval_s, Signing(settings.signing_key), self._unix_s)
         self.system_id = settings.system_id
         self.now_s = 0.0
         self.mode = int(self.first_mode)
@@ -253,6 +254,8 @@ class Autopilot(ABC):
                 self.broadcast_now(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
         elif kind.startswith("MISSION_"):
             self._on_mission(station, message)
+        elif kind == "SETUP_SIGNING":
+            self._on_setup_signing(message)
         elif kind.startswith("PARAM_"):
             self.parameters.handle(station, message, self.radio)
         elif kind == "SET_MODE":
@@ -262,6 +265,16 @@ class Autopilot(ABC):
         elif kind == "PING" and message.target_system == 0:
             source = (message.get_srcSystem(), message.get_srcComponent())
             self.radio.send(station, mavlink.MAVLink_ping_message(message.time_usec, message.seq, *source))
+
+    def _on_setup_signing(self, message: Any) -> None:
+        if self.armed:
+            self.say(mavlink.MAV_SEVERITY_WARNING, "ERROR: Won't setup signing when armed")
+        else:
+            self.radio.signing.set_up(bytes(message.secret_key))
+
+    def _unix_s(self) -> float:
+        """Return the time of the stations' clock, which a simulation may run ahead of."""
+        return self.settings.boot_unix_s + self.now_s / self.settings.link_rate
 
     def is_ground_station(self, heartbeat: Any) -> bool:
         return bool(heartbeat.type == mavlink.MAV_TYPE_GCS)

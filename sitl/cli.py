@@ -22,6 +22,7 @@ from sitl.link import LinkFaults
 from sitl.motion import MOTIONS
 from sitl.server import Address, serve
 from sitl.settings import Flavour, GimbalFrame, Home, PayloadSettings, RangeMessage, Settings, TargetSettings
+from sitl.signing import KeyFileError, read_key
 from sitl.simulation import Simulation
 from sitl.track import TrackError
 from sitl.truth import TruthFile
@@ -74,6 +75,10 @@ def run(
     loss: Annotated[float, typer.Option(help="Fraction of packets lost, each way.")] = 0.0,
     delay_ms: Annotated[float, typer.Option(help="Wall-clock delay, each way.")] = 0.0,
     duplicate: Annotated[float, typer.Option(help="Fraction of packets doubled, each way.")] = 0.0,
+    require_signing: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Sign, and hear only what is signed with the key in this file."),
+    ] = None,
     while_input: Annotated[
         bool, typer.Option("--while-input", help="End when standard input does, and so with a program that dies.")
     ] = False,
@@ -124,6 +129,7 @@ def run(
         home=None if home is None else _home(home),
         target=TargetSettings(_motion(target), target_speed, _east_north(target_start), target_skip),
         payload=sensors if payload else None,
+        signing_key=None if require_signing is None else _key(require_signing),
         link_rate=speed,
         boot_unix_s=time.time(),
     )
@@ -142,10 +148,10 @@ def run(
                 _refuse("--truth", f"{truth} cannot be written: {error.strerror}")
             (companion or simulation).on_truth = file.write
         if companion is not None and binary is not None:
-            _run_binary(companion, autopilot, binary, speed, settings.home)
+            _run_binary(companion, autopilot, binary, speed, settings.home, settings.signing_key)
             return
         if companion is not None and payload_for is not None:
-            _accompany(companion, payload_for, _stop_signal())
+            _accompany(companion, payload_for, _stop_signal(), settings.signing_key)
             return
         where = ", ".join(f"{host}:{port}" for host, port in stations)
         serve(
@@ -159,23 +165,26 @@ def run(
         )
 
 
-def _run_binary(companion: Companion, flavour: Flavour, path: Path, speed: float, home: Home | None) -> None:
+def _run_binary(
+    companion: Companion, flavour: Flavour, path: Path, speed: float, home: Home | None, key: bytes | None
+) -> None:
     stopped = _stop_signal()
     try:
         with Binary(flavour, path, speed, home) as binary:
             print(f"fly it by: sidelong launch --connect {binary.run.url}", flush=True)
-            _accompany(companion, binary.run.payload_url, lambda: stopped() or binary.ended)
+            _accompany(companion, binary.run.payload_url, lambda: stopped() or binary.ended, key)
             if not stopped():
                 raise BinaryError(binary.last_words)
     except BinaryError as error:
         _refuse("--binary", str(error))
 
 
-def _accompany(companion: Companion, url: str, stopped: Callable[[], bool]) -> None:
+def _accompany(companion: Companion, url: str, stopped: Callable[[], bool], key: bytes | None) -> None:
     try:
         accompany(
             companion,
             url,
+            key=key,
             on_ready=lambda vehicle_id: print(
                 f"ready system {vehicle_id} component 154 payload -> {url}", flush=True
             ),
@@ -216,6 +225,13 @@ def _motion(spec: str) -> str | Path:
     if Path(spec).suffix.lower() in (".gpx", ".csv"):
         return Path(spec)
     return _refuse("--target", f"is one of {', '.join(MOTIONS)} or a .gpx or .csv file, not {spec!r}")
+
+
+def _key(path: Path) -> bytes:
+    try:
+        return read_key(path)
+    except KeyFileError as error:
+        return _refuse("--require-signing", str(error))
 
 
 def _home(text: str) -> Home:

@@ -103,15 +103,16 @@ def accompany(
     companion: Companion,
     url: str,
     *,
+    key: bytes | None = None,
     on_ready: Callable[[int], None] = lambda _vehicle_id: None,
     on_wait: Callable[[str], None] = lambda _reason: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
     """Join the vehicle at ``url`` as component 154 of its system until ``stopped``.
 
-    url: tcpout://HOST:PORT, udpin://HOST:PORT or udpout://HOST:PORT. A vehicle that is not there yet, or goes, is
-    waited for: on_wait then hears once why, on_ready whenever it has been joined. Raises CompanionError for a URL
-    that can never be reached.
+    url: tcpout://HOST:PORT, udpin://HOST:PORT or udpout://HOST:PORT. key: of the vehicle's signing, if it demands
+    that. A vehicle that is not there yet, or goes, is waited for: on_wait then hears once why, on_ready whenever it
+    has been joined. Raises CompanionError for a URL that can never be reached.
     """
     scheme, _, address = url.partition("://")
     if scheme not in _SCHEMES or not address.rpartition(":")[2].isdigit():
@@ -121,6 +122,8 @@ def accompany(
         try:
             with closing(_connected(scheme, address)) as link:
                 told = False
+                if key is not None:
+                    link.setup_signing(key, allow_unsigned_callback=lambda _mav, _message_id: False, link_id=1)
                 _converse(companion, link, on_ready, stopped)
         except (ConnectionError, TimeoutError) as error:
             if not told:

@@ -8,6 +8,8 @@ from typing import Any
 from pymavlink.dialects.v20 import all as mavlink
 from pymavlink.generator.mavcrc import x25crc
 
+from sitl.signing import SignedParser, Signing
+
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 PAYLOAD = mavlink.MAV_COMP_ID_GIMBAL
 _SEQUENCE_BYTE = 4
@@ -34,7 +36,7 @@ class Station:
         self.expected = False  # was named beforehand: is sent to for ever, heard or not
         self.sequence: dict[int, int] = {}
         self.heard_s: float | None = None
-        self.parser = mavlink.MAVLink(None)
+        self.parser = SignedParser(None)
         self.parser.robust_parsing = True
         self.interval_s: dict[int, float] = {}
         self._next_due_s: dict[int, float] = {}
@@ -70,7 +72,13 @@ def _on_grid(now_s: float, interval_s: float) -> float:
 class Radio:
     """Packs messages once and hands a copy to each station that is to have it."""
 
-    def __init__(self, system_id: int, default_interval_s: Mapping[int, float]) -> None:
+    def __init__(
+        self,
+        system_id: int,
+        default_interval_s: Mapping[int, float],
+        signing: Signing,
+        unix_s: Callable[[], float] = lambda: 0.0,
+    ) -> None:
         self.stations: dict[Hashable, Station] = {}
         self.outbox: list[Datagram] = []
         self._default_interval_s = default_interval_s
@@ -79,24 +87,27 @@ class Radio:
             for component in (AUTOPILOT, PAYLOAD)
         }
         self.system_id = system_id
+        self.signing, self._unix_s = signing, unix_s
 
     def connect(self, address: Hashable, now_s: float) -> Station:
         station = self.stations.get(address)
         if station is None:
             station = self.stations[address] = Station(address, self._default_interval_s, now_s)
+            self.signing.attach(station.parser)
         return station
 
     def restart(self, default_interval_s: Mapping[int, float]) -> None:
         """Forget every station's rates and sequence numbers, not the stations."""
         for address in list(self.stations):
-            expected = self.stations[address].expected
-            self.stations[address] = Station(address, default_interval_s, 0.0)
-            self.stations[address].expected = expected
+            before = self.stations[address]
+            station = self.stations[address] = Station(address, default_interval_s, 0.0)
+            station.expected, station.parser = before.expected, before.parser
 
     def drop_silent(self, since_s: float) -> None:
         """Forget the stations that came by themselves and have not been heard since."""
         for address, station in list(self.stations.items()):
             if not station.expected and station.heard_s is not None and station.heard_s < since_s:
+                self.signing.detach(station.parser)
                 del self.stations[address]
 
     def send(self, station: Station, message: Any, component: int = AUTOPILOT) -> None:
@@ -136,4 +147,6 @@ class Radio:
             renumbered[_SEQUENCE_BYTE] = sequence
             crc = x25crc(bytes(renumbered[1:]) + bytes((crc_extra,))).crc
             frame = bytes(renumbered) + crc.to_bytes(2, "little")
+        if self.signing.required:
+            frame = self.signing.signed(station.parser, frame, crc_extra, self._unix_s())
         self.outbox.append((station.address, frame))

@@ -78,6 +78,7 @@ class Settings:
     home: Home | None = None
     target: TargetSettings = field(default_factory=TargetSettings)
     payload: PayloadSettings | None = field(default_factory=PayloadSettings)
+    signing_key: bytes | None = field(default=None, repr=False)  # what is not signed with it is not heard
     link_rate: float = 1.0  # seconds of the vehicle in one of the stations'
     boot_unix_s: float = 1.7e9
 

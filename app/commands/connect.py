@@ -20,10 +20,15 @@ from app.shutdown import run
 
 
 def connect(
-    url: Annotated[str, typer.Argument(help="MAVSDK URL of the vehicle.", show_default=False)],
+    urls: Annotated[
+        list[str], typer.Argument(help="MAVSDK URL of the vehicle; several links to one.", show_default=False)
+    ],
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML) to check against.")] = None,
     timeout: Annotated[float | None, typer.Option(help="Wait this long for a heartbeat, s.")] = None,
     listen_s: Annotated[float, typer.Option("--listen", min=0.5, help="Listen to the sensors this long, s.")] = 3.0,
+    signing_key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Key of the link's signing.", show_default=False)
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Tell what is there: autopilot, mode, position, sensors, parameters, and what is not ready yet and why.
@@ -31,14 +36,17 @@ def connect(
     Nothing is armed or changed. Example: sidelong connect udpin://0.0.0.0:14540
     """
     checked_output(json)
-    settings = load_config(config, {"link": {"heartbeat_timeout_s": timeout}})
-    report = run(_report(url, settings, listen_s))
+    settings = load_config(config, {"link": {"heartbeat_timeout_s": timeout, "signing_key_file": signing_key}})
+    report = run(_report(urls, settings, listen_s))
     write_json(json, report)
 
 
-async def _report(url: str, config: Config, listen_s: float) -> dict[str, Any]:
-    console.print(f"waiting for a heartbeat on {url}")
-    async with connected(url, config.link.heartbeat_timeout_s) as session:
+async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str, Any]:
+    console.print(f"waiting for a heartbeat on {' and '.join(urls)}")
+    link = config.link
+    async with connected(
+        urls, link.heartbeat_timeout_s, key_file=link.signing_key_file, note=console.print
+    ) as session:
         vehicle, autopilot = session.vehicle, session.autopilot
         await ask_for_streams(vehicle)
         rates = await listen(vehicle, listen_s)

@@ -23,6 +23,8 @@ _EXAMPLES = {
     "sensors.range_component": "154",
     "sensors.gimbal_component": "154",
     "link.url": '"udpin://0.0.0.0:14540"',
+    "link.urls": '["serial:///dev/ttyUSB0:57600", "udpin://0.0.0.0:14550"]',
+    "link.signing_key_file": '"vehicle.key"',
     "planner.winds_m_s": "[4.0, 8.0]",
     "fences.keep_in": "[[[47.40, 8.50], [47.42, 8.50], [47.42, 8.53], [47.40, 8.53]]]",
     "fences.keep_out": "[[[47.405, 8.51], [47.410, 8.51], [47.410, 8.52]]]",

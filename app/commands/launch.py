@@ -36,7 +36,15 @@ _WIND_UP_S = 60.0  # the bounds of what is done after an interrupt are together 
 def launch(
     config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).", show_default=False)] = None,
     connect: Annotated[
-        str | None, typer.Option(help="MAVSDK URL of a vehicle; without it one is simulated.", show_default=False)
+        list[str] | None,
+        typer.Option(
+            help="MAVSDK URL of a vehicle; twice for two links to it; without it one is simulated.",
+            show_default=False,
+        ),
+    ] = None,
+    signing_key: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Sign the link with this key, see: sidelong sign.", show_default=False),
     ] = None,
     target: Annotated[
         str | None, typer.Option(help="Simulated target: a built-in motion, a .gpx or a .csv track.")
@@ -87,7 +95,11 @@ def launch(
     settings = load_config(
         config,
         {
-            "link": {"url": connect, "set_parameters": set_parameters or None},
+            "link": {
+                "urls": connect or None,
+                "set_parameters": set_parameters or None,
+                "signing_key_file": signing_key,
+            },
             "simulation": {"target": target, "speed": speed, "seed": seed, "autopilot": autopilot},
             "requirement": {"side": side},
             "planner": {"name": planner, "guidance": guidance},
@@ -181,13 +193,20 @@ async def _fly(
 ) -> Summary:
     async with contextlib.AsyncExitStack() as stack:
         controller = controller_of(config, table_progress(display.note))
-        url, truth = config.link.url, None
-        if url is None:
+        urls, truth = config.link.connections, None
+        if not urls:
             display.note(f"starting a simulated {config.simulation.autopilot} and its target")
             vehicle = await stack.enter_async_context(SimulatedVehicle(config, folder.truth))
-            url, truth = vehicle.url, folder.truth
-        display.note(f"connecting to {url}")
-        session = await stack.enter_async_context(connected(url, config.link.heartbeat_timeout_s, recording.frame))
+            urls, truth = (vehicle.url,), folder.truth
+        display.note(f"connecting to {' and '.join(urls)}")
+        link, loop = config.link, asyncio.get_running_loop()
+
+        def trouble(text: str) -> None:
+            loop.call_soon_threadsafe(display.note, text)
+
+        session = await stack.enter_async_context(
+            connected(urls, link.heartbeat_timeout_s, recording.frame, link.signing_key_file, trouble)
+        )
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
         flight = Flight(session, config, controller, recording, display, duration_s, sharing)
         outcome = await flight.fly(stopped)

@@ -172,7 +172,7 @@ class Takeover:
     async def _arm(self) -> None:
         self._note("arming")
         deadline_s = self._telemetry.now_s + _ARM_WITHIN_S
-        simulated = self._config.link.url is None
+        simulated = not self._config.link.connections
         while not (answer := await self._autopilot.arm(self._vehicle)).accepted:
             if self._telemetry.now_s > deadline_s:
                 raise FlightError(f"the autopilot does not arm ({answer}){self._last_status_text()}.")

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import AsyncIterator, Awaitable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,14 +61,23 @@ class Session:
 
 
 @contextlib.asynccontextmanager
-async def connected(url: str, timeout_s: float, on_frame: FrameListener | None = None) -> AsyncIterator[Session]:
-    """Connect to the vehicle at ``url``. Raises InputError when there is none, or none that this can fly."""
-    link = await MavsdkLink.open(url, timeout_s, on_frame)
+async def connected(
+    urls: Sequence[str],
+    timeout_s: float,
+    on_frame: FrameListener | None = None,
+    key_file: Path | None = None,
+    note: Callable[[str], object] = lambda _text: None,
+) -> AsyncIterator[Session]:
+    """Connect to the vehicle at ``urls``, several links to one. note hears of trouble with them, from any thread.
+
+    Raises InputError when there is none, or none that this can fly.
+    """
+    link = await MavsdkLink.open(urls, timeout_s, on_frame, key_file=key_file, on_trouble=note)
     vehicle = Vehicle(link)
     pump = asyncio.create_task(vehicle.run())
     try:
         if await vehicle.heard("HEARTBEAT", timeout_s) is None:
-            raise InputError(f"{url!r}: the autopilot stopped talking; check the link.")
+            raise InputError(f"{' and '.join(urls)}: the autopilot stopped talking; check the link.")
         yield Session(vehicle, autopilot_of(vehicle), Telemetry(vehicle.system_id))
     finally:
         with ends_within(_CLOSE_S, "closing the link"):

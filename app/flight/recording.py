@@ -18,6 +18,8 @@ from app.records.run_folder import RunFolder
 from estimators.frames import LocalPlane
 from mission.core.events import Command, Event
 
+_MARKER_V2, _SETUP_SIGNING = 0xFD, (256).to_bytes(3, "little")
+
 JOURNAL_TYPES: tuple[type, ...] = (*get_args(Event), *get_args(Command))
 
 
@@ -37,8 +39,9 @@ class Recording:
         self._journal: JournalWriter | None = None
 
     def frame(self, data: bytes) -> None:
-        """Take a raw frame, from any thread."""
-        self._tlog.write(data, time.time())
+        """Take a raw frame, from any thread; one that carries a signing key is not kept."""
+        if data[7:10] != _SETUP_SIGNING or data[0] != _MARKER_V2:
+            self._tlog.write(data, time.time())
 
     @property
     def begun(self) -> bool:

@@ -40,6 +40,7 @@ class SimulatedVehicle:
             *("--wind-speed", f"{simulation.wind_speed_m_s:g}"),
             *("--wind-from-deg", f"{simulation.wind_from_deg:g}"),
             *("--truth", str(truth)),
+            *(("--require-signing", str(key)) if (key := config.link.signing_key_file) is not None else ()),
             "--while-input",  # so that it does not outlive this program, however that ends
         ]
         self._process: asyncio.subprocess.Process | None = None

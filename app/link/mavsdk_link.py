@@ -12,12 +12,12 @@ destroyed object crashes the process; an ``async for`` over a subscription never
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import math
-import re
-import socket
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import mavsdk.logging
@@ -31,51 +31,23 @@ from pymavlink.dialects.v20 import common as mavlink
 from app.errors import InputError
 from app.link.link import LinkError, RawItem, UploadResult
 from app.link.message import Message
+from app.link.raw_links import LinkReport, RawLinks, opened_links
+from app.link.url import checked_url
 
-_SCHEMES = "udpin://HOST:PORT, udpout://HOST:PORT, tcpout://HOST:PORT, tcpin://HOST:PORT, serial:///dev/NAME:BAUD"
-_NETWORK_URL = re.compile(r"(udpin|udpout|tcpin|tcpout)://([^:/]+):(\d{1,5})")
-_SERIAL_URL = re.compile(r"serial(_flowcontrol)?:///[^:]+:\d+")
 _PENDING_AT_CLOSE_S, _DESTROY_S = 8.0, 5.0
 _ENDED = {"target_component": 1, "type": mavlink.MAV_MISSION_ACCEPTED, "mission_type": 0}
 
 FrameListener = Callable[[bytes], None]
 
 
-def checked_url(url: str) -> str:
-    """Return the URL as MAVSDK understands it. Raises InputError for what it cannot open, or a port in use."""
-    if _SERIAL_URL.fullmatch(url):
-        return url
-    match = _NETWORK_URL.fullmatch(url)
-    if match is None or not 0 < int(match[3]) < 65536:
-        raise InputError(f"{url!r} is no link this can open; use one of {_SCHEMES}.")
-    scheme, host, port = match[1], match[2], int(match[3])
-    try:
-        address = socket.gethostbyname(host)  # MAVSDK takes numbers only for its own end
-    except OSError as error:
-        raise InputError(f"{url!r}: the host {host} is not known; give its address in numbers.") from error
-    if scheme.endswith("in"):
-        _probe_port(url, scheme, address, port)
-    return f"{scheme}://{address}:{port}"
-
-
-def _probe_port(url: str, scheme: str, address: str, port: int) -> None:
-    # A second process may bind a UDP port and silently steal the traffic of the first: ask beforehand.
-    kind = socket.SOCK_DGRAM if scheme == "udpin" else socket.SOCK_STREAM
-    with socket.socket(socket.AF_INET, kind) as probe:
-        try:
-            probe.bind((address, port))
-        except OSError as error:
-            raise InputError(
-                f"{url!r}: port {port} cannot be opened ({error.strerror}); "
-                "end the program that uses it (a ground station?) or give another port."
-            ) from error
-
-
 class MavsdkLink:
     """``Link`` over MAVSDK; make one with :meth:`open`."""
 
-    def __init__(self, instance: Mavsdk, system: Any, system_id: int) -> None:
+    def __init__(
+        self, instance: Mavsdk, system: Any, system_id: int, raw: RawLinks | None, ours: contextlib.ExitStack
+    ) -> None:
         self.system_id = system_id
+        self._raw, self._ours = raw, ours
         self._instance = instance
         self._direct = MavlinkDirectAsync(system)
         self._mission = MissionRawAsync(system)
@@ -89,46 +61,53 @@ class MavsdkLink:
     @classmethod
     async def open(
         cls,
-        url: str,
+        urls: Sequence[str],
         timeout_s: float,
         on_frame: FrameListener | None = None,
         own_system_id: int = 245,
         own_component_id: int = 190,
+        key_file: Path | None = None,
+        on_trouble: Callable[[str], object] = lambda _text: None,
     ) -> MavsdkLink:
         """Connect and wait for an autopilot's heartbeat.
 
-        on_frame gets every raw frame, received and sent, from a MAVSDK thread.
-        Raises InputError for a bad URL, a busy port, or when no heartbeat comes within ``timeout_s``.
+        on_frame gets every raw frame, received and sent, from several threads. With key_file every link is signed.
+        on_trouble hears of refused frames and changes of link, from several threads as well. Raises InputError for a
+        bad URL, a busy port, an unusable key, or when no heartbeat comes within ``timeout_s``.
         """
-        address = checked_url(url)
+        own = (own_system_id, own_component_id)
         mavsdk.logging.log_subscribe(lambda _level, _message, _file, _line: True)
-        instance = Mavsdk(Configuration.create_manual(own_system_id, own_component_id, True))
+        instance = Mavsdk(Configuration.create_manual(*own, True))
+        ours = contextlib.ExitStack()  # transports of our own
         try:
-            if on_frame is not None:
-                # A raw connection that only listens: MAVSDK copies to it what it sends and, by forwarding, what it
-                # receives. The asyncio wrapper does not offer the subscription, the object beneath it does.
-                instance._mavsdk.subscribe_raw_bytes_to_be_sent(on_frame)
-                await instance.add_any_connection("raw://", ForwardingOption.ON)
-            await instance.add_any_connection(
-                address, ForwardingOption.ON if on_frame is not None else ForwardingOption.OFF
-            )
-        except Exception as error:
+            raw = None
+            if key_file is None and len(urls) == 1:
+                await _connect(instance, urls[0], on_frame)
+            else:
+                raw = ours.enter_context(opened_links(urls, own, key_file, on_frame, on_trouble))
+                # The asyncio wrapper does not offer the subscription, the object beneath it does.
+                instance._mavsdk.subscribe_raw_bytes_to_be_sent(raw.send)
+                await instance.add_any_connection("raw://", ForwardingOption.OFF)
+                raw.start(instance._mavsdk.pass_received_raw_bytes)
+            system = await instance.first_autopilot(timeout_s)
+            if system is None:
+                raise InputError(_unheard(urls, timeout_s, raw.reports() if raw is not None else ()))
+            system_id = await system.get_system_id()
+        except BaseException:
+            await asyncio.to_thread(ours.close)  # before the instance goes: they call it
             await _destroy(instance)
-            raise InputError(f"{url!r} could not be opened ({error}); check the address or device.") from error
-        system = await instance.first_autopilot(timeout_s)
-        if system is None:
-            await _destroy(instance)
-            raise InputError(
-                f"{url!r}: no autopilot was heard within {timeout_s:g} s; check that it runs and sends MAVLink there."
-            )
-        link = cls(instance, system, await system.get_system_id())
-        if on_frame is not None:
+            raise
+        if raw is None and on_frame is not None:
             # MAVSDK sends a message for a system only where it has heard that system: let it be heard on the
             # recording connection too. The answer to a command that nobody sent is addressed to us, so it stays here.
-            answer = mavlink.MAVLink_command_ack_message(0, 0, 0, 0, own_system_id, own_component_id)
-            heard = answer.pack(mavlink.MAVLink(None, srcSystem=link.system_id, srcComponent=1))
+            answer = mavlink.MAVLink_command_ack_message(0, 0, 0, 0, *own)
+            heard = answer.pack(mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1))
             instance._mavsdk.pass_received_raw_bytes(heard)
-        return link
+        return cls(instance, system, system_id, raw, ours)
+
+    def reports(self) -> tuple[LinkReport, ...]:
+        """Return how each link of our own transport has been; none where MAVSDK's own is used."""
+        return self._raw.reports() if self._raw is not None else ()
 
     # -- messages ------------------------------------------------------------------------------------------
 
@@ -284,7 +263,31 @@ class MavsdkLink:
             await asyncio.wait(self._pending, timeout=_PENDING_AT_CLOSE_S)
         if not self._pending:
             await asyncio.gather(self._pump, return_exceptions=True)
+            await asyncio.to_thread(self._ours.close)
             await _destroy(self._instance)
+
+
+async def _connect(instance: Mavsdk, url: str, on_frame: FrameListener | None) -> None:
+    """Open a URL by MAVSDK's own transport. Raises InputError."""
+    address, forwarding = checked_url(url), ForwardingOption.OFF
+    try:
+        if on_frame is not None:
+            # A raw connection that only listens: MAVSDK copies to it what it sends and, by forwarding, what it
+            # receives.
+            forwarding = ForwardingOption.ON
+            instance._mavsdk.subscribe_raw_bytes_to_be_sent(on_frame)
+            await instance.add_any_connection("raw://", forwarding)
+        await instance.add_any_connection(address, forwarding)
+    except Exception as error:
+        raise InputError(f"{url!r} could not be opened ({error}); check the address or device.") from error
+
+
+def _unheard(urls: Sequence[str], timeout_s: float, reports: Sequence[LinkReport]) -> str:
+    what, refused = " and ".join(map(repr, urls)), [report for report in reports if report.refused]
+    if refused:
+        found = ", ".join(report.refused_text() for report in refused)
+        return f"{what}: only frames that are refused: {found}; give the vehicle's key, or set it up: sidelong sign."
+    return f"{what}: no autopilot was heard within {timeout_s:g} s; check that it runs and sends MAVLink there."
 
 
 async def _destroy(instance: Mavsdk) -> None:

@@ -39,7 +39,7 @@ class ViewDisplay:
     def __init__(self, inner: FlightDisplay, config: Config, address: Address, name: str = "") -> None:
         self.url = ""
         self._inner, self._config, self._address = inner, config, address
-        self._name = name or config.link.url or f"simulated {config.simulation.autopilot}"
+        self._name = name or ", ".join(config.link.connections) or f"simulated {config.simulation.autopilot}"
         self._stater = StateEncoder(config.requirement.requirement(), config.aircraft.airspeed_m_s)
         self._feed: Feed | None = None
         self._snapshot: Snapshot | None = None

@@ -39,7 +39,7 @@ RADIUS_M, SPEED_M_S, TAKE_OFF = 50.0, 15.0, 22
 async def swapped(url):
     """Make swaps; return (durations of the good ones, failures, mixtures)."""
     rng = random.Random(1)
-    async with connected(url, 30.0) as session:
+    async with connected([url], 30.0) as session:
         vehicle, telemetry = session.vehicle, session.telemetry
         vehicle.listeners.append(telemetry.event)
         await ask_for_streams(vehicle)

@@ -1,0 +1,59 @@
+"""``sidelong sign``: a key for signed links, made here and given to a vehicle."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.commands.output import console
+from app.errors import InputError
+from app.link.key_file import kept_times, make_key, read_key
+from app.link.key_setup import KeySetup, checked_local_url
+from app.link.signing import signing_time
+
+
+def sign(
+    key: Annotated[Path, typer.Argument(help="The key's file; made if it is not there.", show_default=False)],
+    connect: Annotated[
+        str | None, typer.Option(help="URL of the vehicle that is to have it, by cable.", show_default=False)
+    ] = None,
+    remove: Annotated[bool, typer.Option("--remove", help="Take the key back from the vehicle.")] = False,
+    timeout: Annotated[float, typer.Option(min=1.0, help="Wait this long for a heartbeat, s.")] = 10.0,
+) -> None:
+    """Make a key for MAVLink signing and set it up on a vehicle, which then obeys only what is signed with it.
+
+    The vehicle has to be disarmed, and on a cable: the key is sent in the clear. Then fly with --signing-key FILE.
+    Examples: sidelong sign plane.key; sidelong sign plane.key --connect serial:///dev/ttyACM0:115200;
+    sidelong sign plane.key --connect serial:///dev/ttyACM0:115200 --remove
+    """
+    if remove and connect is None:
+        raise InputError("--remove needs the vehicle: give --connect URL.")
+    if connect is not None:
+        checked_local_url(connect)
+    if key.exists():
+        secret = read_key(key)
+    elif remove:
+        raise InputError(f"{key} is not there; --remove needs the key that the vehicle has.")
+    else:
+        secret = make_key(key)
+        console.print(f"made {key}: copy it only to machines that may command the vehicle", soft_wrap=True)
+    if connect is None:
+        return
+    with (
+        kept_times(key, signing_time(time.time()), console.print) as times,
+        KeySetup(connect, secret, times) as setup,
+    ):
+        console.print(f"waiting for a heartbeat on {connect}", soft_wrap=True)
+        if remove:
+            setup.take_back(timeout)
+            console.print("the vehicle no longer signs and obeys anybody")
+        elif setup.give(timeout):
+            console.print("the vehicle signs, and refuses what is not signed with the key")
+        else:
+            console.print(
+                "the vehicle signs; on this very port it still takes what is unsigned (ArduPlane does so on USB)",
+                soft_wrap=True,
+            )

@@ -1,0 +1,152 @@
+"""The file of a signing key, and beside it the times that were used: no restart signs or accepts a time twice.
+
+The key is 64 hexadecimal digits in a file that only its owner can read. ``FILE.times`` holds what ``SigningTimes``
+needs, always a little ahead of what is in use, so that a process that dies at any moment has lost nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import secrets
+import stat
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from app.errors import InputError
+from app.link.signing import KEY_BYTES, UNITS_PER_S, SigningKey, SigningTimes
+
+_SAVE_EVERY_S = 1.0
+_SENT_AHEAD = 5 * UNITS_PER_S
+_ACCEPTED_AHEAD = 2 * UNITS_PER_S  # a vehicle's next frame after a restart here is later than that
+
+
+def make_key(path: Path) -> SigningKey:
+    """Write a new random key that only the owner can read. Raises InputError where it exists or cannot be made."""
+    secret = secrets.token_bytes(KEY_BYTES)
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
+        with os.fdopen(descriptor, "w", encoding="ascii") as file:
+            file.write(secret.hex() + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+    except FileExistsError as error:
+        raise InputError(f"{path} exists already; give another file, or use the key in it.") from error
+    except OSError as error:
+        raise InputError(f"{path} cannot be written ({error.strerror}); give another place for the key.") from error
+    return SigningKey(secret)
+
+
+def read_key(path: Path) -> SigningKey:
+    """Return the key. Raises InputError where others may read it, or it is no key; never tells its content."""
+    try:
+        with path.open("rb") as file:
+            mode = os.fstat(file.fileno()).st_mode
+            text = file.read(4096)
+    except OSError as error:
+        raise InputError(
+            f"signing key {path} cannot be read ({error.strerror}); make one with: sidelong sign {path}"
+        ) from error
+    if not stat.S_ISREG(mode) or stat.S_IMODE(mode) & 0o077:
+        raise InputError(f"signing key {path} can be read by others; make it your own with: chmod 600 {path}")
+    digits = text.strip()
+    if len(digits) == 2 * KEY_BYTES and all(digit in b"0123456789abcdefABCDEF" for digit in digits):
+        return SigningKey(bytes.fromhex(digits.decode()))
+    raise InputError(f"{path} holds no signing key (64 hexadecimal digits); make one with: sidelong sign FILE")
+
+
+class KeptTimes:
+    """The times of a key, kept in ``FILE.times``. Make one with :func:`kept_times`.
+
+    locked: to be held while ``times`` are used, which happens in several threads.
+    """
+
+    def __init__(self, times: SigningTimes, save: Callable[[SigningTimes], None]) -> None:
+        self.times = times
+        self.locked = threading.Lock()
+        self._save = save
+
+    def save(self) -> None:
+        """Write the times down, a little ahead of themselves."""
+        with self.locked:
+            ahead = SigningTimes(
+                self.times.sent + _SENT_AHEAD,
+                {stream: time + _ACCEPTED_AHEAD for stream, time in self.times.streams.items()},
+            )
+        self._save(ahead)
+
+
+@contextlib.contextmanager
+def kept_times(key_path: Path, now: int, on_trouble: Callable[[str], object]) -> Iterator[KeptTimes]:
+    """Lend the times of a key file to this process alone, and write them down every second and at the end.
+
+    now: the present in signatures' units. on_trouble hears once when they can no longer be written. Raises InputError
+    when another process uses the key, or the file of times is damaged or cannot be written.
+    """
+    path = key_path.with_name(key_path.name + ".times")
+    try:
+        lock = os.open(path.with_name(path.name + ".lock"), os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except OSError as error:
+        raise InputError(f"{path} cannot be written ({error.strerror}); a key's times are kept beside it.") from error
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise InputError(f"{key_path} is in use by another sidelong; end that one first.") from error
+        before = _read(path)
+        kept = KeptTimes(SigningTimes(max(before.sent, now), before.streams), lambda times: _write(path, times))
+        try:
+            kept.save()
+        except OSError as error:
+            raise InputError(f"{path} cannot be written ({error.strerror}); a key's times are kept there.") from error
+        ended = threading.Event()
+        saver = threading.Thread(target=_keep_saving, args=(kept, ended, path, on_trouble), daemon=True)
+        saver.start()
+        try:
+            yield kept
+        finally:
+            ended.set()
+            saver.join(2.0 * _SAVE_EVERY_S)
+            with contextlib.suppress(OSError):
+                kept.save()
+    finally:
+        os.close(lock)
+
+
+def _keep_saving(kept: KeptTimes, ended: threading.Event, path: Path, on_trouble: Callable[[str], object]) -> None:
+    told = False
+    while not ended.wait(_SAVE_EVERY_S):
+        try:
+            kept.save()
+        except OSError as error:
+            if not told:
+                on_trouble(f"{path} cannot be written ({error.strerror}): after a restart old frames may be accepted")
+            told = True
+
+
+def _read(path: Path) -> SigningTimes:
+    try:
+        values = json.loads(path.read_bytes()[: 1 << 20])
+        streams = {(int(s[0]), int(s[1]), int(s[2])): int(s[3]) for s in values["streams"]}
+        return SigningTimes(int(values["sent"]), streams)
+    except FileNotFoundError:
+        return SigningTimes()
+    except (OSError, ValueError, TypeError, KeyError, IndexError, RecursionError) as error:
+        raise InputError(
+            f"{path} does not hold the times of a key; delete it to begin anew, then frames of the last flights "
+            "could be replayed once."
+        ) from error
+
+
+def _write(path: Path, times: SigningTimes) -> None:
+    new = path.with_name(path.name + ".new")
+    streams = [[*stream, time] for stream, time in times.streams.items()]
+    descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
+    with os.fdopen(descriptor, "w", encoding="ascii") as file:
+        json.dump({"sent": times.sent, "streams": streams}, file)
+        file.flush()
+        os.fsync(file.fileno())
+    new.replace(path)

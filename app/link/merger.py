@@ -1,0 +1,159 @@
+"""Several links to one vehicle made into one: which is used, and which frames are passed on.
+
+Each link of an autopilot counts its frames by itself and sends at times of its own, and one link is later than the
+other. So that nothing is heard twice and the vehicle never seems to go back in time:
+
+- what the autopilot sends with a time stamp is passed on, from whatever link, where it is newer than what was;
+- what it sends without one (mode, mission item) is passed on from the link in use only, and after a change of links
+  only once that link has caught up;
+- answers, and what other components send, are passed on from any link, the copies of the others are not.
+
+The link in use is left when it is silent, or clearly worse than another for some seconds. Pure: time is an argument.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pymavlink.dialects.v20 import all as dialect
+
+from app.link.frames import Frame
+from app.link.quality import Measured
+
+AUTOPILOT_COMPONENT = 1
+_ANSWERS = frozenset(
+    {
+        dialect.MAVLINK_MSG_ID_COMMAND_ACK,
+        dialect.MAVLINK_MSG_ID_PARAM_VALUE,
+        dialect.MAVLINK_MSG_ID_MISSION_ITEM,
+        dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT,
+        dialect.MAVLINK_MSG_ID_MISSION_REQUEST,
+        dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
+        dialect.MAVLINK_MSG_ID_MISSION_COUNT,
+        dialect.MAVLINK_MSG_ID_MISSION_ACK,
+        dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+        dialect.MAVLINK_MSG_ID_STATUSTEXT,
+    }
+)
+_SILENT_S, _SPARSE_SILENT_S, _SPARSE_BYTES_S = 1.0, 3.5, 200.0
+_FRESH_S = 0.5
+_WORSE_BY, _WORSE_FOR_S = 0.15, 3.0
+_COPY_WITHIN_S, _TIMED_COPY_WITHIN_S = 1.0, 10.0
+_STEP_BACK_S = 5.0  # as telemetry has it: then the vehicle has started anew
+_KEPT_MAX = 4000
+
+
+@dataclass(frozen=True, slots=True)
+class _Clock:
+    """Where a message has its time."""
+
+    offset: int
+    format: str
+    units_per_s: float
+
+
+def _clock_of(definition: Any) -> _Clock | None:
+    offset = 0
+    codes = re.findall(r"\d*[a-zA-Z]", definition.unpacker.format)
+    for name, code in zip(definition.ordered_fieldnames, codes, strict=True):
+        if name in ("time_boot_ms", "time_usec") and code in ("I", "Q"):
+            return _Clock(offset, "<" + code, 1e3 if name == "time_boot_ms" else 1e6)
+        offset += struct.calcsize("<" + code)
+    return None
+
+
+_CLOCKS = {
+    number: clock
+    for number, definition in dialect.mavlink_map.items()
+    if (clock := _clock_of(definition)) is not None
+}
+
+
+def time_of(frame: Frame) -> float | None:
+    """Return the time stamp of a frame's message, s, of the sender's clock; None where it has none."""
+    clock = _CLOCKS.get(frame.message_id)
+    if clock is None:
+        return None
+    stamp = frame.payload[clock.offset :].ljust(8, b"\0")
+    return float(struct.unpack_from(clock.format, stamp)[0]) / clock.units_per_s
+
+
+class LinkMerger:
+    """Decides for each frame; ``in_use`` is the index of the link that is spoken on."""
+
+    def __init__(self, links: int) -> None:
+        self.in_use = 0
+        self._links = links
+        self._caught_up = True
+        self._begun = False
+        self._worse_since_s: float | None = None
+        self._newest: dict[tuple[tuple[int, int], int], tuple[float, int]] = {}
+        self._newest_of_link_s: dict[tuple[int, tuple[int, int], int], float] = {}
+        self._passed: dict[tuple[tuple[int, int], int, bytes], list[tuple[float, set[int]]]] = {}
+
+    def passes(self, link: int, frame: Frame, now_s: float) -> bool:
+        """Tell whether a frame that came on ``link`` is to be passed on."""
+        if self._links == 1:
+            return True
+        if not self._begun:
+            self._begun, self.in_use = True, link
+        stamp_s = time_of(frame)
+        if frame.component_id != AUTOPILOT_COMPONENT or frame.message_id in _ANSWERS:
+            window_s = _COPY_WITHIN_S if stamp_s is None else _TIMED_COPY_WITHIN_S
+            return not self._is_copy(link, frame, now_s, window_s)
+        if stamp_s is None:
+            return link == self.in_use and self._caught_up
+        return self._is_newest(link, frame, stamp_s)
+
+    def _is_newest(self, link: int, frame: Frame, stamp_s: float) -> bool:
+        kind = (frame.source, frame.message_id)
+        own_s = self._newest_of_link_s.get((link, *kind), stamp_s)
+        self._newest_of_link_s[(link, *kind)] = stamp_s
+        newest_s, newest_link = self._newest.get(kind, (stamp_s, link))
+        restarted = stamp_s < own_s - _STEP_BACK_S
+        if not restarted and (stamp_s < newest_s or (stamp_s == newest_s and link != newest_link)):
+            return False
+        self._newest[kind] = (stamp_s, link)
+        self._caught_up |= link == self.in_use
+        return True
+
+    def _is_copy(self, link: int, frame: Frame, now_s: float, window_s: float) -> bool:
+        """Tell whether another link has brought the same already, each of its frames taken for one copy only."""
+        key = (frame.source, frame.message_id, frame.payload)
+        passed = [entry for entry in self._passed.get(key, ()) if now_s - entry[0] < window_s]
+        self._passed[key] = passed
+        for _, links in passed:
+            if link not in links:
+                links.add(link)
+                return True
+        passed.append((now_s, {link}))
+        if len(self._passed) > _KEPT_MAX:
+            self._passed = {k: p for k, p in self._passed.items() if now_s - p[-1][0] < _TIMED_COPY_WITHIN_S}
+        return False
+
+    def choose(self, measured: Sequence[Measured], now_s: float) -> bool:
+        """Change the link in use where another is better; tell whether it was changed."""
+        others = [i for i in range(self._links) if i != self.in_use and measured[i].silent_s < _FRESH_S]
+        if not others:
+            self._worse_since_s = None
+            return False
+        best, present = min(others, key=lambda i: _badness(measured[i])), measured[self.in_use]
+        sparse = present.received_bytes_s < _SPARSE_BYTES_S and present.silent_s < _SPARSE_SILENT_S
+        if present.silent_s < _SILENT_S or sparse:
+            if _badness(present) < _badness(measured[best]) + _WORSE_BY:
+                self._worse_since_s = None
+                return False
+            if self._worse_since_s is None:
+                self._worse_since_s = now_s
+            if now_s - self._worse_since_s < _WORSE_FOR_S:
+                return False
+        self.in_use, self._caught_up, self._worse_since_s = best, False, None
+        return True
+
+
+def _badness(measured: Measured) -> float:
+    return (measured.loss or 0.0) + (measured.round_trip_s or 0.0)

@@ -1,0 +1,126 @@
+"""How good a link is: frames lost by sequence numbers, delay by TIMESYNC, signal by RADIO_STATUS, bytes a second.
+
+Pure: times are seconds of one monotonic clock, given as arguments.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import asdict, dataclass
+from typing import Any
+
+_WINDOW_S = 5.0
+_DELAYS_KEPT = 9
+_REORDERED = 128  # a sequence number so far ahead is one that comes late
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A link over the last 5 s. None: not known.
+
+    loss: of the frames towards us, 0..1; round_trip_s: median; rssi, remote_rssi: of a SiK radio, in its own units;
+    silent_s: since the last frame; received_bytes_s, sent_bytes_s: bytes per second.
+    """
+
+    silent_s: float
+    loss: float | None
+    round_trip_s: float | None
+    received_bytes_s: float
+    sent_bytes_s: float
+    rssi: int | None = None
+    remote_rssi: int | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(slots=True)
+class _Second:
+    begin_s: float
+    received: int = 0
+    missed: int = 0
+    received_bytes: int = 0
+    sent_bytes: int = 0
+
+
+class LinkQuality:
+    """Measures one link."""
+
+    def __init__(self, now_s: float) -> None:
+        self.heard_s: float | None = None
+        self.received = self.missed = self.received_bytes = self.sent_bytes = 0
+        self._begin_s = now_s
+        self._seconds: deque[_Second] = deque([_Second(now_s)])
+        self._next: dict[tuple[int, int], int] = {}
+        self._round_trips_s: deque[float] = deque(maxlen=_DELAYS_KEPT)
+        self._rssi: tuple[int, int] | None = None
+
+    def frame(self, source: tuple[int, int], sequence: int, size: int, now_s: float) -> None:
+        """Count a frame that came in: its system and component, sequence number and bytes."""
+        second = self._second(now_s)
+        self.heard_s = now_s
+        second.received_bytes += size
+        self.received_bytes += size
+        ahead = (sequence - self._next.get(source, sequence)) & 0xFF
+        if ahead >= _REORDERED:
+            return
+        self._next[source] = (sequence + 1) & 0xFF
+        second.received += 1
+        second.missed += ahead
+        self.received += 1
+        self.missed += ahead
+
+    def sent(self, size: int, now_s: float) -> None:
+        """Count bytes that went out."""
+        self._second(now_s).sent_bytes += size
+        self.sent_bytes += size
+
+    def answered(self, round_trip_s: float) -> None:
+        """Take the time that a question and its answer took."""
+        self._round_trips_s.append(round_trip_s)
+
+    def radio(self, rssi: int, remote_rssi: int) -> None:
+        """Take what the radio says of its signal."""
+        self._rssi = (rssi, remote_rssi)
+
+    def forget(self) -> None:
+        """Begin anew with sequence numbers: the other side has."""
+        self._next.clear()
+
+    def measured(self, now_s: float) -> Measured:
+        """Return what was measured over the last 5 s."""
+        self._second(now_s)
+        span_s = max(1.0, now_s - self._seconds[0].begin_s)
+        received = sum(second.received for second in self._seconds)
+        missed = sum(second.missed for second in self._seconds)
+        round_trips_s = sorted(self._round_trips_s)
+        return Measured(
+            silent_s=now_s - (self.heard_s if self.heard_s is not None else self._begin_s),
+            loss=missed / (received + missed) if received else None,
+            round_trip_s=round_trips_s[len(round_trips_s) // 2] if round_trips_s else None,
+            received_bytes_s=sum(second.received_bytes for second in self._seconds) / span_s,
+            sent_bytes_s=sum(second.sent_bytes for second in self._seconds) / span_s,
+            rssi=self._rssi[0] if self._rssi is not None else None,
+            remote_rssi=self._rssi[1] if self._rssi is not None else None,
+        )
+
+    def total(self, now_s: float) -> Measured:
+        """Return the same over all the time."""
+        span_s, counted = max(1.0, now_s - self._begin_s), self.received + self.missed
+        recent = self.measured(now_s)
+        return Measured(
+            silent_s=recent.silent_s,
+            loss=self.missed / counted if counted else None,
+            round_trip_s=recent.round_trip_s,
+            received_bytes_s=self.received_bytes / span_s,
+            sent_bytes_s=self.sent_bytes / span_s,
+            rssi=recent.rssi,
+            remote_rssi=recent.remote_rssi,
+        )
+
+    def _second(self, now_s: float) -> _Second:
+        if now_s >= self._seconds[-1].begin_s + 1.0:
+            self._seconds.append(_Second(now_s))
+            while now_s - self._seconds[0].begin_s > _WINDOW_S + 1.0:
+                self._seconds.popleft()
+        return self._seconds[-1]

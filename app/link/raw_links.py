@@ -1,0 +1,300 @@
+"""Our own transports under MAVSDK's raw connection: for links that are signed, and for several links to one vehicle.
+
+Threads: each transport's receives, one of MAVSDK's sends, and one here asks each link for its delay. One lock keeps
+what they share; no call into MAVSDK is made while it is held, nor any that waits.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pymavlink.dialects.v20 import all as dialect
+
+from app.errors import InputError
+from app.link.frames import Frame, FrameSplitter
+from app.link.key_file import KeptTimes, kept_times, read_key
+from app.link.merger import LinkMerger
+from app.link.quality import LinkQuality, Measured
+from app.link.signing import RADIO_STATUS_ID, LinkSigning, Refusal, SigningKey, signing_time
+from app.link.transport import Peer, Transport, opened
+from app.link.url import checked_url
+
+_ASK_DELAY_S = 1.0
+_WATCH_S = 0.1
+_BACK_AFTER_S = 3.0  # so long silent, a link that comes back is asked for its message rates again
+_SPLITTERS_MAX = 64
+_HEARTBEAT, _COMMAND_LONG, _TIMESYNC = (
+    dialect.MAVLINK_MSG_ID_HEARTBEAT,
+    dialect.MAVLINK_MSG_ID_COMMAND_LONG,
+    dialect.MAVLINK_MSG_ID_TIMESYNC,
+)
+_SET_MESSAGE_INTERVAL = 511
+
+FrameListener = Callable[[bytes], object]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkReport:
+    """One link: how good it is, whether it is the one spoken on, and what was not let in."""
+
+    url: str
+    signed: bool
+    in_use: bool
+    measured: Measured
+    refused: dict[str, int]
+
+    def refused_text(self) -> str:
+        return ", ".join(f"{count} {why}" for why, count in self.refused.items())
+
+
+@dataclass(slots=True)
+class _Link:
+    url: str
+    transport: Transport
+    signing: LinkSigning | None
+    quality: LinkQuality
+    splitters: OrderedDict[Peer, FrameSplitter] = field(default_factory=OrderedDict)
+    refused: Counter[Refusal] = field(default_factory=Counter)
+    authentic: bool = False  # a fresh frame has been let in: from now on only such ones show who is a peer
+    sequence: int = 0
+    asked: dict[int, float] = field(default_factory=dict)
+
+
+class RawLinks:
+    """Passes what the links let in to ``deliver``, and what is sent to the link in use.
+
+    on_frame sees every frame that is passed on or sent, before it is signed. on_trouble hears in words when frames
+    are refused, and when another link is used. All are called from several threads.
+    """
+
+    def __init__(
+        self,
+        transports: Sequence[tuple[str, Transport]],
+        own: tuple[int, int],
+        key: SigningKey | None,
+        times: KeptTimes | None,
+        on_frame: FrameListener | None = None,
+        on_trouble: Callable[[str], object] = lambda _text: None,
+    ) -> None:
+        now_s = time.monotonic()
+        self._own, self._times = own, times
+        self._on_frame, self._on_trouble = on_frame or (lambda _data: None), on_trouble
+        self._lock = times.locked if times is not None else threading.Lock()
+        self._links = [
+            _Link(
+                url,
+                transport,
+                LinkSigning(key, times.times, index, own) if key is not None and times is not None else None,
+                LinkQuality(now_s),
+            )
+            for index, (url, transport) in enumerate(transports)
+        ]
+        self._merger = LinkMerger(len(self._links))
+        self._outward = FrameSplitter()
+        self._packer = dialect.MAVLink(None, srcSystem=own[0], srcComponent=own[1])
+        self._rates: dict[bytes, Frame] = {}
+        self._deliver: Callable[[bytes], object] = lambda _data: None
+        self._closing = threading.Event()
+        self._watcher = threading.Thread(target=self._controller, name="links", daemon=True)
+
+    def start(self, deliver: Callable[[bytes], object]) -> None:
+        """Begin to receive; ``deliver`` takes whole frames, from several threads."""
+        self._deliver = deliver
+        for index, link in enumerate(self._links):
+            link.transport.start(lambda data, peer, index=index: self._received(index, data, peer))  # type: ignore[misc]
+        self._watcher.start()
+
+    def close(self) -> None:
+        """End all links; safe to call more than once."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        for link in self._links:
+            link.transport.close()
+        if self._watcher.is_alive():
+            self._watcher.join(2.0)
+
+    def reports(self) -> tuple[LinkReport, ...]:
+        """Return how the links have been since the beginning."""
+        return self._reports(LinkQuality.total)
+
+    def recent(self) -> tuple[LinkReport, ...]:
+        """Return how the links are now."""
+        return self._reports(LinkQuality.measured)
+
+    def _reports(self, measure: Callable[[LinkQuality, float], Measured]) -> tuple[LinkReport, ...]:
+        with self._lock:
+            now_s = time.monotonic()
+            return tuple(
+                LinkReport(
+                    link.url,
+                    link.signing is not None,
+                    index == self._merger.in_use,
+                    measure(link.quality, now_s),
+                    {str(why): count for why, count in link.refused.items()},
+                )
+                for index, link in enumerate(self._links)
+            )
+
+    # -- out -----------------------------------------------------------------------------------------------
+
+    def send(self, data: bytes) -> None:
+        """Send frames: on the link in use, and on all of them what each has to hear."""
+        for frame in self._outward.split(data):
+            if not frame.is_v2:
+                continue  # it could not be signed; MAVSDK sends none
+            self._on_frame(frame.data)
+            rate = frame.message_id == _COMMAND_LONG and _command_of(frame) == _SET_MESSAGE_INTERVAL
+            if rate:
+                self._rates[frame.payload[:4]] = frame  # param1: which message
+            everywhere = rate or frame.message_id in (_HEARTBEAT, _TIMESYNC)
+            for index in range(len(self._links)) if everywhere else (self._merger.in_use,):
+                self._send_on(index, frame)
+
+    def _send_on(self, index: int, frame: Frame) -> None:
+        link, now_s = self._links[index], time.monotonic()
+        with self._lock:
+            data = frame.renumbered(link.sequence, signed=link.signing is not None)
+            link.sequence = (link.sequence + 1) & 0xFF
+            if link.signing is not None:
+                data = link.signing.signed(data, signing_time(time.time()))
+            link.quality.sent(len(data), now_s)
+            link.transport.send(data)  # in the lock: times and sequence numbers leave in their order
+
+    # -- in ------------------------------------------------------------------------------------------------
+
+    def _received(self, index: int, data: bytes, peer: Peer) -> bool:
+        link = self._links[index]
+        splitter = link.splitters.setdefault(peer, FrameSplitter())
+        link.splitters.move_to_end(peer)
+        while len(link.splitters) > _SPLITTERS_MAX:
+            link.splitters.popitem(last=False)
+        peers = False
+        for frame in splitter.split(data):
+            passed, is_peer, troubles = self._judged(index, frame)
+            peers |= is_peer
+            for trouble in troubles:
+                self._on_trouble(trouble)
+            if passed:
+                self._on_frame(frame.data)
+                self._deliver(frame.data)
+        return peers
+
+    def _judged(self, index: int, frame: Frame) -> tuple[bool, bool, list[str]]:
+        """Return whether a frame is passed on, whether its sender is one to speak to, and what is to be told."""
+        link, now_s = self._links[index], time.monotonic()
+        with self._lock:
+            if frame.message_id == RADIO_STATUS_ID and not frame.signed:
+                # The radio itself says it and knows no key. It goes no further than to the measure of the link.
+                rssi, remote_rssi = _radio_of(frame)
+                link.quality.radio(rssi, remote_rssi)
+                self._on_frame(frame.data)
+                return False, False, []
+            refusal = None
+            if link.signing is not None:
+                refusal = link.signing.refusal(frame, signing_time(time.time()))
+            elif frame.source == self._own:
+                refusal = Refusal.OWN
+            if refusal is Refusal.OWN and len(self._links) > 1:
+                return False, True, []  # the vehicle passes on to one link what came by another
+            if refusal is not None:
+                link.refused[refusal] += 1
+                count = link.refused[refusal]
+                told = count == 1 or (count >= 1000 and str(count).strip("0") == "1")
+                words = [f"{link.url}: {count} frame{'s' * (count > 1)} refused, {refusal}"] if told else []
+                genuine = link.signing is not None and not link.authentic and link.signing.genuine(frame)
+                return False, genuine and refusal is Refusal.OLD, words
+            link.authentic = True
+            silent_s = now_s - link.quality.heard_s if link.quality.heard_s is not None else 0.0
+            link.quality.frame(frame.source, frame.sequence, len(frame.data), now_s)
+            if frame.message_id == _TIMESYNC and self._is_answer(link, frame, now_s):
+                return False, True, []
+            passed = self._merger.passes(index, frame, now_s)
+        if silent_s > _BACK_AFTER_S and len(self._links) > 1:
+            self._ask_rates(index)
+        return passed, True, []
+
+    def _is_answer(self, link: _Link, frame: Frame, now_s: float) -> bool:
+        asked_s = link.asked.pop(int.from_bytes(frame.payload.ljust(16, b"\0")[8:16], "little"), None)
+        if asked_s is None:
+            return False
+        link.quality.answered(now_s - asked_s)
+        return True
+
+    # -- beside --------------------------------------------------------------------------------------------
+
+    def _controller(self) -> None:
+        ask_s = 0.0
+        while not self._closing.wait(_WATCH_S):
+            now_s = time.monotonic()
+            if now_s >= ask_s:
+                ask_s = now_s + _ASK_DELAY_S
+                for index in range(len(self._links)):
+                    self._ask_delay(index, now_s)
+            if len(self._links) > 1:
+                with self._lock:
+                    before = self._merger.in_use
+                    changed = self._merger.choose([link.quality.measured(now_s) for link in self._links], now_s)
+                    now_used = self._merger.in_use
+                if changed:
+                    self._on_trouble(f"link {self._links[before].url} is bad: using {self._links[now_used].url}")
+
+    def _ask_delay(self, index: int, now_s: float) -> None:
+        stamp = time.monotonic_ns()
+        asked = self._links[index].asked
+        with self._lock:
+            asked[stamp] = now_s
+            while len(asked) > 32:
+                del asked[next(iter(asked))]
+        self._send_on(index, Frame(dialect.MAVLink_timesync_message(0, stamp).pack(self._packer)))
+
+    def _ask_rates(self, index: int) -> None:
+        for frame in list(self._rates.values()):
+            self._send_on(index, frame)
+
+
+def _command_of(frame: Frame) -> int:
+    return int.from_bytes(frame.payload.ljust(33, b"\0")[28:30], "little")
+
+
+def _radio_of(frame: Frame) -> tuple[int, int]:
+    # On the wire: rxerrors, fixed (2 bytes each), rssi, remrssi, txbuf, noise, remnoise.
+    payload = frame.payload.ljust(9, b"\0")
+    return payload[4], payload[5]
+
+
+@contextlib.contextmanager
+def opened_links(
+    urls: Sequence[str],
+    own: tuple[int, int],
+    key_file: Path | None,
+    on_frame: FrameListener | None = None,
+    on_trouble: Callable[[str], object] = lambda _text: None,
+) -> Iterator[RawLinks]:
+    """Open a transport for each URL; with a key file all are signed.
+
+    Raises InputError for a bad URL, a port or device that cannot be opened, and a key file that cannot be used.
+    """
+    with contextlib.ExitStack() as stack:
+        key = times = None
+        if key_file is not None:
+            key = read_key(key_file)
+            times = stack.enter_context(kept_times(key_file, signing_time(time.time()), on_trouble))
+        transports: list[tuple[str, Transport]] = []
+        for url in urls:
+            try:
+                transport = opened(checked_url(url))
+            except OSError as error:
+                reason = error.strerror or error
+                raise InputError(f"{url!r} could not be opened ({reason}); check the address or device.") from error
+            stack.callback(transport.close)
+            transports.append((url, transport))
+        links = RawLinks(transports, own, key, times, on_frame, on_trouble)
+        stack.callback(links.close)
+        yield links

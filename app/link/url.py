@@ -1,0 +1,42 @@
+"""Where a link leads: the URLs that MAVSDK understands, checked beforehand."""
+
+from __future__ import annotations
+
+import re
+import socket
+
+from app.errors import InputError
+
+_SCHEMES = "udpin://HOST:PORT, udpout://HOST:PORT, tcpout://HOST:PORT, tcpin://HOST:PORT, serial:///dev/NAME:BAUD"
+_NETWORK_URL = re.compile(r"(udpin|udpout|tcpin|tcpout)://([^:/]+):(\d{1,5})")
+_SERIAL_URL = re.compile(r"serial(_flowcontrol)?:///[^:]+:\d+")
+
+
+def checked_url(url: str) -> str:
+    """Return the URL as MAVSDK understands it. Raises InputError for what it cannot open, or a port in use."""
+    if _SERIAL_URL.fullmatch(url):
+        return url
+    match = _NETWORK_URL.fullmatch(url)
+    if match is None or not 0 < int(match[3]) < 65536:
+        raise InputError(f"{url!r} is no link this can open; use one of {_SCHEMES}.")
+    scheme, host, port = match[1], match[2], int(match[3])
+    try:
+        address = socket.gethostbyname(host)  # MAVSDK takes numbers only for its own end
+    except OSError as error:
+        raise InputError(f"{url!r}: the host {host} is not known; give its address in numbers.") from error
+    if scheme.endswith("in"):
+        _probe_port(url, scheme, address, port)
+    return f"{scheme}://{address}:{port}"
+
+
+def _probe_port(url: str, scheme: str, address: str, port: int) -> None:
+    # A second process may bind a UDP port and silently steal the traffic of the first: ask beforehand.
+    kind = socket.SOCK_DGRAM if scheme == "udpin" else socket.SOCK_STREAM
+    with socket.socket(socket.AF_INET, kind) as probe:
+        try:
+            probe.bind((address, port))
+        except OSError as error:
+            raise InputError(
+                f"{url!r}: port {port} cannot be opened ({error.strerror}); "
+                "end the program that uses it (a ground station?) or give another port."
+            ) from error

@@ -1,0 +1,86 @@
+"""A key from its making to a signed flight, on the simulated vehicle over UDP."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from app.commands.sign import sign
+from app.errors import InputError
+from sitl.server import serve
+from sitl.settings import Settings
+from sitl.simulation import Simulation
+
+pytestmark = pytest.mark.udp
+SIDELONG = Path(sys.executable).parent / "sidelong"
+
+
+def sidelong(*arguments: object, code: int = 0) -> str:
+    done = subprocess.run(
+        [str(SIDELONG), *map(str, arguments)], capture_output=True, text=True, timeout=150.0, check=False
+    )
+    said = " ".join((done.stdout + done.stderr).split())
+    assert done.returncode == code, said
+    return said
+
+
+@pytest.fixture
+def vehicle(free_port):
+    """Return a simulated vehicle on the ground, and its URL."""
+    simulation, port, over = Simulation(Settings(boot_unix_s=time.time())), free_port(), threading.Event()
+    simulation.advance(30.0)
+    thread = threading.Thread(target=serve, args=(simulation, [("127.0.0.1", port)]), kwargs={"stopped": over.is_set})
+    thread.start()
+    yield simulation, f"udpin://127.0.0.1:{port}"
+    over.set()
+    thread.join(10.0)
+
+
+def test_a_key_is_made_given_demanded_and_taken_back(tmp_path, vehicle, capsys):
+    key, other, (simulation, url) = tmp_path / "plane.key", tmp_path / "other.key", vehicle
+    sign(key, url, timeout=20.0)
+    assert "refuses what is not signed" in " ".join(capsys.readouterr().out.split())
+    assert simulation.vehicle.radio.signing.required
+    assert "AIRSPEED_CRUISE 15" in sidelong("connect", url, "--signing-key", key, "--listen", 1)
+    sign(other)
+    refusal = sidelong("connect", url, "--signing-key", other, "--timeout", 3, code=2)
+    assert "signed with another key" in refusal
+    sign(key, url, remove=True, timeout=20.0)
+    assert not simulation.vehicle.radio.signing.required
+
+
+def test_a_key_is_given_on_the_ground_and_by_cable_only(tmp_path, vehicle):
+    key, (simulation, url) = tmp_path / "plane.key", vehicle
+    simulation.vehicle.arm()
+    with pytest.raises(InputError, match="armed; disarm"):
+        sign(key, url, timeout=20.0)
+    with pytest.raises(InputError, match="by USB"):
+        sign(key, "udpin://0.0.0.0:14599")
+    with pytest.raises(InputError, match="--connect"):
+        sign(key, remove=True)
+
+
+def test_a_signed_flight_and_its_records_without_the_key(tmp_path):
+    key, summary = tmp_path / "plane.key", tmp_path / "summary.json"
+    sign(key)
+    said = sidelong(
+        *("launch", "--signing-key", key, "--duration", 60, "--speed", 15, "--seed", 3, "--planner", "paper"),
+        *("--out", tmp_path / "runs", "--json", summary),
+    )
+    values = json.loads(summary.read_text())
+    assert values["outcome"] == "completed"
+    assert values["sightings"] > 200
+    secret = key.read_text().strip()
+    (run,) = (tmp_path / "runs").iterdir()
+    records = [file.read_bytes() for file in run.rglob("*") if file.is_file()]
+    assert len(records) >= 4
+    for content in records:
+        assert secret.encode() not in content
+        assert bytes.fromhex(secret) not in content
+    assert secret not in said
