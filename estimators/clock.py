@@ -67,6 +67,7 @@ class VehicleClock:
 
     @property
     def now_s(self) -> float:
+        """The latest believed stamp."""
         return self._own.last_s if self._own is not None else -math.inf
 
     @property

@@ -116,7 +116,7 @@ def run_folder(config, flight, tmp_path_factory) -> Path:
     """Return the folder of a flight of 300 s, without a summary: as if it had been cut off."""
     folder = RunFolder.create(tmp_path_factory.mktemp("runs"), datetime(2026, 11, 21, 9, 30, tzinfo=UTC))
     recording = Recording(folder, config, pytest.fail)
-    recording.begin(PLANE)
+    recording.begin(PLANE, (47.4, 8.5))
     rows = ["time_boot_s,target_lat_deg,target_lon_deg,uav_lat_deg,uav_lon_deg"]
     for event, commands, _ in flight(300.0):
         recording.event(event)
