@@ -40,7 +40,7 @@ class ViewDisplay:
         self.url = ""
         self._inner, self._config, self._address = inner, config, address
         self._name = name or ", ".join(config.link.connections) or f"simulated {config.simulation.autopilot}"
-        self._stater = StateEncoder(config.requirement.requirement(), config.aircraft.airspeed_m_s)
+        self._encoder = StateEncoder(config.requirement.requirement(), config.aircraft.airspeed_m_s)
         self._feed: Feed | None = None
         self._snapshot: Snapshot | None = None
         self._trail: deque[list[float]] = deque(maxlen=_UNSENT_MAX)
@@ -90,6 +90,7 @@ class ViewDisplay:
     def begin(self, plane: LocalPlane, request: Callable[[OperatorRequest], None]) -> None:
         self._inner.begin(plane, request)
         self._request = request
+        self._encoder.plane = plane
         self._setting = setting(self._config, plane, self._name)
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
@@ -144,7 +145,7 @@ class ViewDisplay:
             told["setting"] = self._setting
         if self._snapshot is not None:
             silent_s = time.monotonic() - self._heard_at_s
-            told["state"] = self._stater.state(self._snapshot, silent_s)
+            told["state"] = self._encoder.state(self._snapshot, silent_s)
         return told
 
     def _pressed(self, press: Json) -> None:

@@ -41,6 +41,20 @@ def setting(config: Config, plane: LocalPlane | None, name: str) -> Json:
         "keep_in": outlines(config.fences.keep_in),
         "keep_out": outlines(config.fences.keep_out),
         "name": name,
+        "origin": None if plane is None else _origin(plane),
+    }
+
+
+def _origin(plane: LocalPlane) -> Json:
+    """Return what turns a point of the map into degrees, to a metre within some kilometres: for the cursor only."""
+    latitude_deg, longitude_deg = plane.origin_latitude_deg, plane.origin_longitude_deg
+    east_m, _ = plane.east_north_m(latitude_deg, longitude_deg + 0.01)
+    _, north_m = plane.east_north_m(latitude_deg + 0.01, longitude_deg)
+    return {
+        "latitude_deg": latitude_deg,
+        "longitude_deg": longitude_deg,
+        "east_m_per_deg": round(east_m * 100.0, 2),
+        "north_m_per_deg": round(north_m * 100.0, 2),
     }
 
 
@@ -49,6 +63,7 @@ class StateEncoder:
 
     def __init__(self, requirement: Requirement, airspeed_m_s: float) -> None:
         self._requirement, self._airspeed_m_s = requirement, airspeed_m_s
+        self.plane: LocalPlane | None = None  # set once it is known: places are then told in degrees too
         self._course_rad: float | None = None
         self._thinned: dict[int, tuple[Path, list[list[float]]]] = {}
 
@@ -85,6 +100,7 @@ class StateEncoder:
             return None
         return {
             "at_m": _rounded(aircraft.east_m, aircraft.north_m),
+            "at_deg": self._degrees(aircraft.east_m, aircraft.north_m),
             "course_rad": round(aircraft.course_rad, 4),
             "ground_speed_m_s": round(aircraft.ground_speed_m_s, 2),
             "bank_rad": _number(snapshot.sensor_status.bank_rad, 4),
@@ -101,6 +117,7 @@ class StateEncoder:
         ellipse = confidence_ellipse(estimate.covariance[:2, :2])
         return {
             "at_m": _rounded(*at_m),
+            "at_deg": self._degrees(*at_m),
             "velocity_m_s": _rounded(estimate.velocity_east_m_s, estimate.velocity_north_m_s),
             "course_rad": _number(self._course_rad, 4),
             "ellipse": [
@@ -114,6 +131,12 @@ class StateEncoder:
             "range_m": round(math.hypot(aircraft.east_m - at_m[0], aircraft.north_m - at_m[1]), 1),
             "angle_rad": _number(self._angle_rad(snapshot, aircraft, at_m), 4),
         }
+
+    def _degrees(self, east_m: float, north_m: float) -> list[float] | None:
+        """Return [latitude, longitude], to a decimetre."""
+        if self.plane is None:
+            return None
+        return [round(degrees, 6) for degrees in self.plane.latitude_longitude_deg(east_m, north_m)]
 
     def _angle_rad(self, snapshot: Snapshot, aircraft: AircraftState, at_m: tuple[float, float]) -> float | None:
         """Return the observation angle: from where the aircraft should be seen to where it is."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from rich.console import Console
 
 from app.config import Config
@@ -74,8 +76,10 @@ def page(browser, display):
 
 
 @contextmanager
-def opened(browser, display):
-    page = browser.new_context(viewport={"width": 1400, "height": 860}).new_page()
+def opened(browser, display, size=(1400, 860), scheme="light"):
+    viewport = {"width": size[0], "height": size[1]}
+    # axe is put into the page, which allows no script but its own: only that is lifted.
+    page = browser.new_context(viewport=viewport, color_scheme=scheme, bypass_csp=True).new_page()
     complaints: list[str] = []
     asked: list[str] = []
     page.on("console", lambda message: complaints.append(message.text))
@@ -149,7 +153,8 @@ def test_map_and_plots_show_what_there_is(page):
     ):
         assert page.locator(f"#map {name}").count() == 1, name
         assert page.locator(f"#map {name}").bounding_box()["width"] > 0, name
-    plots = page.locator("#plots svg")
+    page.locator("#engineers summary").click()
+    plots = page.locator(":is(#plots, #inner-plots) svg")
     assert plots.count() == 5
     assert all(plots.nth(n).locator("polyline").count() >= 1 for n in range(5))
     assert page.locator("#legend li.fence").is_visible()
@@ -248,3 +253,41 @@ def test_a_narrow_window_scrolls_and_hides_nothing(page):
         box = page.locator(name).bounding_box()
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= 700
+
+
+def test_places_are_told_in_degrees(page):
+    latitude_deg, longitude_deg = map(
+        float, page.locator(".place[data-of=target]").inner_text().removeprefix("target ").split(",")
+    )
+    east_m, north_m = PLANE.east_north_m(latitude_deg, longitude_deg)
+    assert math.hypot(east_m, north_m) < 2000.0
+    assert page.locator(".place[data-of=aircraft]").inner_text().startswith("aircraft 47.")
+
+
+def test_the_cursor_tells_its_place_and_what_is_measured(page):
+    box = page.locator("#map").bounding_box()
+    x, y = centre(box)
+    page.get_by_role("button", name="Measure").click()
+    page.mouse.click(x, y)
+    page.mouse.move(x + 100, y)
+    assert re.fullmatch(r"47\.\d{5}, 8\.\d{5} +\d+ m, bearing 090°", page.locator("#cursor").inner_text())
+
+
+def test_the_map_is_moved_by_keys(page):
+    page.locator("#map").focus()
+    page.keyboard.press("+")
+    page.keyboard.press("ArrowLeft")
+    assert page.get_by_role("button", name="Follow the target").is_visible()
+    page.keyboard.press("0")
+    assert not page.get_by_role("button", name="Follow the target").is_visible()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [(1440, 900), (1024, 768), (390, 844)], ids="{0[0]}".format)
+def test_everybody_can_read_it(browser, display, scheme, size):
+    with opened(browser, display, size, scheme) as page:
+        page.locator("#engineers summary").click()
+        found = Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]})
+        assert found.violations_count == 0, found.generate_report()
+        width = page.evaluate("document.documentElement.scrollWidth")
+        assert width <= size[0]

@@ -39,9 +39,9 @@ def state_of(snapshot, requirement=LEFT):
 
 
 def test_every_state_is_strict_json(snapshots):
-    stater = StateEncoder(LEFT, 15.0)
+    encoder = StateEncoder(LEFT, 15.0)
     for snapshot in snapshots:
-        json.dumps(stater.state(snapshot, 0.0), allow_nan=False)
+        json.dumps(encoder.state(snapshot, 0.0), allow_nan=False)
 
 
 def test_what_is_not_known_is_null(snapshots):
@@ -84,9 +84,9 @@ def test_the_observation_angle_counts_from_abeam_of_a_target_that_drives_east(wa
 def test_the_course_holds_through_a_stop(watching):
     moving = TargetEstimate(watching.time_s, 0.0, 0.0, 0.0, 3.0, np.eye(4), TrackQuality.GOOD, watching.time_s)
     standing = replace(moving, velocity_north_m_s=-0.2)
-    stater = StateEncoder(LEFT, 15.0)
+    encoder = StateEncoder(LEFT, 15.0)
     courses = [
-        stater.state(replace(watching, estimate=estimate), 0.0)["target"]["course_rad"]
+        encoder.state(replace(watching, estimate=estimate), 0.0)["target"]["course_rad"]
         for estimate in (standing, moving, standing)
     ]
     assert courses == [None, 0.0, 0.0]

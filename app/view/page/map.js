@@ -4,6 +4,8 @@ const NS = document.querySelector("svg").namespaceURI;
 const PREDICTED_S = 60;
 const GRID_PX = 90;
 const TRAIL_KEPT = 2400;
+const SCALE_PX = 120;
+const KEY_PAN = 0.15; // of the map's width
 
 export function svg(name, attributes = {}, parent = null) {
   const element = document.createElementNS(NS, name);
@@ -24,8 +26,12 @@ function ringSector(least, most, from, to) {
 }
 
 export class FlightMap {
-  constructor(root, followButton) {
+  constructor(root, followButton, measureButton, cursor) {
     this.root = root;
+    this.cursor = cursor;
+    this.measureButton = measureButton;
+    this.measured = []; // up to two points, metres
+    this.pointers = new Map();
     this.trail = [];
     this.targetTrail = [];
     this.setting = {};
@@ -44,6 +50,7 @@ export class FlightMap {
     this.coming = shape("circle", "coming");
     this.comingLine = shape("polyline", "coming");
     this.sight = shape("polyline", "sight");
+    this.measureLine = shape("polyline", "measure");
     this.predicted = shape("polyline", "predicted");
     this.ellipse = shape("ellipse", "ellipse");
     this.grid = svg("g");
@@ -58,6 +65,10 @@ export class FlightMap {
     root.addEventListener("dblclick", () => this.follow());
     root.addEventListener("wheel", (event) => this.zoom(event), { passive: false });
     root.addEventListener("pointerdown", (event) => this.grab(event));
+    root.addEventListener("pointermove", (event) => this.point(event));
+    root.addEventListener("pointerleave", () => { cursor.hidden = true; });
+    root.addEventListener("keydown", (event) => this.key(event));
+    measureButton.addEventListener("click", () => this.measure());
     new ResizeObserver(() => this.draw()).observe(root);
   }
 
@@ -93,28 +104,106 @@ export class FlightMap {
 
   zoom(event) {
     event.preventDefault();
+    this.zoomAt(this.pixel(event), Math.exp(-event.deltaY * 0.0015));
+  }
+
+  // Zoom by a factor and keep what is at a pixel (from the middle of the map) there.
+  zoomAt([x, y], factor) {
     const view = this.shown();
-    const box = this.root.getBoundingClientRect();
-    const x = event.clientX - box.left - box.width / 2;
-    const y = event.clientY - box.top - box.height / 2;
-    const scale = Math.min(20, Math.max(0.01, view.scale * Math.exp(-event.deltaY * 0.0015)));
-    const shift = 1 / view.scale - 1 / scale; // keeps what is under the pointer there
+    const scale = Math.min(20, Math.max(0.01, view.scale * factor));
+    const shift = 1 / view.scale - 1 / scale;
     this.leave({ east: view.east + x * shift, north: view.north - y * shift, scale });
   }
 
-  grab(start) {
+  pixel(event) {
+    const box = this.root.getBoundingClientRect();
+    return [event.clientX - box.left - box.width / 2, event.clientY - box.top - box.height / 2];
+  }
+
+  metres(event) {
     const view = this.shown();
-    const move = (event) => this.leave({
-      ...view,
-      east: view.east - (event.clientX - start.clientX) / view.scale,
-      north: view.north + (event.clientY - start.clientY) / view.scale,
-    });
-    const drop = () => {
+    const [x, y] = this.pixel(event);
+    return [view.east + x / view.scale, view.north - y / view.scale];
+  }
+
+  // One pointer moves the map, two zoom it.
+  grab(start) {
+    if (this.measureButton.getAttribute("aria-pressed") === "true") {
+      this.measured = [...(this.measured.length > 1 ? [] : this.measured), this.metres(start)];
+      this.draw();
+      return;
+    }
+    this.pointers.set(start.pointerId, start);
+    let last = start;
+    const move = (event) => {
+      if (!this.pointers.has(event.pointerId)) return;
+      const others = [...this.pointers.values()].filter((other) => other.pointerId !== event.pointerId);
+      const before = this.pointers.get(event.pointerId);
+      this.pointers.set(event.pointerId, event);
+      if (others.length) {
+        const [a, b, c] = [this.pixel(others[0]), this.pixel(before), this.pixel(event)];
+        const apart = (p, q) => Math.max(Math.hypot(p[0] - q[0], p[1] - q[1]), 1);
+        this.zoomAt([(a[0] + c[0]) / 2, (a[1] + c[1]) / 2], apart(a, c) / apart(a, b));
+      } else {
+        const view = this.shown();
+        this.leave({
+          ...view,
+          east: view.east - (event.clientX - last.clientX) / view.scale,
+          north: view.north + (event.clientY - last.clientY) / view.scale,
+        });
+      }
+      last = event;
+    };
+    const drop = (event) => {
+      if (event.pointerId !== start.pointerId) return;
+      this.pointers.delete(event.pointerId);
       window.removeEventListener("pointermove", move);
       window.removeEventListener("pointerup", drop);
+      window.removeEventListener("pointercancel", drop);
     };
     window.addEventListener("pointermove", move);
     window.addEventListener("pointerup", drop);
+    window.addEventListener("pointercancel", drop);
+  }
+
+  key(event) {
+    const view = this.shown();
+    const step = (KEY_PAN * this.root.clientWidth) / view.scale;
+    const pans = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+    const zooms = { "+": 1.3, "=": 1.3, "-": 1 / 1.3 };
+    if (event.key in pans) {
+      const [e, n] = pans[event.key];
+      this.leave({ ...view, east: view.east + e * step, north: view.north + n * step });
+    } else if (event.key in zooms) this.zoomAt([0, 0], zooms[event.key]);
+    else if (event.key === "0") this.follow();
+    else return;
+    event.preventDefault();
+  }
+
+  measure() {
+    const pressed = this.measureButton.getAttribute("aria-pressed") !== "true";
+    this.measureButton.setAttribute("aria-pressed", pressed);
+    this.measured = [];
+    this.draw();
+  }
+
+  // The place under the cursor, in degrees where they are known, and what is measured.
+  point(event) {
+    const [east, north] = this.metres(event);
+    const { origin } = this.setting;
+    const place = origin
+      ? `${(origin.latitude_deg + north / origin.north_m_per_deg).toFixed(5)}, ${(origin.longitude_deg + east / origin.east_m_per_deg).toFixed(5)}`
+      : `${Math.round(east)} m east, ${Math.round(north)} m north`;
+    const [from, to] = this.measured.length > 1 ? this.measured : [this.measured[0], [east, north]];
+    let measured = "";
+    if (from) {
+      const [de, dn] = [to[0] - from[0], to[1] - from[1]];
+      const bearing = Math.round((Math.atan2(de, dn) * 180) / Math.PI + 360) % 360;
+      measured = `  ${Math.round(Math.hypot(de, dn))} m, bearing ${String(bearing).padStart(3, "0")}°`;
+      this.measureLine.setAttribute("points", points([from, to]));
+    }
+    this.cursor.hidden = false;
+    this.cursor.textContent = place + measured;
   }
 
   shown() {
@@ -145,6 +234,7 @@ export class FlightMap {
     this.drawGrid(width, height, { east, north, scale }, x, y);
     this.trailLine.setAttribute("points", points(this.trail));
     this.targetLine.setAttribute("points", points(this.targetTrail));
+    if (!this.measured.length) this.measureLine.setAttribute("points", "");
     const { state } = this;
     this.plan(state?.present, this.circle, this.line);
     this.plan(state?.coming, this.coming, this.comingLine);
@@ -225,9 +315,22 @@ export class FlightMap {
       parts.push(svg("path", { class: "grid", d: `M0 ${y(n)}H${width}` }));
       if (y(n) > 40 && y(n) < height - 24) word(Math.round(n), { x: 6, y: y(n) + 4 });
     }
+    this.drawScale(width, height, scale, words, word);
     word("east, m", { x: width - 8, y: height - 6, "text-anchor": "end" });
     word("north, m", { x: 6, y: 16 });
     this.grid.replaceChildren(...parts);
     this.scales.replaceChildren(...words);
+  }
+
+  // A bar of a round length, and which way north is.
+  drawScale(width, height, scale, words, word) {
+    const rough = SCALE_PX / scale;
+    const power = 10 ** Math.floor(Math.log10(rough));
+    const size = [5, 2, 1].map((k) => k * power).find((length) => length <= rough) ?? power;
+    const [right, below] = [width - 14, height - 44];
+    words.push(svg("path", { class: "scale", d: `M${right - size * scale} ${below - 5}v5H${right}v-5` }));
+    word(size >= 1000 ? `${size / 1000} km` : `${size} m`, { x: right, y: below - 8, "text-anchor": "end" });
+    words.push(svg("path", { class: "north", d: `M${width - 22} 34l6 -18l6 18l-6 -5Z` }));
+    word("N", { x: width - 16, y: 48, "text-anchor": "middle" });
   }
 }

@@ -11,8 +11,8 @@ const IN_HAND = new Set(["watching", "holding"]);
 const PHASE_LOOKS = { watching: "good", holding: "warn", yielded: "bad", ended: "bad" };
 const QUALITY_LOOKS = { good: "good", coasting: "warn", lost: "bad" };
 
-const map = new FlightMap(byId("map"), byId("follow"));
-const plots = new Plots(byId("plots"));
+const map = new FlightMap(byId("map"), byId("follow"), byId("measure"), byId("cursor"));
+const plots = new Plots(byId("plots"), byId("inner-plots"));
 let state = null;
 let startS = 0;
 let heardAt = performance.now();
@@ -73,23 +73,74 @@ function chip(id, text, look) {
   element.className = `chip ${look}`;
 }
 
+const known = (value, text) => (value === null || value === undefined ? "–" : text(value));
+
+// [name, text, look] of what an operator reads.
 function tiles() {
-  const { target, aircraft } = state;
-  const known = (value, text) => (value === null || value === undefined ? "–" : text(value));
+  const { target, aircraft, vehicle } = state;
   return [
     ["range", known(target?.range_m, (v) => `${Math.round(v)} m`), inBand(target?.range_m) ? "" : "bad"],
-    ["angle", known(target?.angle_rad, (v) => `${Math.round((v * 180) / Math.PI)}°`), ""],
+    ["angle from abeam", known(target?.angle_rad, (v) => `${Math.round((v * 180) / Math.PI)}°`), ""],
     ["watched from", state.side, ""],
-    ["target", target ? `${Math.hypot(...target.velocity_m_s).toFixed(1)} m/s` : "–", ""],
+    ["target's speed", target ? `${Math.hypot(...target.velocity_m_s).toFixed(1)} m/s` : "–", ""],
     ["target's course", known(target?.course_rad, (v) => `${degrees(v)}°`), ""],
-    ["95 % within", target ? `${target.ellipse[0].toFixed(1)} m` : "–", ""],
+    ["known to", target ? `${target.ellipse[0].toFixed(1)} m` : "–", ""],
     ["ground speed", aircraft ? `${aircraft.ground_speed_m_s.toFixed(1)} m/s` : "–", ""],
     ["height", known(aircraft?.height_m, (v) => `${Math.round(v)} m`), ""],
     ["wind", `${Math.hypot(...state.wind_m_s).toFixed(1)} m/s`, ""],
-    ["moves", state.moves, ""],
-    ["uploads", state.upload_failures ? `${state.uploads}, ${state.upload_failures} failed` : state.uploads, ""],
-    ["sightings", `${state.sightings}, ${state.rejected} out`, ""],
+    ["battery", known(vehicle?.battery_percent, (v) => `${v} %`), vehicle?.battery_percent < 25 ? "bad" : ""],
+    ["GPS", known(vehicle?.gps, (v) => v), vehicle?.gps_good === false ? "bad" : ""],
+    ["link", known(vehicle?.link_percent, (v) => `${v} %`), vehicle?.link_percent < 80 ? "warn" : ""],
   ];
+}
+
+// The same for engineers.
+function innerTiles() {
+  return [
+    ["plan changes", state.moves, ""],
+    ["uploads", state.upload_failures ? `${state.uploads}, ${state.upload_failures} failed` : state.uploads, ""],
+    ["sightings", `${state.sightings}, ${state.rejected} refused`, ""],
+    ["upload takes", known(state.latency_s, (v) => `${v.toFixed(2)} s`), ""],
+    ["NIS", known(state.nis, (v) => v.toFixed(1)), state.nis > 7.81 ? "warn" : ""],
+    ["95 % within", state.target ? `${state.target.ellipse[0].toFixed(1)} m` : "–", ""],
+  ];
+}
+
+function lay(list, entries) {
+  list.replaceChildren(...entries.map(([name, text, look]) => {
+    const tile = document.createElement("div");
+    const [dt, dd] = ["dt", "dd"].map((kind) => document.createElement(kind));
+    dt.textContent = name;
+    dd.textContent = text;
+    dd.className = look;
+    tile.append(dt, dd);
+    return tile;
+  }));
+}
+
+function ago(seconds) {
+  if (seconds < 2) return "now";
+  return seconds < 90 ? `${Math.round(seconds)} s ago` : `${Math.round(seconds / 60)} min ago`;
+}
+
+// When the target was seen last, in words.
+function seen() {
+  const target = state.target;
+  const unseen = target?.unseen_s;
+  const line = byId("seen");
+  line.textContent = !target ? "The target has not been seen yet."
+    : unseen < 2 ? "The target is in sight."
+      : `The target was last seen ${ago(unseen)}.`;
+  line.className = !target || unseen < 8 ? "" : unseen < 60 ? "warn" : "bad";
+}
+
+function places() {
+  for (const button of document.querySelectorAll(".place")) {
+    const at = state[button.dataset.of]?.at_deg;
+    button.disabled = !at;
+    button.value = at ? at.map((v) => v.toFixed(6)).join(", ") : "";
+    button.textContent = `${button.dataset.of} ${button.value || "–"}`;
+  }
 }
 
 function inBand(range) {
@@ -109,15 +160,11 @@ function draw() {
   byId("clock").textContent = state.time_s === null || state.phase === "waiting" ? "" : clock(state.time_s);
   byId("quality").title = state.target?.why ?? "";
   byId("phase").title = state.reason;
-  byId("tiles").replaceChildren(...tiles().map(([name, text, look]) => {
-    const tile = document.createElement("div");
-    const [dt, dd] = ["dt", "dd"].map((kind) => document.createElement(kind));
-    dt.textContent = name;
-    dd.textContent = text;
-    dd.className = look;
-    tile.append(dt, dd);
-    return tile;
-  }));
+  chip("mode", state.mode ? `mode ${state.mode}` : "", "");
+  lay(byId("tiles"), tiles());
+  lay(byId("inner-tiles"), innerTiles());
+  seen();
+  places();
   buttons();
 }
 
@@ -163,6 +210,15 @@ byId("buttons").addEventListener("click", async ({ target: button }) => {
   const answer = await fetch("press", { method: "POST", headers, body: JSON.stringify({ action, side }) });
   if (!answer.ok) say(null, "operator", `${action} was not passed on: ${await answer.text()}`);
 });
+
+byId("places").addEventListener("click", async ({ target: button }) => {
+  if (!button.value) return;
+  await navigator.clipboard.writeText(button.value);
+  button.textContent = `${button.dataset.of}: copied`;
+});
+
+new ResizeObserver(() => plots.draw()).observe(byId("plots"));
+byId("engineers").addEventListener("toggle", () => plots.draw());
 
 buttons();
 const stream = new EventSource("events");

@@ -13,19 +13,19 @@ const PLOTS = [
     shade: (setting) => setting.band_m, range: (setting, most) => [0, Math.max(1.08 * setting.band_m[1], most)],
   },
   {
-    title: "observation angle, °", digits: 0, lines: [[(s) => degrees(s.angle_rad), ""]], wraps: true,
+    title: "angle from abeam, °", digits: 0, lines: [[(s) => degrees(s.angle_rad), ""]], wraps: true,
     shade: (setting) => allowed(setting), range: () => [-180, 180],
   },
   {
-    title: "innovation squared (NIS)", digits: 1, lines: [[(s) => s.nis, ""]],
+    inner: true, title: "innovation squared (NIS)", digits: 1, lines: [[(s) => s.nis, ""]],
     bound: 7.81, range: (_, most) => [0, Math.min(Math.max(16, most), 60)],
   },
   {
-    title: "bank, °", digits: 0, lines: [[(s) => degrees(s.bank_rad), ""]],
+    inner: true, title: "bank, °", digits: 0, lines: [[(s) => degrees(s.bank_rad), ""]],
     range: (setting) => [-1.1 * degrees(setting.bank_max_rad), 1.1 * degrees(setting.bank_max_rad)],
   },
   {
-    title: "ages, s", digits: 1,
+    inner: true, title: "time since last heard, s", digits: 1,
     lines: [[(s) => s.range_age_s, "laser"], [(s) => s.gimbal_age_s, "gimbal"], [(s) => s.link_age_s, "link"]],
     range: (_, most) => [0, Math.min(Math.max(2, most), 60)],
   },
@@ -109,10 +109,11 @@ class Plot {
 }
 
 export class Plots {
-  constructor(parent) {
+  // inner: where the plots for engineers go.
+  constructor(parent, inner) {
     this.samples = [];
     this.setting = {};
-    this.plots = PLOTS.map((kind) => new Plot(kind, parent));
+    this.plots = PLOTS.map((kind) => new Plot(kind, kind.inner ? inner : parent));
     const under = document.createElement("figcaption");
     under.textContent = `the last ${SPAN_S} s of the flight; now on the right`;
     const figure = document.createElement("div");
