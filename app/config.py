@@ -218,6 +218,8 @@ class SimulationSection(_Section):
     """Steady wind, m/s."""
     wind_from_deg: float = Field(270.0, ge=0, le=360)
     """Where the wind comes from, degrees clockwise from north."""
+    home: LatLon | None = None
+    """Where it stands, [latitude, longitude] in degrees; none: where the autopilot's own simulator does."""
 
 
 class Config(_Section):

@@ -48,6 +48,7 @@ class Airframe:
         "climb_m_s",
         "east_m",
         "flying",
+        "ground_m",
         "heading_rad",
         "height_m",
         "north_m",
@@ -62,7 +63,7 @@ class Airframe:
     def __init__(self, build: AirframeParameters, wind: Wind, heading_rad: float = 0.0) -> None:
         self.build = build
         self.wind = wind
-        self.east_m = self.north_m = self.height_m = 0.0
+        self.east_m = self.north_m = self.height_m = self.ground_m = 0.0
         self.heading_rad = heading_rad
         self.airspeed_m_s = self.climb_m_s = 0.0
         self.velocity_east_m_s = self.velocity_north_m_s = 0.0
@@ -85,7 +86,7 @@ class Airframe:
         return math.asin(max(-1.0, min(1.0, self.climb_m_s / self.airspeed_m_s))) if self.flying else 0.0
 
     def fly(self, dt_s: float, roll_rad: float, airspeed_m_s: float, climb_m_s: float) -> None:
-        """Step with commanded roll, true airspeed and climb rate; touches the ground at height 0."""
+        """Step with commanded roll, true airspeed and climb rate; touches the ground at ``ground_m``."""
         build = self.build
         rate_rad_s = (roll_rad - self.roll_rad) / build.roll_time_constant_s
         limit_rad_s = build.roll_rate_max_rad_s
@@ -105,7 +106,7 @@ class Airframe:
         self.velocity_north_m_s = level_m_s * math.cos(middle_rad) + self.wind.north_m_s
         self._move(dt_s)
         self.height_m += self.climb_m_s * dt_s
-        if self.height_m <= 0.0:
+        if self.height_m <= self.ground_m:
             self._touch_down()
 
     def roll_on_ground(self, dt_s: float, lift_off_m_s: float | None) -> None:
@@ -132,4 +133,5 @@ class Airframe:
 
     def _touch_down(self) -> None:
         self.flying = False
-        self.height_m = self.climb_m_s = self.roll_rad = self.roll_rate_rad_s = self.yaw_rate_rad_s = 0.0
+        self.height_m = self.ground_m
+        self.climb_m_s = self.roll_rad = self.roll_rate_rad_s = self.yaw_rate_rad_s = 0.0

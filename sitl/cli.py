@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -18,10 +19,21 @@ import typer
 from sitl.airframe import Wind
 from sitl.binary import Binary, BinaryError
 from sitl.companion import Companion, CompanionError, accompany
+from sitl.geodesy import HomePlane
+from sitl.hills import Hills, HillsError
 from sitl.link import LinkFaults
 from sitl.motion import MOTIONS
 from sitl.server import Address, serve
-from sitl.settings import Flavour, GimbalFrame, Home, PayloadSettings, RangeMessage, Settings, TargetSettings
+from sitl.settings import (
+    DEFAULT_HOMES,
+    Flavour,
+    GimbalFrame,
+    Home,
+    PayloadSettings,
+    RangeMessage,
+    Settings,
+    TargetSettings,
+)
 from sitl.signing import KeyFileError, read_key
 from sitl.simulation import Simulation
 from sitl.track import TrackError
@@ -54,6 +66,9 @@ def run(
     target_start: Annotated[str, typer.Option(metavar="EAST,NORTH", help="Metres from home.")] = "250,300",
     target_skip: Annotated[
         float | None, typer.Option(metavar="S", help="Begin a track here [where it becomes lively]")
+    ] = None,
+    terrain: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Fly over the ground of these SRTM .hgt tiles [flat]")
     ] = None,
     payload: Annotated[bool, typer.Option(help="Laser and gimbal.")] = True,
     payload_for: Annotated[
@@ -126,21 +141,24 @@ def run(
         seed=seed,
         airspeed_m_s=airspeed,
         wind=Wind.blowing_from(wind_speed, math.radians(wind_from_deg)),
-        home=None if home is None else _home(home),
+        home=_home_on_ground(home, terrain, autopilot),
         target=TargetSettings(_motion(target), target_speed, _east_north(target_start), target_skip),
         payload=sensors if payload else None,
         signing_key=None if require_signing is None else _key(require_signing),
         link_rate=speed,
         boot_unix_s=time.time(),
+        terrain=terrain,
     )
     stations = [_address(text) for text in to or _DEFAULT_STATIONS]
     with ExitStack() as stack:
         try:
             simulation = Simulation(settings)
             alone = payload_for is None and binary is None
-            companion = None if alone else Companion(sensors, settings.target, seed)
+            companion = None if alone else Companion(sensors, settings.target, seed, terrain)
         except TrackError as error:
             _refuse("--target", str(error))
+        except HillsError as error:
+            _refuse("--terrain", str(error))
         if truth is not None:
             try:
                 file = TruthFile(stack.enter_context(truth.open("w", encoding="utf-8")))
@@ -193,6 +211,8 @@ def _accompany(companion: Companion, url: str, stopped: Callable[[], bool], key:
         )
     except CompanionError as error:
         _refuse("--payload-for", str(error))
+    except HillsError as error:
+        _refuse("--terrain", str(error))
 
 
 def _stop_signal(while_input: bool = False) -> Callable[[], bool]:
@@ -239,6 +259,19 @@ def _home(text: str) -> Home:
     if not (abs(values[0]) < 89.0 and abs(values[1]) <= 180.0):
         _refuse("--home", f"needs a latitude within 89 and a longitude within 180 degrees, not {text!r}")
     return Home(values[0], values[1], values[2] if len(values) == 3 else 0.0)
+
+
+def _home_on_ground(text: str | None, terrain: Path | None, flavour: Flavour) -> Home | None:
+    """Return home as it was given, at the height of the ground there if it was given none."""
+    home = None if text is None else _home(text)
+    if terrain is None or (text is not None and text.count(",") == 2):
+        return home
+    home = home or DEFAULT_HOMES[flavour]
+    try:
+        hills = Hills(terrain, HomePlane(home.latitude_deg, home.longitude_deg))
+    except HillsError as error:
+        _refuse("--terrain", str(error))
+    return replace(home, altitude_m=hills.home_altitude_m)
 
 
 def _east_north(text: str) -> tuple[float, float]:

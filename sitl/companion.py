@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as mavlink
 
 from sitl.geodesy import HomePlane
+from sitl.hills import Hills
 from sitl.motion import Motion
 from sitl.payload import PERIOD_S, Payload, Sight
 from sitl.settings import PayloadSettings, TargetSettings
@@ -36,13 +38,17 @@ class Companion:
 
     Pure: give it the vehicle's messages, send what it returns. The target's plane has its origin at the vehicle's
     home; nothing is measured before home is known. The target sets off with the first measurement, and goes on from
-    where it is when the vehicle reboots.
+    where it is when the vehicle reboots. Raises HillsError when the ground at home is not known.
     """
 
-    def __init__(self, payload: PayloadSettings, target: TargetSettings, seed: int) -> None:
+    def __init__(
+        self, payload: PayloadSettings, target: TargetSettings, seed: int, terrain: Path | None = None
+    ) -> None:
         target_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
         self._payload = Payload(payload, sensor_seed)
         self._motion: Motion = target_motion(target, np.random.default_rng(target_seed))
+        self._terrain = terrain
+        self._hills: Hills | None = None
         self._plane: HomePlane | None = None
         self._begin_s: float | None = None
         self._latest_s = 0.0
@@ -65,6 +71,7 @@ class Companion:
             return []
         if kind == "HOME_POSITION" and self._plane is None:
             self._plane = HomePlane(message.latitude / 1e7, message.longitude / 1e7)
+            self._hills = Hills(self._terrain, self._plane)
         elif kind == "ATTITUDE":
             self._heading_rad = message.yaw
         elif kind == "GLOBAL_POSITION_INT" and self._plane is not None:
@@ -81,19 +88,23 @@ class Companion:
         since_s = max(0.0, time_s - self._begin_s)
         aircraft_deg = (position.lat / 1e7, position.lon / 1e7)
         aircraft_m = (*plane.east_north_m(*aircraft_deg), position.relative_alt / 1000.0)
-        target_m = self._motion.at(since_s)
-        sight = Sight.between(aircraft_m, target_m)
+        hills = self._hills
+        assert hills is not None  # home is known
+        target_m = hills.standing(self._motion.at(since_s))
+        sight = Sight.between(aircraft_m, target_m, hills.sees_target(aircraft_m, target_m))
         measured = self._payload.measure(since_s, position.time_boot_ms, sight, self._heading_rad)
         row = TruthRow(
             time_s,
             target_m,
-            plane.latitude_longitude_deg(*target_m),
+            plane.latitude_longitude_deg(*target_m[:2]),
             aircraft_m,
             aircraft_deg,
             sight.slant_range_m,
             sight.bearing_rad,
             measured.laser_valid,
             measured.laser_outlier,
+            aircraft_m[2] - hills.height_m(*aircraft_m[:2]),
+            sight.clear,
         )
         self.on_truth(row)
         return measured.messages

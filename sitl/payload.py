@@ -31,22 +31,31 @@ _FLAGS = {
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """The true line from the laser to the target: bearing and elevation (negative looks down)."""
+    """The true line from the laser to the target: bearing and elevation (negative looks down).
+
+    clear: no hill stands in between.
+    """
 
     slant_range_m: float
     bearing_rad: float
     elevation_rad: float
+    clear: bool = True
 
     @staticmethod
-    def between(craft_m: tuple[float, float, float], target_m: tuple[float, float]) -> Sight:
-        east_m, north_m = target_m[0] - craft_m[0], target_m[1] - craft_m[1]
+    def between(
+        craft_m: tuple[float, float, float], target_m: tuple[float, float, float], clear: bool = True
+    ) -> Sight:
+        east_m, north_m, up_m = (target - craft for target, craft in zip(target_m, craft_m, strict=True))
         level_m = math.hypot(east_m, north_m)
-        return Sight(math.hypot(level_m, craft_m[2]), math.atan2(east_m, north_m), math.atan2(-craft_m[2], level_m))
+        return Sight(math.hypot(level_m, up_m), math.atan2(east_m, north_m), math.atan2(up_m, level_m), clear)
 
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What the payload says of one moment. laser_valid: it says a range; laser_outlier: a wrong one."""
+    """What the payload says of one moment: nothing while a hill hides the target.
+
+    laser_valid: it says a range; laser_outlier: a wrong one.
+    """
 
     messages: list[Any]
     laser_valid: bool
@@ -77,6 +86,8 @@ class Payload:
             range_m = max(_RANGE_MIN_M, range_m + math.copysign(size_m, sign - 0.5))
         valid = not dropped and _RANGE_MIN_M <= range_m <= _RANGE_MAX_M
         messages = [self._gimbal_message(boot_ms, sight, heading_rad)]
+        if not sight.clear:
+            return Measurement([], False, False)
         if valid:
             messages.insert(0, self._range_message(boot_ms, range_m, outlier))
         return Measurement(messages, valid, valid and outlier)

@@ -81,6 +81,7 @@ class Settings:
     signing_key: bytes | None = field(default=None, repr=False)  # what is not signed with it is not heard
     link_rate: float = 1.0  # seconds of the vehicle in one of the stations'
     boot_unix_s: float = 1.7e9
+    terrain: Path | None = None  # folder of .hgt tiles; flat without
 
     @property
     def home_or_default(self) -> Home:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Hashable
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 
 from sitl.arduplane import ArduPlane
 from sitl.autopilot import Autopilot
+from sitl.hills import Hills
 from sitl.motion import Motion, built_in_motion
 from sitl.payload import PAYLOAD_MESSAGES, PERIOD_S, Payload, Sight
 from sitl.px4 import Px4
@@ -21,6 +23,7 @@ from sitl.truth import TruthRow
 STEP_S = 0.02
 _OBSERVE_EVERY = round(PERIOD_S / STEP_S)
 _HEARTBEAT_EVERY = round(1.0 / STEP_S)
+_AIRFIELD_M = 500.0  # about home an aircraft takes off and lands, whatever the tiles say
 _REBOOT_S = 2.0
 _SILENT_S = 60.0  # of the stations' clock: then one that came by itself is forgotten
 _EXPIRE_EVERY = round(5.0 / STEP_S)
@@ -40,6 +43,7 @@ class Simulation:
         self.settings = settings
         self.vehicle: Autopilot = Px4(settings) if settings.flavour == Flavour.PX4 else ArduPlane(settings)
         self.motion = target_motion(settings.target, np.random.default_rng(target_seed))
+        self.hills = Hills(settings.terrain, self.vehicle.plane)
         self.payload = Payload(settings.payload, sensor_seed) if settings.payload is not None else None
         self.muted: set[str] = set()  # payload messages withheld, by name
         self.on_truth: Callable[[TruthRow], None] = lambda _row: None
@@ -123,8 +127,12 @@ class Simulation:
     def _observe(self) -> None:
         vehicle, craft = self.vehicle, self.vehicle.craft
         aircraft_m = (craft.east_m, craft.north_m, craft.height_m)
-        target_m = self.motion.at(self.time_s)
-        sight = Sight.between(aircraft_m, target_m)
+        target_m = self.hills.standing(self.motion.at(self.time_s))
+        ground_m = self.hills.height_m(craft.east_m, craft.north_m)
+        craft.ground_m = 0.0 if math.hypot(craft.east_m, craft.north_m) < _AIRFIELD_M else ground_m
+        in_sight = self.hills.sees_target(aircraft_m, target_m)
+        # On the ground the payload is tried out on what is about; it tells something in any case.
+        sight = Sight.between(aircraft_m, target_m, in_sight or not craft.flying)
         valid = outlier = False
         if self.payload is not None:
             measured = self.payload.measure(self.time_s, vehicle.boot_ms, sight, craft.heading_rad)
@@ -138,13 +146,15 @@ class Simulation:
         row = TruthRow(
             vehicle.now_s,
             target_m,
-            vehicle.plane.latitude_longitude_deg(*target_m),
+            vehicle.plane.latitude_longitude_deg(*target_m[:2]),
             aircraft_m,
             vehicle.plane.latitude_longitude_deg(*aircraft_m[:2]),
             sight.slant_range_m,
             sight.bearing_rad,
             valid,
             outlier,
+            craft.height_m - ground_m,
+            in_sight,
         )
         self.on_truth(row)
 

@@ -36,6 +36,8 @@ class Summary:
     rejected: int
     estimate_rmse_m: float | None
     outcome: str
+    time_in_sight: float | None = None
+    min_clearance_m: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         return asdict(self)
@@ -49,6 +51,11 @@ class Summary:
             ("time in band", _percent(self.time_in_band)),
             ("time on side", _percent(self.time_on_side)),
             ("range", _between(self.min_range_m, self.max_range_m)),
+            ("time in sight", _percent(self.time_in_sight)),
+            (
+                "least height over the ground",
+                "-" if self.min_clearance_m is None else f"{self.min_clearance_m:.0f} m",
+            ),
             ("judged by", self.source),
             ("moves of the circle", str(self.moves)),
             ("uploads", f"{self.uploads}, failed {self.upload_failures}"),
@@ -138,6 +145,7 @@ def summarise(
     """Return the summary of a mission that ended at ``snapshot``."""
     result = gatherer.scored(truth, plane, start_s)
     rmse_m = gatherer.rmse_m(truth, plane, start_s) if truth is not None and plane is not None else None
+    in_sight, clearance_m = truth.over_ground(start_s) if truth is not None else (None, None)
     return Summary(
         **asdict(result),
         moves=snapshot.moves,
@@ -147,6 +155,8 @@ def summarise(
         rejected=rejected,
         estimate_rmse_m=rmse_m,
         outcome=outcome,
+        time_in_sight=in_sight,
+        min_clearance_m=clearance_m,
     )
 
 

@@ -15,6 +15,7 @@ from app.errors import InputError
 from estimators.frames import LocalPlane
 
 _POSITION_COLUMNS = ("target_lat_deg", "target_lon_deg", "uav_lat_deg", "uav_lon_deg")
+_GROUND_COLUMNS = ("clearance_m", "in_sight")
 _COLUMNS = ("time_boot_s", *_POSITION_COLUMNS)
 _FILE_MAX_BYTES = 64 << 20  # three days at 10 Hz
 _LINE_MAX_CHARACTERS = 4096
@@ -28,11 +29,13 @@ class Truth:
     """Rows in order of time.
 
     time_s has shape (n,), n >= 2, on the vehicle's clock; positions_deg has shape (4, n): target latitude and
-    longitude, aircraft latitude and longitude.
+    longitude, aircraft latitude and longitude. ground has shape (2, n): the aircraft's height over the ground below
+    it in metres, and 1 where it sees the target; NaN where the file does not tell.
     """
 
     time_s: npt.NDArray[np.float64]
     positions_deg: npt.NDArray[np.float64]
+    ground: npt.NDArray[np.float64]
 
     def at(self, time_s: float, plane: LocalPlane) -> Moment | None:
         """Return both at ``time_s``, interpolated between rows; None outside the file's time and in its gaps."""
@@ -54,6 +57,15 @@ class Truth:
             (after[0] - before[0]) / (after_s - before_s),
             (after[1] - before[1]) / (after_s - before_s),
         )
+
+    def over_ground(self, start_s: float) -> tuple[float | None, float | None]:
+        """Return the share of the rows since ``start_s`` that see the target, and the least height over the ground.
+
+        None where no row tells.
+        """
+        clearance_m, in_sight = self.ground[:, self.time_s >= start_s]
+        seen, heights_m = in_sight[np.isfinite(in_sight)], clearance_m[np.isfinite(clearance_m)]
+        return float(seen.mean()) if seen.size else None, float(heights_m.min()) if heights_m.size else None
 
     def moments(self, plane: LocalPlane, start_s: float, end_s: float, step_s: float) -> Iterator[Moment]:
         """Yield both at every ``step_s`` from ``start_s`` to ``end_s``, as far as the file reaches, without gaps."""
@@ -93,18 +105,21 @@ def read_truth(path: Path) -> Truth:
             if missing:
                 raise InputError(f"{path} is no truth file: it lacks the column {missing[0]}.")
             places = [columns.index(name) for name in _COLUMNS]
+            told = all(name in columns for name in _GROUND_COLUMNS)
+            ground_places = [columns.index(name) for name in _GROUND_COLUMNS] if told else []
             while line := file.readline(_LINE_MAX_CHARACTERS):
-                row = _row(line.split(","), places)
+                texts = line.split(",")
+                row = _row(texts, places)
                 if row is not None:
-                    rows[row[0]] = row[1:]
+                    rows[row[0]] = row[1:] + (_row(texts, ground_places) or [math.nan, math.nan])
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     if len(rows) < 2:
         raise InputError(f"{path} has fewer than two rows with times and positions.")
     time_s = np.array(sorted(rows))
-    positions_deg = np.array([rows[time] for time in time_s]).T
+    positions_deg, ground = np.split(np.array([rows[time] for time in time_s]).T, [len(_POSITION_COLUMNS)])
     positions_deg[1::2] = np.unwrap(positions_deg[1::2], period=360.0)
-    return Truth(time_s, positions_deg)
+    return Truth(time_s, positions_deg, ground)
 
 
 def _row(texts: list[str], places: list[int]) -> list[float] | None:

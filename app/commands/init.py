@@ -31,6 +31,7 @@ _EXAMPLES = {
     "fences.floor_m": "60.0",
     "fences.ceiling_m": "150.0",
     "terrain.folder": '"dem"',
+    "simulation.home": "[36.59, -84.24]",
 }
 
 

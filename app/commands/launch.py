@@ -15,7 +15,14 @@ import typer
 
 from app.analysis.summary import Summary
 from app.assembly import controller_of
-from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
+from app.commands.output import (
+    JsonOption,
+    checked_output,
+    console,
+    latitude_longitude_deg,
+    table_progress,
+    write_json,
+)
 from app.commands.report import write_report
 from app.config import Config, check_flyable, load_config
 from app.errors import InputError
@@ -78,6 +85,13 @@ def launch(
     mcap: Annotated[
         bool, typer.Option("--mcap", help="Also write flight.mcap, for Foxglove and PlotJuggler (package mcap).")
     ] = False,
+    terrain: Annotated[
+        Path | None,
+        typer.Option(help="Elevation data: a folder of SRTM .hgt tiles or GeoTIFF files.", show_default=False),
+    ] = None,
+    home: Annotated[
+        str | None, typer.Option(metavar="LAT,LON", help="Where a simulated vehicle stands.", show_default=False)
+    ] = None,
     set_parameters: Annotated[
         bool, typer.Option("--set-parameters", help="Set the parameters that stand in the way; back at the end.")
     ] = False,
@@ -100,8 +114,15 @@ def launch(
                 "set_parameters": set_parameters or None,
                 "signing_key_file": signing_key,
             },
-            "simulation": {"target": target, "speed": speed, "seed": seed, "autopilot": autopilot},
+            "simulation": {
+                "target": target,
+                "speed": speed,
+                "seed": seed,
+                "autopilot": autopilot,
+                "home": latitude_longitude_deg("--home", home),
+            },
             "requirement": {"side": side},
+            "terrain": {"folder": None if terrain is None else str(terrain)},
             "planner": {"name": planner, "guidance": guidance},
         },
     )

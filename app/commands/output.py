@@ -45,6 +45,19 @@ def checked_output(path: Path | None) -> None:
         raise InputError(f"{path}: there is no folder {path.parent}; create it or give another file to --json.")
 
 
+def latitude_longitude_deg(option: str, text: str | None) -> tuple[float, float] | None:
+    """Return what was given as LAT,LON. Raises InputError naming the option."""
+    if text is None:
+        return None
+    try:
+        latitude_deg, longitude_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"{option}: {text!r} is not LAT,LON in degrees such as 36.59,-84.24.") from None
+    if not (abs(latitude_deg) < 89.0 and abs(longitude_deg) <= 180.0):
+        raise InputError(f"{option}: {text} is no place: latitudes go to 89 degrees, longitudes to 180.")
+    return latitude_deg, longitude_deg
+
+
 def table_progress(tell: Callable[[str], None]) -> Callable[[float], None]:
     """Return what tells, now and then, how far the computation of the value table is."""
     told = -1.0

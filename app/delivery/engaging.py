@@ -31,6 +31,7 @@ _POLL_S = 0.1
 _ARM_WITHIN_S, _TAKE_OFF_WITHIN_S = 120.0, 240.0  # of the vehicle's time
 _MODE_WITHIN_S = 5.0
 _HIGH_ENOUGH = 0.7  # of the height wanted, to begin watching
+_AT_HEIGHT_M = 5.0
 _TOLD_WITHIN_S = 2.0
 _LIKE_OURS = (0.7, 1.3)  # a circle flown already with a radius within this share of ours was commanded by us
 _ROUND = 2.5  # so many radii from its centre an aircraft counts as circling
@@ -202,8 +203,9 @@ class Takeover:
     def _circling(self, first: int, plan: Plan) -> bool:
         said = self._vehicle.latest.get("MISSION_CURRENT")
         at_item = said is not None and said.fields["seq"] >= first
-        wanted_m = self._config.aircraft.height_m if plan.heights is None else plan.heights.to_m
-        return at_item and self._height_m > _HIGH_ENOUGH * wanted_m
+        if plan.heights is not None:  # over hills only its own height is high enough
+            return at_item and self._height_m > plan.heights.to_m - _AT_HEIGHT_M
+        return at_item and self._height_m > _HIGH_ENOUGH * self._config.aircraft.height_m
 
     def _last_status_text(self) -> str:
         said = self._vehicle.latest.get("STATUSTEXT")

@@ -41,6 +41,8 @@ class SimulatedVehicle:
             *("--wind-from-deg", f"{simulation.wind_from_deg:g}"),
             *("--truth", str(truth)),
             *(("--require-signing", str(key)) if (key := config.link.signing_key_file) is not None else ()),
+            *(("--terrain", config.terrain.folder) if config.terrain.folder is not None else ()),
+            *((f"--home={simulation.home[0]},{simulation.home[1]}",) if simulation.home is not None else ()),
             "--while-input",  # so that it does not outlive this program, however that ends
         ]
         self._process: asyncio.subprocess.Process | None = None

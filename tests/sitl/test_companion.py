@@ -40,8 +40,7 @@ def test_its_ranges_are_those_between_its_truth(flown):
     _, _, rows, measured = flown
     lasers = {m.time_boot_ms: m for m in measured if m.get_type() == "DISTANCE_SENSOR"}
     for row in rows[-50:]:
-        offset_m = [t - a for t, a in zip(row.target_m, row.aircraft_m, strict=False)]
-        slant_m = math.hypot(*offset_m, row.aircraft_m[2])
+        slant_m = math.dist(row.target_m, row.aircraft_m)
         assert lasers[round(row.time_s * 1000)].current_distance / 100.0 == pytest.approx(slant_m, abs=0.006)
 
 
