@@ -135,19 +135,20 @@ def run(
         range_message,
         gimbal_frame,
     )
+    own_terrain = terrain if payload_for is None else None  # the home of another vehicle comes from its own words
     settings = Settings(
         flavour=autopilot,
         system_id=system_id,
         seed=seed,
         airspeed_m_s=airspeed,
         wind=Wind.blowing_from(wind_speed, math.radians(wind_from_deg)),
-        home=_home_on_ground(home, terrain, autopilot),
+        home=_home_on_ground(home, own_terrain, autopilot),
         target=TargetSettings(_motion(target), target_speed, _east_north(target_start), target_skip),
         payload=sensors if payload else None,
         signing_key=None if require_signing is None else _key(require_signing),
         link_rate=speed,
         boot_unix_s=time.time(),
-        terrain=terrain,
+        terrain=own_terrain,
     )
     stations = [_address(text) for text in to or _DEFAULT_STATIONS]
     with ExitStack() as stack:
