@@ -1,42 +1,55 @@
-"""``sidelong study``: planners compared over many random targets."""
+"""``sidelong study``: planners compared over many targets, random or recorded."""
 
 from __future__ import annotations
 
 import math
+import os
 import re
+import shlex
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from time import monotonic
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from app.commands.output import JsonOption, checked_output, console, write_json
+from app.config import load_config
 from app.errors import InputError
+from app.study import export as exporting
+from app.study.design import Design, Overrides, configured, designs, parsed_sweep
+from app.study.processes import on_processes
 from app.study.recorded import recorded_targets
-from app.study.report import study_json, study_table, study_title
+from app.study.report import study_json, study_table, study_title, sweep_json, sweep_table
 from app.study.settings import PlannerName, StudySettings
-from app.study.study import run_study
-from app.value_cache import value_table
-from mission.paper.feasibility import unflyable
-from mission.predictive.planner import table_configuration
-from mission.predictive.value_table import ValueTable
+from app.study.store import ResultStore
+from app.study.study import Study, table_of
 
 _LEGS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
-_ROOMY_RADIUS_M = 105.0  # the widest circle that leaves room in the band
 _FIGURES = (".png", ".pdf", ".svg")
+_BATCH_MAX = 50  # runs that go to a process or worker at once
+_BATCHES_EACH = 16  # for each process at least, so that little is lost when a study ends early
+_TOLD_EVERY_S = 30.0  # where there is no terminal
 
 
 def study(
+    config: Annotated[
+        Path | None, typer.Argument(help="Aircraft, requirement and sensors of a mission (TOML).", show_default=False)
+    ] = None,
     targets: Annotated[
         list[Path] | None,
         typer.Option(help="A folder of recorded targets (.csv with t_s,east_m,north_m or time,lat,lon; .gpx)."),
     ] = None,
     runs: Annotated[int | None, typer.Option(min=1, help="Targets: 20 random ones, or all recorded.")] = None,
     noise_draws: Annotated[int, typer.Option(min=1, help="Fly each target so often, with other noise.")] = 1,
+    run: Annotated[list[int] | None, typer.Option(min=0, help="Fly this run alone (repeatable).")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of all targets and noise.")] = 1,
-    airspeed: Annotated[float, typer.Option(help="Of the aircraft, m/s.")] = 10.0,
+    planner: Annotated[list[PlannerName] | None, typer.Option(help="Compare only this one (repeatable).")] = None,
+    airspeed: Annotated[float | None, typer.Option(help="Of the aircraft, m/s; 10 by default.")] = None,
     radius: Annotated[
         float | None,
         typer.Option(help="Of its circles, m; by default 50 at 10 m/s, to 105 at more; grown with wind."),
@@ -44,19 +57,35 @@ def study(
     target_speed_max: Annotated[
         float | None,
         typer.Option(
-            help="Highest speed of the target, m/s; recorded ones whose 95th percentile is above are skipped."
+            help="Highest speed of the target, m/s, half the airspeed by default; "
+            "recorded ones whose 95th percentile is above are skipped."
         ),
     ] = None,
-    wind: Annotated[float, typer.Option(help="Steady wind, m/s.")] = 0.0,
+    wind: Annotated[float | None, typer.Option(help="Steady wind, m/s.")] = None,
+    latency: Annotated[float | None, typer.Option(help="From a decision to the earliest departure, s; 0.2.")] = None,
+    lag: Annotated[float | None, typer.Option(help="Time constant of the aircraft's bank, s; 0.")] = None,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(help="Fly every value of a parameter: KEY=V1,V2 or KEY=FROM:TO:STEP (repeatable)."),
+    ] = None,
     legs: Annotated[str, typer.Option(help="How long a random target keeps a course and speed, s.")] = "40-200",
     duration: Annotated[
         float | None, typer.Option(help="Of each run at most, s: 1200, or a recorded target's whole track.")
     ] = None,
-    planner: Annotated[list[PlannerName] | None, typer.Option(help="Compare only this one (repeatable).")] = None,
     perfect_sensors: Annotated[
         bool, typer.Option("--perfect-sensors", help="Let the planners know the truth.")
     ] = False,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; by default one for each core.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Fly on the workers of this Dask scheduler: tcp://HOST:PORT.")
+    ] = None,
+    store: Annotated[
+        Path | None, typer.Option(help="Keep each result in this SQLite file; what is there is not flown again.")
+    ] = None,
+    export: Annotated[
+        Path | None, typer.Option(help="Write a row for each run to this .csv or .parquet file.")
+    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a page with all figures to this .html file.")] = None,
     json: JsonOption = None,
     out: Annotated[Path | None, typer.Option(help="Draw the figure into this file (png, pdf, svg).")] = None,
 ) -> None:
@@ -69,114 +98,234 @@ def study(
     Example: sidelong study --runs 50 --planner predictive --planner paper --out study.png
 
     Recorded: sidelong study --targets tracks --airspeed 12 --radius 40 --target-speed-max 5 --noise-draws 3
+
+    Sweep: sidelong study --sweep aircraft.airspeed_m_s=12,15,18 --sweep requirement.range_max_m=300:600:50
+    --planner predictive --store sweep.db --report sweep.html --export sweep.parquet
+
+    Cluster: dask scheduler; dask worker tcp://HOST:8786 --nthreads 1 --nworkers -1 (on each machine);
+    sidelong study --runs 10000 --scheduler tcp://HOST:8786 --store study.db
     """
     checked_output(json)
-    _checked_figure(out)
-    planners = tuple(dict.fromkeys(planner)) if planner else tuple(PlannerName)
-    settings = _settings(
-        runs, seed, airspeed, radius, target_speed_max, wind, legs, duration, planners, perfect_sensors, targets
+    _checked_file("--out", out, _FIGURES)
+    _checked_file("--export", export, exporting.SUFFIXES)
+    _checked_file("--report", report, (".html",))
+    _checked_file("--store", store, None)
+    if export is not None and export.suffix.lower() == ".parquet":
+        exporting.parquet_writer()
+    options = {
+        "aircraft": {"airspeed_m_s": airspeed, "radius_m": radius},
+        "requirement": {"target_speed_max_m_s": target_speed_max},
+        "simulation": {"wind_speed_m_s": wind},
+        "study": {"latency_s": latency, "lag_s": lag},
+    }
+    given = configured(load_config(config)) if config is not None else {}
+    _merge(given, options)
+    sweeps = [parsed_sweep(words) for words in sweep or ()]
+    varied = any(key == "aircraft.airspeed_m_s" for key, _ in sweeps)
+    _checked_options(
+        None if varied else given["aircraft"].get("airspeed_m_s", 10.0), target_speed_max, wind, duration
     )
-    settings = replace(settings, noise_draws=noise_draws)
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    ) as bar:
-        table = _value_table(settings, bar) if PlannerName.PREDICTIVE in planners else None
-        flying = bar.add_task("runs", total=settings.all_runs * len(planners))
-        result = run_study(settings, table, jobs, lambda done: bar.advance(flying, done))
-    for name, reason in settings.skipped:
-        console.print(f"skipped {name}: {reason}")
-    if str(json) != "-":
-        console.print(study_title(result))
-        console.print(study_table(result))
-    write_json(json, study_json(result))
-    if out is not None:
-        # Only the figure needs matplotlib, which takes a second to load.
-        from app.study.figure import write_figure  # noqa: PLC0415
+    base = StudySettings(
+        planners=tuple(dict.fromkeys(planner)) if planner else tuple(PlannerName),
+        runs=20 if runs is None else runs,
+        seed=seed,
+        legs_s=_legs(legs),
+        perfect_sensors=perfect_sensors,
+        duration_s=1200.0 if duration is None else duration,
+        noise_draws=noise_draws,
+    )
+    found = designs(base, given, sweeps, console.print)
+    if targets is not None:
+        found = _recorded(found, targets, runs, math.inf if duration is None else duration)
+    found = _only(found, run)
+    words = _words(
+        (config,),
+        targets=targets,
+        runs=runs,
+        noise_draws=noise_draws if noise_draws > 1 else None,
+        seed=seed,
+        airspeed=airspeed,
+        radius=radius,
+        target_speed_max=target_speed_max,
+        wind=wind,
+        latency=latency,
+        lag=lag,
+        legs=legs if targets is None else None,
+        duration=duration,
+        perfect_sensors=perfect_sensors or None,
+    )
+    kept = ResultStore(store)
+    try:
+        whole = Study(found, kept)
+        _fly(whole, jobs, scheduler)
+        _tell(whole, json)
+        if export is not None:
+            _written("--export", export, lambda: exporting.write_runs(whole, export))
+        if out is not None or report is not None:
+            # Only figures need matplotlib, which takes a second to load.
+            from app.study import figure, page  # noqa: PLC0415
 
+            if out is not None:
+                _written("--out", out, lambda: figure.write_figure(whole.result(found[0]), out))
+            if report is not None:
+                _written("--report", report, lambda: page.write_page(whole, words, report))
+    finally:
+        kept.close()
+
+
+def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:
+    """Fly what is not in the store yet."""
+    missing = study.missing()
+    if missing < study.total:
+        console.print(f"{study.total - missing} of {study.total} runs are in {study.store.file} already")
+    if not missing:
+        return
+    processes = jobs or os.cpu_count() or 1
+    with _progress(missing) as (advance, computing):
+        if scheduler is not None:
+            from app.study.cluster import on_cluster  # noqa: PLC0415  # an extra
+
+            executor, size = on_cluster(scheduler, console.print), _BATCH_MAX
+        else:
+            executor, size = on_processes(jobs), min(max(missing // (_BATCHES_EACH * processes), 1), _BATCH_MAX)
         try:
-            write_figure(result, out)
-        except OSError as error:
-            raise InputError(f"{out}: cannot be written ({error.strerror}); give another file to --out.") from error
+            study.fly(executor, lambda settings: table_of(settings, computing), size, advance)
+        except KeyboardInterrupt:
+            if study.store.file is not None:
+                done = study.total - study.missing()
+                console.print(
+                    f"interrupted: {done} of {study.total} runs are in {study.store.file}; "
+                    "the same command goes on from there"
+                )
+            raise
 
 
-def _value_table(settings: StudySettings, bar: Progress) -> ValueTable:
-    computing = bar.add_task("value table", total=100)
-    configuration = table_configuration(settings.aircraft(), settings.requirement(), settings.wind_speed_m_s)
-    table = value_table(configuration, lambda share: bar.update(computing, completed=round(100 * share)))
-    bar.remove_task(computing)
-    return table
+@contextmanager
+def _progress(runs: int) -> Iterator[tuple[Callable[[int], None], Callable[[float], None]]]:
+    """Yield what is told of runs done and of a value table's share: a bar, or lines where there is no terminal."""
+    terminal = Console(stderr=True)
+    if not terminal.is_terminal:
+        yield _lines(terminal, runs), lambda _share: None
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=terminal, transient=True) as bar:
+        flying = bar.add_task("runs", total=runs)
+        table = bar.add_task("value table", total=100, visible=False)
+
+        def computing(share: float) -> None:
+            bar.update(table, completed=round(100 * share), visible=share < 1.0)
+
+        yield lambda done: bar.advance(flying, done), computing
 
 
-def _settings(
-    runs: int | None,
-    seed: int,
-    airspeed_m_s: float,
-    radius_m: float | None,
-    target_speed_max_m_s: float | None,
-    wind_m_s: float,
-    legs: str,
-    duration_s: float | None,
-    planners: tuple[PlannerName, ...],
-    perfect_sensors: bool,
-    targets: list[Path] | None,
-) -> StudySettings:
-    if not 3.0 < airspeed_m_s <= 80.0:
-        raise InputError(f"--airspeed: {airspeed_m_s:g} m/s is not from 3 to 80 m/s.")
-    if target_speed_max_m_s is None:
-        target_speed_max_m_s = 0.5 * airspeed_m_s
-    if not 0.0 <= target_speed_max_m_s < airspeed_m_s:
-        raise InputError(
-            f"--target-speed-max: {target_speed_max_m_s:g} m/s is not from 0 to below the airspeed, {airspeed_m_s:g}."
+def _lines(terminal: Console, runs: int) -> Callable[[int], None]:
+    begun_s = told_s = monotonic()
+    flown = 0
+
+    def advance(done: int) -> None:
+        nonlocal flown, told_s
+        flown += done
+        now_s = monotonic()
+        if now_s - told_s >= _TOLD_EVERY_S:
+            told_s = now_s
+            left_min = (now_s - begun_s) / flown * (runs - flown) / 60.0
+            terminal.print(f"{flown} of {runs} runs, {left_min:.0f} min left", highlight=False)
+
+    return advance
+
+
+def _tell(study: Study, json: Path | None) -> None:
+    first = study.result(study.designs[0])
+    for name, reason in first.settings.skipped:
+        console.print(f"skipped {name}: {reason}")
+    swept = len(study.designs) > 1
+    if str(json) != "-":
+        console.print(study_title(first))
+        console.print(sweep_table(study) if swept else study_table(first))
+    write_json(json, sweep_json(study) if swept else study_json(first))
+
+
+def _recorded(
+    found: tuple[Design, ...], targets: list[Path], runs: int | None, duration_s: float
+) -> tuple[Design, ...]:
+    """Give the designs recorded targets, which no design may find too fast."""
+    slowest_m_s = min(design.settings.target_speed_max_m_s for design in found)
+    read = recorded_targets(targets, slowest_m_s)
+    tracks = read.flown[:runs]
+    return tuple(
+        replace(
+            design,
+            settings=replace(
+                design.settings, tracks=tracks, runs=len(tracks), skipped=read.skipped, duration_s=duration_s
+            ),
         )
-    if not 0.0 <= wind_m_s <= 0.7 * airspeed_m_s:
-        raise InputError(f"--wind: {wind_m_s:g} m/s is not from 0 to {0.7 * airspeed_m_s:g} m/s.")
-    if radius_m is None:
-        still_air_radius_m = min(50.0 * max(1.0, (airspeed_m_s / 10.0) ** 2), _ROOMY_RADIUS_M)
-    else:
-        still_air_radius_m = radius_m / (1.0 + wind_m_s / airspeed_m_s) ** 2
+        for design in found
+    )
+
+
+def _only(found: tuple[Design, ...], numbers: list[int] | None) -> tuple[Design, ...]:
+    if not numbers:
+        return found
+    last = len(found[0].settings.numbers) - 1
+    if max(numbers) > last:
+        raise InputError(f"--run: there is no run {max(numbers)}; they are 0 to {last}.")
+    only = tuple(dict.fromkeys(numbers))
+    return tuple(replace(design, settings=replace(design.settings, only=only)) for design in found)
+
+
+def _merge(given: Overrides, options: Overrides) -> None:
+    """Let the options that were given replace what is configured."""
+    for section, keys in options.items():
+        given.setdefault(section, {}).update({key: value for key, value in keys.items() if value is not None})
+
+
+def _words(arguments: tuple[Path | None, ...], **options: Any) -> str:
+    """Return the command with the options that were given."""
+    words = ["sidelong", "study", *(str(argument) for argument in arguments if argument is not None)]
+    for name, value in options.items():
+        for one in value if isinstance(value, list) else [value]:
+            if one is not None:
+                words += [f"--{name.replace('_', '-')}", *([] if one is True else [str(one)])]
+    return shlex.join(words)
+
+
+def _checked_options(
+    airspeed_m_s: float | None, target_speed_max_m_s: float | None, wind_m_s: float | None, duration_s: float | None
+) -> None:
+    """Complain about options by their names. airspeed_m_s: None where it is swept."""
+    if airspeed_m_s is not None:
+        if not 3.0 < airspeed_m_s <= 80.0:
+            raise InputError(f"--airspeed: {airspeed_m_s:g} m/s is not from 3 to 80 m/s.")
+        if target_speed_max_m_s is not None and not 0.0 <= target_speed_max_m_s < airspeed_m_s:
+            raise InputError(
+                f"--target-speed-max: {target_speed_max_m_s:g} m/s is not from 0 to below the airspeed, "
+                f"{airspeed_m_s:g}."
+            )
+        if wind_m_s is not None and not 0.0 <= wind_m_s <= 0.7 * airspeed_m_s:
+            raise InputError(f"--wind: {wind_m_s:g} m/s is not from 0 to {0.7 * airspeed_m_s:g} m/s.")
     if duration_s is not None and not 10.0 <= duration_s <= 86400.0:
         raise InputError(f"--duration: {duration_s:g} s is not from 10 s to a day.")
-    match = _LEGS.fullmatch(legs)
+
+
+def _legs(words: str) -> tuple[float, float]:
+    match = _LEGS.fullmatch(words)
     if match is None or not 0.0 < float(match[1]) <= float(match[2]):
-        raise InputError(f"--legs: {legs!r} is no range of seconds such as 40-200.")
-    settings = StudySettings(
-        planners,
-        20 if runs is None else runs,
-        seed,
-        target_speed_max_m_s,
-        wind_m_s,
-        (float(match[1]), float(match[2])),
-        perfect_sensors,
-        1200.0 if duration_s is None else duration_s,
-        airspeed_m_s,
-        still_air_radius_m,
-    )
-    reasons = unflyable(settings.aircraft(), settings.requirement())
-    if reasons:
-        raise InputError("infeasible: " + "; ".join(map(str, reasons)) + ".")
-    if targets is None:
-        return settings
-    found = recorded_targets(targets, target_speed_max_m_s)
-    return replace(
-        settings,
-        tracks=found.flown[:runs],
-        runs=len(found.flown[:runs]),
-        skipped=found.skipped,
-        duration_s=math.inf if duration_s is None else duration_s,
-    )
+        raise InputError(f"--legs: {words!r} is no range of seconds such as 40-200.")
+    return float(match[1]), float(match[2])
 
 
-def _checked_figure(out: Path | None) -> None:
-    """Complain about a figure that cannot be written before the work begins."""
-    if out is None:
+def _checked_file(option: str, file: Path | None, suffixes: tuple[str, ...] | None) -> None:
+    """Complain about a file that cannot be written before the work begins."""
+    if file is None:
         return
-    if out.suffix.lower() not in _FIGURES:
-        raise InputError(f"{out}: a figure is written as {', '.join(_FIGURES)}; give --out such a file name.")
-    if not out.parent.is_dir():
-        raise InputError(f"{out}: there is no folder {out.parent}; create it or give another file to --out.")
+    if suffixes is not None and file.suffix.lower() not in suffixes:
+        raise InputError(f"{file}: {option} writes {', '.join(suffixes)}; give it such a file name.")
+    if not file.parent.is_dir():
+        raise InputError(f"{file}: there is no folder {file.parent}; create it or give another file to {option}.")
+
+
+def _written(option: str, file: Path, write: Callable[[], object]) -> None:
+    try:
+        write()
+    except OSError as error:
+        raise InputError(f"{file}: cannot be written ({error.strerror}); give another file to {option}.") from error

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 from app.report import series
 from app.report.history import FloatArray, History
+from app.report.html import Drawing
 from app.report.path_map import flown_path_figure
 from app.report.plot_style import AIRCRAFT, BAD, BAND, ESTIMATE, FAINT, TARGET, figure, legend_above
 
@@ -20,16 +19,6 @@ _TIME = "time, s"
 _BIN_DEG = 10.0
 _CONSISTENCY_TOP = 2.0  # of the bound: what lies above is drawn at the edge
 _POINTS_MAX = 2000  # more are drawn as an image inside the figure
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Drawing:
-    """A figure with its name (a file's name too) and what it shows, in a sentence or two."""
-
-    name: str
-    title: str
-    caption: str
-    figure: Figure
 
 
 def drawings(history: History) -> Iterator[Drawing]:

@@ -95,7 +95,7 @@ def designs(
     """
     if math.prod(len(values) for _, values in sweeps) > _DESIGNS_MAX:
         raise InputError(f"--sweep: more than {_DESIGNS_MAX} combinations; sweep fewer values.")
-    found, refused = [], ""
+    found, refused = [], []
     for values in itertools.product(*(values for _, values in sweeps)):
         swept = tuple(zip((key for key, _ in sweeps), values, strict=True))
         given: Overrides = {section: dict(keys) for section, keys in overrides.items()}
@@ -108,11 +108,11 @@ def designs(
         if not reasons:
             found.append(design)
             continue
-        refused = "infeasible: " + "; ".join(map(str, reasons))
-        if sweeps:
-            skip(f"skipped {design}: {refused}")
+        refused.append((design, "infeasible: " + "; ".join(map(str, reasons))))
     if not found:
-        raise InputError(f"{refused}.")
+        raise InputError(f"{refused[0][1]}.")
+    for design, why in refused:
+        skip(f"skipped {design}: {why}")
     return tuple(found)
 
 

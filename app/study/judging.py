@@ -50,6 +50,7 @@ class RunResult:
     moves_per_hour: float
     quick_changes_per_hour: float
     observation_spread_deg: float
+    duration_s: float
     observation_histogram: npt.NDArray[np.int64]
     decision_s: npt.NDArray[np.float32]
     track: Track | None
@@ -94,6 +95,7 @@ def judged(
         len(changed_s) * per_hour,
         int((np.diff(changed_s) < _QUICK_S - 1e-6).sum()) * per_hour,
         float(np.degrees(observation_rad).std()),
+        STEP_S * len(log),
         np.histogram(np.degrees(observation_rad), bins=72, range=(-180.0, 180.0))[0],
         np.asarray(decision_s, np.float32),
         Track(time_s, east_m, north_m, target_east_m, target_north_m, range_m, observation_rad)

@@ -12,7 +12,7 @@ from rich import box
 from rich.table import Table
 
 from app.study.settings import StudySettings
-from app.study.study import PlannerResult, StudyResult
+from app.study.study import PlannerResult, Study, StudyResult
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -21,7 +21,7 @@ _SPREADS: tuple[tuple[str, Callable[[PlannerResult], FloatArray], int, Callable[
     ("time in band, %", lambda p: 100.0 * p.time_in_band, 5, np.min, 2),
     ("time on side, %", lambda p: 100.0 * p.time_on_side, 5, np.min, 1),
     ("by the course of 5 s, %", lambda p: 100.0 * p.time_on_side_5s, 5, np.min, 1),
-    ("least range, m", lambda p: p.min_range_m, 5, np.min, 0),
+    ("least, m", lambda p: p.min_range_m, 5, np.min, 0),
     ("greatest range, m", lambda p: p.max_range_m, 95, np.max, 0),
 )
 
@@ -32,9 +32,9 @@ def study_title(result: StudyResult) -> str:
     target = f"to {s.target_speed_max_m_s:g} m/s"
     if s.tracks:
         target = f"recorded, {target}"
-        runs = f"{s.all_runs} runs, {result.simulated_s / len(s.planners) / 3600.0:.1f} h"
+        runs = f"{len(s.numbers)} runs, {result.simulated_s / len(s.planners) / 3600.0:.1f} h"
     else:
-        runs = f"{s.all_runs} runs of {s.duration_s / 60.0:.0f} min"
+        runs = f"{len(s.numbers)} runs of {s.duration_s / 60.0:.0f} min"
         target += f", legs of {s.legs_s[0]:g}-{s.legs_s[1]:g} s"
     return (
         f"{runs} at {s.airspeed_m_s:g} m/s on circles of {s.radius_m:g} m; target {target}; "
@@ -62,11 +62,46 @@ def study_table(result: StudyResult) -> Table:
     return table
 
 
+def sweep_table(study: Study) -> Table:
+    """Return the comparison of designs, a row for each and planner."""
+    keys = [key.partition(".")[2] for key, _ in study.designs[0].swept]
+    table = Table(*keys, "planner", *(heading for heading, _ in SUMMARY), box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1))
+    for column in table.columns:
+        column.justify = "right"
+    for column in table.columns[len(keys) :]:
+        column.no_wrap = True
+    for design in study.designs:
+        for name, planner in study.result(design).planners.items():
+            swept = (f"{value:g}" if isinstance(value, float) else value for _, value in design.swept)
+            table.add_row(*swept, str(name), *summary_row(planner))
+    return table
+
+
+def summary_row(planner: PlannerResult) -> tuple[str, ...]:
+    """Return a planner's figures in the order of :data:`SUMMARY`."""
+    return tuple(words(planner) for _, words in SUMMARY)
+
+
+def _mean_and_worst(values: FloatArray) -> str:
+    values = 100.0 * values[np.isfinite(values)]
+    return f"{values.mean():.1f}/{values.min():.1f}" if values.size else "-"
+
+
+SUMMARY: tuple[tuple[str, Callable[[PlannerResult], str]], ...] = (
+    ("in band, %", lambda p: _mean_and_worst(p.time_in_band)),
+    ("on side, %", lambda p: _mean_and_worst(p.time_on_side)),
+    ("5 s, %", lambda p: _mean_and_worst(p.time_on_side_5s)),
+    ("least, m", lambda p: f"{p.min_range_m.min():.0f}"),
+    ("moves/h", lambda p: f"{p.moves_per_hour.mean():.0f}"),
+    ("quick/h", lambda p: f"{p.quick_changes_per_hour.mean():.1f}"),
+)
+
+
 def study_json(result: StudyResult) -> dict[str, Any]:
     """Return the summary that ``--json`` writes."""
     settings = result.settings
     return {
-        "planners": {str(name): _planner_json(planner, settings) for name, planner in result.planners.items()},
+        "planners": planners_json(result),
         "runs": settings.runs,
         "noise_draws": settings.noise_draws,
         "seed": settings.seed,
@@ -76,6 +111,19 @@ def study_json(result: StudyResult) -> dict[str, Any]:
         "simulated_s": result.simulated_s,
         "wall_s": result.wall_s,
     }
+
+
+def sweep_json(study: Study) -> dict[str, Any]:
+    """Return the summary of a study with several designs: ``designs``, each with its ``swept`` values."""
+    of = [{"swept": dict(one.swept), "planners": planners_json(study.result(one))} for one in study.designs]
+    whole = study_json(study.result(study.designs[0]))
+    flown_s = study.store.simulated_s(study.run_ids())
+    return whole | {"planners": {}, "designs": of, "simulated_s": flown_s}
+
+
+def planners_json(result: StudyResult) -> dict[str, Any]:
+    """Return each planner's figures."""
+    return {str(name): _planner_json(planner, result.settings) for name, planner in result.planners.items()}
 
 
 def _planner_json(planner: PlannerResult, settings: StudySettings) -> dict[str, Any]:

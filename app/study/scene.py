@@ -23,7 +23,7 @@ class Scene:
 
 
 def scene(settings: StudySettings, number: int) -> Scene:
-    """Return the scene of a run, from 0 to ``settings.all_runs``: every target once, then again with other noise."""
+    """Return the scene of a run, one of ``settings.numbers``."""
     draw, k = divmod(number, settings.runs)
     if not settings.tracks:
         seeds = np.random.SeedSequence((settings.seed, k)).spawn(3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -32,7 +33,7 @@ class StudySettings:
     runs: targets; each is flown noise_draws times by each planner. latency_s: from a decision to the earliest
     departure. lag_s: time constant with which the bank follows its command, within the roll rate; 0: the roll rate
     alone. tracks: recorded targets in place of random ones, as many as runs, each flown to its end or for
-    duration_s; skipped: (file, reason) of others.
+    duration_s; skipped: (file, reason) of others. only: numbers of the runs to be flown, not all.
     """
 
     planners: tuple[PlannerName, ...] = tuple(PlannerName)
@@ -51,6 +52,7 @@ class StudySettings:
     tracks: tuple[RecordedTarget, ...] = ()
     skipped: tuple[tuple[str, str], ...] = ()
     noise_draws: int = 1
+    only: tuple[int, ...] = ()
     lag_s: float = 0.0
     wind_from_deg: float = 270.0
     side: str = "left"
@@ -62,9 +64,9 @@ class StudySettings:
     sensors: SensorsSection = STUDIED_SENSORS
 
     @property
-    def all_runs(self) -> int:
-        """Runs of each planner."""
-        return self.runs * self.noise_draws
+    def numbers(self) -> Sequence[int]:
+        """The runs of each planner: every target once, then again with other noise."""
+        return self.only or range(self.runs * self.noise_draws)
 
     @property
     def radius_m(self) -> float:

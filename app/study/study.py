@@ -1,25 +1,27 @@
-"""A whole study: every planner over the same targets, on several processes."""
+"""A whole study: every planner over the same targets, for each design; what is known already is not flown again."""
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
-import os
-import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from app.study.batch import Batch, Executor
+from app.study.design import Design
 from app.study.judging import RunResult, Track
+from app.study.processes import on_processes
 from app.study.run import run
-from app.study.scene import scene
 from app.study.settings import PlannerName, StudySettings
+from app.study.store import MEASURES, ResultStore, RunId, run_ids
+from app.value_cache import value_table
+from mission.predictive.planner import table_configuration
 from mission.predictive.value_table import ValueTable
 
 Progress = Callable[[int], None]
+_TableOf = Callable[[StudySettings], ValueTable | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +31,7 @@ class PlannerResult:
     Sides are not a number where a target never moved; one planner's values have the same gaps as another's.
     """
 
+    runs: tuple[RunId, ...]
     time_in_band: npt.NDArray[np.float64]
     time_on_side: npt.NDArray[np.float64]
     time_on_side_5s: npt.NDArray[np.float64]
@@ -37,38 +40,89 @@ class PlannerResult:
     moves_per_hour: npt.NDArray[np.float64]
     quick_changes_per_hour: npt.NDArray[np.float64]
     observation_spread_deg: npt.NDArray[np.float64]
+    duration_s: npt.NDArray[np.float64]
     observation_histogram: npt.NDArray[np.int64]
     decision_s: npt.NDArray[np.float32]
-    first_track: Track
 
     @staticmethod
-    def of(runs: list[RunResult]) -> PlannerResult:
-        """Sum up runs, the first of which kept its track."""
-        track = runs[0].track
-        assert track is not None
+    def of(runs: Iterable[tuple[RunId, RunResult]]) -> PlannerResult:
+        """Sum up runs."""
+        ids, values, histogram, decision_s = [], [], np.zeros(72, np.int64), []
+        for which, result in runs:
+            ids.append(which)
+            values.append([getattr(result, name) for name in MEASURES])
+            histogram += result.observation_histogram
+            decision_s.append(result.decision_s)
+        measures = dict(zip(MEASURES, np.array(values).T, strict=True))
         return PlannerResult(
-            np.array([r.time_in_band for r in runs]),
-            np.array([r.time_on_side for r in runs]),
-            np.array([r.time_on_side_5s for r in runs]),
-            np.array([r.min_range_m for r in runs]),
-            np.array([r.max_range_m for r in runs]),
-            np.array([r.moves_per_hour for r in runs]),
-            np.array([r.quick_changes_per_hour for r in runs]),
-            np.array([r.observation_spread_deg for r in runs]),
-            np.sum([r.observation_histogram for r in runs], axis=0),
-            np.concatenate([r.decision_s for r in runs]),
-            track,
+            runs=tuple(ids), observation_histogram=histogram, decision_s=np.concatenate(decision_s), **measures
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StudyResult:
-    """simulated_s is the flight time of all planners together."""
+    """Of one design. simulated_s is the flight time of all planners together."""
 
     settings: StudySettings
     planners: dict[PlannerName, PlannerResult]
     simulated_s: float
     wall_s: float
+
+
+class Study:
+    """Designs, and where their results are kept."""
+
+    def __init__(self, designs: Sequence[Design], store: ResultStore) -> None:
+        self.designs, self.store = tuple(designs), store
+        self.wall_s = 0.0
+        self.total = sum(len(d.settings.planners) * len(d.settings.numbers) for d in designs)
+
+    def run_ids(self) -> Iterator[RunId]:
+        """Return every run."""
+        for _, settings, planner in self._parts():
+            yield from run_ids(settings, planner)
+
+    def missing(self) -> int:
+        """Return how many runs are still to be flown."""
+        return sum(1 for _ in self.store.missing(self.run_ids()))
+
+    def fly(self, executor: Executor, tables: _TableOf, batch_size: int, progress: Progress) -> None:
+        """Fly what is missing. progress is called with the number of runs just kept."""
+        begun_s = time.perf_counter()
+        under_way: dict[Batch, list[RunId]] = {}
+
+        def batches() -> Iterator[tuple[Batch, ValueTable | None]]:
+            for k, settings, planner in self._parts():
+                missing = list(self.store.missing(run_ids(settings, planner)))
+                table = tables(settings) if missing and planner is PlannerName.PREDICTIVE else None
+                for i in range(0, len(missing), batch_size):
+                    runs = missing[i : i + batch_size]
+                    batch = Batch(k, planner, tuple(run.number for run in runs))
+                    under_way[batch] = runs
+                    yield batch, table
+
+        flying = executor(tuple(design.settings for design in self.designs), batches())
+        try:
+            for batch, results in flying:
+                runs = under_way.pop(batch)
+                self.store.add(self.designs[batch.design].settings, zip(runs, results, strict=True))
+                progress(len(results))
+        finally:
+            if hasattr(flying, "close"):
+                flying.close()  # ends what it began
+            self.wall_s += time.perf_counter() - begun_s
+
+    def result(self, design: Design) -> StudyResult:
+        """Sum up one design, whose runs are all there."""
+        settings = design.settings
+        planners = {p: PlannerResult.of(self.store.results(run_ids(settings, p))) for p in settings.planners}
+        simulated_s = sum(float(planner.duration_s.sum()) for planner in planners.values())
+        return StudyResult(settings, planners, simulated_s, self.wall_s)
+
+    def _parts(self) -> Iterator[tuple[int, StudySettings, PlannerName]]:
+        for k, design in enumerate(self.designs):
+            for planner in design.settings.planners:
+                yield k, design.settings, planner
 
 
 def run_study(
@@ -77,51 +131,29 @@ def run_study(
     jobs: int | None = None,
     progress: Progress = lambda _runs: None,
 ) -> StudyResult:
-    """Fly all runs; the result does not depend on ``jobs`` but for the times of decisions.
+    """Fly one design on this machine and keep nothing.
 
-    table is needed for the predictive planner only. progress is called with the number of runs just finished. An
-    interrupt ends the worker processes at once.
+    The result does not depend on ``jobs`` but for the times of decisions. table is needed for the predictive planner
+    only. An interrupt ends the worker processes at once.
     """
-    begun_s = time.perf_counter()
-    tasks = [(planner, number) for planner in settings.planners for number in range(settings.all_runs)]
-    found: dict[tuple[PlannerName, int], RunResult] = {}
-    processes = min(jobs or os.cpu_count() or 1, len(tasks))
-    with _uninterrupted():
-        # Not forked: a fork copies the locks that other threads of this process hold just then, for ever locked.
-        pool = multiprocessing.get_context("spawn").Pool(processes, _begin, (settings, table))
-    with pool:
-        for task, result in pool.imap_unordered(_fly, tasks):
-            found[task] = result
-            progress(1)
-    planners = {
-        planner: PlannerResult.of([found[planner, number] for number in range(settings.all_runs)])
-        for planner in settings.planners
-    }
-    flown_s = sum(scene(settings, number).duration_s for number in range(settings.all_runs))
-    return StudyResult(settings, planners, len(settings.planners) * flown_s, time.perf_counter() - begun_s)
-
-
-@contextlib.contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Let processes begin that an interrupt does not reach, not even while they import."""
-    answer = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    store = ResultStore(None)
     try:
-        yield
+        study = Study([Design(settings)], store)
+        study.fly(on_processes(jobs), lambda _settings: table, 1, progress)
+        return study.result(study.designs[0])
     finally:
-        signal.signal(signal.SIGINT, answer)
+        store.close()
 
 
-_worker: tuple[StudySettings, ValueTable | None]
+def flown_again(flown: RunId, settings: StudySettings) -> Track:
+    """Return the path of a run, which is not kept: the run is flown again."""
+    table = table_of(settings) if flown.planner is PlannerName.PREDICTIVE else None
+    track = run(settings, flown.planner, flown.number, table, keep_track=True).track
+    assert track is not None
+    return track
 
 
-def _begin(settings: StudySettings, table: ValueTable | None) -> None:
-    """Set up a worker process. The parent alone answers an interrupt, by ending its workers."""
-    global _worker  # noqa: PLW0603  # what a worker needs is too large to come with every task
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # for one that comes later, in place of another
-    _worker = settings, table
-
-
-def _fly(task: tuple[PlannerName, int]) -> tuple[tuple[PlannerName, int], RunResult]:
-    settings, table = _worker
-    planner, number = task
-    return task, run(settings, planner, number, table, keep_track=number == 0)
+def table_of(settings: StudySettings, progress: Callable[[float], None] = lambda _share: None) -> ValueTable:
+    """Return the predictive planner's value table; it is computed where none is kept."""
+    configuration = table_configuration(settings.aircraft(), settings.requirement(), settings.wind_speed_m_s)
+    return value_table(configuration, progress)

@@ -1,0 +1,33 @@
+"""Some runs of one design and planner: what is handed to a process or to a worker of a cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+from app.study.judging import RunResult
+from app.study.run import run
+from app.study.settings import PlannerName, StudySettings
+from mission.predictive.value_table import ValueTable
+
+Designs = tuple[StudySettings, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """design: its place among the designs."""
+
+    design: int
+    planner: PlannerName
+    numbers: tuple[int, ...]
+
+
+Flown = tuple[Batch, list[RunResult]]
+# Flies batches, each with the value table of its design where the planner needs one; returns them as they are done.
+# What comes is asked for as there is room, so that a table is computed only when it is needed.
+Executor = Callable[[Designs, Iterable[tuple[Batch, ValueTable | None]]], Iterator[Flown]]
+
+
+def flown(designs: Designs, batch: Batch, table: ValueTable | None) -> Flown:
+    """Fly a batch."""
+    return batch, [run(designs[batch.design], batch.planner, number, table) for number in batch.numbers]

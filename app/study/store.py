@@ -1,0 +1,162 @@
+"""Results of studies in a SQLite file: a row for each run as it comes, under a key of everything that shaped it.
+
+A study begun again finds what is there and flies only the rest; studies may share a file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+from functools import cache
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.errors import InputError
+from app.study.judging import RunResult
+from app.study.settings import PlannerName, StudySettings
+
+MEASURES = (
+    *("time_in_band", "time_on_side", "time_on_side_5s", "min_range_m", "max_range_m"),
+    *("moves_per_hour", "quick_changes_per_hour", "observation_spread_deg", "duration_s"),
+)
+_APPLICATION_ID = 0x51DE1043
+_FORMAT = 1
+_SCHEMA = f"""
+CREATE TABLE runs (
+    key TEXT PRIMARY KEY, design TEXT NOT NULL, planner TEXT NOT NULL, target TEXT NOT NULL, draw INTEGER NOT NULL,
+    {", ".join(f"{name} REAL" for name in MEASURES)},
+    observation_histogram BLOB NOT NULL, decision_s BLOB NOT NULL
+) WITHOUT ROWID;
+CREATE TABLE designs (design TEXT PRIMARY KEY, shape TEXT NOT NULL) WITHOUT ROWID;
+PRAGMA application_id = {_APPLICATION_ID};
+PRAGMA user_version = {_FORMAT};
+"""
+# What is not of one run, or told by its target.
+_NOT_SHAPING = ("planners", "runs", "only", "tracks", "skipped", "noise_draws")
+
+
+@cache
+def code_version() -> str:
+    """Return the package's version and a digest of the code that shapes a run."""
+    digest = sha256()
+    root = Path(__file__).parents[2]
+    for folder in ("app/study", "estimators", "mission"):
+        for file in sorted((root / folder).rglob("*.py")):
+            digest.update(file.relative_to(root).as_posix().encode() + file.read_bytes())
+    try:
+        package = version("sidelong")
+    except PackageNotFoundError:
+        package = "0"
+    return f"{package}+{digest.hexdigest()[:12]}"
+
+
+def shape(settings: StudySettings) -> str:
+    """Return everything that shapes the runs of a design but planner, target and draw, as canonical JSON."""
+    values = {
+        field.name: getattr(settings, field.name)
+        for field in fields(settings)
+        if field.name not in _NOT_SHAPING and not (field.name == "legs_s" and settings.tracks)
+    }
+    values |= {"sensors": settings.sensors.model_dump(mode="json"), "version": code_version()}
+    values["duration_s"] = None if math.isinf(settings.duration_s) else settings.duration_s
+    return json.dumps(values, sort_keys=True)
+
+
+@dataclass(frozen=True, slots=True)
+class RunId:
+    """Which run, and the key it is kept under."""
+
+    key: str
+    design: str
+    planner: PlannerName
+    number: int
+    target: str
+    draw: int
+
+
+def run_ids(settings: StudySettings, planner: PlannerName) -> Iterator[RunId]:
+    """Return a design's runs of one planner, in order."""
+    design = sha256(shape(settings).encode()).hexdigest()[:32]
+    for number in settings.numbers:
+        draw, k = divmod(number, settings.runs)
+        track = settings.tracks[k] if settings.tracks else None
+        name, own = (f"random {k}", str(k)) if track is None else (track.name, f"{track.key:016x}")
+        key = sha256(f"{design} {planner} {own} {draw}".encode()).hexdigest()[:32]
+        yield RunId(key, design, planner, number, name, draw)
+
+
+class ResultStore:
+    """The file, or without one a temporary place on disk that is gone afterwards."""
+
+    def __init__(self, file: Path | None) -> None:
+        """Open or create it. Raises InputError when it is no such file or cannot be written."""
+        self.file = file
+        try:
+            self._db = sqlite3.connect("" if file is None else file, timeout=30.0)
+            found = self._db.execute("PRAGMA application_id").fetchone()[0]
+            if found == 0 and not self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+                self._db.executescript(_SCHEMA)
+            elif found != _APPLICATION_ID or self._db.execute("PRAGMA user_version").fetchone()[0] != _FORMAT:
+                raise InputError(f"--store: {file} holds something else; give the name of a new file.")
+        except sqlite3.Error as error:
+            raise InputError(f"--store: {file} cannot be used ({error}); give the name of a new file.") from error
+
+    def close(self) -> None:
+        """Close the file."""
+        self._db.close()
+
+    def missing(self, runs: Iterable[RunId]) -> Iterator[RunId]:
+        """Return the runs of which there is no result yet."""
+        return (run for run in runs if self._one("SELECT 1 FROM runs WHERE key = ?", run) is None)
+
+    def simulated_s(self, runs: Iterable[RunId]) -> float:
+        """Return the flight time of runs together."""
+        found = (self._one("SELECT duration_s FROM runs WHERE key = ?", run) for run in runs)
+        return sum(float(row[0]) for row in found if row is not None)
+
+    def add(self, settings: StudySettings, results: Iterable[tuple[RunId, RunResult]]) -> None:
+        """Keep results of one design, all or none of them. Raises InputError when the file cannot be written."""
+        rows = [
+            (
+                *(run.key, run.design, run.planner, run.target, run.draw),
+                *(getattr(result, name) for name in MEASURES),
+                np.asarray(result.observation_histogram, "<i8").tobytes(),
+                np.asarray(result.decision_s, "<f4").tobytes(),
+            )
+            for run, result in results
+        ]
+        marks = ",".join("?" * len(rows[0]))
+        try:
+            with self._db:
+                self._db.execute("INSERT OR IGNORE INTO designs VALUES (?, ?)", (rows[0][1], shape(settings)))
+                self._db.executemany(f"INSERT OR IGNORE INTO runs VALUES ({marks})", rows)
+        except sqlite3.Error as error:
+            raise InputError(f"--store: {self.file} cannot be written ({error}); make room, then go on.") from error
+
+    def results(self, runs: Iterable[RunId]) -> Iterator[tuple[RunId, RunResult]]:
+        """Return the results of runs, in their order; those that are not there are passed over."""
+        for run in runs:
+            row = self._one("SELECT * FROM runs WHERE key = ?", run)
+            if row is not None:
+                found = (math.nan if value is None else value for value in row[5 : 5 + len(MEASURES)])
+                histogram, decision_s = np.frombuffer(row[-2], "<i8"), np.frombuffer(row[-1], "<f4")
+                yield (
+                    run,
+                    RunResult(
+                        **dict(zip(MEASURES, found, strict=True)),
+                        observation_histogram=histogram,
+                        decision_s=decision_s,
+                        track=None,
+                    ),
+                )
+
+    def _one(self, query: str, run: RunId) -> tuple[Any, ...] | None:
+        found: tuple[Any, ...] | None = self._db.execute(query, (run.key,)).fetchone()
+        return found

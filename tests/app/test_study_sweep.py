@@ -1,0 +1,270 @@
+import csv
+import json
+import math
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import typer
+from pyarrow import parquet
+from typer.testing import CliRunner
+
+from app.commands.study import study
+from app.errors import InputError
+from app.study.batch import flown as flown_batch
+from app.study.design import Design, designs, parsed_sweep
+from app.study.processes import on_processes
+from app.study.settings import PlannerName, StudySettings
+from app.study.store import MEASURES, ResultStore, run_ids
+from app.study.study import Study, run_study
+
+SMALL = StudySettings((PlannerName.LVFG,), runs=4, perfect_sensors=True, duration_s=20.0)
+QUICK = ("--planner", "lvfg", "--runs", "3", "--duration", "30", "--perfect-sensors", "--jobs", "1")
+
+
+@pytest.fixture
+def command():
+    app = typer.Typer()
+    app.command()(study)
+    return lambda *words: CliRunner().invoke(app, words)
+
+
+def inline(designs, batches):
+    for batch, table in batches:
+        yield flown_batch(designs, batch, table)
+
+
+def rows(file):
+    with sqlite3.connect(file) as db:
+        return sorted(db.execute(f"SELECT key, planner, target, draw, {', '.join(MEASURES)} FROM runs"))
+
+
+@pytest.mark.parametrize(
+    ("words", "values"),
+    [
+        ("aircraft.airspeed_m_s=12,15,18", (12.0, 15.0, 18.0)),
+        ("requirement.range_max_m=300:600:50", (300.0, 350.0, 400.0, 450.0, 500.0, 550.0, 600.0)),
+        ("sensors.angle_sigma_deg=0.1:0.3:0.1", (0.1, 0.2, 0.3)),
+        ("requirement.side=left,right,120-200", ("left", "right", "120-200")),
+    ],
+)
+def test_a_sweep_names_its_values(words, values):
+    assert parsed_sweep(words) == (words.partition("=")[0], values)
+
+
+def test_every_combination_is_a_design():
+    sweeps = [parsed_sweep("aircraft.airspeed_m_s=12,15"), parsed_sweep("simulation.wind_speed_m_s=0,3")]
+    found = designs(StudySettings(), {"aircraft": {"radius_m": 60.0}}, sweeps)
+    assert [str(one) for one in found] == [
+        f"aircraft.airspeed_m_s={v}, simulation.wind_speed_m_s={w}" for v in (12, 15) for w in (0, 3)
+    ]
+    assert [one.settings.radius_m for one in found] == pytest.approx([60.0] * 4)
+    assert found[3].settings.wind.east_m_s == 3.0
+    assert found[3].settings.target_speed_max_m_s == 7.5
+
+
+def test_every_parameter_that_shapes_a_study_reaches_it():
+    swept = {
+        "aircraft.bank_max_deg": 30.0,
+        "aircraft.roll_rate_max_deg_s": 10.0,
+        "requirement.range_min_m": 120.0,
+        "requirement.threshold": 0.8,
+        "sensors.range_sigma_m": 3.0,
+        "study.lag_s": 0.5,
+        "study.latency_s": 1.0,
+    }
+    (found,) = designs(StudySettings(), {}, [parsed_sweep(f"{key}={value}") for key, value in swept.items()])
+    s = found.settings
+    assert (s.aircraft().bank_max_rad, s.aircraft().roll_rate_max_rad_s) == pytest.approx(
+        (math.radians(30.0), math.radians(10.0))
+    )
+    assert (s.requirement().range_min_m, s.requirement().threshold) == (120.0, 0.8)
+    assert (s.sensors.range_sigma_m, s.lag_s, s.latency_s) == (3.0, 0.5, 1.0)
+    assert s.sensors.range_bias_sigma_m == 0.5  # as the study's own where nothing else is said
+
+
+def test_what_cannot_be_flown_is_passed_over_and_told():
+    told = []
+    (found,) = designs(StudySettings(), {}, [parsed_sweep("aircraft.radius_m=50,300")], told.append)
+    assert found.settings.radius_m == pytest.approx(50.0)
+    assert len(told) == 1 and "radius_m=300" in told[0] and "does not fit" in told[0]
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("--sweep", "aircraft.airspeed_m_s"), "KEY=V1,V2"),
+        (("--sweep", "aircraft.speed=1"), "aircraft.airspeed_m_s"),
+        (("--sweep", "link.url=a"), "no parameter that shapes a study"),
+        (("--sweep", "aircraft.airspeed_m_s=5:1:1"), "no values"),
+        (("--sweep", "aircraft.airspeed_m_s=5:9:0"), "no values"),
+        (("--sweep", "aircraft.airspeed_m_s=fast"), "aircraft.airspeed_m_s"),
+        (("--sweep", "aircraft.radius_m=300"), "radius_m"),
+        (("--latency", "-1"), "--latency"),
+        (("--lag", "nan"), "--lag"),
+        (("--run", "20"), "--run"),
+        (("--export", "a.xlsx"), "--export"),
+        (("--report", "a.pdf"), "--report"),
+        (("--store", "nowhere/a.db"), "nowhere"),
+        (("--store", __file__), "--store"),
+    ],
+)
+def test_wrong_input_is_one_sentence(command, words, named):
+    result = command(*words)
+    assert isinstance(result.exception, InputError)
+    assert named in str(result.exception)
+    assert "\n" not in str(result.exception)
+
+
+def test_a_configuration_is_studied_as_it_would_be_flown(command, tmp_path):
+    file, summary = tmp_path / "mission.toml", tmp_path / "study.json"
+    file.write_text("[aircraft]\nairspeed_m_s = 18\nradius_m = 80\n[requirement]\nside = 'right'\n")
+    assert command(str(file), *QUICK, "--json", str(summary)).exit_code == 0
+    settings = replace(
+        *(SMALL,),
+        **{"runs": 3, "duration_s": 30.0, "airspeed_m_s": 18.0, "still_air_radius_m": 80.0, "side": "right"},
+        **{"target_speed_max_m_s": 3.0, "threshold": 0.9},
+    )
+    expected = run_study(settings, None, jobs=1).planners[PlannerName.LVFG]
+    told = json.loads(summary.read_text())["planners"]["lvfg"]
+    assert told["min_range_m"]["worst"] == expected.min_range_m.min()
+    assert told["time_on_side"]["mean"] == pytest.approx(expected.time_on_side.mean())
+
+
+def test_latency_and_lag_shape_a_flight():
+    settings = replace(SMALL, planners=(PlannerName.PAPER,), runs=1, duration_s=300.0)
+    found = [
+        run_study(one, None, jobs=1).planners[PlannerName.PAPER]
+        for one in (settings, replace(settings, latency_s=3.0), replace(settings, lag_s=1.0))
+    ]
+    assert found[0].moves_per_hour.max() > 0.0
+    assert not np.array_equal(found[0].max_range_m, found[1].max_range_m)
+    assert not np.array_equal(found[0].max_range_m, found[2].max_range_m)
+
+
+def test_what_is_stored_is_not_flown_again(tmp_path):
+    file = tmp_path / "study.db"
+    flown = []
+
+    def counted(store, settings):
+        study = Study([Design(settings)], store)
+        study.fly(inline, lambda _settings: None, 2, flown.append)
+        return study.result(study.designs[0])
+
+    first = ResultStore(file)
+    counted(first, SMALL)
+    first.close()
+    assert flown == [2, 2]
+    again = ResultStore(file)
+    result = counted(again, replace(SMALL, runs=5))
+    assert flown == [2, 2, 1]
+    counted(again, replace(SMALL, runs=5, latency_s=1.0))
+    assert flown == [2, 2, 1, 2, 2, 1]
+    expected = run_study(replace(SMALL, runs=5), None, jobs=1).planners[PlannerName.LVFG]
+    for name in MEASURES:
+        np.testing.assert_array_equal(getattr(result.planners[PlannerName.LVFG], name), getattr(expected, name))
+    np.testing.assert_array_equal(
+        result.planners[PlannerName.LVFG].observation_histogram, expected.observation_histogram
+    )
+
+
+def test_a_study_that_fails_keeps_what_was_flown(tmp_path):
+    def failing(designs, batches):
+        for k, done in enumerate(inline(designs, batches)):
+            if k == 2:
+                raise KeyboardInterrupt
+            yield done
+
+    store = ResultStore(tmp_path / "study.db")
+    study = Study([Design(SMALL)], store)
+    with pytest.raises(KeyboardInterrupt):
+        study.fly(failing, lambda _settings: None, 1, lambda _runs: None)
+    assert study.missing() == 2
+    study.fly(inline, lambda _settings: None, 1, lambda _runs: None)
+    assert study.missing() == 0
+
+
+def test_other_code_is_another_result(monkeypatch):
+    own = next(run_ids(SMALL, PlannerName.LVFG))
+    monkeypatch.setattr("app.study.store.code_version", lambda: "other")
+    assert next(run_ids(SMALL, PlannerName.LVFG)).key != own.key
+
+
+def test_a_killed_study_goes_on_where_it_stopped(tmp_path):
+    file = tmp_path / "study.db"
+    words = ["--planner", "lvfg", "--runs", "60", "--duration", "60", "--perfect-sensors", "--store", str(file)]
+    code = "from app.cli import main; main()"
+    with subprocess.Popen([sys.executable, "-c", code, "study", *words, "--jobs", "2"]) as killed:
+        deadline_s = time.monotonic() + 120.0
+        while not (file.exists() and _count(file) >= 2):
+            assert time.monotonic() < deadline_s and killed.poll() is None
+            time.sleep(0.01)
+        os.kill(killed.pid, signal.SIGKILL)
+    before = rows(file)
+    assert 2 <= len(before) < 60
+    settings = StudySettings((PlannerName.LVFG,), runs=60, perfect_sensors=True, duration_s=60.0)
+    store, whole = ResultStore(file), ResultStore(tmp_path / "whole.db")
+    resumed, study = Study([Design(settings)], store), Study([Design(settings)], whole)
+    flown = []
+    resumed.fly(inline, lambda _settings: None, 5, flown.append)
+    assert sum(flown) == 60 - len(before)
+    study.fly(on_processes(2), lambda _settings: None, 5, lambda _runs: None)
+    assert rows(file) == rows(tmp_path / "whole.db")
+    assert set(before) <= set(rows(file))
+
+
+def _count(file):
+    try:
+        with sqlite3.connect(file) as db:
+            return db.execute("SELECT count(*) FROM runs").fetchone()[0]
+    except sqlite3.Error:
+        return 0
+
+
+def test_a_sweep_is_told_exported_and_shown(command, tmp_path):
+    summary, table, page = tmp_path / "study.json", tmp_path / "runs.csv", tmp_path / "study.html"
+    words = (
+        *("--sweep", "aircraft.airspeed_m_s=10,12", "--sweep", "requirement.range_max_m=400,500"),
+        *("--store", str(tmp_path / "study.db"), *QUICK),
+    )
+    result = command(*words, "--json", str(summary), "--export", str(table), "--report", str(page))
+    assert result.exit_code == 0, result.output
+    told = json.loads(summary.read_text())
+    assert [design["swept"] for design in told["designs"]] == [
+        {"aircraft.airspeed_m_s": v, "requirement.range_max_m": r} for v in (10.0, 12.0) for r in (400.0, 500.0)
+    ]
+    assert told["simulated_s"] == 4 * 3 * 30.0
+    with table.open(newline="") as file:
+        read = list(csv.DictReader(file))
+    assert len(read) == 12
+    fastest = [float(row["time_on_side"]) for row in read if row["aircraft.airspeed_m_s"] == "12.0"][:3]
+    assert np.mean(fastest) == pytest.approx(told["designs"][2]["planners"]["lvfg"]["time_on_side"]["mean"])
+    text = page.read_text()
+    assert "http" not in text.replace("http-equiv", "")
+    for name in ("map-0-lvfg", "spread-0", "worst-0"):
+        assert f'id="{name}"' in text
+    again = command(*words, "--export", str(tmp_path / "runs.parquet"))
+    assert "12 of 12 runs are in" in " ".join(again.output.split())
+    arrow = parquet.read_table(tmp_path / "runs.parquet").to_pylist()
+    assert [str(row["time_on_side"]) for row in arrow] == [row["time_on_side"] for row in read]
+    assert [row["key"] for row in arrow] == [row["key"] for row in read]
+
+
+def test_the_page_tells_the_command_that_flies_a_run_again(command, tmp_path):
+    page, figure = tmp_path / "study.html", tmp_path / "run.png"
+    assert command(*QUICK, "--seed", "3", "--report", str(page)).exit_code == 0
+    again = [
+        line.partition("</code>")[0] for line in page.read_text().split("<code>sidelong study ") if "--run " in line
+    ]
+    assert len(again) == 3
+    one, summary = again[0].replace("run.png", str(figure)).split(), tmp_path / "one.json"
+    assert command(*one, "--jobs", "1", "--json", str(summary)).exit_code == 0
+    assert figure.exists()
+    share = json.loads(summary.read_text())["planners"]["lvfg"]["time_on_side"]["worst"]
+    assert f"on the side {100.0 * share:.1f} %" in page.read_text()
