@@ -30,7 +30,6 @@ from app.flight.display import FlightDisplay
 from app.flight.flight import Flight, Sharing, connected
 from app.flight.recording import Recording, write_mcap
 from app.flight.simulated import SimulatedVehicle
-from app.link.discovery import SETTLING_S
 from app.records.run_folder import RunFolder
 from app.shutdown import ends_within, run
 from app.view.address import DEFAULT_PORT, LOOPBACK, Address
@@ -48,12 +47,6 @@ def launch(
         typer.Option(
             help="MAVSDK URL of a vehicle; twice for two links to it; without it one is simulated.",
             show_default=False,
-        ),
-    ] = None,
-    system_id: Annotated[
-        int | None,
-        typer.Option(
-            min=1, max=255, help="MAVLink system id of the vehicle, where several are heard.", show_default=False
         ),
     ] = None,
     signing_key: Annotated[
@@ -78,6 +71,12 @@ def launch(
     view_host: Annotated[
         str, typer.Option(help="Address the live map is served at; anything but loopback asks for a token.")
     ] = LOOPBACK[0],
+    view_cert: Annotated[
+        Path | None, typer.Option(metavar="PEM", help="Serve the live map by TLS.", show_default=False)
+    ] = None,
+    view_key: Annotated[
+        Path | None, typer.Option(metavar="PEM", help="Key of that certificate.", show_default=False)
+    ] = None,
     cot: Annotated[
         str | None, typer.Option(help="Send the estimate as cursor on target: udp://HOST:PORT.", show_default=False)
     ] = None,
@@ -120,7 +119,6 @@ def launch(
                 "urls": connect or None,
                 "set_parameters": set_parameters or None,
                 "signing_key_file": signing_key,
-                "system_id": system_id,
             },
             "simulation": {
                 "target": target,
@@ -135,7 +133,7 @@ def launch(
         },
     )
     check_flyable(settings)
-    address = Address(view_host, view_port) if view else None
+    address = Address(view_host, view_port, view_cert, view_key) if view else None
     try:
         folder, summary = run(_launch(settings, duration, out, quiet, address, Sharing(cot, point_gimbal)))
     except asyncio.CancelledError as interrupted:
@@ -204,6 +202,10 @@ async def _displayed(config: Config, quiet: bool, address: Address | None) -> As
             return
         with ViewDisplay(panel, config, address) as view:
             console.print(f"live map: {view.url}", soft_wrap=True)
+            if view.viewer_url != view.url:
+                console.print(f"to watch only: {view.viewer_url}", soft_wrap=True)
+                if address.cert is None:
+                    console.print("the map goes over the network unencrypted: --view-cert and --view-key encrypt it")
             fresh = asyncio.create_task(view.keep_fresh())
             try:
                 yield view
@@ -234,15 +236,7 @@ async def _fly(
             loop.call_soon_threadsafe(display.note, text)
 
         session = await stack.enter_async_context(
-            connected(
-                urls,
-                link.heartbeat_timeout_s,
-                recording.frame,
-                link.signing_key_file,
-                trouble,
-                system_id=link.system_id if link.connections else None,
-                settling_s=SETTLING_S if link.connections else 0.0,
-            )
+            connected(urls, link.heartbeat_timeout_s, recording.frame, link.signing_key_file, trouble)
         )
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
         flight = Flight(session, config, controller, recording, display, duration_s, sharing)

@@ -1,6 +1,7 @@
 """``python -m app.view``: serves the page; states come in on standard input, buttons go out on standard output.
 
-The first line in is {"host", "port", "token"}, the first line out {"port"}. It ends when its input does.
+The first line in is {"host", "port", "operator_token", "viewer_token", "cert", "key"}, the first line out {"port"}.
+It ends when its input does.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import sys
 
 import uvicorn
 
+from app.view.access import Access
+from app.view.guard import GuardedProtocol
 from app.view.server import Json, Server
 
 _LINE_MAX_BYTES = 1 << 22
@@ -37,10 +40,24 @@ async def _serve() -> None:
     def press(pressed: Json) -> None:
         print(json.dumps(pressed), flush=True)
 
-    server = Server(options["host"], options["token"], press)
-    runner = uvicorn.Server(
-        uvicorn.Config(server.app, log_level="error", access_log=False, timeout_graceful_shutdown=1)
+    server = Server(Access(options["host"], options["operator_token"], options["viewer_token"]), press)
+    configured = uvicorn.Config(
+        server.app,
+        http=GuardedProtocol,
+        ws="none",
+        log_level="error",
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,  # who asks is who is connected
+        timeout_graceful_shutdown=1,
+        ssl_certfile=options["cert"],
+        ssl_keyfile=options["key"],
     )
+    try:
+        configured.load()
+    except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
+        sys.exit(f"the certificate or its key cannot be used ({error})")
+    runner = uvicorn.Server(configured)
     serving = asyncio.create_task(runner.serve(sockets=[listener]))
     print(json.dumps({"port": listener.getsockname()[1]}), flush=True)
     while (line := await reader.readline()).endswith(b"\n"):  # a cut line is the end, too

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+
+from app.errors import InputError
 
 LOOPBACK = ("127.0.0.1", "localhost")
 DEFAULT_PORT = 8420
@@ -10,7 +13,31 @@ DEFAULT_PORT = 8420
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Anything but loopback asks for a token, which the printed address then carries. Port 0 takes a free one."""
+    """Anything but loopback asks for a token, which the printed address then carries. Port 0 takes a free one.
+
+    cert, key: PEM files of the server's certificate and its key; with them the page is served by TLS. Raises
+    InputError for an empty host, and for one file without the other.
+    """
 
     host: str = LOOPBACK[0]
     port: int = DEFAULT_PORT
+    cert: Path | None = None
+    key: Path | None = None
+
+    def __post_init__(self) -> None:
+        if not self.host.strip():
+            raise InputError("--view-host is empty; give an address of this machine, or leave it out for loopback.")
+        if (self.cert is None) != (self.key is None):
+            raise InputError("--view-cert and --view-key belong together; give both, as PEM files.")
+        for path in (self.cert, self.key):
+            if path is not None and not path.is_file():
+                raise InputError(f"{path} is no file; give the certificate and its key as PEM files.")
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this machine can reach it."""
+        return self.host in LOOPBACK
+
+    @property
+    def scheme(self) -> str:
+        return "http" if self.cert is None else "https"

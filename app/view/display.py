@@ -15,7 +15,7 @@ from types import TracebackType
 from app.config import Config
 from app.errors import InputError
 from app.flight.display import FlightDisplay
-from app.view.address import LOOPBACK, Address
+from app.view.address import Address
 from app.view.feed import Feed, FeedError
 from app.view.state import Json, StateEncoder, setting
 from estimators.frames import LocalPlane
@@ -30,14 +30,14 @@ _UNSENT_MAX = 2000  # trail points and words kept while the page takes none
 
 
 class ViewDisplay:
-    """A ``FlightDisplay`` around another. Use as ``with``; ``url`` is then the page's address.
+    """A ``FlightDisplay`` around another. Use as ``with``; ``url`` and ``viewer_url`` are then the page's addresses.
 
     Whatever the page's process does, every call returns at once: the page gets what fits. name: of what is shown, by
     default the vehicle's.
     """
 
     def __init__(self, inner: FlightDisplay, config: Config, address: Address, name: str = "") -> None:
-        self.url = ""
+        self.url = self.viewer_url = ""
         self._inner, self._config, self._address = inner, config, address
         self._name = name or ", ".join(config.link.connections) or f"simulated {config.simulation.autopilot}"
         self._encoder = StateEncoder(config.requirement.requirement(), config.aircraft.airspeed_m_s)
@@ -56,17 +56,21 @@ class ViewDisplay:
 
     def __enter__(self) -> ViewDisplay:
         """Start the server and wait for it. Raises InputError when it does not come up (port in use)."""
-        host, port = self._address.host, self._address.port
-        token = "" if host in LOOPBACK else secrets.token_urlsafe(16)
+        address, (host, port) = self._address, (self._address.host, self._address.port)
+        token, viewer_token = ("", "") if address.is_local else (secrets.token_urlsafe(16), secrets.token_urlsafe(16))
         self._feed = Feed((sys.executable, "-m", "app.view"))
-        self._feed.send(_line({"host": host, "port": port, "token": token}))
+        options: Json = {"host": host, "port": port, "operator_token": token, "viewer_token": viewer_token}
+        options |= {"cert": address.cert and str(address.cert), "key": address.key and str(address.key)}
+        self._feed.send(_line(options))
         try:
             ready = json.loads(self._feed.wait_for_line(_UP_S))
         except FeedError as error:
             raise InputError(
                 f"the page cannot be shown on {host}:{port}: {error}; try another --view-port."
             ) from error
-        self.url = f"http://{host}:{ready['port']}/" + (f"?token={token}" if token else "")
+        self.url = self.viewer_url = f"{address.scheme}://{host}:{ready['port']}/"
+        if token:
+            self.url, self.viewer_url = f"{self.url}?token={token}", f"{self.url}?token={viewer_token}"
         self._setting = setting(self._config, None, self._name)
         self.pump()
         return self
@@ -152,8 +156,9 @@ class ViewDisplay:
         if self._request is None or self._snapshot is None or not math.isfinite(self._snapshot.time_s):
             self.note(f"{press['action']} refused: nothing is flown yet")
             return
+        self.note(f"{press['action']} by {press['who']}")
         side = Side(press["side"]) if press["side"] is not None else None
-        self._request(OperatorRequest(self._snapshot.time_s, press["action"], side))
+        self._request(OperatorRequest(self._snapshot.time_s, press["action"], side, press["who"]))
 
 
 def _line(values: Json) -> bytes:

@@ -1,7 +1,7 @@
 """The page's server: static files, a stream of states to each browser, and the buttons back.
 
-Access: from loopback, to loopback names only, so that no foreign page can reach it by a name of its own; anything
-else needs the token, given once in the address and kept as a cookie. Buttons are taken from the page itself only.
+Who may see and press is ``app.view.access``'s matter. No foreign page reaches this one: not by a name of its own
+(Host), not from its own origin (Origin, Sec-Fetch-Site), not around it (frames). Every request is small and quick.
 
 This module is imported by the server's process alone and must stay quick to load: nothing of mission or estimators.
 """
@@ -10,19 +10,19 @@ from __future__ import annotations
 
 import asyncio
 import json
-import secrets
+import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from importlib.resources import files
 from typing import Any
-from urllib.parse import urlsplit
 
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response, StreamingResponse
 from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.view.address import LOOPBACK
+from app.view.access import Access, Allowances
 
 Json = dict[str, Any]
 
@@ -42,7 +42,12 @@ _HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
+    "X-Frame-Options": "DENY",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
 }
+_BODY_MAX_BYTES, _BODY_WITHIN_S = 1024, 5.0
+_PAGES_MAX = 50  # streams of states
 _TRAIL_KEPT, _SERIES_KEPT, _WORDS_KEPT = 2400, 2400, 500  # 20 minutes of trail
 _UNSENT_MAX = 50  # states; a browser that is further behind is made to begin anew
 _ACTIONS: dict[str, set[str | None]] = {"hold": {None}, "resume": {None}, "end": {None}, "side": {"left", "right"}}
@@ -98,21 +103,22 @@ def _sample(state: Json) -> Json:
 class Server:
     """The application. ``tell`` passes a message of the flight on to all pages; ``press`` gets their buttons."""
 
-    def __init__(self, host: str, token: str, press: Callable[[Json], None]) -> None:
-        self._token, self._press = token, press
-        self._loopback = host in LOOPBACK
+    def __init__(self, access: Access, press: Callable[[Json], None]) -> None:
+        self._access, self._press = access, press
         self._history = History()
         self._pages: set[asyncio.Queue[bytes | None]] = set()
+        self._requests = Allowances(burst=300.0, rate_s=50.0)
+        self._guesses = Allowances(burst=10.0, rate_s=0.2)
+        self._presses = Allowances(burst=20.0, rate_s=5.0)
         folder = files("app.view") / "page"
         self._files = {name: (folder / name).read_bytes() for name in _MEDIA}
-        self.app = Starlette(
-            routes=[
-                Route("/", self._index),
-                Route("/events", self._events),
-                Route("/press", self._pressed, methods=["POST"]),
-                Route("/{name}", self._file),
-            ]
-        )
+        routes = [
+            Route("/", self._index),
+            Route("/events", self._events),
+            Route("/press", self._pressed, methods=["POST"]),
+            Route("/{name}", self._file),
+        ]
+        self.app = self._guarded(Starlette(routes=routes))
 
     def tell(self, told: Json) -> None:
         """Pass a message on to every page."""
@@ -135,21 +141,50 @@ class Server:
 
     # -- requests ------------------------------------------------------------------------------------------
 
-    def _refused(self, request: Request) -> Response | None:
-        host = request.headers.get("host", "")
-        if self._loopback:
-            if host.partition(":")[0] not in LOOPBACK:
-                return PlainTextResponse("this page is served to this machine only", 403)
-        elif not secrets.compare_digest(request.cookies.get(_COOKIE, "").encode(), self._token.encode()):
-            return PlainTextResponse("open the page with the address that was printed: it carries the token", 403)
+    def _guarded(self, inner: ASGIApp) -> ASGIApp:
+        """Return the application with what holds for every request and every answer."""
+
+        async def app(scope: Scope, receive: Receive, send: Send) -> None:
+            if scope["type"] != "http":
+                await inner(scope, receive, send)
+                return
+
+            async def with_headers(message: Message) -> None:
+                if message["type"] == "http.response.start":
+                    own = [(name.lower().encode(), value.encode()) for name, value in _HEADERS.items()]
+                    message["headers"] = [*message["headers"], *own]
+                await send(message)
+
+            answer: ASGIApp = self._unwanted(Request(scope)) or inner
+            await answer(scope, receive, with_headers)
+
+        return app
+
+    def _unwanted(self, request: Request) -> Response | None:
+        if not self._requests.used(_client(request), time.monotonic()):
+            return PlainTextResponse("too many requests", 429)
+        if not self._access.knows_host(request.headers.get("host", "")):
+            return PlainTextResponse("this page is served at the address that was printed only", 403)
+        if request.headers.get("sec-fetch-site", "none") == "cross-site" and request.url.path != "/":
+            return PlainTextResponse("another site asks for this", 403)
         return None
+
+    def _refused(self, request: Request) -> Response | None:
+        if self._access.sees(request.cookies.get(_COOKIE, "")):
+            return None
+        return PlainTextResponse("open the page with the address that was printed: it carries the token", 403)
 
     async def _index(self, request: Request) -> Response:
         given = request.query_params.get("token")
-        if given is not None and not self._loopback and secrets.compare_digest(given.encode(), self._token.encode()):
-            entered = RedirectResponse("/", 303, headers=_HEADERS)  # the token does not stay in the address
-            entered.set_cookie(_COOKIE, self._token, httponly=True, samesite="strict")
-            return entered
+        if given is not None and not self._access.local:
+            session = self._access.entered(given)
+            if session is not None:
+                entered = RedirectResponse("/", 303)  # the token does not stay in the address
+                secure = request.url.scheme == "https"
+                entered.set_cookie(_COOKIE, session, httponly=True, samesite="strict", secure=secure)
+                return entered
+            if not self._guesses.used(_client(request), time.monotonic()):
+                return PlainTextResponse("too many wrong tokens; wait", 429)
         return self._refused(request) or self._static("index.html")
 
     async def _file(self, request: Request) -> Response:
@@ -159,12 +194,15 @@ class Server:
         )
 
     def _static(self, name: str) -> Response:
-        return Response(self._files[name], media_type=_MEDIA[name], headers=_HEADERS)
+        return Response(self._files[name], media_type=_MEDIA[name])
 
     async def _events(self, request: Request) -> Response:
-        return self._refused(request) or StreamingResponse(
-            self._stream(), media_type="text/event-stream", headers=_HEADERS
-        )
+        refused = self._refused(request)
+        if refused is not None:
+            return refused
+        if len(self._pages) >= _PAGES_MAX:
+            return PlainTextResponse("too many pages are open", 503)
+        return StreamingResponse(self._stream(), media_type="text/event-stream")
 
     async def _stream(self) -> AsyncIterator[bytes]:
         page: asyncio.Queue[bytes | None] = asyncio.Queue(_UNSENT_MAX)
@@ -181,19 +219,45 @@ class Server:
         if refused is not None:
             return refused
         # A page of another origin can neither send this content type unasked nor leave out or forge its Origin.
-        origin, host = request.headers.get("origin", ""), request.headers.get("host", "")
-        if urlsplit(origin).netloc != host or request.headers.get("content-type") != "application/json":
+        own_origin = f"{request.url.scheme}://{request.headers.get('host', '')}"
+        if request.headers.get("origin") != own_origin or request.headers.get("content-type") != "application/json":
             return PlainTextResponse("buttons are taken from the page itself only", 403)
+        not_allowed = self._access.refusal(request.cookies.get(_COOKIE, ""))
+        if not_allowed is not None:
+            return PlainTextResponse(not_allowed, 403)
+        body = await _body(request)
+        if body is None:
+            return PlainTextResponse("that is no button: too long, or too slow", 413)
         try:
-            press = json.loads(await request.body())
+            press = json.loads(body)
             action, side = press["action"], press.get("side")
             known = side in _ACTIONS[action]
-        except (ValueError, TypeError, KeyError, AttributeError):
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             known = False
         if not known:
             return PlainTextResponse("no such button", 400)
-        self._press({"action": action, "side": side})
+        if not self._presses.used(_client(request), time.monotonic()):
+            return PlainTextResponse("too many buttons at once; wait", 429)
+        self._press({"action": action, "side": side, "who": self._access.who(_client(request))})
         return JSONResponse({"passed on": action}, 202)
+
+
+def _client(request: Request) -> str:
+    return request.client.host if request.client is not None else "?"
+
+
+async def _body(request: Request) -> bytes | None:
+    """Return a request's body; None where it is too long or does not come."""
+    body = b""
+    try:
+        async with asyncio.timeout(_BODY_WITHIN_S):
+            async for part in request.stream():
+                body += part
+                if len(body) > _BODY_MAX_BYTES:
+                    return None
+    except TimeoutError:
+        return None
+    return body
 
 
 def _event(told: Json) -> bytes:

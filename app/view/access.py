@@ -1,0 +1,107 @@
+"""Who may see the page, and who may press its buttons.
+
+On loopback everybody on this machine may do both. Elsewhere the address that was printed carries a token, for the
+operator or for viewers; it is exchanged for a session, kept as a cookie. The session that came last by the operator's
+token has the buttons, all others only see. Pure but for the random session names.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import secrets
+from collections import OrderedDict
+from dataclasses import dataclass
+
+from app.view.address import LOOPBACK
+
+_SESSIONS_MAX = 100
+
+
+@dataclass(slots=True)
+class Allowance:
+    """A bucket that fills by ``rate_s`` a second up to ``burst``; each use takes one."""
+
+    burst: float
+    rate_s: float
+    left: float
+    at_s: float
+
+    def used(self, now_s: float) -> bool:
+        """Take one, if there is one."""
+        self.left = min(self.burst, self.left + (now_s - self.at_s) * self.rate_s)
+        self.at_s = now_s
+        if self.left < 1.0:
+            return False
+        self.left -= 1.0
+        return True
+
+
+class Allowances:
+    """An allowance for each client address; the longest unused is forgotten."""
+
+    def __init__(self, burst: float, rate_s: float, clients_max: int = 500) -> None:
+        self._burst, self._rate_s, self._clients_max = burst, rate_s, clients_max
+        self._by_client: OrderedDict[str, Allowance] = OrderedDict()
+
+    def used(self, client: str, now_s: float) -> bool:
+        """Take one of a client's, if there is one."""
+        allowance = self._by_client.setdefault(client, Allowance(self._burst, self._rate_s, self._burst, now_s))
+        self._by_client.move_to_end(client)
+        while len(self._by_client) > self._clients_max:
+            self._by_client.popitem(last=False)
+        return allowance.used(now_s)
+
+
+class Access:
+    """The sessions. host: the address that is served at; tokens: what was printed, '' on loopback."""
+
+    def __init__(self, host: str, operator_token: str, viewer_token: str) -> None:
+        self.local = host in LOOPBACK
+        self._host = host
+        self._tokens = {"operator": operator_token, "viewer": viewer_token}
+        self._sessions: OrderedDict[str, str] = OrderedDict()
+        self._operator = ""
+
+    def knows_host(self, name: str) -> bool:
+        """Tell whether a Host header names this page as it is served, so that no foreign name leads here."""
+        name = name.rpartition(":")[0] if name.rpartition(":")[2].isdigit() else name
+        if self.local:
+            return name in LOOPBACK
+        if name == self._host:
+            return True
+        try:
+            ipaddress.ip_address(name.strip("[]"))
+        except ValueError:
+            return False
+        return True
+
+    def entered(self, token: str) -> str | None:
+        """Return a new session for a token, None for a wrong one. The operator's takes the buttons over."""
+        given = token.encode()
+        for role, right in self._tokens.items():
+            if right and secrets.compare_digest(given, right.encode()):
+                session = secrets.token_urlsafe(16)
+                self._sessions[session] = role
+                while len(self._sessions) > _SESSIONS_MAX:
+                    oldest = next(one for one in self._sessions if one != self._operator)
+                    del self._sessions[oldest]
+                if role == "operator":
+                    self._operator = session
+                return session
+        return None
+
+    def sees(self, session: str) -> bool:
+        """Tell whether the page may be shown."""
+        return self.local or session in self._sessions
+
+    def refusal(self, session: str) -> str | None:
+        """Return why a session may not press buttons; None if it may."""
+        if self.local or (session and session == self._operator):
+            return None
+        if self._sessions.get(session) == "operator":
+            return "somebody else has the buttons now; open the operator's address again to take them over"
+        return "this page is for watching only"
+
+    def who(self, client: str) -> str:
+        """Return how the one who pressed is written down."""
+        return f"operator at {'this machine' if self.local else client}"
