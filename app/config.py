@@ -160,6 +160,8 @@ class LinkSection(_Section):
     """MAVSDK URL (udpin://0.0.0.0:14540, tcpout://host:port, serial:///dev/ttyUSB0:57600); none: simulate."""
     urls: list[str] = Field(default_factory=list)
     """Several links to one vehicle, instead of url: the better one is used, another when that fails."""
+    system_id: int | None = Field(None, ge=1, le=255)
+    """MAVLink system id of the vehicle, where several are heard; none: the only one there."""
     signing_key_file: Path | None = None
     """Key of MAVLink signing, a file only you can read (sidelong sign makes one); none: nothing is signed."""
     heartbeat_timeout_s: float = Field(10.0, ge=1, le=600)

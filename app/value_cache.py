@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mission.predictive.value_iteration import compute
 from mission.predictive.value_table import Float32, TableConfiguration, ValueTable, completed
 
 _STORED = np.dtype("<f4")
@@ -42,9 +43,6 @@ def value_table(
     values = stored_table(file, configuration) if file is not None else None
     if values is not None:
         return completed(configuration, values)
-    # What is compiled takes a moment to load: only who computes a table waits for it.
-    from mission.predictive.value_iteration import compute  # noqa: PLC0415
-
     table = compute(configuration, progress)
     if file is not None:
         _store(file, table)

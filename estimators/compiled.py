@@ -3,18 +3,21 @@
 Compiled code lies beside its source where that can be written, else in the user's cache; NUMBA_CACHE_DIR names
 another place. Where nothing can be written, each start compiles anew.
 
-numba notices when a function's own file changes, not when one that it calls or a constant does: here the stamp of
-what is kept covers all of them.
+numba is loaded with the first call, not with the modules: it takes a moment that not every command wants to wait.
+It notices when a function's own file changes, not when one that it calls or a constant does: here the stamp of what
+is kept covers all of them.
 """
 
 from __future__ import annotations
 
 import hashlib
+import re
+import sys
 from collections.abc import Callable
-from types import CodeType
+from functools import cached_property, update_wrapper
+from types import CodeType, FunctionType
 from typing import Any, TypeVar, cast
 
-import numba
 import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -26,32 +29,88 @@ def compiled(function: F) -> F:
     Divisions by zero give infinities, as numpy's do. Operations keep their order, so that results are the same to
     the last bit in every process on machines of one kind.
     """
-    dispatcher: Any
-    try:
-        dispatcher = numba.njit(cache=True, error_model="numpy")(function)
-    except RuntimeError:  # numba finds no place to keep it
-        return cast(F, numba.njit(error_model="numpy")(function))
-    file = dispatcher._cache._cache_file
-    file._source_stamp = dispatcher.stamp = f"{file._source_stamp!r} {_used(function)}"
-    return cast(F, dispatcher)
+    return cast(F, _Compiled(cast(FunctionType, function)))
 
 
-def _used(function: Callable[..., Any]) -> str:
-    """Return a hash of the globals that a function uses: stamps of compiled functions, and values of constants."""
-    found = hashlib.sha256()
-    for name in sorted(_names(function.__code__)):
-        value: Any = function.__globals__.get(name)
-        if hasattr(value, "stamp"):
-            found.update(f"{name} {value.stamp}".encode())
-        elif isinstance(value, np.ndarray):
-            found.update(f"{name} {value.dtype} {value.shape}".encode() + value.tobytes())
-        elif isinstance(value, int | float | tuple):
-            found.update(f"{name} {value!r}".encode())
-        elif isinstance(value, type):
-            found.update(f"{name} {getattr(value, '_fields', '')}".encode())
-    return found.hexdigest()
+class _Compiled:
+    """Called like the function; what it calls is compiled with it."""
+
+    def __init__(self, function: FunctionType) -> None:
+        self._function = function
+        update_wrapper(self, function)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.dispatcher(*arguments)
+
+    @cached_property
+    def _used(self) -> dict[str, Any]:
+        """The globals that the function uses, those in its annotations included."""
+        every = self._function.__globals__
+        names = _names(self._function.__code__).union(*map(_words, self._function.__annotations__.values()))
+        return {name: every[name] for name in sorted(names) if name in every}
+
+    @cached_property
+    def stamp(self) -> str:
+        """A hash of the function, of what it calls, and of the constants it uses."""
+        found = hashlib.sha256(_code_bytes(self._function.__code__))
+        for name, value in self._used.items():
+            if isinstance(value, _Compiled):
+                found.update(f"{name} {value.stamp}".encode())
+            elif isinstance(value, np.ndarray):
+                found.update(f"{name} {value.dtype} {value.shape}".encode() + value.tobytes())
+            elif isinstance(value, int | float | tuple):
+                found.update(f"{name} {value!r}".encode())
+            elif isinstance(value, type):
+                found.update(_layout(value).encode())
+        return found.hexdigest()
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """Numba's own, which compiles for the arguments of a call."""
+        import numba  # noqa: PLC0415  # see above
+        from numba.core.caching import IndexDataCacheFile  # noqa: PLC0415
+
+        function = self._function
+        callees = {name: value.dispatcher for name, value in self._used.items() if isinstance(value, _Compiled)}
+        linked = FunctionType(function.__code__, function.__globals__ | callees, function.__name__)
+        linked.__module__, linked.__qualname__ = function.__module__, function.__qualname__
+        try:
+            dispatcher: Any = numba.njit(cache=True, error_model="numpy")(linked)
+        except RuntimeError:  # numba finds no place to keep it
+            return numba.njit(error_model="numpy")(linked)
+        kept = dispatcher._cache
+        # Under names of their own: numba reads even what is out of date, and with it types that are.
+        name = f"{kept._impl.filename_base}-{self.stamp[:16]}"
+        kept._cache_file = IndexDataCacheFile(kept.cache_path, name, self.stamp)  # type: ignore[no-untyped-call]
+        return dispatcher
+
+
+def _layout(kind: type) -> str:
+    """Return the fields of a named tuple, those of its parts included."""
+    parts = []
+    for field, annotation in getattr(kind, "__annotations__", {}).items():
+        words = _words(annotation)
+        known = vars(sys.modules[kind.__module__])
+        parts += [field, *words, *(_layout(known[word]) for word in words if isinstance(known.get(word), type))]
+    return f"{kind.__name__} {parts}"
+
+
+def _words(annotation: object) -> list[str]:
+    return re.findall(r"\w+", str(getattr(annotation, "__forward_arg__", annotation)))
 
 
 def _names(code: CodeType) -> set[str]:
-    inner = (_names(constant) for constant in code.co_consts if isinstance(constant, CodeType))
-    return set(code.co_names).union(*inner)
+    return set(code.co_names).union(*map(_names, _inner(code)))
+
+
+def _inner(code: CodeType) -> list[CodeType]:
+    return [constant for constant in code.co_consts if isinstance(constant, CodeType)]
+
+
+def _code_bytes(code: CodeType) -> bytes:
+    plain = [constant for constant in code.co_consts if not isinstance(constant, CodeType)]
+    return (
+        code.co_code
+        + repr((plain, code.co_names, code.co_varnames)).encode()
+        + b"".join(map(_code_bytes, _inner(code)))
+    )

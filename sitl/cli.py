@@ -58,7 +58,10 @@ def run(
     airspeed: Annotated[float, typer.Option(help="Cruise airspeed, m/s.")] = 15.0,
     wind_speed: Annotated[float, typer.Option(help="m/s")] = 0.0,
     wind_from_deg: Annotated[float, typer.Option(help="Where the wind comes from, degrees.")] = 0.0,
-    system_id: Annotated[int, typer.Option(min=1, max=250)] = 1,
+    system_id: Annotated[
+        int | None,
+        typer.Option(min=1, max=250, help="Of the vehicle, or of the one that --payload-for is meant for [1]"),
+    ] = None,
     target: Annotated[
         str, typer.Option(metavar="SPEC", help=f"Motion: {', '.join(MOTIONS)}, or a .gpx or .csv track.")
     ] = "walk",
@@ -138,7 +141,7 @@ def run(
     own_terrain = terrain if payload_for is None else None  # the home of another vehicle comes from its own words
     settings = Settings(
         flavour=autopilot,
-        system_id=system_id,
+        system_id=system_id or 1,
         seed=seed,
         airspeed_m_s=airspeed,
         wind=Wind.blowing_from(wind_speed, math.radians(wind_from_deg)),
@@ -155,7 +158,7 @@ def run(
         try:
             simulation = Simulation(settings)
             alone = payload_for is None and binary is None
-            companion = None if alone else Companion(sensors, settings.target, seed, terrain)
+            companion = None if alone else Companion(sensors, settings.target, seed, terrain, system_id)
         except TrackError as error:
             _refuse("--target", str(error))
         except HillsError as error:
@@ -179,7 +182,9 @@ def run(
             speed=speed,
             duration_s=math.inf if duration is None else duration,
             faults=LinkFaults(loss, duplicate, delay_ms / 1000.0),
-            on_ready=lambda: print(f"ready system {system_id} component 1 {autopilot} -> {where}", flush=True),
+            on_ready=lambda: print(
+                f"ready system {settings.system_id} component 1 {autopilot} -> {where}", flush=True
+            ),
             stopped=_stop_signal(while_input),
         )
 

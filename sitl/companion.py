@@ -22,6 +22,7 @@ from sitl.simulation import target_motion
 from sitl.truth import TruthRow
 
 _ASK_AGAIN_S = 2.0
+_SETTLING_S = 2.2  # two heartbeats: what other vehicle is there has spoken by then
 _HEARTBEAT_S = 1.0
 _WAIT_S = 0.05
 _RETRY_S = 0.5
@@ -38,11 +39,17 @@ class Companion:
 
     Pure: give it the vehicle's messages, send what it returns. The target's plane has its origin at the vehicle's
     home; nothing is measured before home is known. The target sets off with the first measurement, and goes on from
-    where it is when the vehicle reboots. Raises HillsError when the ground at home is not known.
+    where it is when the vehicle reboots. vehicle_id None: of the first autopilot heard. Raises HillsError when the
+    ground at home is not known.
     """
 
     def __init__(
-        self, payload: PayloadSettings, target: TargetSettings, seed: int, terrain: Path | None = None
+        self,
+        payload: PayloadSettings,
+        target: TargetSettings,
+        seed: int,
+        terrain: Path | None = None,
+        vehicle_id: int | None = None,
     ) -> None:
         target_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
         self._payload = Payload(payload, sensor_seed)
@@ -53,7 +60,7 @@ class Companion:
         self._begin_s: float | None = None
         self._latest_s = 0.0
         self._heading_rad = 0.0
-        self.vehicle_id: int | None = None
+        self.vehicle_id = vehicle_id
         self.on_truth: Callable[[TruthRow], None] = lambda _row: None
 
     @property
@@ -123,7 +130,8 @@ def accompany(
 
     url: tcpout://HOST:PORT, udpin://HOST:PORT or udpout://HOST:PORT. key: of the vehicle's signing, if it demands
     that. A vehicle that is not there yet, or goes, is waited for: on_wait then hears once why, on_ready whenever it
-    has been joined. Raises CompanionError for a URL that can never be reached.
+    has been joined. Raises CompanionError for a URL that can never be reached, and where several vehicles are heard
+    and none is named.
     """
     scheme, _, address = url.partition("://")
     if scheme not in _SCHEMES or not address.rpartition(":")[2].isdigit():
@@ -165,6 +173,8 @@ def _connected(scheme: str, address: str) -> Any:
 
 def _converse(companion: Companion, link: Any, on_ready: Callable[[int], None], stopped: Callable[[], bool]) -> None:
     joined = False
+    if companion.vehicle_id is None:
+        companion.vehicle_id = _only_vehicle(link, stopped)
     ask_s = heartbeat_s = -math.inf
     while not stopped():
         message = link.recv_match(blocking=True, timeout=_WAIT_S)
@@ -182,6 +192,24 @@ def _converse(companion: Companion, link: Any, on_ready: Callable[[int], None], 
         if joined and now_s >= ask_s:
             ask_s = now_s + _ASK_AGAIN_S
             _ask(companion, link)
+
+
+def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
+    """Return the system id of the vehicle on the link, once others would have spoken; None when stopped before."""
+    heard: set[int] = set()
+    settled_s = math.inf
+    while not stopped():
+        message = link.recv_match(type="HEARTBEAT", blocking=True, timeout=_WAIT_S)
+        now_s = time.monotonic()
+        if message is not None and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
+            settled_s = min(settled_s, now_s + _SETTLING_S)
+            heard.add(message.get_srcSystem())
+        if len(heard) > 1:
+            names = " and ".join(map(str, sorted(heard)))
+            raise CompanionError(f"leads to several vehicles, systems {names}; name one by --system-id")
+        if now_s >= settled_s:
+            return heard.pop()
+    return None
 
 
 def _ask(companion: Companion, link: Any) -> None:

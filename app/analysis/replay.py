@@ -64,9 +64,9 @@ class LogReplay:
     def run(self, messages: Iterable[Message]) -> Iterator[Replayed]:
         """Yield the events of the log with what the step made of them; those that nobody sees are passed over."""
         for message in messages:
-            known = self.plane is not None
+            before = self.plane
             event = self._telemetry.event(message)
-            if not known and self.plane is not None:
+            if self.plane is not None and self.plane is not before:
                 self._on_plane(self.plane)
             # Nobody else flies here: a change of mode in the log is not one of ours to yield to.
             if event is None or isinstance(event, ModeReported | LinkReported):

@@ -15,7 +15,7 @@ from app.autopilots.queries import home_of, mode_of
 from app.commands.output import JsonOption, checked_output, console, write_json
 from app.config import Config, load_config
 from app.flight.flight import connected
-from app.flight.preflight import ask_for_streams, checks, listen
+from app.flight.preflight import Check, ask_for_streams, checks, listen
 from app.shutdown import run
 
 
@@ -26,6 +26,9 @@ def connect(
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML) to check against.")] = None,
     timeout: Annotated[float | None, typer.Option(help="Wait this long for a heartbeat, s.")] = None,
     listen_s: Annotated[float, typer.Option("--listen", min=0.5, help="Listen to the sensors this long, s.")] = 3.0,
+    system_id: Annotated[
+        int | None, typer.Option(min=1, max=255, help="MAVLink system id of the vehicle.", show_default=False)
+    ] = None,
     signing_key: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Key of the link's signing.", show_default=False)
     ] = None,
@@ -36,7 +39,9 @@ def connect(
     Nothing is armed or changed. Example: sidelong connect udpin://0.0.0.0:14540
     """
     checked_output(json)
-    settings = load_config(config, {"link": {"heartbeat_timeout_s": timeout, "signing_key_file": signing_key}})
+    settings = load_config(
+        config, {"link": {"heartbeat_timeout_s": timeout, "signing_key_file": signing_key, "system_id": system_id}}
+    )
     report = run(_report(urls, settings, listen_s))
     write_json(json, report)
 
@@ -45,7 +50,11 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
     console.print(f"waiting for a heartbeat on {' and '.join(urls)}")
     link = config.link
     async with connected(
-        urls, link.heartbeat_timeout_s, key_file=link.signing_key_file, note=console.print
+        urls,
+        link.heartbeat_timeout_s,
+        key_file=link.signing_key_file,
+        note=console.print,
+        system_id=link.system_id,
     ) as session:
         vehicle, autopilot = session.vehicle, session.autopilot
         await ask_for_streams(vehicle)
@@ -55,7 +64,8 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
         limits = autopilot.limits(values)
         notes = parameter_notes(autopilot, values)
         required_parameters = autopilot.required_parameters(values, config.aircraft.airspeed_m_s)
-        found = checks(config, vehicle, limits, home, rates, required_parameters)
+        one = Check("one vehicle", session.senders.two is None, session.senders.two or "yes")
+        found = (one, *checks(config, vehicle, limits, home, rates, required_parameters))
         console.print(f"{autopilot.name}, system {vehicle.system_id}, mode {mode_of(vehicle)}")
         table = Table("requirement", "", "found", box=None, pad_edge=False)
         for check in found:

@@ -30,6 +30,7 @@ from app.flight.display import FlightDisplay
 from app.flight.flight import Flight, Sharing, connected
 from app.flight.recording import Recording, write_mcap
 from app.flight.simulated import SimulatedVehicle
+from app.link.discovery import SETTLING_S
 from app.records.run_folder import RunFolder
 from app.shutdown import ends_within, run
 from app.view.address import DEFAULT_PORT, LOOPBACK, Address
@@ -47,6 +48,12 @@ def launch(
         typer.Option(
             help="MAVSDK URL of a vehicle; twice for two links to it; without it one is simulated.",
             show_default=False,
+        ),
+    ] = None,
+    system_id: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=255, help="MAVLink system id of the vehicle, where several are heard.", show_default=False
         ),
     ] = None,
     signing_key: Annotated[
@@ -119,6 +126,7 @@ def launch(
                 "urls": connect or None,
                 "set_parameters": set_parameters or None,
                 "signing_key_file": signing_key,
+                "system_id": system_id,
             },
             "simulation": {
                 "target": target,
@@ -236,7 +244,15 @@ async def _fly(
             loop.call_soon_threadsafe(display.note, text)
 
         session = await stack.enter_async_context(
-            connected(urls, link.heartbeat_timeout_s, recording.frame, link.signing_key_file, trouble)
+            connected(
+                urls,
+                link.heartbeat_timeout_s,
+                recording.frame,
+                link.signing_key_file,
+                trouble,
+                system_id=link.system_id if link.connections else None,
+                settling_s=SETTLING_S if link.connections else 0.0,
+            )
         )
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
         flight = Flight(session, config, controller, recording, display, duration_s, sharing)

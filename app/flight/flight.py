@@ -29,7 +29,9 @@ from app.flight.loop import ControlLoop, Display
 from app.flight.point_gimbal import GimbalPointer
 from app.flight.preflight import ask_for_streams, autopilot_of, checks, listen
 from app.flight.recording import Recording
+from app.link.discovery import SETTLING_S
 from app.link.mavsdk_link import FrameListener, MavsdkLink
+from app.link.senders import SenderCheck
 from app.link.telemetry import Telemetry
 from app.link.vehicle import Vehicle
 from app.shutdown import ends_within
@@ -58,6 +60,7 @@ class Session:
     vehicle: Vehicle
     autopilot: Autopilot
     telemetry: Telemetry
+    senders: SenderCheck
 
 
 @contextlib.asynccontextmanager
@@ -67,18 +70,33 @@ async def connected(
     on_frame: FrameListener | None = None,
     key_file: Path | None = None,
     note: Callable[[str], object] = lambda _text: None,
+    system_id: int | None = None,
+    settling_s: float = SETTLING_S,
 ) -> AsyncIterator[Session]:
     """Connect to the vehicle at ``urls``, several links to one. note hears of trouble with them, from any thread.
 
-    Raises InputError when there is none, or none that this can fly.
+    system_id names the vehicle where there are several; settling_s is how long to listen for others. Raises
+    InputError when there is none, or none that this can fly, or several and none is named.
     """
-    link = await MavsdkLink.open(urls, timeout_s, on_frame, key_file=key_file, on_trouble=note)
+    senders = SenderCheck()
+
+    def frame(data: bytes) -> None:
+        if len(urls) == 1:  # each link has numbers of its own
+            senders.frame(data)
+        if on_frame is not None:
+            on_frame(data)
+
+    link = await MavsdkLink.open(
+        urls, timeout_s, frame, key_file=key_file, on_trouble=note, system_id=system_id, settling_s=settling_s
+    )
+    senders.system_id = link.system_id
     vehicle = Vehicle(link)
+    vehicle.listeners.append(senders.message)
     pump = asyncio.create_task(vehicle.run())
     try:
         if await vehicle.heard("HEARTBEAT", timeout_s) is None:
             raise InputError(f"{' and '.join(urls)}: the autopilot stopped talking; check the link.")
-        yield Session(vehicle, autopilot_of(vehicle), Telemetry(vehicle.system_id))
+        yield Session(vehicle, autopilot_of(vehicle), Telemetry(vehicle.system_id), senders)
     finally:
         with ends_within(_CLOSE_S, "closing the link"):
             await link.close()
@@ -102,7 +120,7 @@ class Flight:
         self._vehicle, self._autopilot, self._telemetry = session.vehicle, session.autopilot, session.telemetry
         self._config, self._recording, self._display = config, recording, display
         self._duration_s, self._sharing = duration_s, sharing
-        self._controller = controller
+        self._controller, self._senders = controller, session.senders
         self._collector = SummaryCollector(config.requirement.requirement())
         self._start_s = math.inf
 
@@ -112,6 +130,7 @@ class Flight:
         await ask_for_streams(self._vehicle)
         home, required_parameters = await self._check()
         self._vehicle.listeners.remove(self._telemetry.event)
+        self._vehicle.listeners.remove(self._senders.message)  # from here on the control step looks
         wanted = required_parameters if self._config.link.set_parameters else ()
         async with temporary_parameters(
             self._vehicle, wanted, self._display.note, lambda: self._controller.phase is not Phase.YIELDED
@@ -209,6 +228,8 @@ class Flight:
         deadline_s, wall_s = self._telemetry.now_s + _READY_WITHIN_S, time.monotonic() + _READY_WALL_S
         while True:
             rates = await listen(self._vehicle, _LISTEN_S)
+            if self._senders.two is not None:
+                raise InputError(f"{self._senders.two}.")
             home = await home_of(self._vehicle)
             unmet = () if self._config.link.set_parameters else required_parameters
             found = checks(self._config, self._vehicle, limits, home, rates, unmet)

@@ -29,6 +29,7 @@ from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
 from pymavlink.dialects.v20 import common as mavlink
 
 from app.errors import InputError
+from app.link.discovery import SETTLING_S, the_vehicle
 from app.link.link import LinkError, RawItem, UploadResult
 from app.link.message import Message
 from app.link.raw_links import LinkReport, RawLinks, opened_links
@@ -68,12 +69,15 @@ class MavsdkLink:
         own_component_id: int = 190,
         key_file: Path | None = None,
         on_trouble: Callable[[str], object] = lambda _text: None,
+        system_id: int | None = None,
+        settling_s: float = SETTLING_S,
     ) -> MavsdkLink:
-        """Connect and wait for an autopilot's heartbeat.
+        """Connect and wait for the heartbeat of an autopilot: of ``system_id``, or of the only one there.
 
         on_frame gets every raw frame, received and sent, from several threads. With key_file every link is signed.
         on_trouble hears of refused frames and changes of link, from several threads as well. Raises InputError for a
-        bad URL, a busy port, an unusable key, or when no heartbeat comes within ``timeout_s``.
+        bad URL, a busy port, an unusable key, when no heartbeat comes within ``timeout_s``, and when several vehicles
+        are heard (for ``settling_s`` after the first) and none is named.
         """
         own = (own_system_id, own_component_id)
         mavsdk.logging.log_subscribe(lambda _level, _message, _file, _line: True)
@@ -89,10 +93,11 @@ class MavsdkLink:
                 instance._mavsdk.subscribe_raw_bytes_to_be_sent(raw.send)
                 await instance.add_any_connection("raw://", ForwardingOption.OFF)
                 raw.start(instance._mavsdk.pass_received_raw_bytes)
-            system = await instance.first_autopilot(timeout_s)
+            where = " and ".join(map(repr, urls))
+            system = await the_vehicle(instance, where, timeout_s, system_id, settling_s)
             if system is None:
                 raise InputError(_unheard(urls, timeout_s, raw.reports() if raw is not None else ()))
-            system_id = await system.get_system_id()
+            found_id = await system.get_system_id()
         except BaseException:
             await asyncio.to_thread(ours.close)  # before the instance goes: they call it
             await _destroy(instance)
@@ -101,9 +106,9 @@ class MavsdkLink:
             # MAVSDK sends a message for a system only where it has heard that system: let it be heard on the
             # recording connection too. The answer to a command that nobody sent is addressed to us, so it stays here.
             answer = mavlink.MAVLink_command_ack_message(0, 0, 0, 0, *own)
-            heard = answer.pack(mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1))
+            heard = answer.pack(mavlink.MAVLink(None, srcSystem=found_id, srcComponent=1))
             instance._mavsdk.pass_received_raw_bytes(heard)
-        return cls(instance, system, system_id, raw, ours)
+        return cls(instance, system, found_id, raw, ours)
 
     def reports(self) -> tuple[LinkReport, ...]:
         """Return how each link of our own transport has been; none where MAVSDK's own is used."""

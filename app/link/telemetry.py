@@ -31,6 +31,7 @@ _LATITUDE_MAX_E7, _LONGITUDE_MAX_E7 = 900_000_000, 1_800_000_000
 # time_boot_ms counts in 32 bits: it begins anew after 49.7 days.
 _WRAP_S, _NEAR_WRAP_S = 2**32 * 1e-3, 60.0
 _GPS_FIX_3D = 3
+_ORIGIN_FIXES, _ORIGIN_NEAR_M = 5, 5_000.0
 # EKF_STATUS_FLAGS of ArduPilot and ESTIMATOR_STATUS_FLAGS agree but for the flag of a GPS glitch.
 _POSITION_GOOD, _POSITION_HELD = 16, 128
 _EKF_GLITCH, _ESTIMATOR_GLITCH = 32768, 1024
@@ -50,7 +51,8 @@ Fields = Mapping[str, Any]
 class Telemetry:
     """Turns one vehicle's messages into events.
 
-    plane is set by the first position fix; system_id by the first autopilot heartbeat, unless given.
+    plane is set by the first position fix, and again while the first few are far apart;
+    system_id by the first autopilot heartbeat, unless given.
     now_s is the vehicle's clock: its latest time stamp, -inf before the first; a stamp that stands alone does not
     move it.
     """
@@ -60,6 +62,7 @@ class Telemetry:
         self.plane: LocalPlane | None = None
         self._clock = VehicleClock()
         self._wrapped_s = 0.0
+        self._near_origin = 0  # fixes in a row, up to so many as settle the plane
         self._decoders: dict[str, Callable[[Message], Event | None]] = {
             "HEARTBEAT": self._heartbeat,
             "GLOBAL_POSITION_INT": self._position,
@@ -113,6 +116,11 @@ class Telemetry:
         if self.plane is None:
             self.plane = LocalPlane(latitude_deg, longitude_deg)
         east_m, north_m = self.plane.east_north_m(latitude_deg, longitude_deg)
+        if self._near_origin < _ORIGIN_FIXES:
+            self._near_origin += 1
+            if math.hypot(east_m, north_m) > _ORIGIN_NEAR_M:
+                self.plane, self._near_origin = LocalPlane(latitude_deg, longitude_deg), 1
+                east_m = north_m = 0.0
         return PositionReading(
             time_s,
             east_m,

@@ -39,7 +39,7 @@ class PositionCheck:
         self.two_places_m: float | None = None
         self._readings = 0
         self._elsewhere: PositionReading | None = None
-        self._elsewhere_since_s = 0.0
+        self._elsewhere_since_s, self._elsewhere_count = 0.0, 0
         self._turns = 0
 
     def take(
@@ -60,8 +60,9 @@ class PositionCheck:
             return self._believe(reading)
         self._note_elsewhere(last, reading)
         proven = sound and reading.time_s - self._elsewhere_since_s >= _PROOF_S
-        if possible and (self._readings < _SETTLED or proven):
-            self._readings = 0
+        unsettled = self._readings < _SETTLED and self._elsewhere_count > self._readings
+        if possible and (unsettled or proven):
+            self._readings = self._elsewhere_count - 1
             return self._believe(reading)
         reckoned = _dead_reckoned(last, reading, bank_rad)
         self.believed = reckoned
@@ -85,6 +86,7 @@ class PositionCheck:
             self._elsewhere_since_s = reading.time_s
         elif not agrees:
             self._elsewhere_since_s = reading.time_s
+        self._elsewhere_count = self._elsewhere_count + 1 if agrees else 1
         self._elsewhere = reading
 
     def _follows(self, last: PositionReading, reading: PositionReading) -> bool:

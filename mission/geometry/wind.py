@@ -11,6 +11,7 @@ import numpy.typing as npt
 from mission.core.circle import Circle
 from mission.core.path import FloatArray, Path
 from mission.core.requirement import GRAVITY_M_S2, Wind
+from mission.geometry import _line_kernel
 
 STILL_AIR = Wind()
 
@@ -26,14 +27,12 @@ def ground_speeds_m_s(course_rad: FloatArray, airspeed_m_s: float, wind: Wind) -
 
     Raises WindError when a course cannot be held, or only by drifting backwards along it.
     """
-    along_m_s = wind.east_m_s * np.sin(course_rad) + wind.north_m_s * np.cos(course_rad)
-    across_m_s = wind.east_m_s * np.cos(course_rad) - wind.north_m_s * np.sin(course_rad)
-    if np.any(np.abs(across_m_s) >= airspeed_m_s):
+    speed_m_s = np.empty(course_rad.size)
+    course = np.ascontiguousarray(course_rad, np.float64).ravel()
+    _line_kernel.ground_speeds_m_s(course, airspeed_m_s, wind.east_m_s, wind.north_m_s, speed_m_s)
+    if not np.all(speed_m_s > 0.0):
         raise WindError(f"a wind of {wind.speed_m_s:.1f} m/s is too strong for an airspeed of {airspeed_m_s:.1f} m/s")
-    speed_m_s: FloatArray = along_m_s + np.sqrt(airspeed_m_s**2 - across_m_s**2)
-    if np.any(speed_m_s <= 0.0):
-        raise WindError(f"a wind of {wind.speed_m_s:.1f} m/s is too strong for an airspeed of {airspeed_m_s:.1f} m/s")
-    return speed_m_s
+    return speed_m_s.reshape(course_rad.shape)
 
 
 def ground_speed_m_s(course_rad: float, airspeed_m_s: float, wind: Wind) -> float:

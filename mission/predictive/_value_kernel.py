@@ -13,21 +13,13 @@ import numpy.typing as npt
 
 from estimators.compiled import compiled
 from mission.core.path import FloatArray
+from mission.geometry._line_kernel import ground_speed_m_s
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 
 NODES = 4  # of each move: three where a turn of the target counts, and its end
-
-
-@compiled
-def ground_speed(heading_rad: float, airspeed_m_s: float, wind_x_m_s: float, wind_y_m_s: float) -> float:
-    """Return the ground speed on a heading over the ground; NaN where it cannot be held."""
-    sin_h, cos_h = math.sin(heading_rad), math.cos(heading_rad)
-    along_m_s = wind_x_m_s * sin_h + wind_y_m_s * cos_h
-    across_m_s = wind_x_m_s * cos_h - wind_y_m_s * sin_h
-    return along_m_s + math.sqrt(airspeed_m_s * airspeed_m_s - across_m_s * across_m_s)
 
 
 @compiled
@@ -86,7 +78,7 @@ def lay_out(
             for v in range(classes):
                 time_s[0] = 0.0
                 for k in range(size):
-                    slowness_s_m[k] = 1.0 / ground_speed(
+                    slowness_s_m[k] = 1.0 / ground_speed_m_s(
                         h * heading_step_rad + turned[begin + k], airspeed_m_s, winds[v, 0], winds[v, 1]
                     )
                     if k > 0:

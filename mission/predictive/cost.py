@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from mission.predictive._cost_kernel import CostTerms, cost_rates
+
 # Outside the band one second costs as much as this many off the side, and more the further out.
 _OUTSIDE, _OUTSIDE_PER_M = 20.0, 0.5
 # Inside the band the cost rises towards its edges over this width, to _WALL at the edge.
@@ -41,21 +43,18 @@ class WatchCost:
     ) -> Values:
         """Return the cost per second at places of the watch frame.
 
-        widened_m moves both edges of the band inwards; the sides' border is blurred over +-side_blur_m (> 0).
+        It is the chance of being off the side, 0..1, and the walls at the edges of the band. widened_m moves both
+        edges inwards, never beyond a half of the band's width; the sides' border is blurred over +-side_blur_m (> 0).
         """
-        range_m = np.hypot(x_m, y_m)
-        return self.off_side(x_m, range_m, side_blur_m) + self.off_band(range_m, widened_m)
-
-    def off_side(self, x_m: Values, range_m: Values, side_blur_m: npt.ArrayLike) -> Values:
-        """Return the chance of being off the side, 0..1."""
-        margin_m = -x_m - math.cos(self.half_width_rad) * range_m
-        chance: Values = np.clip(0.5 - 0.5 * margin_m / np.asarray(side_blur_m), 0.0, 1.0)
-        return chance
-
-    def off_band(self, range_m: Values, widened_m: npt.ArrayLike) -> Values:
-        """Return the walls' share of the rate. The band is never narrowed beyond a half of its width."""
-        widened = np.minimum(np.asarray(widened_m), 0.25 * (self.far_m - self.near_m))
-        inside_m = np.minimum(range_m - (self.near_m + widened), (self.far_m - widened) - range_m)
-        wall = _WALL * np.clip(1.0 - inside_m / _WALL_WIDTH_M, 0.0, 1.0) ** 2
-        rate: Values = wall + np.where(inside_m < 0.0, _OUTSIDE - _WALL - _OUTSIDE_PER_M * inside_m, 0.0)
+        every = np.broadcast_arrays(x_m, y_m, widened_m, side_blur_m)
+        rate = np.empty(every[0].shape)
+        x, y, widened, blur = (a.astype(np.float64).ravel() for a in every)
+        cost_rates(x, y, widened, blur, self.terms, rate.ravel())
         return rate
+
+    @property
+    def terms(self) -> CostTerms:
+        """The same as the loops see it."""
+        return CostTerms(
+            self.near_m, self.far_m, math.cos(self.half_width_rad), _OUTSIDE, _OUTSIDE_PER_M, _WALL_WIDTH_M, _WALL
+        )

@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from mission.core.path import FloatArray
 from mission.core.requirement import Requirement, Side
-from mission.predictive.rollout import Outlook
 
 _OFF_SIDE_MIN_S = 2.0  # shorter visits to the other side are not worth a word
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlook:
+    """Places relative to the target in the watch frame, and times since departure along a line: arrays (k,)."""
+
+    x_m: FloatArray
+    y_m: FloatArray
+    time_s: FloatArray
+
+
 def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s: float) -> str | None:
-    """Return the first breach of the requirement on the first line of ``seen``; None when there is none.
+    """Return the first breach of the requirement on the line of ``seen``; None when there is none.
 
     lead_s: from now to the outlook's time 0.
     """
-    x_m, time_s = seen.x_m[0], seen.time_s[0]
-    range_m = np.hypot(x_m, seen.y_m[0])
+    x_m, time_s = seen.x_m, seen.time_s
+    range_m = np.hypot(x_m, seen.y_m)
     out = np.flatnonzero((range_m < requirement.range_min_m) | (range_m > requirement.range_max_m))
     off = np.flatnonzero(x_m > 0.0) if requirement.sector is None else np.empty(0, np.intp)
     if off.size and float(time_s[off[-1]] - time_s[off[0]]) < _OFF_SIDE_MIN_S:
@@ -36,6 +47,6 @@ def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s:
 
 
 def describe_range(seen: Outlook) -> str:
-    """Return the ranges met along the first line of ``seen``."""
-    range_m = np.hypot(seen.x_m[0], seen.y_m[0])
-    return f"the target stays {range_m.min():.0f} to {range_m.max():.0f} m away for {seen.time_s[0, -1]:.0f} s"
+    """Return the ranges met along the line of ``seen``."""
+    range_m = np.hypot(seen.x_m, seen.y_m)
+    return f"the target stays {range_m.min():.0f} to {range_m.max():.0f} m away for {seen.time_s[-1]:.0f} s"

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from mission.core.path import FloatArray
 from mission.core.requirement import Wind
+from mission.geometry.trapezoid import Trapezoids
 from mission.geometry.wind import ground_speeds_m_s
 from mission.predictive import _value_kernel as kernel
 from mission.predictive.moves import moves_from, staying_on
@@ -83,15 +84,15 @@ def _moves(c: TableConfiguration, step_m: float) -> list[_Move]:
     ramp = c.sharpness_per_m2
     moves = []
     # "Back to the circle at once", the last of the moves, is none when flown from the circle.
-    leaving = moves_from(curvature_per_m, c.radius_m, ramp).subset(slice(None, -1))
-    for family, price in ((leaving, c.leave_cost), (staying_on(curvature_per_m, c.radius_m, ramp), 0.0)):
-        for k in range(family.last_end_m.size):
-            one = family.subset(slice(k, k + 1))
-            length_m = float(one.last_end_m[0])
+    leaving, staying = moves_from(curvature_per_m, c.radius_m, ramp), staying_on(curvature_per_m, c.radius_m, ramp)
+    for shapes, price in ((leaving.shapes[:-1], c.leave_cost), (staying.shapes, 0.0)):
+        for shape in shapes:
+            one = Trapezoids(shape[None, :])
+            length_m = float(one.end_m[0])
             samples = max(1, round(length_m / step_m))
             arc = np.linspace(0.0, length_m, 2 * samples + 1)[None, :]
-            east, north = one.displaced_m(arc, 0.0)
-            moves.append(_Move(price, arc[0], east[0], north[0], one.turned_rad(arc)[0]))
+            east, north, turned = one.displaced_m(arc, 0.0)
+            moves.append(_Move(price, arc[0], east[0], north[0], turned[0]))
     return moves
 
 

@@ -17,6 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mission.core.path import FloatArray
+from mission.predictive._cost_kernel import Table, table_values
+from mission.predictive._decision_kernel import Motions, fill_classes
+from mission.predictive._value_kernel import add_turned
 from mission.predictive.cost import WatchCost
 
 Float32 = npt.NDArray[np.float32]
@@ -122,80 +125,49 @@ class ValueTable:
 
         Of the wind only the direction counts: its speed is the configuration's.
         """
+        classes, share, turn_share = np.empty(4, np.int64), np.empty(4), np.empty(4)
+        fill_classes(self.motions, *target_m_s, *wind_m_s, classes, share, turn_share)
+        return MotionTable(self.arrays, classes, share, turn_share)
+
+    @property
+    def arrays(self) -> Table:
+        """The table as the loops see it."""
         c = self.configuration
-        values, after_turn = np.zeros_like(self.values[0]), np.zeros_like(self.values[0])
-        for which, weight in self._class_weights(target_m_s, wind_m_s):
-            values += np.float32(weight) * self.values[which]
-            after_turn += np.float32(weight) * self.after_turn[which]
         cell_m = 2.0 * c.half_width_m / (self.values.shape[-1] - 1)
-        return MotionTable(cell_m, values, after_turn, c.discount_per_s, c.habits.mean_leg_s)
+        return Table(self.values, self.after_turn, cell_m, c.discount_per_s, c.habits.mean_leg_s)
 
-    def _class_weights(
-        self, target_m_s: tuple[float, float], wind_m_s: tuple[float, float]
-    ) -> list[tuple[int, float]]:
-        share = min(math.hypot(*target_m_s) / self.configuration.target_speed_max_m_s, 1.0)
-        ring = 0 if share < _SPEEDS[1] else 1
-        outer = (share - _SPEEDS[ring]) / (_SPEEDS[ring + 1] - _SPEEDS[ring])
-        rings = ((ring, 1.0 - outer), (ring + 1, outer))
-        if not self.configuration.follows_course:
-            # Class 0 is the standing target, which has no direction.
-            return [
-                (1 + (which - 1) * _TARGET_DIRECTIONS + direction if which else 0, weight * part)
-                for which, weight in rings
-                for direction, part in _direction_weights(target_m_s, _TARGET_DIRECTIONS)
-            ]
-        if self.configuration.wind_speed_m_s == 0.0:
-            return list(rings)
-        return [
-            (which * _WIND_DIRECTIONS + direction, weight * part)
-            for which, weight in rings
-            for direction, part in _direction_weights(wind_m_s, _WIND_DIRECTIONS)
-        ]
-
-
-def _direction_weights(vector: tuple[float, float], directions: int) -> tuple[tuple[int, float], tuple[int, float]]:
-    """Return the two directions of the classes next to a vector's, with weights that sum to 1."""
-    direction = math.atan2(*vector) / (2.0 * math.pi) * directions % directions
-    first, past = int(direction), direction - int(direction)
-    return (first % directions, 1.0 - past), ((first + 1) % directions, past)
+    @property
+    def motions(self) -> Motions:
+        """How its classes are arranged."""
+        c = self.configuration
+        return Motions(
+            c.follows_course, c.wind_speed_m_s, c.target_speed_max_m_s, _WIND_DIRECTIONS, _TARGET_DIRECTIONS
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionTable:
-    """The table for one velocity of the target: arrays (headings, n, n)."""
+    """The table for one velocity of the target: a share of each of its classes."""
 
-    cell_m: float
-    values: Float32
-    after_turn: Float32
-    discount_per_s: float
-    mean_leg_s: float
+    table: Table
+    classes: npt.NDArray[np.int64]
+    share: FloatArray
+    turn_share: FloatArray
 
-    def value(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, heading_rad: npt.ArrayLike) -> Float32:
+    def value(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, heading_rad: npt.ArrayLike) -> FloatArray:
         """Return V at places and headings of the watch frame; beyond the grid that of its edge."""
-        return _looked_up(self.values, self.cell_m, x_m, y_m, heading_rad)
+        return self._looked_up(self.table.values, self.share, x_m, y_m, heading_rad)
 
-    def expected_after_turn(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, heading_rad: npt.ArrayLike) -> Float32:
+    def expected_after_turn(self, x_m: npt.ArrayLike, y_m: npt.ArrayLike, heading_rad: npt.ArrayLike) -> FloatArray:
         """Return the expected V if the target turned now."""
-        return _looked_up(self.after_turn, self.cell_m, x_m, y_m, heading_rad)
+        return self._looked_up(self.table.after_turn, self.turn_share, x_m, y_m, heading_rad)
 
-
-def _looked_up(
-    table: Float32, cell_m: float, x_m: npt.ArrayLike, y_m: npt.ArrayLike, heading_rad: npt.ArrayLike
-) -> Float32:
-    n = table.shape[-1]
-    x = np.clip(np.asarray(x_m, np.float32) / np.float32(cell_m) + (n - 1) / 2, 0.0, n - 1.001)
-    y = np.clip(np.asarray(y_m, np.float32) / np.float32(cell_m) + (n - 1) / 2, 0.0, n - 1.001)
-    heading = (np.asarray(heading_rad) / HEADING_STEP_RAD % HEADINGS).astype(np.float32)
-    i, j, k = x.astype(np.int64), y.astype(np.int64), heading.astype(np.int64)
-    across, along, turn = x - i, y - j, heading - k
-    flat = table.ravel()
-    total = np.zeros(np.broadcast_shapes(x.shape, y.shape, heading.shape), np.float32)
-    for plane, weight in ((k % HEADINGS, 1.0 - turn), ((k + 1) % HEADINGS, turn)):
-        base = plane * (n * n) + i * n + j
-        low = flat[base] * (1.0 - along) + flat[base + 1] * along
-        high = flat[base + n] * (1.0 - along) + flat[base + n + 1] * along
-        total += weight * (low * (1.0 - across) + high * across)
-    return total
+    def _looked_up(self, values: Float32, share: FloatArray, *place: npt.ArrayLike) -> FloatArray:
+        every = np.broadcast_arrays(*place)
+        found = np.empty(every[0].shape)
+        x, y, heading = (a.astype(np.float64).ravel() for a in every)
+        table_values(values, self.table.cell_m, x, y, heading, self.classes, share, found.ravel())
+        return found
 
 
 def completed(configuration: TableConfiguration, values: Float32) -> ValueTable:
@@ -228,9 +200,6 @@ def expected_after_turn(configuration: TableConfiguration, values: Float32) -> F
 
 def _turned_frame(habits: TargetHabits, moving: Float32) -> Float32:
     """Return V (directions of the wind, headings, n, n) averaged over turns of a frame that follows the course."""
-    # Only computing a table needs it, and compiling takes a moment to load.
-    from mission.predictive._value_kernel import add_turned  # noqa: PLC0415
-
     total = np.zeros_like(moving)
     for turn_deg, chance in zip(habits.turns_deg, habits.chances, strict=True):
         # The frame turns clockwise: places, headings and the wind, as seen from it, turn the other way.

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 from estimators.estimate import TargetEstimate
 from mission.core.requirement import Requirement, Sector, Side
-from mission.viewpoint.course_hold import CourseHold, course_sigma_rad
+from mission.viewpoint import _viewpoint_kernel as kernel
+from mission.viewpoint.course_hold import known
 
 _SECTOR_WORDS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
 
@@ -30,32 +31,18 @@ class SidePolicy:
 
     def __init__(self, requirement: Requirement, hysteresis_m: float) -> None:
         """hysteresis_m: how far across the target's line the aircraft must be before the other side is taken."""
-        self._requirement, self._hysteresis_m = requirement, hysteresis_m
-        self._side = requirement.side
-        self._course = CourseHold()
-        self._presumed_rad: float | None = None
+        sector, side = requirement.sector, requirement.side
+        fixed_rad = math.nan if sector is None else sector.middle_rad - side.normal_turn_rad
+        self.wish = kernel.Wish(requirement.either_side, hysteresis_m, fixed_rad)
+        self.memory = kernel.fresh_memory(1.0 if side is Side.LEFT else -1.0)
 
     def viewpoint(self, east_m: float, north_m: float, target: TargetEstimate) -> Viewpoint:
         """Return the viewpoint for an aircraft at a place of the plane.
 
         While the target has not moved yet, its course is presumed to be such that the aircraft began right beside it.
         """
-        sector = self._requirement.sector
-        if sector is not None:
-            return Viewpoint(sector.middle_rad - self._side.normal_turn_rad, self._side, 0.0)
-        course_rad = self._course.update(target)
-        away_rad = math.atan2(east_m - target.east_m, north_m - target.north_m)
-        if course_rad is None:
-            if self._presumed_rad is None:
-                self._presumed_rad = away_rad - self._side.normal_turn_rad
-            return Viewpoint(self._presumed_rad, self._side, 0.0)
-        if self._requirement.either_side:
-            range_m = math.hypot(east_m - target.east_m, north_m - target.north_m)
-            aside_m = range_m * math.cos(away_rad - course_rad - self._side.normal_turn_rad)
-            if aside_m < -self._hysteresis_m:
-                self._side = Side.RIGHT if self._side is Side.LEFT else Side.LEFT
-        sigma_rad = 0.0 if self._course.standing else course_sigma_rad(target)
-        return Viewpoint(course_rad, self._side, sigma_rad)
+        view = kernel.viewpoint(east_m, north_m, known(target), self.wish, self.memory)
+        return Viewpoint(view.course_rad, Side.LEFT if view.side > 0.0 else Side.RIGHT, view.course_sigma_rad)
 
 
 def watching_from(requirement: Requirement, words: str) -> Requirement:

@@ -19,7 +19,7 @@ from estimators.compiled import compiled
 def outer(x):
     return inner(x) + 1.0
 
-print(outer(1.0), sum(outer.stats.cache_hits.values()))
+print(outer(1.0), sum(outer.dispatcher.stats.cache_hits.values()))
 """
 
 

@@ -1,49 +1,177 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
+from mission.core.circle import Circle
+from mission.core.path import Path
+from mission.core.plan import AircraftState, Plan
 from mission.core.requirement import Wind
-from mission.geometry.trapezoid import Trapezoids
-from mission.geometry.wind import path_times_s
-from mission.predictive.rollout import Situation, WatchFrame, outlook
+from mission.geometry._line_kernel import circle_after, craft_of
+from mission.geometry.progress import line_at, line_of
+from mission.geometry.trapezoid import sharpness_per_m2, sharpnesses_per_m2
+from mission.geometry.wind import ground_speeds_m_s, min_radius_m
+from mission.predictive import _decision_kernel as kernel
+from mission.predictive._rollout_kernel import Futures, line_cost, times_s
+from mission.predictive.planner import table_configuration
+from mission.predictive.value_table import completed
+from mission.viewpoint._viewpoint_kernel import Known, Wish, fresh_memory
+from mission.viewpoint.side_policy import watching_from
+from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
-ANGLES = st.floats(-math.pi, math.pi)
-METRES = st.floats(-1000.0, 1000.0)
-
-
-def situation(velocity=(0.0, 0.0), wind=None):
-    return Situation(velocity, wind or Wind(), 10.0, 0.0, 0.0, 0.0)
-
-
-@given(ANGLES, METRES, METRES, ANGLES)
-def test_left_of_the_course_is_negative_x(course_rad, ahead_m, left_m, aircraft_course_rad):
-    frame = WatchFrame(50.0, -20.0, course_rad, 1.0)
-    east_m = 50.0 + ahead_m * math.sin(course_rad) - left_m * math.cos(course_rad)
-    north_m = -20.0 + ahead_m * math.cos(course_rad) + left_m * math.sin(course_rad)
-    assert frame.place(east_m, north_m) == pytest.approx((-left_m, ahead_m), abs=1e-6)
-    x_m, y_m = frame.places(np.array([east_m]), np.array([north_m]))
-    assert (x_m[0], y_m[0]) == pytest.approx((-left_m, ahead_m), abs=1e-6)
-    mirrored = WatchFrame(50.0, -20.0, course_rad, -1.0)
-    assert mirrored.place(east_m, north_m) == pytest.approx((left_m, ahead_m), abs=1e-6)
-    assert mirrored.heading_rad(aircraft_course_rad) == pytest.approx(-frame.heading_rad(aircraft_course_rad))
+CALM = Wind()
 
 
-def test_a_target_ahead_comes_nearer_by_its_own_speed():
-    arc_m = np.array([[0.0, 50.0, 100.0]])
-    seen = outlook(arc_m * 0.0 - 200.0, arc_m, arc_m * 0.0, arc_m, situation((0.0, 4.0)))
-    np.testing.assert_allclose(seen.time_s, [[0.0, 5.0, 10.0]])
-    np.testing.assert_allclose(seen.y_m, [[0.0, 30.0, 60.0]])
-    np.testing.assert_allclose(seen.x_m, -200.0)
+def a_table(aircraft, requirement, wind_m_s=0.0):
+    """A table of random values: what is looked up has to be the right number, not a good one."""
+    configuration = replace(table_configuration(aircraft, requirement, wind_m_s), cells=8)
+    rng = np.random.default_rng(3)
+    return completed(configuration, rng.uniform(0.0, 100.0, configuration.shape).astype(np.float32))
 
 
-@given(st.floats(0.0, 6.0), ANGLES)
-def test_wind_changes_the_time_and_not_the_line(wind_m_s, towards_rad):
-    wind = Wind(wind_m_s * math.sin(towards_rad), wind_m_s * math.cos(towards_rad))
-    path = Trapezoids.between(0.02, [-0.01], [100.0], [0.02], 0.0008).path(0, 0.0, 0.0, 0.3)
-    line = (path.east_m[None], path.north_m[None], path.course_rad[None], path.arc_m[None])
-    calm, windy = outlook(*line, situation()), outlook(*line, situation(wind=wind))
-    np.testing.assert_allclose(windy.x_m, calm.x_m)
-    np.testing.assert_allclose(windy.time_s[0], path_times_s(path, 10.0, wind), atol=1e-9)
+class Look:
+    """One scene, seen by the compiled look-ahead and by the plain one."""
+
+    def __init__(self, aircraft, table, wind=CALM, sigma_m=0.5, side=1.0, under_way=False, velocity=(1.5, 3.0)):
+        self.aircraft, self.table, self.wind, self.side = aircraft, table, wind, side
+        circle = Circle(-220.0 * side, 90.0, 60.0, clockwise=side > 0.0)
+        present = Plan(circle)
+        place = circle.position_at_course(0.9)
+        self.state = AircraftState(0.0, *place, 0.9, 10.0, circle.curvature_per_m)
+        target = Known(-0.3, 10.0, -20.0, *velocity, np.diag([sigma_m**2, 0.1, 0.04, 0.03]))
+        self.craft = craft_of(aircraft)
+        scene = self._scene(target, present)
+        if under_way:
+            line = kernel.move_line(scene, self.craft, 33)
+            circle = Circle(*circle_after(line, scene.radius_m)[:2], scene.radius_m, clockwise=side > 0.0)
+            present = Plan(circle, Path(*line))
+            here = 12
+            self.state = AircraftState(0.0, *line[1:4, here].tolist(), 10.0, float(line[4, here]))
+            scene = self._scene(target, present)
+        self.scene, self.present, self.under_way = scene, present, under_way
+
+    def _scene(self, target, present):
+        s = self.state
+        return kernel.scene_of(
+            *(s.time_s, s.east_m, s.north_m, s.course_rad, s.ground_speed_m_s, s.curvature_per_m, target),
+            *(*line_of(present), self.wind.east_m_s, self.wind.north_m_s, 0.4, 5.0, self.craft),
+            *(Wish(False, 50.0, math.nan), fresh_memory(self.side)),
+        )
+
+    def compiled(self, futures=None, kept=None):
+        costs, motions, c = np.empty(kernel.MOVES), self.table.motions, self.table.configuration
+        stay = kernel.look_ahead(
+            self.scene,
+            *(self.state.east_m, self.state.north_m, *line_of(self.present)),
+            futures or kernel.going_straight(self.scene, motions),
+            *(self.craft, c.cost.terms, self.table.arrays, motions, kernel.Prices(0.5, 1.0)),
+            *(kept or kernel.nothing_kept(), costs),
+        )
+        return costs, stay
+
+    def plain(self):
+        scene, radius_m = self.scene, self.scene.radius_m
+        wind = Wind(scene.air.wind_x_m_s, scene.air.wind_y_m_s)
+        other_wind = abs(wind.speed_m_s - self.table.configuration.wind_speed_m_s) > 1.5
+        beyond_m = 2.0 * math.pi * radius_m if other_wind or scene.doubt.position_m > 10.0 else 0.0
+        velocity = scene.velocity_x_m_s, scene.velocity_y_m_s
+        roll_out = RollOut(self.table, velocity, wind, scene.doubt, self.aircraft.airspeed_m_s, beyond_m)
+        x, y = kernel.in_frame(scene, scene.start.east_m, scene.start.north_m)
+        heading = self.side * (scene.start.course_rad - scene.course_rad)
+
+        def ramps(heading_rad):
+            around = np.asarray(heading_rad)[:, None] + np.linspace(-0.5, 0.5, 5)
+            return sharpnesses_per_m2(self.aircraft, ground_speeds_m_s(around, 10.0, wind).max(axis=1))
+
+        moves = moves_from(self.side * scene.start.curvature_per_m, radius_m, ramps([heading])[0])
+        moves = moves.with_last_ramps(ramps(heading + moves.turned(moves.last_start[:, None])[:, 0]))
+        costs = roll_out.costs(moves, x, y, heading)
+        if not self.under_way:
+            stays = staying_on(self.side * self.present.circle.curvature_per_m, radius_m, ramps([heading])[0])
+            costs[moves.last_end < 0.4 * radius_m] = np.inf
+            return costs + 0.5, roll_out.costs(stays, x, y, heading).min()
+        length_m = self.present.transition.length_m - scene.arc_m + beyond_m
+        arc = np.linspace(0.0, length_m, max(2, math.ceil(length_m / 10.0) + 1))
+        east, north, course = line_at(self.present, scene.arc_m + arc, self.state)
+        seen = np.array([kernel.in_frame(scene, *place) for place in zip(east, north, strict=True)]).T
+        stay = roll_out.costs_of(*seen[:, None], self.side * (course - scene.course_rad)[None], arc[None])
+        return costs + 1.0, stay[0]
+
+
+@pytest.mark.parametrize("under_way", [False, True])
+@pytest.mark.parametrize(
+    ("wind", "table_wind_m_s", "words", "doubt_m", "side"),
+    [
+        (CALM, 0.0, "left", 0.5, 1.0),
+        (CALM, 0.0, "left", 25.0, -1.0),
+        (Wind(3.0, -1.0), 0.0, "left", 0.5, 1.0),
+        (Wind(-2.0, -1.5), 2.5, "left", 0.5, -1.0),
+        (CALM, 0.0, "120-200", 0.5, 1.0),
+    ],
+)
+def test_the_compiled_look_ahead_costs_what_the_plain_one_does(
+    paper_aircraft, paper_requirement, wind, table_wind_m_s, words, doubt_m, side, under_way
+):
+    table = a_table(paper_aircraft, watching_from(paper_requirement, words), table_wind_m_s)
+    for velocity in ((1.5, 3.0), (0.3, -0.2)):
+        look = Look(paper_aircraft, table, wind, doubt_m, side, under_way, velocity)
+        for compiled, plain in zip(look.compiled(), look.plain(), strict=True):
+            np.testing.assert_allclose(compiled, plain, rtol=2e-5)
+
+
+def test_lines_that_were_kept_cost_the_same(paper_aircraft, paper_requirement):
+    table, kept = a_table(paper_aircraft, paper_requirement), kernel.nothing_kept()
+    look = Look(paper_aircraft, table)
+    first, again = look.compiled(kept=kept), look.compiled(kept=kept)
+    np.testing.assert_array_equal(first[0], again[0])
+    assert first[1] == again[1]
+
+
+def with_future(one, samples, weight=1.0):
+    """The future of a steady velocity again, sampled so often."""
+    k = np.arange(samples)[:, None]
+    place = np.repeat(one.place[0], samples, axis=0)
+    place[:, :2] += k * one.step_s * place[:, 2:]
+    rest = (np.repeat(a, samples, axis=1) for a in one[3:])
+    return Futures(np.array([weight]), one.step_s, place[None], *rest)
+
+
+def test_a_future_may_be_sampled_and_futures_are_weighed(paper_aircraft, paper_requirement):
+    table = a_table(paper_aircraft, paper_requirement)
+    look = Look(paper_aircraft, table, under_way=True)
+    straight = kernel.going_straight(look.scene, table.motions)
+    costs, stay = look.compiled()
+    sampled = look.compiled(with_future(straight, 40))
+    np.testing.assert_allclose(sampled[0], costs, rtol=1e-9)
+    assert sampled[1] == pytest.approx(stay, rel=1e-9)
+    # Turned as a whole - target, watch course and the table's course - a scene costs what it did.
+    sin_t, cos_t = math.sin(0.7), math.cos(0.7)
+    both = Futures(np.array([0.25, 0.75]), 1.0, *(np.concatenate((a, a)) for a in straight[2:]))
+    both.place[1, 0, 2:] = 4.0, -1.0
+    other = Futures(np.ones(1), 1.0, *(a[1:] for a in both[2:]))
+    np.testing.assert_allclose(look.compiled(both)[0], 0.25 * costs + 0.75 * look.compiled(other)[0], rtol=1e-9)
+    x, y = np.linspace(-300.0, -200.0, 30), np.linspace(-50.0, 50.0, 30)
+    heading, time_s = np.linspace(0.0, 1.0, 30), np.arange(30.0)
+    terms, doubt = table.configuration.cost.terms, look.scene.doubt
+    turned = Futures(*straight[:2], *(a.copy() for a in straight[2:]))
+    vx, vy = straight.place[0, 0, 2:]
+    turned.place[0, 0, 2:] = vx * cos_t + vy * sin_t, vy * cos_t - vx * sin_t
+    turned.facing[0, 0], turned.course[0, 0] = (sin_t, cos_t), (sin_t, cos_t, 0.7)
+    assert line_cost(
+        x * cos_t + y * sin_t, y * cos_t - x * sin_t, heading + 0.7, time_s, turned, doubt, terms, table.arrays
+    ) == pytest.approx(line_cost(x, y, heading, time_s, straight, doubt, terms, table.arrays), rel=1e-9)
+
+
+def test_wind_makes_a_line_faster_or_slower_only():
+    heading, arc = np.full(11, 0.5 * math.pi), np.linspace(0.0, 100.0, 11)
+    assert times_s(heading, arc, kernel.Air(10.0, 0.0, 0.0))[-1] == pytest.approx(10.0)
+    assert times_s(heading, arc, kernel.Air(10.0, 3.0, 0.0))[-1] == pytest.approx(100.0 / 13.0)
+
+
+def test_the_radius_grows_with_the_wind(paper_aircraft, paper_requirement):
+    table = a_table(paper_aircraft, paper_requirement)
+    steep = replace(paper_aircraft, radius_m=12.0)
+    scene = Look(steep, table, Wind(4.0, 0.0)).scene
+    assert scene.radius_m == pytest.approx(min_radius_m(10.0, Wind(4.0, 0.0), steep.bank_max_rad))
+    assert sharpness_per_m2(steep, 10.0) > sharpness_per_m2(paper_aircraft, 10.0)

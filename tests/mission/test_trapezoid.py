@@ -73,11 +73,12 @@ def test_ends_on_its_circle(start_per_m, hold, length, sense, course_rad):
 @given(HOLDS, HOLDS, LENGTHS, SENSES)
 def test_coarse_samples_agree_with_the_fine_path(start_per_m, hold, length, sense):
     one = trapezoid(start_per_m, hold, length, sense)
-    arcs = one.coarse_arcs_m(10.0)
-    east, north = one.displaced_m(arcs, 0.3)
+    end_m = float(one.end_m[0])
+    arcs = np.minimum(10.0 * np.arange(math.ceil(end_m / 10.0) + 1), end_m)[None, :]
+    east, north, turned = one.displaced_m(arcs, 0.3)
     path = one.path(0, 0.0, 0.0, 0.3)
-    assert arcs[0, -1] == pytest.approx(float(one.last_end_m[0]))
     if path.length_m > 2.0:
+        assert turned[0, -1] == pytest.approx(path.course_rad[-1] - 0.3)
         assert east[0, -1] == pytest.approx(path.east_m[-1], abs=0.05)
         assert north[0, -1] == pytest.approx(path.north_m[-1], abs=0.05)
 

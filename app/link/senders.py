@@ -1,0 +1,67 @@
+"""Whether one vehicle speaks, or two with the same system id: looked at before anything is armed or uploaded.
+
+Each autopilot numbers its frames one after the other, names its kind in its heartbeats, and goes on in time and
+place. Where frame numbers go back again and again, kinds change, or clocks or places take turns, there are two.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from app.link.message import Message
+from app.link.modes import AUTOPILOT_INVALID
+from app.link.telemetry import AUTOPILOT_COMPONENT, Telemetry
+from mission.control.plausibility import Plausibility
+
+# (first byte, where sequence number, system and component stand) of MAVLink 2 and 1.
+_HEADERS = {0xFD: (4, 5, 6), 0xFE: (2, 3, 4)}
+_FRAMES = 150
+_BACK_MAX_SHARE = 0.06  # packets that overtake one another on one link are fewer
+_REMEDY = "give one of them another system id, or end the second route to it"
+
+
+class SenderCheck:
+    """Hears frames (from any thread) and messages of one system id."""
+
+    def __init__(self) -> None:
+        self.system_id: int | None = None
+        self._last: int | None = None
+        self._back: deque[bool] = deque(maxlen=_FRAMES)
+        self._kinds: list[tuple[int, int]] = []
+        self._telemetry: Telemetry | None = None
+        self._door = Plausibility()
+
+    def frame(self, data: bytes) -> None:
+        """Take a raw frame."""
+        places = _HEADERS.get(data[0]) if len(data) > 6 else None
+        if places is None or self.system_id is None:
+            return
+        number, system, component = (data[place] for place in places)
+        if system != self.system_id or component != AUTOPILOT_COMPONENT:
+            return
+        if self._last is not None:
+            self._back.append((number - self._last) % 256 >= 128)
+        self._last = number
+
+    def message(self, message: Message) -> None:
+        """Take a message of the vehicle."""
+        if self._telemetry is None:
+            self._telemetry = Telemetry(message.system_id)
+        event = self._telemetry.event(message)
+        if event is not None:
+            self._door.admit(event)
+        if message.name == "HEARTBEAT" and message.component_id == AUTOPILOT_COMPONENT:
+            kind = int(message.fields["autopilot"]), int(message.fields["type"])
+            if kind[0] != AUTOPILOT_INVALID and kind not in self._kinds:
+                self._kinds.append(kind)
+
+    @property
+    def two(self) -> str | None:
+        """Why there are two vehicles, and the way out, or None."""
+        reason = self._door.two_vehicles
+        if reason is None and len(self._kinds) > 1:
+            reason = "two vehicles speak with the same system id: their heartbeats tell different kinds"
+        back = list(self._back)
+        if reason is None and len(back) == _FRAMES and sum(back) > _BACK_MAX_SHARE * _FRAMES:
+            reason = "two vehicles speak with the same system id: their frame numbers take turns"
+        return None if reason is None else f"{reason}; {_REMEDY}"

@@ -1,0 +1,123 @@
+"""The inner loops of :mod:`mission.predictive.cost`, and looking up in a value table."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from estimators.compiled import compiled
+from mission.core.path import FloatArray
+
+Float32 = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int64]
+
+_TWO_PI = 2.0 * math.pi
+
+
+class CostTerms(NamedTuple):
+    """The numbers of :class:`mission.predictive.cost.WatchCost`."""
+
+    near_m: float
+    far_m: float
+    cos_half_width: float
+    outside: float
+    outside_per_m: float
+    wall_width_m: float
+    wall: float
+
+
+class Table(NamedTuple):
+    """A value table: arrays (classes, headings, n, n)."""
+
+    values: Float32
+    after_turn: Float32
+    cell_m: float
+    discount_per_s: float
+    mean_leg_s: float
+
+
+@compiled
+def cost_rate(x_m: float, y_m: float, widened_m: float, blur_m: float, c: CostTerms) -> float:
+    """See :meth:`mission.predictive.cost.WatchCost.rate`."""
+    range_m = math.sqrt(x_m * x_m + y_m * y_m)
+    off = 0.5 + 0.5 * (x_m + c.cos_half_width * range_m) / blur_m
+    off = 0.0 if off < 0.0 else off
+    off = 1.0 if off > 1.0 else off
+    quarter_m = 0.25 * (c.far_m - c.near_m)
+    widened_m = widened_m if widened_m < quarter_m else quarter_m
+    above_m, below_m = range_m - (c.near_m + widened_m), (c.far_m - widened_m) - range_m
+    inside_m = above_m if above_m < below_m else below_m
+    near_wall = 1.0 - inside_m / c.wall_width_m
+    near_wall = 0.0 if near_wall < 0.0 else near_wall
+    near_wall = 1.0 if near_wall > 1.0 else near_wall
+    beyond = c.outside - c.wall - c.outside_per_m * inside_m
+    return off + c.wall * near_wall * near_wall + (beyond if inside_m < 0.0 else 0.0)
+
+
+@compiled
+def cost_rates(
+    x_m: FloatArray, y_m: FloatArray, widened_m: FloatArray, blur_m: FloatArray, c: CostTerms, found: FloatArray
+) -> None:
+    """Fill in the rate at places (n,)."""
+    for i in range(len(x_m)):
+        found[i] = cost_rate(x_m[i], y_m[i], widened_m[i], blur_m[i], c)
+
+
+@compiled
+def looked_up(values: Float32, cell_m: float, x_m: float, y_m: float, heading_rad: float) -> float:
+    """Interpolate in (headings, n, n); beyond the grid as on its edge."""
+    headings, n, _ = values.shape
+    x = min(max(x_m / cell_m + 0.5 * (n - 1), 0.0), n - 1.001)
+    y = min(max(y_m / cell_m + 0.5 * (n - 1), 0.0), n - 1.001)
+    heading = heading_rad * (headings / _TWO_PI)
+    heading -= headings * math.floor(heading / headings)
+    i, j, k = int(x), int(y), int(heading)
+    across, along, turn = x - i, y - j, heading - k
+    k = k if k < headings else k - headings
+    near = _in_plane(values[k], i, j, across, along)
+    far = _in_plane(values[k + 1 if k + 1 < headings else 0], i, j, across, along)
+    return float(near + turn * (far - near))
+
+
+@compiled
+def _in_plane(plane: Float32, i: int, j: int, across: float, along: float) -> float:
+    low = plane[i, j] + along * (plane[i, j + 1] - plane[i, j])
+    high = plane[i + 1, j] + along * (plane[i + 1, j + 1] - plane[i + 1, j])
+    return float(low + across * (high - low))
+
+
+@compiled
+def table_value(
+    values: Float32,
+    cell_m: float,
+    x_m: float,
+    y_m: float,
+    heading_rad: float,
+    classes: IntArray,
+    share: FloatArray,
+) -> float:
+    """Return what the classes (4,) say together."""
+    total = 0.0
+    for c in range(4):
+        if share[c] > 0.0:
+            total += share[c] * looked_up(values[classes[c]], cell_m, x_m, y_m, heading_rad)
+    return total
+
+
+@compiled
+def table_values(
+    values: Float32,
+    cell_m: float,
+    x_m: FloatArray,
+    y_m: FloatArray,
+    heading_rad: FloatArray,
+    classes: IntArray,
+    share: FloatArray,
+    found: FloatArray,
+) -> None:
+    """Fill in :func:`table_value` for many places (n,)."""
+    for i in range(len(x_m)):
+        found[i] = table_value(values, cell_m, x_m[i], y_m[i], heading_rad[i], classes, share)

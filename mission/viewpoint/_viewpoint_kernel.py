@@ -1,0 +1,115 @@
+"""The inner loops of the course hold and the side policy: from where the target is watched."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimators.compiled import compiled
+from mission.core.path import FloatArray
+
+_STOPPED_BELOW_M_S = 0.9
+_MOVING_ABOVE_M_S = 1.0
+_SIGMAS = 2.0  # a speed below so many of its standard deviations is no motion either
+_BEFORE_STOP_S = 3.0
+
+# The memory, an array: what it holds, then the times and courses of the last seconds of motion, oldest first.
+STANDING, COURSE, PRESUMED, SIDE, RECENT = range(5)
+_RECENT_MAX = 200  # of them: more than at any rate that decisions are made at
+MEMORY_SIZE = RECENT + 1 + 2 * _RECENT_MAX
+
+
+class Known(NamedTuple):
+    """An estimate of the target: see :class:`estimators.estimate.TargetEstimate`; covariance (4, 4)."""
+
+    time_s: float
+    east_m: float
+    north_m: float
+    velocity_east_m_s: float
+    velocity_north_m_s: float
+    covariance: FloatArray
+
+
+class Wish(NamedTuple):
+    """From where to watch: a side (SIDE of the memory), either side, or a fixed course, NaN for none."""
+
+    either_side: bool
+    hysteresis_m: float
+    fixed_course_rad: float
+
+
+class View(NamedTuple):
+    """The course whose side counts, the side (1 left, -1 right), and how well the course is known."""
+
+    course_rad: float
+    side: float
+    course_sigma_rad: float
+
+
+@compiled
+def fresh_memory(side: float) -> FloatArray:
+    """Return the memory of one who has not seen the target yet. side: 1 left, -1 right."""
+    memory = np.zeros(MEMORY_SIZE)
+    memory[STANDING], memory[COURSE], memory[PRESUMED], memory[SIDE] = 1.0, np.nan, np.nan, side
+    return memory
+
+
+@compiled
+def velocity_sigma_m_s(target: Known) -> float:
+    """Return one standard deviation of the velocity on its worse axis."""
+    return math.sqrt(max(target.covariance[2, 2], target.covariance[3, 3], 0.0))
+
+
+@compiled
+def course_sigma_rad(target: Known) -> float:
+    """Return one standard deviation of a moving target's course: the velocity's across it, over the speed."""
+    speed_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
+    course_rad = math.atan2(target.velocity_east_m_s, target.velocity_north_m_s)
+    east, north = math.cos(course_rad), -math.sin(course_rad)
+    p = target.covariance
+    variance = east * east * p[2, 2] + 2.0 * east * north * p[2, 3] + north * north * p[3, 3]
+    return math.sqrt(max(variance, 0.0)) / max(speed_m_s, _STOPPED_BELOW_M_S)
+
+
+@compiled
+def held_course_rad(target: Known, memory: FloatArray) -> float:
+    """Take an estimate, in the order of time, and return the course to watch from; NaN until the target has moved."""
+    speed_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
+    standing = memory[STANDING] > 0.0
+    threshold_m_s = max(_MOVING_ABOVE_M_S if standing else _STOPPED_BELOW_M_S, _SIGMAS * velocity_sigma_m_s(target))
+    recent, count = memory[RECENT + 1 :], int(memory[RECENT])
+    if speed_m_s >= threshold_m_s:
+        memory[STANDING] = 0.0
+        memory[COURSE] = math.atan2(target.velocity_east_m_s, target.velocity_north_m_s)
+        gone = 1 if count == _RECENT_MAX else 0
+        while gone + 1 < count and recent[2 * (gone + 1)] <= target.time_s - _BEFORE_STOP_S:
+            gone += 1
+        for i in range(2 * gone, 2 * count):
+            recent[i - 2 * gone] = recent[i]
+        count -= gone
+        recent[2 * count], recent[2 * count + 1] = target.time_s, memory[COURSE]
+        memory[RECENT] = count + 1
+    elif not standing:
+        memory[STANDING], memory[COURSE], memory[RECENT] = 1.0, recent[1], 0.0
+    return float(memory[COURSE])
+
+
+@compiled
+def viewpoint(east_m: float, north_m: float, target: Known, wish: Wish, memory: FloatArray) -> View:
+    """See :meth:`mission.viewpoint.side_policy.SidePolicy.viewpoint`."""
+    if not math.isnan(wish.fixed_course_rad):
+        return View(wish.fixed_course_rad, memory[SIDE], 0.0)
+    course_rad = held_course_rad(target, memory)
+    away_rad = math.atan2(east_m - target.east_m, north_m - target.north_m)
+    if math.isnan(course_rad):
+        if math.isnan(memory[PRESUMED]):
+            memory[PRESUMED] = away_rad + 0.5 * math.pi * memory[SIDE]
+        return View(memory[PRESUMED], memory[SIDE], 0.0)
+    if wish.either_side:
+        range_m = math.hypot(east_m - target.east_m, north_m - target.north_m)
+        aside_m = range_m * math.cos(away_rad - course_rad + 0.5 * math.pi * memory[SIDE])
+        if aside_m < -wish.hysteresis_m:
+            memory[SIDE] = -memory[SIDE]
+    return View(course_rad, memory[SIDE], 0.0 if memory[STANDING] > 0.0 else course_sigma_rad(target))

@@ -1,0 +1,56 @@
+"""Two vehicles on one link: they are listed, and nothing is sent before one is named."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.udp
+SIDELONG = Path(sys.executable).parent / "sidelong"
+
+
+@contextmanager
+def vehicles(port: int, *options: tuple[object, ...]) -> Iterator[None]:
+    with ExitStack() as stack:
+        for one in options:
+            command = [sys.executable, "-m", "sitl", "--to", f"127.0.0.1:{port}", "--speed", "10", *map(str, one)]
+            process = stack.enter_context(subprocess.Popen([*command, "--while-input"], stdin=subprocess.PIPE))
+            stack.callback(process.terminate)
+        yield
+
+
+def sidelong(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [str(SIDELONG), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120.0, check=False)
+
+
+def test_of_two_vehicles_one_has_to_be_named(free_port, tmp_path):
+    port = free_port()
+    url = f"udpin://127.0.0.1:{port}"
+    with vehicles(port, ("--system-id", 1), ("--system-id", 7, "--autopilot", "px4")):
+        unnamed = sidelong("launch", "--connect", url, "--out", tmp_path)
+        assert unnamed.returncode == 2, unnamed.stdout + unnamed.stderr
+        assert "several vehicles are heard: system 1 (" in unnamed.stderr
+        assert "system 7 (px4" in unnamed.stderr
+        assert "--system-id" in unnamed.stderr
+        named = sidelong("connect", url, "--system-id", 7, "--listen", 1, "--json", tmp_path / "found.json")
+        assert named.returncode == 0, named.stderr
+        assert json.loads((tmp_path / "found.json").read_text())["system_id"] == 7
+        absent = sidelong("connect", url, "--system-id", 3, "--timeout", 2)
+        assert absent.returncode == 2
+        assert "system 3 is not heard, only system 1" in absent.stderr
+
+
+def test_two_vehicles_with_one_id_are_told_before_anything_is_armed(free_port, tmp_path):
+    port = free_port()
+    with vehicles(port, ("--seed", 1), ("--seed", 2)):
+        done = sidelong("launch", "--connect", f"udpin://127.0.0.1:{port}", "--out", tmp_path)
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert "two vehicles speak with the same system id" in done.stderr
+    assert "arming" not in done.stdout
