@@ -1,10 +1,15 @@
 """Interacting multiple model filter: a target that stands, cruises, turns or manoeuvres.
 
 Blom and Bar-Shalom, "The interacting multiple model algorithm for systems with Markovian switching coefficients",
-IEEE Transactions on Automatic Control 33(8), 1988; with the motions of :mod:`estimators.motion`.
+IEEE Transactions on Automatic Control 33(8), 1988.
 
-All models go through each step together, as one stack (models, n, n). They share the derivative of the measurement,
-taken at their common mean: they lie within metres of one another and some hundred metres from the aircraft.
+standing      velocity is zero but for a shuffle, the position stays
+cruising      velocity holds, with a little white acceleration
+turning       velocity turns at an unknown rate, otherwise as cruising
+manoeuvring   much white acceleration: braking, gathering way, swerving
+
+All models share the derivative of the measurement, taken at their common mean: they lie within metres of one another
+and some hundred metres from the aircraft.
 """
 
 from __future__ import annotations
@@ -14,140 +19,99 @@ from typing import Self
 
 import numpy as np
 
+from estimators import _imm_kernel as kernel
+from estimators._imm_kernel import COVARIANCE, MEAN, MODELS, PROBABILITY, RANGE, TURN, TURN_SIGMA_RAD_S, YAW, N, Seen
 from estimators.biases import Biases
-from estimators.comparison import compare, huber_inflation
-from estimators.motion import (
-    MODELS,
-    TURN,
-    TURN_SIGMA_RAD_S,
-    TURNING,
-    model_noises,
-    model_transitions,
-    switch_probabilities,
-)
 from estimators.settings import TrackerSettings
-from estimators.sighting import AnySighting
-from estimators.target_filter import (
-    BIASES,
-    EAST,
-    NORTH,
-    VELOCITY_E,
-    VELOCITY_N,
-    FloatArray,
-    bias_drift,
-    starting_state,
-)
-
-_START = np.full(len(MODELS), 1.0 / len(MODELS))
+from estimators.sighting import AnySighting, Fix
+from estimators.target_filter import BIASES, FloatArray, bias_drift, starting_state
 
 
 class TargetImm:
-    """means (models, n), covariances (models, n, n), chances (models,).
-
-    None of them is ever changed in place, so that copies may share them.
-    """
+    """The state is never changed in place, so that copies may share it."""
 
     def __init__(self, settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> None:
         self.time_s = sighting.time_s
         self._density_m2_s3 = settings.acceleration_density_m2_s3
         self._soft_nis = settings.soft_nis
         self._prior = biases
-        self._estimated = biases.estimated
-        self._drift = tuple(bias_drift(self._estimated).tolist())
-        start_mean, start_covariance = starting_state(settings, sighting, biases)
-        mean = np.append(start_mean, 0.0)
-        covariance = np.zeros((len(mean), len(mean)))
-        covariance[:TURN, :TURN] = start_covariance
-        covariance[TURN, TURN] = TURN_SIGMA_RAD_S**2
-        self._means = np.stack([mean] * len(MODELS))
-        self._covariances = np.stack([covariance] * len(MODELS))
-        self._mode_probabilities = _START
+        self._drift_per_s = drift_per_s(biases)
+        self._state = starting_models(settings, sighting, biases)
 
     def predict(self, time_s: float) -> None:
         """Carry the state on to ``time_s``; see :class:`estimators.target_filter.TargetFilter`."""
         step_s = round(time_s - self.time_s, 6)
         self.time_s = time_s
-        if step_s <= 0.0:
-            return
-        means, covariances = self._mixed(step_s)
-        size = means.shape[1]
-        turning = means[TURNING]
-        transitions, by_rate = model_transitions(
-            size, step_s, float(turning[TURN]), float(turning[VELOCITY_E]), float(turning[VELOCITY_N])
-        )
-        self._means = (transitions @ means[:, :, None])[:, :, 0]
-        transitions[TURNING, :4, TURN] = by_rate
-        self._covariances = transitions @ covariances @ transitions.transpose(0, 2, 1)
-        self._covariances += model_noises(size, step_s, self._density_m2_s3, self._drift)
-
-    def _mixed(self, step_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return the means and covariances that each model starts the step from, and move the chances on."""
-        switch = switch_probabilities(step_s)
-        mode_probabilities = self._mode_probabilities @ switch
-        weights = switch * self._mode_probabilities[:, None] / mode_probabilities  # (from, to)
-        size = self._means.shape[1]
-        means = weights.T @ self._means
-        apart = (self._means[:, None] - means) * np.sqrt(weights)[:, :, None]  # (from, to, n)
-        covariances = (weights.T @ self._covariances.reshape(len(MODELS), -1)).reshape(-1, size, size)
-        covariances += apart.transpose(1, 2, 0) @ apart.transpose(1, 0, 2)
-        self._mode_probabilities = mode_probabilities
-        return means, covariances
+        if step_s > 0.0:
+            ahead = np.empty_like(self._state)
+            kernel.predict(self._state, step_s, self._density_m2_s3, self._drift_per_s, ahead)
+            self._state = ahead
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
         """Take a sighting in unless it lies beyond the gate; return its normalised innovation squared."""
-        means, covariances, mode_probabilities = self._means, self._covariances, self._mode_probabilities
-        middle = mode_probabilities @ means
-        place_variance_m2 = float(mode_probabilities @ (covariances[:, EAST, EAST] + covariances[:, NORTH, NORTH]))
-        comparison = compare(sighting, middle, place_variance_m2, self._prior, len(middle))
-        residual, jacobian = comparison.residual, comparison.jacobian
-
-        residuals = residual - (means - middle) @ jacobian.T  # (models, 3)
-        cross = covariances @ jacobian.T  # (models, n, 3)
-        expected = jacobian @ cross
-        noise = np.diag(sighting.variances)
-        apart = residuals - residual
-        spread = (
-            (mode_probabilities @ expected.reshape(len(MODELS), 9)).reshape(3, 3)
-            + (apart.T * mode_probabilities) @ apart
-            + noise
-        )
-        nis = float(residual @ np.linalg.solve(spread, residual))
-        if nis > gate_nis:
-            return nis
-
-        inverses = np.linalg.inv(expected + huber_inflation(nis, self._soft_nis) * noise)
-        gains = cross @ inverses
-        self._means = means + (gains @ residuals[:, :, None])[:, :, 0]
-        updated = covariances - gains @ cross.transpose(0, 2, 1)
-        self._covariances = 0.5 * (updated + updated.transpose(0, 2, 1))
-        distances = (residuals[:, None, :] @ inverses @ residuals[:, :, None])[:, 0, 0]
-        likelihoods = np.exp(-0.5 * (distances - distances.min())) * np.sqrt(np.linalg.det(inverses))
-        mode_probabilities = mode_probabilities * likelihoods
-        self._mode_probabilities = mode_probabilities / mode_probabilities.sum()
+        state = self._state.copy()
+        nis = kernel.update(state, seen(sighting), gate_nis, self._soft_nis)
+        if nis <= gate_nis:
+            self._state = state
         return nis
-
-    def _combined(self) -> tuple[FloatArray, FloatArray]:
-        mean = self._mode_probabilities @ self._means
-        apart = self._means - mean
-        return mean, np.tensordot(self._mode_probabilities, self._covariances, 1) + (
-            apart.T * self._mode_probabilities
-        ) @ apart
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """Return mean (4,) and covariance (4, 4) of (east, north, velocity east, velocity north)."""
-        mean, covariance = self._combined()
-        return mean[:4], covariance[:4, :4]
+        return self._combined(4)
 
     def biases(self) -> Biases:
         """Return the sensor biases with their covariance."""
-        mean, covariance = self._combined()
-        return self._prior.updated(mean[BIASES:TURN], covariance[BIASES:TURN, BIASES:TURN])
+        mean, covariance = self._combined(N)
+        estimated = YAW + self._prior.estimated
+        return self._prior.updated(mean[estimated], covariance[np.ix_(estimated, estimated)])
+
+    def _combined(self, size: int) -> tuple[FloatArray, FloatArray]:
+        mean, covariance = np.empty(size), np.empty((size, size))
+        kernel.combine(self._state, mean, covariance)
+        return mean, covariance
 
     @property
     def mode_probabilities(self) -> FloatArray:
         """How likely each motion is: standing, cruising, turning, manoeuvring."""
-        return self._mode_probabilities
+        return self._state[:, PROBABILITY]
 
     def copy(self) -> Self:
         """Return a filter that goes on by itself from the same state."""
         return copy.copy(self)
+
+
+def starting_models(settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> FloatArray:
+    """Return the state of :mod:`estimators._imm_kernel` for a target first seen here: all models know the same."""
+    estimated = [*range(BIASES), *(YAW + biases.estimated).tolist()]
+    mean, covariance = np.zeros(N), np.zeros((N, N))
+    mean[YAW : RANGE + 1] = biases.mean
+    mean[estimated], covariance[np.ix_(estimated, estimated)] = starting_state(settings, sighting, biases)
+    covariance[TURN, TURN] = TURN_SIGMA_RAD_S**2
+    state = np.empty((len(MODELS), kernel.SIZE))
+    state[:, PROBABILITY] = 1.0 / len(MODELS)
+    state[:, MEAN:COVARIANCE], state[:, COVARIANCE:] = mean, covariance.ravel()
+    return state
+
+
+def drift_per_s(biases: Biases) -> tuple[float, float, float]:
+    """Return the variance that each bias gains each second: none where it is not estimated."""
+    drift = np.zeros(3)
+    drift[biases.estimated] = bias_drift(biases.estimated)
+    yaw, pitch, offset = drift.tolist()
+    return yaw, pitch, offset
+
+
+def seen(sighting: AnySighting) -> Seen:
+    """Return a sighting as the loops see it."""
+    if isinstance(sighting, Fix):
+        return Seen(True, sighting.east_m, sighting.north_m, 0.0, *sighting.variances, 0.0, 0.0, 0.0)
+    return Seen(
+        False,
+        sighting.slant_range_m,
+        sighting.bearing_rad,
+        sighting.depression_rad,
+        *sighting.variances,
+        sighting.aircraft_east_m,
+        sighting.aircraft_north_m,
+        sighting.aircraft_height_m,
+    )

@@ -26,11 +26,11 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter, IMMEstimator
 
 from estimators.biases import Biases
-from estimators.motion import MODELS, TURNING, model_noises, model_transitions, switch_probabilities
 from estimators.settings import TrackerSettings
 from estimators.sighting import Sighting
 from estimators.target_filter import starting_state
 from estimators.track import Track
+from tests.estimators.plain_motion import MODELS, TURNING, model_noises, model_transitions, switch_probabilities
 
 STEP_S, HEIGHT_M = 0.1, 120.0
 SIGMAS = np.array([0.8, math.radians(0.35), math.radians(0.35)])  # slant range, bearing, depression

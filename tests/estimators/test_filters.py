@@ -10,7 +10,10 @@ from scipy.stats import chi2
 from estimators.biases import Biases
 from estimators.ekf import TargetEkf
 from estimators.imm import TargetImm
-from estimators.motion import (
+from estimators.settings import TrackerSettings
+from estimators.target_filter import BIASES, EAST, HEIGHT, NORTH, PLACE, starting_state
+from estimators.ukf import TargetUkf
+from tests.estimators.plain_motion import (
     CRUISING,
     MODELS,
     STANDING,
@@ -19,9 +22,6 @@ from estimators.motion import (
     model_transitions,
     switch_probabilities,
 )
-from estimators.settings import TrackerSettings
-from estimators.target_filter import BIASES, EAST, HEIGHT, NORTH, PLACE, starting_state
-from estimators.ukf import TargetUkf
 
 FILTERS = {"ekf": TargetEkf, "ukf": TargetUkf, "imm": TargetImm}
 SETTINGS = TrackerSettings()

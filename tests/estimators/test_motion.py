@@ -3,11 +3,11 @@ import math
 import numpy as np
 import pytest
 
-from estimators.motion import (
+from estimators.motion import cruise_noise
+from tests.estimators.plain_motion import (
     MODELS,
     TURN,
     TURNING,
-    cruise_noise,
     model_noises,
     model_transitions,
     switch_probabilities,
