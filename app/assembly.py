@@ -12,13 +12,21 @@ from app.config import Config, Polygon, SensorsSection
 from app.errors import InputError
 from app.terrain.elevation_data import elevation_data
 from app.value_cache import value_table
+from estimators._imm_kernel import update
+from estimators.compiled import is_kept
 from estimators.frames import LocalPlane
+from estimators.sighting import Sighting
+from estimators.track import Track
 from estimators.tracker import SourceChoice, Tracker, TrackerSettings
 from mission.control.controller import StandoffController, StandoffSettings
-from mission.core.plan import Plan, Planner
-from mission.core.requirement import Requirement
+from mission.core.circle import Circle
+from mission.core.plan import AircraftState, Plan, Planner
+from mission.core.requirement import Requirement, Wind
+from mission.geometry.progress import nearest_arc_m, point_at
+from mission.geometry.trapezoid import Trapezoids
 from mission.paper.planner import PaperPlanner
 from mission.paper.scope import largest_psi_c_rad
+from mission.predictive._decision_kernel import look_ahead
 from mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
 from mission.upload.fences import FenceError, Fences, Outline
 
@@ -59,10 +67,15 @@ def tracker_settings(sensors: SensorsSection, lost_after_s: float) -> TrackerSet
     )
 
 
-def controller_of(config: Config, progress: Callable[[float], None] = lambda _share: None) -> StandoffController:
-    """Return the control step for a configuration.
+def controller_of(
+    config: Config,
+    progress: Callable[[float], None] = lambda _share: None,
+    tell: Callable[[str], None] = lambda _text: None,
+) -> StandoffController:
+    """Return the control step for a configuration, ready to run without a pause.
 
-    progress hears of the value table's computation, which takes some seconds once per configuration.
+    progress hears of the value table's computation, which takes some seconds once per configuration. tell hears of
+    the compilation, which takes longer, once for this version of the program.
     """
     aircraft = config.aircraft.aircraft()
     requirement = config.requirement.requirement()
@@ -87,6 +100,8 @@ def controller_of(config: Config, progress: Callable[[float], None] = lambda _sh
 
         return PredictivePlanner(aircraft, wanted, calm, settings, windy, check)
 
+    if not (is_kept(look_ahead) and is_kept(update)):
+        tell("compiling the planner and the filter, once for this version of the program: up to a minute")
     controller = StandoffController(
         StandoffSettings(
             requirement,
@@ -98,7 +113,24 @@ def controller_of(config: Config, progress: Callable[[float], None] = lambda _sh
         tracker_of(config),
         planner,
     )
+    _warm_up(planner(requirement), Track(tracker_settings(config.sensors, config.planner.lost_after_s)))
     return controller
+
+
+def _warm_up(planner: Planner, track: Track) -> None:
+    """Run once what a flight will call, on what is thrown away: loading compiled code takes a moment."""
+    circle = Circle(-250.0, 0.0, 60.0, clockwise=True)
+    plan = Plan(circle)
+    path = Trapezoids.between(circle.curvature_per_m, [0.0], [300.0], [circle.curvature_per_m], 1e-3)
+    for time_s in (0.0, 0.5, 1.0):
+        track.add(Sighting(time_s, 270.0, math.pi / 2, 0.3, 1.0, 0.01, 0.01, -250.0, 0.0, 80.0))
+        place = circle.position_at_course(0.1 * time_s)
+        aircraft = AircraftState(time_s, *place, 0.1 * time_s, 15.0, circle.curvature_per_m)
+        estimate = track.estimate(time_s)
+        assert estimate is not None
+        planner.decide(aircraft, estimate, plan, Wind(), 0.5)
+        point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
+        plan = Plan(circle, path.path(0, *place, 0.1 * time_s), time_s)
 
 
 def fence_outlines(config: Config, plane: LocalPlane) -> tuple[list[Outline], list[Outline]]:

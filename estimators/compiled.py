@@ -15,6 +15,7 @@ import re
 import sys
 from collections.abc import Callable
 from functools import cached_property, update_wrapper
+from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any, TypeVar, cast
 
@@ -30,6 +31,12 @@ def compiled(function: F) -> F:
     the last bit in every process on machines of one kind.
     """
     return cast(F, _Compiled(cast(FunctionType, function)))
+
+
+def is_kept(function: Callable[..., Any]) -> bool:
+    """Tell whether a compiled function was compiled by an earlier start."""
+    kept: Any = cast(Any, function).dispatcher._cache
+    return hasattr(kept, "_cache_file") and Path(kept._cache_file._index_path).exists()
 
 
 class _Compiled:

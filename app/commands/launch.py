@@ -231,7 +231,7 @@ async def _fly(
     stopped: asyncio.Event,
 ) -> Summary:
     async with contextlib.AsyncExitStack() as stack:
-        controller = controller_of(config, table_progress(display.note))
+        controller = controller_of(config, table_progress(display.note), display.note)
         urls, truth = config.link.connections, None
         if not urls:
             display.note(f"starting a simulated {config.simulation.autopilot} and its target")

@@ -91,7 +91,7 @@ def _changes(given: list[str], planner: str | None) -> dict[str, dict[str, Any]]
 def _replay_log(path: Path, truth: Path | None, settings: Config, quiet: bool, shown: _Shown | None) -> Summary:
     log = open_log(path)
     telemetry = Telemetry()
-    controller = controller_of(settings, table_progress(console.print))
+    controller = controller_of(settings, table_progress(console.print), console.print)
 
     def fence(plane: LocalPlane) -> None:
         # A log does not tell where home is: the first position of an aircraft on the ground is near it.
@@ -127,7 +127,7 @@ def _replay_run(
         settings = with_values(flown, changes, "--set")
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")
-        controller = controller_of(settings, table_progress(console.print))
+        controller = controller_of(settings, table_progress(console.print), console.print)
         plane = journal.header.plane
         if plane is not None:
             origin_deg = (plane.origin_latitude_deg, plane.origin_longitude_deg)
