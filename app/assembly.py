@@ -8,6 +8,7 @@ from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from app.autopilots.autopilot import Autopilot
 from app.config import Config, Polygon, SensorsSection
 from app.errors import InputError
 from app.terrain.elevation_data import elevation_data
@@ -22,6 +23,10 @@ from mission.control.controller import StandoffController, StandoffSettings
 from mission.core.circle import Circle
 from mission.core.plan import AircraftState, Plan, Planner
 from mission.core.requirement import Requirement, Wind
+from mission.exchange.dialect import Home
+from mission.exchange.mission_controller import MissionController
+from mission.exchange.plan_backend import BackendSettings
+from mission.exchange.takeover import TakeoverSettings
 from mission.geometry.progress import nearest_arc_m, point_at
 from mission.geometry.trapezoid import Trapezoids
 from mission.paper.planner import PaperPlanner
@@ -131,6 +136,31 @@ def _warm_up(planner: Planner, track: Track) -> None:
         planner.decide(aircraft, estimate, plan, Wind(), 0.5)
         point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
         plan = Plan(circle, path.path(0, *place, 0.1 * time_s), time_s)
+
+
+def mission_controller_of(
+    config: Config, controller: StandoffController, autopilot: Autopilot, plane: LocalPlane, home: Home
+) -> MissionController:
+    """Return the whole core of a flight: ``controller``, settled already, and its exchange with the autopilot."""
+    aircraft = config.aircraft
+    return MissionController(
+        controller,
+        autopilot,
+        BackendSettings(
+            plane,
+            home,
+            airspeed_m_s=aircraft.airspeed_m_s,
+            height_m=aircraft.height_m,
+            tolerance_m=config.planner.tolerance_m,
+            bank_max_rad=radians(aircraft.bank_max_deg),
+        ),
+        TakeoverSettings(
+            radius_m=aircraft.radius_m,
+            clockwise=config.requirement.requirement().side.clockwise,
+            by_command=config.planner.guidance == "command",
+            cleared=controller.cleared_first,
+        ),
+    )
 
 
 def fence_outlines(config: Config, plane: LocalPlane) -> tuple[list[Outline], list[Outline]]:

@@ -1,4 +1,4 @@
-"""A bad radio link: it loses, delays and doubles datagrams."""
+"""A bad radio link: it loses, delays, doubles and reorders datagrams."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ class LinkFaults:
     loss: float = 0.0  # fraction, each direction
     duplicate: float = 0.0  # fraction of what is not lost
     delay_s: float = 0.0  # of the stations' clock, each direction
+    jitter_s: float = 0.0  # more than that at most, drawn anew each time: datagrams overtake each other
 
 
 class FaultyLink(Generic[T]):
-    """One direction. What is put in comes out when its time has come, in order."""
+    """One direction. What is put in comes out when its time has come."""
 
     def __init__(self, faults: LinkFaults, rng: np.random.Generator) -> None:
         self._faults = faults
@@ -33,7 +34,8 @@ class FaultyLink(Generic[T]):
             return
         for _ in range(2 if doubled < self._faults.duplicate else 1):
             self._count += 1
-            heapq.heappush(self._waiting, (now_s + self._faults.delay_s, self._count, datagram))
+            jitter_s = self._faults.jitter_s * self._rng.random() if self._faults.jitter_s else 0.0
+            heapq.heappush(self._waiting, (now_s + self._faults.delay_s + jitter_s, self._count, datagram))
 
     def take(self, now_s: float) -> list[T]:
         taken = []

@@ -11,6 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any, get_args
 
 from app.errors import InputError
 from app.link.message import Message
@@ -25,16 +26,19 @@ from mission.core.events import (
     Announce,
     Command,
     ControlAcquired,
-    Event,
     LinkReported,
     ModeReported,
     PlanStatus,
     UploadPlan,
 )
+from mission.exchange.mission_controller import DERIVED, InboundEvent, MissionController, Output
+from mission.exchange.outbox import SendMessage, TakeoverFailed
+from mission.exchange.reports import ExchangeEvent
 
 _MODE = "as recorded"
+_EXCHANGE = (*get_args(ExchangeEvent), SendMessage, TakeoverFailed)
 # Between two positions these only feed the filter: nothing to show or to judge changes.
-_UNSEEN = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading)
+_UNSEEN = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading, *get_args(ExchangeEvent))
 _MIN_BANKED_CURVATURE = 0.25  # of the circle's own; a straighter flight is taken as the circle
 
 
@@ -42,7 +46,7 @@ _MIN_BANKED_CURVATURE = 0.25  # of the circle's own; a straighter flight is take
 class Replayed:
     """What one event of the log led to."""
 
-    event: Event
+    event: InboundEvent
     commands: tuple[Command, ...]
     snapshot: Snapshot
 
@@ -116,44 +120,57 @@ def announcements(commands: Iterable[Command]) -> Iterator[Announce]:
 class Difference:
     """Where a replay first decided otherwise than the flight did."""
 
-    event: Event
-    flown: Command | None
-    replayed: Command | None
+    event: InboundEvent
+    flown: Output | None
+    replayed: Output | None
 
     def __str__(self) -> str:
         return f"after {self.event}\n  flown:    {self.flown}\n  replayed: {self.replayed}"
 
 
 class JournalReplay:
-    """Steps a watch through the journal of one of our own runs: the very events of the flight, in order.
+    """Steps a core through the journal of one of our own runs: the very events of the flight, in order.
+
+    mission: the whole core, where the flight's exchange with the autopilot was recorded and is to be repeated:
+    uploads, switches and yields are compared then too. Without it the controller alone is stepped, through what was
+    found out in flight.
 
     After ``run``, ``compared`` counts the commands that were compared, and ``difference`` is the first that was not
     the same to the last bit, or None.
     """
 
-    def __init__(self, controller: StandoffController) -> None:
+    def __init__(self, controller: StandoffController, mission: MissionController | None = None) -> None:
         self.controller = controller
+        self._step: Callable[[Any], tuple[Output, ...]] = controller.step if mission is None else mission.step
+        self._outputs, self._left_out = (
+            (get_args(Command), _EXCHANGE) if mission is None else ((*get_args(Output), *DERIVED), ())
+        )
         self.compared = 0
         self.difference: Difference | None = None
-        self._cause: Event | None = None
-        self._expected: deque[Command] = deque()
+        self._cause: InboundEvent | None = None
+        self._expected: deque[Output] = deque()
 
-    def run(self, records: Iterable[Event | Command]) -> Iterator[Replayed]:
+    def run(self, records: Iterable[Any]) -> Iterator[Replayed]:
         """Yield the events of the journal with what the step made of them now, without those that nobody sees."""
         for record in records:
-            if isinstance(record, Command):
+            if isinstance(record, self._left_out):
+                continue
+            if isinstance(record, self._outputs):
                 self._compare(record)
+                if isinstance(record, DERIVED):
+                    yield Replayed(record, (), self.controller.snapshot())
                 continue
             if self._expected:
                 self._compare(None)
-            commands = self.controller.step(record)
+            outputs = self._step(record)
             self._cause = record
-            self._expected.extend(commands)
+            self._expected.extend(outputs)
+            commands = tuple(output for output in outputs if isinstance(output, Command))
             if commands or not isinstance(record, _UNSEEN):
                 yield Replayed(record, commands, self.controller.snapshot())
         # A flight that was cut off may lack the commands of its last event: those are not held against it.
 
-    def _compare(self, flown: Command | None) -> None:
+    def _compare(self, flown: Output | None) -> None:
         replayed = self._expected.popleft() if self._expected else None
         self.compared += 1
         same = flown is not None and replayed is not None and encode(flown) == encode(replayed)

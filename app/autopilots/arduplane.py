@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar
 
 from pymavlink import mavutil
 
-from app.autopilots.arduplane_transfer import read_mission, write_items
-from app.autopilots.autopilot import CircleOrder, Home, Limits, raw_item, select_by_message
+from app.autopilots.autopilot import Limits
 from app.autopilots.parameters import RequiredParameter, required_airspeed
-from app.link.link import RawItem, UploadResult
-from app.link.message import Message
-from app.link.vehicle import Answer, Vehicle
+from app.link.modes import AUTOPILOT_ARDUPILOT
 from mission.core.requirement import Wind
+from mission.exchange.dialect import CircleOrder, Home, ProtocolQuirks
+from mission.exchange.raw_item import RawItem, raw_item
+from mission.exchange.reports import PositionTargetReported, VehicleReport
+from mission.exchange.vehicle_command import VehicleCommand
 from mission.upload.items import Item
 from mission.upload.line_tracking import LineTracking, arduplane
 
@@ -22,7 +23,6 @@ _mav = mavutil.mavlink
 _CUSTOM_MODE_ENABLED = 1
 _AUTO, _RTL = 10, 11
 _SPEED_UNCHANGED = -1.0
-_READ_S = 5.0
 _FAILSAFE = "without heartbeats of system MAV_GCS_SYSID (not sidelong's) the failsafe takes the aircraft"
 
 
@@ -30,6 +30,8 @@ class ArduPlane:
     """``Autopilot`` for ArduPlane 4.x."""
 
     name = "ArduPlane"
+    mav_autopilot = AUTOPILOT_ARDUPILOT
+    quirks = ProtocolQuirks(stores_items_one_by_one=True, home_at_zero=True, reports_target_at_once=False)
     mission_mode, circle_mode = "AUTO", "GUIDED"
     min_items = 24
     relevant_parameters: ClassVar[Mapping[str, Mapping[float, str]]] = {
@@ -81,61 +83,39 @@ class ArduPlane:
             return replace(raw, param3=float(round(raw.param3)))
         return raw
 
-    async def store(
-        self,
-        vehicle: Vehicle,
-        held: Sequence[RawItem | None],
-        items: Sequence[RawItem],
-        current: int,
-        timeout_s: float,
-    ) -> UploadResult:
-        if len(held) != len(items):
-            return await write_items(vehicle, items, range(len(items)), timeout_s)
-        differing = [seq for seq in range(len(items)) if items[seq] != held[seq]]
-        if not differing:
-            return UploadResult.ACCEPTED
-        return await write_items(vehicle, items, range(differing[0], differing[-1] + 1), timeout_s)
+    def arm(self) -> VehicleCommand:
+        return VehicleCommand(_mav.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
 
-    async def stored(self, vehicle: Vehicle) -> tuple[RawItem, ...] | None:
-        return await read_mission(vehicle, _READ_S)
+    def disarm(self) -> VehicleCommand:
+        return VehicleCommand(_mav.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
 
-    async def arm(self, vehicle: Vehicle) -> Answer:
-        return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+    def start_mission(self) -> VehicleCommand:
+        return VehicleCommand(_mav.MAV_CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _AUTO))
 
-    async def disarm(self, vehicle: Vehicle) -> Answer:
-        return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+    def return_home(self) -> VehicleCommand:
+        return VehicleCommand(_mav.MAV_CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _RTL))
 
-    async def start_mission(self, vehicle: Vehicle) -> Answer:
-        return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO)
-
-    async def select(self, vehicle: Vehicle, first: int, line: Sequence[RawItem]) -> bool:
-        return await select_by_message(vehicle, first, first + len(line))
-
-    async def fly_circle(self, vehicle: Vehicle, order: CircleOrder, take_over: bool) -> Answer:
+    def fly_circle(self, order: CircleOrder, take_over: bool) -> VehicleCommand:
         # Only COMMAND_INT is understood, the sign of a radius says nothing, and it is kept in whole metres. Without
         # the flag it is refused in any other mode, so it cannot take the aircraft out of somebody's hands.
-        return await vehicle.command_int(
+        return VehicleCommand(
             _mav.MAV_CMD_DO_REPOSITION,
-            _mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
             (
                 _SPEED_UNCHANGED,
                 float(_mav.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE if take_over else 0),
                 float(max(1, round(abs(order.signed_radius_m)))),
                 float(order.signed_radius_m < 0.0),
             ),
+            _mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
             order.x,
             order.y,
             order.height_m,
         )
 
-    def told_circle(self, message: Message) -> CircleOrder | None:
-        if message.name != "POSITION_TARGET_GLOBAL_INT":
+    def reported_circle(self, report: VehicleReport) -> CircleOrder | None:
+        if not isinstance(report, PositionTargetReported):
             return None
-        fields = message.fields
-        return CircleOrder(fields["lat_int"], fields["lon_int"], 0.0, fields["alt"], 0.0)
-
-    async def return_home(self, vehicle: Vehicle) -> Answer:
-        return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _RTL)
+        return CircleOrder(report.x, report.y, 0.0, 0.0, 0.0)
 
     def limits(self, values: Mapping[str, float]) -> Limits:
         names = ("ROLL_LIMIT_DEG", "AIRSPEED_MIN", "AIRSPEED_MAX", "AIRSPEED_CRUISE")

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 from pymavlink import mavutil
 
-from app.autopilots.autopilot import CircleOrder, Home, Limits, at_place, raw_item, same_items, select_by_message
+from app.autopilots.autopilot import Limits
 from app.autopilots.parameters import RequiredParameter, required_airspeed
-from app.link.link import RawItem, UploadResult
-from app.link.message import Message
-from app.link.telemetry import AUTOPILOT_COMPONENT
-from app.link.vehicle import Answer, Vehicle
+from app.link.modes import AUTOPILOT_PX4
 from mission.core.requirement import Wind
+from mission.exchange.dialect import CircleOrder, Home, ProtocolQuirks
+from mission.exchange.raw_item import RawItem, raw_item
+from mission.exchange.reports import OrbitReported, VehicleReport
+from mission.exchange.vehicle_command import VehicleCommand
 from mission.upload.items import Item
 from mission.upload.line_tracking import LineTracking, px4
 
@@ -25,14 +26,14 @@ _APPROACH_M, _APPROACH_HEIGHT_M = 700.0, 40.0
 _ENDS_FLIGHT = (5.0, 6.0)  # of NAV_DLL_ACT
 _WANTS_TAKE_OFF, _WANTS_LANDING = (1.0, 3.0, 4.0), 2.0  # of MIS_TKO_LAND_REQ
 _METRES_PER_DEGREE = 111_000.0
-_TARGET = "POSITION_TARGET_GLOBAL_INT"
-_READ_S = 5.0
 
 
 class Px4:
     """``Autopilot`` for PX4 1.15 and later."""
 
     name = "PX4"
+    mav_autopilot = AUTOPILOT_PX4
+    quirks = ProtocolQuirks(stores_items_one_by_one=False, home_at_zero=False, reports_target_at_once=True)
     mission_mode, circle_mode = "MISSION", "LOITER"
     min_items = 0
     relevant_parameters: ClassVar[Mapping[str, Mapping[float, str]]] = {
@@ -87,65 +88,33 @@ class Px4:
     def raw(self, item: Item) -> RawItem:
         return raw_item(item)
 
-    async def store(
-        self,
-        vehicle: Vehicle,
-        held: Sequence[RawItem | None],
-        items: Sequence[RawItem],
-        current: int,
-        timeout_s: float,
-    ) -> UploadResult:
-        # Partial writes are ignored, and a list is taken whole or not at all.
-        result = await vehicle.link.upload(items, current, timeout_s)
-        if result is UploadResult.TIMEOUT:  # often only the last acknowledgement was lost
-            downloaded = await self.stored(vehicle)
-            if downloaded is not None and same_items(items, downloaded):
-                return UploadResult.ACCEPTED
-        return result
+    def arm(self) -> VehicleCommand:
+        return VehicleCommand(_mav.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
 
-    async def stored(self, vehicle: Vehicle) -> tuple[RawItem, ...] | None:
-        return await vehicle.link.download(_READ_S)
+    def disarm(self) -> VehicleCommand:
+        return VehicleCommand(_mav.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
 
-    async def arm(self, vehicle: Vehicle) -> Answer:
-        return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+    def start_mission(self) -> VehicleCommand:
+        return VehicleCommand(_mav.MAV_CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _AUTO, _MISSION))
 
-    async def disarm(self, vehicle: Vehicle) -> Answer:
-        return await vehicle.command(_mav.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+    def return_home(self) -> VehicleCommand:
+        return VehicleCommand(_mav.MAV_CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _AUTO, _RTL))
 
-    async def start_mission(self, vehicle: Vehicle) -> Answer:
-        return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO, _MISSION)
-
-    async def select(self, vehicle: Vehicle, first: int, line: Sequence[RawItem]) -> bool:
-        # MISSION_CURRENT comes once a second only; where it flies to is told at once, if that is a new place.
-        def on_line(message: Message | None) -> bool:
-            if message is None or message.name != _TARGET or message.component_id != AUTOPILOT_COMPONENT:
-                return False
-            return any(at_place(message.fields["lat_int"], message.fields["lon_int"], item) for item in line)
-
-        was_on_line = on_line(vehicle.latest.get(_TARGET))
-        return await select_by_message(
-            vehicle, first, first + len(line), lambda message: not was_on_line and on_line(message)
-        )
-
-    async def fly_circle(self, vehicle: Vehicle, order: CircleOrder, take_over: bool) -> Answer:
+    def fly_circle(self, order: CircleOrder, take_over: bool) -> VehicleCommand:
         # DO_REPOSITION ignores the radius. Frames other than 5 are answered with a result that crashes MAVSDK 4.1.
-        return await vehicle.command_int(
+        return VehicleCommand(
             _mav.MAV_CMD_DO_ORBIT,
-            _mav.MAV_FRAME_GLOBAL_INT,
             (order.signed_radius_m, math.nan, 0.0, math.nan),
+            _mav.MAV_FRAME_GLOBAL_INT,
             order.x,
             order.y,
             order.altitude_m,
         )
 
-    def told_circle(self, message: Message) -> CircleOrder | None:
-        if message.name != "ORBIT_EXECUTION_STATUS":
+    def reported_circle(self, report: VehicleReport) -> CircleOrder | None:
+        if not isinstance(report, OrbitReported):
             return None
-        fields = message.fields
-        return CircleOrder(fields["x"], fields["y"], 0.0, fields["z"], fields["radius"])
-
-    async def return_home(self, vehicle: Vehicle) -> Answer:
-        return await vehicle.command(_mav.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE_ENABLED, _AUTO, _RTL)
+        return CircleOrder(report.x, report.y, 0.0, 0.0, report.signed_radius_m)
 
     def limits(self, values: Mapping[str, float]) -> Limits:
         names = ("FW_R_LIM", "FW_AIRSPD_MIN", "FW_AIRSPD_MAX", "FW_AIRSPD_TRIM")

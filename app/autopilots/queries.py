@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from app.autopilots.autopilot import Home
 from app.link.modes import ARMED_FLAG, mode_name
 from app.link.vehicle import Vehicle
+from mission.exchange.dialect import Home
 
 _FLYING_HEIGHT_M = 25.0
 _HOME_POSITION_ID = 242

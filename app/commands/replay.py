@@ -15,13 +15,14 @@ from rich.text import Text
 from app.analysis.replay import JournalReplay, LogReplay, Replayed, announcements, require_sightings
 from app.analysis.summary import Summary, SummaryCollector, describe_calibration, summarise
 from app.analysis.truth import Truth, read_truth
-from app.assembly import controller_of, settle
+from app.assembly import controller_of, mission_controller_of, settle
+from app.autopilots.registry import autopilot_by_name
 from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
 from app.config import Config, load_config, with_values
 from app.errors import FlightError, InputError
 from app.flight.recording import JOURNAL_TYPES, journalled_config
 from app.link.telemetry import Telemetry
-from app.records.journal import JournalReader
+from app.records.journal import Header, JournalReader
 from app.records.log import open_log
 from app.records.run_folder import RunFolder
 from app.view.address import DEFAULT_PORT, Address
@@ -31,6 +32,8 @@ from app.view.playback import Playback
 from estimators.frames import LocalPlane
 from mission.control.controller import StandoffController
 from mission.core.events import ControlAcquired
+from mission.exchange.dialect import Home
+from mission.exchange.mission_controller import MissionController
 
 
 def replay(
@@ -132,7 +135,8 @@ def _replay_run(
         if plane is not None:
             origin_deg = (plane.origin_latitude_deg, plane.origin_longitude_deg)
             settle(controller, settings, plane, journal.header.home_deg or origin_deg)
-        steps = JournalReplay(controller)
+        repeats = settings == flown and shown is None  # the buttons of a live map would change it
+        steps = JournalReplay(controller, _exchange_of(settings, controller, journal.header) if repeats else None)
         judged = _Judged(settings, steps.controller, progress, quiet or verify)
         _follow(judged, steps.run(journal), shown, settings, lambda: journal.header.plane)
     if verify:
@@ -145,6 +149,15 @@ def _replay_run(
         truth = folder.truth
     start_s = judged.engaged_s if judged.engaged_s is not None else judged.first_estimate_s
     return judged.summary(read_truth(truth) if truth is not None else None, journal.header.plane, start_s)
+
+
+def _exchange_of(settings: Config, controller: StandoffController, header: Header) -> MissionController | None:
+    """Return the core with the exchange of a flight; None for a journal that does not hold that."""
+    autopilot = autopilot_by_name(header.autopilot)
+    if autopilot is None or header.plane is None or header.home_deg is None or header.home_altitude_m is None:
+        return None
+    home = Home(*header.home_deg, header.home_altitude_m)
+    return mission_controller_of(settings, controller, autopilot, header.plane, home)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,23 +6,18 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from app.analysis.summary import Summary, SummaryCollector, summarise
 from app.analysis.truth import read_truth
-from app.assembly import settle
-from app.autopilots.autopilot import Autopilot, Home
+from app.assembly import mission_controller_of, settle
+from app.autopilots.autopilot import Autopilot
 from app.autopilots.parameters import RequiredParameter, read_parameters, temporary_parameters
-from app.autopilots.queries import home_of, is_flying
+from app.autopilots.queries import home_of, is_flying, mode_of
 from app.config import Config
-from app.delivery.command_guidance import OrbitCommandBackend
-from app.delivery.engaging import Takeover
-from app.delivery.guidance import PlanBackend
-from app.delivery.mission_guidance import MissionItemBackend
-from app.delivery.performer import CommandExecutor
-from app.errors import InputError
+from app.errors import FlightError, InputError
 from app.flight.cot import CotOutput
 from app.flight.display import FlightDisplay
 from app.flight.loop import ControlLoop, Display
@@ -36,7 +31,10 @@ from app.link.telemetry import Telemetry
 from app.link.vehicle import Vehicle
 from app.shutdown import ends_within
 from mission.control.controller import Phase, Snapshot, StandoffController
-from mission.core.events import Announce, ControlAcquired, Event
+from mission.core.events import Announce, ControlAcquired
+from mission.exchange.dialect import Home
+from mission.exchange.outbox import TakeoverFailed
+from mission.exchange.reports import TakeoverRequested
 
 _CLOSE_S = 30.0
 _LISTEN_S = 1.0
@@ -142,41 +140,8 @@ class Flight:
         assert plane is not None  # the position check has passed
         home_deg = (home.latitude_deg, home.longitude_deg)
         settle(self._controller, self._config, plane, home_deg)
-        self._recording.begin(plane, home_deg)
-        queue: asyncio.Queue[Event | None] = asyncio.Queue()
-        missions = MissionItemBackend(
-            self._vehicle,
-            self._autopilot,
-            plane,
-            home,
-            airspeed_m_s=self._config.aircraft.airspeed_m_s,
-            height_m=self._config.aircraft.height_m,
-            tolerance_m=self._config.planner.tolerance_m,
-            now_s=lambda: self._telemetry.now_s,
-        )
-        commands = OrbitCommandBackend(
-            self._vehicle,
-            self._autopilot,
-            plane,
-            home,
-            height_m=self._config.aircraft.height_m,
-            bank_max_rad=math.radians(self._config.aircraft.bank_max_deg),
-            aircraft=lambda: self._controller.snapshot().aircraft,
-        )
-        guidance: PlanBackend = missions if self._config.planner.guidance == "mission" else commands
-        performer = CommandExecutor(
-            self._vehicle, self._autopilot, guidance, queue.put_nowait, lambda: self._telemetry.now_s
-        )
-        engaging = Takeover(
-            self._vehicle,
-            self._autopilot,
-            self._telemetry,
-            self._config,
-            plane,
-            home,
-            self._controller.cleared_first,
-            self._display.note,
-        )
+        self._recording.begin(plane, home_deg, self._autopilot.name, home.altitude_m)
+        core = mission_controller_of(self._config, self._controller, self._autopilot, plane, home)
         observers: list[Display] = [self._display]
         shared = contextlib.ExitStack()
         if self._sharing.cot is not None:
@@ -185,40 +150,42 @@ class Flight:
             pointer = GimbalPointer(self._vehicle, plane, home.altitude_m, self._display.note)
             shared.callback(pointer.stop)
             observers.append(pointer)
-        loop = ControlLoop(
-            queue,
-            self._vehicle,
-            self._telemetry,
-            self._controller,
-            performer,
-            self._recording,
-            _Observed(observers, self._collector),
-        )
+        observed = _Observed(observers, self._collector)
+        loop = ControlLoop(self._vehicle, self._telemetry, core, self._recording, observed, self._acquired)
         self._display.begin(plane, loop.put)
         running = asyncio.create_task(loop.run())
-        flying = asyncio.create_task(self._fly(loop, engaging.engage(missions, commands)))
+        over = asyncio.create_task(self._until_over())
         interrupt = asyncio.create_task(stopped.wait())
+        flying, mode = is_flying(self._vehicle), mode_of(self._vehicle)
+        loop.put(TakeoverRequested(self._telemetry.now_s, loop.link_s, flying, mode, self._arm_period_s))
         try:
-            await asyncio.wait((running, flying, interrupt), return_when=asyncio.FIRST_COMPLETED)
-            if flying.done():
-                flying.result()
+            await asyncio.wait((running, over, interrupt), return_when=asyncio.FIRST_COMPLETED)
         finally:
-            for task in (flying, interrupt):
+            for task in (over, interrupt):
                 task.cancel()
             loop.stop()
-            await asyncio.gather(running, flying, interrupt, return_exceptions=True)
-            await performer.drain()
+            await asyncio.gather(running, over, interrupt, return_exceptions=True)
             shared.close()
         running.result()
+        if loop.failed is not None:
+            raise self._failure(loop.failed)
         return loop.outcome or ("interrupted" if stopped.is_set() else "completed")
 
-    async def _fly(self, loop: ControlLoop, engaging: Awaitable[ControlAcquired]) -> None:
-        engaged = await engaging
-        self._start_s = engaged.time_s
+    def _acquired(self, acquired: ControlAcquired) -> None:
+        self._start_s = acquired.time_s
         self._display.engage(self._start_s, self._duration_s)
-        loop.put(engaged)
         self._display.note("circling: the target is watched from now on")
-        await self._until_over()
+
+    def _failure(self, failed: TakeoverFailed) -> Exception:
+        if failed.wrong_input:
+            return InputError(f"{failed.reason}.")
+        said = self._vehicle.latest.get("STATUSTEXT")
+        last_words = f": {said.fields['text']}" if said is not None else ""
+        return FlightError(f"{failed.reason}{last_words}.")
+
+    @property
+    def _arm_period_s(self) -> float:
+        return 1.0 if self._config.link.connections else 1.0 / self._config.simulation.speed
 
     async def _check(self) -> tuple[Home, tuple[RequiredParameter, ...]]:
         self._display.note("checking the vehicle and its sensors")

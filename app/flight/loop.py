@@ -1,28 +1,38 @@
-"""The control loop: one queue of timed events, one call of the pure step, one place that performs its commands."""
+"""The control loop: one queue of timed events, one call of the pure step, one place that carries out what it says.
+
+Messages, timers, requests and the silence of the link all come in through the queue and through the journal, so that
+a replay of the journal repeats the flight.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable
 from typing import Protocol
 
-from app.delivery.performer import CommandExecutor
+from app.flight.executor import CommandExecutor
 from app.link.message import Message
+from app.link.reports import VehicleReports
 from app.link.telemetry import Telemetry
 from app.link.vehicle import Vehicle
-from mission.control.controller import Snapshot, StandoffController
-from mission.core.events import Announce, Command, DecisionRecord, End, Event, LinkReported, Yield
+from mission.control.controller import Snapshot
+from mission.core.events import Announce, ControlAcquired, DecisionRecord, End, LinkReported, PlanStatus, Yield
+from mission.exchange.mission_controller import DERIVED, InboundEvent, MissionController, Output
+from mission.exchange.outbox import SendMessage, TakeoverFailed
+from mission.exchange.reports import ShutdownRequested, TimerExpired
 
 _LINK_SILENCE_S = 3.0
 _LINK_CHECK_S = 0.5
+_FINISH_S = 3.0  # so long what is under way may go on after the end
 
 
 class Log(Protocol):
     """Where events and commands are kept."""
 
-    def event(self, event: Event) -> None: ...
+    def event(self, event: InboundEvent | Output) -> None: ...
 
-    def command(self, command: Command) -> None: ...
+    def command(self, command: Output) -> None: ...
 
 
 class Display(Protocol):
@@ -34,72 +44,122 @@ class Display(Protocol):
 
 
 class ControlLoop:
-    """Runs the step on what the vehicle says and the performer reports, until ``stop`` or the end of the mission."""
+    """Runs the core on what the vehicle reports, until ``stop`` or the end of the mission.
+
+    acquired is called when the aircraft is ours; ``failed`` then tells why it never was.
+    """
 
     def __init__(
         self,
-        queue: asyncio.Queue[Event | None],
         vehicle: Vehicle,
         telemetry: Telemetry,
-        controller: StandoffController,
-        performer: CommandExecutor,
+        controller: MissionController,
         log: Log,
         display: Display,
+        acquired: Callable[[ControlAcquired], object],
     ) -> None:
         self.controller = controller
         self.outcome: str | None = None
-        self._vehicle, self._telemetry, self._performer = vehicle, telemetry, performer
-        self._log, self._display = log, display
-        self._queue = queue
-        self._heard_s = time.monotonic()
+        self.failed: TakeoverFailed | None = None
+        self._vehicle, self._telemetry = vehicle, telemetry
+        self._executor, self._reports = CommandExecutor(vehicle), VehicleReports(vehicle)
+        self._log, self._display, self._acquired = log, display, acquired
+        self._queue: asyncio.Queue[InboundEvent] = asyncio.Queue()
+        self._start_s = self._heard_s = time.monotonic()
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_s = float("inf")
         self._connected = True
+        self._ending_s = float("inf")
 
-    def put(self, event: Event) -> None:
-        """Add an event to the queue; what is performed reports here too."""
+    @property
+    def link_s(self) -> float:
+        """The link's clock: seconds since this loop was made."""
+        return time.monotonic() - self._start_s
+
+    def put(self, event: InboundEvent) -> None:
+        """Add an event to the queue."""
         self._queue.put_nowait(event)
 
     def stop(self) -> None:
-        """End the loop after the events that are already queued."""
-        self._queue.put_nowait(None)
+        """Start nothing new, and end the loop when what is under way has ended."""
+        self.put(ShutdownRequested(self._telemetry.now_s, self.link_s))
 
     def received(self, message: Message) -> None:
         """Take a message of the vehicle."""
         self._heard_s = time.monotonic()
         event = self._telemetry.event(message)
-        if event is not None:
-            self._queue.put_nowait(event)
+        report = self._reports.report(message, self._telemetry.now_s, self.link_s) if event is None else event
+        if report is not None:
+            self._queue.put_nowait(report)
 
     async def run(self) -> None:
         """Run until stopped; the outcome then says why."""
         self._vehicle.listeners.append(self.received)
-        watchdog = asyncio.create_task(self._watch_link())
+        helpers = [asyncio.create_task(self._watch_link()), asyncio.create_task(self._executor.run())]
         try:
-            while (event := await self._queue.get()) is not None:
+            while not self._has_ended():
+                event = await self._queue.get()
                 self._log.event(event)
-                for command in self.controller.step(event):
-                    self._log.command(command)
-                    self._do(command)
+                for output in self.controller.step(event):
+                    self._handle(output)
+                if isinstance(event, ShutdownRequested):
+                    self._end()
+                self._set_timer()
                 self._display.show(self.controller.snapshot())
         finally:
-            watchdog.cancel()
+            if self._timer is not None:
+                self._timer.cancel()
+            for helper in helpers:
+                helper.cancel()
             self._vehicle.listeners.remove(self.received)
 
-    def _do(self, command: Command) -> None:
-        if isinstance(command, DecisionRecord):
+    # -- what the core says --------------------------------------------------------------------------------
+
+    def _handle(self, output: Output) -> None:
+        if isinstance(output, DERIVED):
+            self._log.event(output)
+        else:
+            self._log.command(output)
+        match output:
+            case SendMessage():
+                self._executor.send(output)
+            case Announce():
+                self._display.say(output)
+            case ControlAcquired():
+                self._acquired(output)
+            case TakeoverFailed():
+                self.failed = output
+                self._end()
+            case Yield():
+                self._executor.drop()
+                self.outcome = f"yielded: {output.reason}"
+                text = f"yielding: {output.reason}; commanding nothing more"
+                self._display.say(Announce(output.time_s, "yield", text))
+            case End():
+                self._executor.drop()
+                self.outcome = f"ended: {output.reason}"
+                self._display.say(Announce(output.time_s, "end", f"ending ({output.action}): {output.reason}"))
+                self._end()
+            case DecisionRecord() | PlanStatus():
+                pass
+
+    # -- timers --------------------------------------------------------------------------------------------
+
+    def _set_timer(self) -> None:
+        wanted_s = self.controller.next_timer_s
+        if wanted_s == self._timer_s and self._timer is not None:
             return
-        if isinstance(command, Announce):
-            self._display.say(command)
-            return
-        self._performer.perform(command)
-        if isinstance(command, Yield):
-            self.outcome = f"yielded: {command.reason}"
-            self._display.say(
-                Announce(command.time_s, "yield", f"yielding: {command.reason}; commanding nothing more")
-            )
-        elif isinstance(command, End):
-            self.outcome = f"ended: {command.reason}"
-            self._display.say(Announce(command.time_s, "end", f"ending ({command.action}): {command.reason}"))
-            self.stop()
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._timer_s = wanted_s
+        if wanted_s < float("inf"):
+            wait_s = max(wanted_s - self.link_s, 0.0)
+            self._timer = asyncio.get_running_loop().call_later(wait_s, self._expire)
+
+    def _expire(self) -> None:
+        self._timer = None
+        self.put(TimerExpired(self._telemetry.now_s, self.link_s))
 
     async def _watch_link(self) -> None:
         # Silence has no time stamp of the vehicle, so it is measured on the wall clock.
@@ -109,3 +169,15 @@ class ControlLoop:
             if connected != self._connected:
                 self._connected = connected
                 self.put(LinkReported(self._telemetry.now_s, connected))
+
+    # -- the end -------------------------------------------------------------------------------------------
+
+    def _end(self) -> None:
+        if self._ending_s == float("inf"):
+            self._ending_s = self.link_s
+            asyncio.get_running_loop().call_later(_FINISH_S, self._expire)  # so that the loop sees it
+
+    def _has_ended(self) -> bool:
+        if self._ending_s == float("inf"):
+            return False
+        return self.controller.idle or self.link_s - self._ending_s > _FINISH_S

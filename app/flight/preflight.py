@@ -8,19 +8,19 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.autopilots.arduplane import ArduPlane
-from app.autopilots.autopilot import Autopilot, Home, Limits
+from app.autopilots.autopilot import Autopilot, Limits
 from app.autopilots.parameters import RequiredParameter
-from app.autopilots.px4 import Px4
+from app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
 from app.config import Config
 from app.errors import InputError
 from app.link.message import Message
-from app.link.modes import AUTOPILOT_ARDUPILOT, AUTOPILOT_PX4, TYPE_FIXED_WING
+from app.link.modes import TYPE_FIXED_WING
 from app.link.telemetry import Telemetry, has_fix
 from app.link.vehicle import Vehicle
 from app.terrain.elevation_data import elevation_data
 from estimators.readings import GimbalReading, PositionReading, RangeReading, Source, TargetFixReading
 from mission.core.requirement import Aircraft
+from mission.exchange.dialect import Home
 
 _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
@@ -91,12 +91,11 @@ def autopilot_of(vehicle: Vehicle) -> Autopilot:
     if kind != TYPE_FIXED_WING:
         what = "a VTOL" if kind in _VTOL_TYPES else f"of MAV_TYPE {kind}"
         raise InputError(f"system {vehicle.system_id} is {what}, no fixed wing; connect to a fixed-wing vehicle.")
-    autopilots: dict[int, Autopilot] = {AUTOPILOT_ARDUPILOT: ArduPlane(), AUTOPILOT_PX4: Px4()}
-    autopilot = autopilots.get(int(heartbeat["autopilot"]))
+    autopilot = autopilot_by_mav_autopilot(int(heartbeat["autopilot"]))
     if autopilot is None:
         raise InputError(
             f"system {vehicle.system_id} runs an autopilot of MAV_AUTOPILOT {heartbeat['autopilot']}; "
-            "ArduPlane and PX4 are supported."
+            f"{' and '.join(one.name for one in AUTOPILOTS)} are supported."
         )
     return autopilot
 

@@ -17,10 +17,20 @@ from app.records.recorder import TlogWriter
 from app.records.run_folder import RunFolder
 from estimators.frames import LocalPlane
 from mission.core.events import Command, Event
+from mission.exchange.mission_controller import InboundEvent, Output
+from mission.exchange.outbox import ExternalControl, SendMessage, TakeoverFailed
+from mission.exchange.reports import ExchangeEvent
 
 _MARKER_V2, _SETUP_SIGNING = 0xFD, (256).to_bytes(3, "little")
 
-JOURNAL_TYPES: tuple[type, ...] = (*get_args(Event), *get_args(Command))
+JOURNAL_TYPES: tuple[type, ...] = (
+    *get_args(Event),
+    *get_args(ExchangeEvent),
+    *get_args(Command),
+    ExternalControl,
+    SendMessage,
+    TakeoverFailed,
+)
 
 
 def journalled_config(journal: JournalReader) -> Config:
@@ -48,22 +58,30 @@ class Recording:
         """Whether the flight, and with it the journal, has begun."""
         return self._journal is not None
 
-    def begin(self, plane: LocalPlane, home_deg: tuple[float, float]) -> None:
-        """Open the journal; home is (latitude, longitude)."""
+    def begin(
+        self,
+        plane: LocalPlane,
+        home_deg: tuple[float, float],
+        autopilot: str = "",
+        home_altitude_m: float | None = None,
+    ) -> None:
+        """Open the journal; home is (latitude, longitude). autopilot: where the exchange with it is recorded too."""
         header = Header(
             program=f"sidelong {version('sidelong')}",
             config=self._config.model_dump(mode="json"),
             plane=plane,
             seeds={"simulation": self._config.simulation.seed},
             home_deg=home_deg,
+            autopilot=autopilot,
+            home_altitude_m=home_altitude_m,
         )
         self._journal = JournalWriter(self._folder.journal, header, self._on_trouble)
 
-    def event(self, event: Event) -> None:
+    def event(self, event: InboundEvent | Output) -> None:
         if self._journal is not None:
             self._journal.write(event)
 
-    def command(self, command: Command) -> None:
+    def command(self, command: Output) -> None:
         if self._journal is not None:
             self._journal.write(command)
 

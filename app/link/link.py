@@ -1,43 +1,18 @@
-"""The whole boundary to an autopilot: messages in and out, and the mission, as one small Protocol."""
+"""The whole boundary to an autopilot: messages in and out, and parameters, as one small Protocol."""
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Mapping, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
+from collections.abc import AsyncIterator, Mapping
 from typing import Any, Protocol
 
 from app.link.message import Message
-
-
-class UploadResult(StrEnum):
-    """What an upload came to. After TIMEOUT the vehicle may hold the old mission, the new one or a mixture."""
-
-    ACCEPTED = "accepted"
-    DENIED = "denied"
-    TIMEOUT = "timeout"
-
-
-@dataclass(frozen=True, slots=True)
-class RawItem:
-    """One mission item exactly as MISSION_ITEM_INT carries it (param NaN: unused)."""
-
-    command: int
-    frame: int
-    param1: float
-    param2: float
-    param3: float
-    param4: float
-    x: int
-    y: int
-    z: float
-    autocontinue: int = 1
 
 
 class Link(Protocol):
     """A connection to one vehicle. Every call ends within its own bound, whatever the other side does."""
 
     system_id: int
+    own_id: tuple[int, int]  # system and component that this end speaks as
 
     def messages(self) -> AsyncIterator[Message]:
         """Yield what the vehicle and its components say, in order of arrival, until the link is closed."""
@@ -45,14 +20,6 @@ class Link(Protocol):
 
     async def send(self, name: str, fields: Mapping[str, Any]) -> None:
         """Send one message. Raises LinkError when it cannot be sent."""
-        ...
-
-    async def upload(self, items: Sequence[RawItem], current: int, timeout_s: float) -> UploadResult:
-        """Replace the vehicle's mission; ``current`` is the index marked as current."""
-        ...
-
-    async def download(self, timeout_s: float) -> tuple[RawItem, ...] | None:
-        """Return the vehicle's mission, or None when it did not arrive in time."""
         ...
 
     async def parameter(self, name: str, timeout_s: float = 4.0) -> float | None:

@@ -4,7 +4,6 @@ MAVSDK's blocking calls run in its own threads, cannot be cancelled, and hang ``
 destroyed object crashes the process; an ``async for`` over a subscription never ends by itself. Therefore:
 
 - every blocking call goes through ``_bounded``: own timeout, remembered while it is pending;
-- an upload or download that timed out is cancelled in MAVSDK before anything else;
 - ``close`` sets a flag first, waits for what is pending, and destroys last, all of it within a bound; if something
   stays stuck, it leaves the instance alone, and ``app.shutdown`` ends the process in spite of it.
 """
@@ -24,19 +23,17 @@ import mavsdk.logging
 from mavsdk.asyncio import Configuration, Mavsdk
 from mavsdk.asyncio.enums import ForwardingOption
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkDirectError, MavlinkMessage
-from mavsdk.asyncio.plugins.mission_raw import MissionItem, MissionRawAsync, MissionRawError, MissionRawResult
 from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
 from pymavlink.dialects.v20 import common as mavlink
 
 from app.errors import InputError
 from app.link.discovery import SETTLING_S, the_vehicle
-from app.link.link import LinkError, RawItem, UploadResult
+from app.link.link import LinkError
 from app.link.message import Message
 from app.link.raw_links import LinkReport, RawLinks, opened_links
 from app.link.url import checked_url
 
 _PENDING_AT_CLOSE_S, _DESTROY_S = 8.0, 5.0
-_ENDED = {"target_component": 1, "type": mavlink.MAV_MISSION_ACCEPTED, "mission_type": 0}
 
 FrameListener = Callable[[bytes], None]
 
@@ -45,17 +42,21 @@ class MavsdkLink:
     """``Link`` over MAVSDK; make one with :meth:`open`."""
 
     def __init__(
-        self, instance: Mavsdk, system: Any, system_id: int, raw: RawLinks | None, ours: contextlib.ExitStack
+        self,
+        instance: Mavsdk,
+        system: Any,
+        system_id: int,
+        own_id: tuple[int, int],
+        raw: RawLinks | None,
+        ours: contextlib.ExitStack,
     ) -> None:
-        self.system_id = system_id
+        self.system_id, self.own_id = system_id, own_id
         self._raw, self._ours = raw, ours
         self._instance = instance
         self._direct = MavlinkDirectAsync(system)
-        self._mission = MissionRawAsync(system)
         self._param = ParamAsync(system)
         self._closed = False
         self._pending: set[asyncio.Future[Any]] = set()
-        self._mission_lock = asyncio.Lock()
         self._queue: asyncio.Queue[Message | None] = asyncio.Queue()
         self._pump = asyncio.create_task(self._receive())
 
@@ -108,7 +109,7 @@ class MavsdkLink:
             answer = mavlink.MAVLink_command_ack_message(0, 0, 0, 0, *own)
             heard = answer.pack(mavlink.MAVLink(None, srcSystem=found_id, srcComponent=1))
             instance._mavsdk.pass_received_raw_bytes(heard)
-        return cls(instance, system, found_id, raw, ours)
+        return cls(instance, system, found_id, own, raw, ours)
 
     def reports(self) -> tuple[LinkReport, ...]:
         """Return how each link of our own transport has been; none where MAVSDK's own is used."""
@@ -140,78 +141,6 @@ class MavsdkLink:
             await self._bounded(self._direct.send_message(message), 2.0)
         except (MavlinkDirectError, TimeoutError) as error:
             raise LinkError(f"{name} could not be sent ({error})") from error
-
-    # -- mission -------------------------------------------------------------------------------------------
-
-    async def upload(self, items: Sequence[RawItem], current: int, timeout_s: float) -> UploadResult:
-        raw = [
-            MissionItem(
-                seq=seq,
-                frame=item.frame,
-                command=item.command,
-                current=int(seq == current),
-                autocontinue=item.autocontinue,
-                param1=item.param1,
-                param2=item.param2,
-                param3=item.param3,
-                param4=item.param4,
-                x=item.x,
-                y=item.y,
-                z=item.z,
-                mission_type=0,
-            )
-            for seq, item in enumerate(items)
-        ]
-        async with self._mission_lock:
-            try:
-                await self._bounded(self._mission.upload_mission(raw), timeout_s)
-            except TimeoutError:
-                await self._cancel(self._mission.cancel_mission_upload)
-                return UploadResult.TIMEOUT
-            except asyncio.CancelledError:  # somebody else flies: not one item more
-                await self._cancel(self._mission.cancel_mission_upload)
-                raise
-            except MissionRawError as error:
-                if error.result in (MissionRawResult.TIMEOUT, MissionRawResult.BUSY, MissionRawResult.NO_SYSTEM):
-                    await self._cancel(self._mission.cancel_mission_upload)
-                    return UploadResult.TIMEOUT
-                return UploadResult.DENIED
-            return UploadResult.ACCEPTED
-
-    async def download(self, timeout_s: float) -> tuple[RawItem, ...] | None:
-        async with self._mission_lock:
-            try:
-                items = await self._bounded(self._mission.download_mission(), timeout_s)
-            except TimeoutError:
-                await self._cancel(self._mission.cancel_mission_download)
-                return None
-            except MissionRawError as error:
-                return () if error.result == MissionRawResult.NO_MISSION_AVAILABLE else None
-            # A vehicle that misses the end of it takes no other mission for seconds: MAVSDK tells it only once.
-            for _ in range(2):
-                await self.send("MISSION_ACK", _ENDED | {"target_system": self.system_id})
-        return tuple(
-            RawItem(
-                item.command,
-                item.frame,
-                item.param1,
-                item.param2,
-                item.param3,
-                item.param4,
-                item.x,
-                item.y,
-                item.z,
-                item.autocontinue,
-            )
-            for item in items
-        )
-
-    async def _cancel(self, cancel: Callable[[], Awaitable[Any]]) -> None:
-        # Without this the next upload answers BUSY until MAVSDK gives up by itself.
-        try:
-            await self._bounded(cancel(), 2.0)
-        except (MissionRawError, TimeoutError):
-            return
 
     # -- parameters ----------------------------------------------------------------------------------------
 
@@ -258,9 +187,6 @@ class MavsdkLink:
     async def close(self) -> None:
         if self._closed:
             return
-        for cancel in (self._mission.cancel_mission_upload, self._mission.cancel_mission_download):
-            if self._pending:
-                await self._cancel(cancel)
         self._closed = True
         self._pump.cancel()
         self._queue.put_nowait(None)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from app.link.link import Link
 from app.link.message import Message
 from app.link.telemetry import AUTOPILOT_COMPONENT
+from mission.exchange.vehicle_command import describe_result
 
 _ANSWER_S = 1.0
 _TRIES = 4
@@ -19,18 +19,6 @@ _IN_PROGRESS = 5
 _ACCEPTED = 0
 
 Listener = Callable[[Message], object]
-_RESULTS = {
-    0: "accepted",
-    1: "temporarily rejected",
-    2: "denied",
-    3: "unsupported",
-    4: "failed",
-    5: "in progress",
-    6: "cancelled",
-    7: "sent as COMMAND_LONG only",
-    8: "sent as COMMAND_INT only",
-    9: "unsupported frame",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +32,7 @@ class Answer:
         return self.result == _ACCEPTED
 
     def __str__(self) -> str:
-        return "no answer" if self.result is None else _RESULTS.get(self.result, f"result {self.result}")
+        return describe_result(self.result)
 
 
 class Vehicle:
@@ -60,15 +48,19 @@ class Vehicle:
     async def run(self) -> None:
         """Hand every message of this vehicle to whoever waits or listens, until the link is closed."""
         async for message in self.link.messages():
-            if message.system_id != self.system_id:
-                continue
-            if message.component_id == AUTOPILOT_COMPONENT:
-                self.latest[message.name] = message
-            for wanted, future in self._waiting:
-                if not future.done() and wanted(message):
-                    future.set_result(message)
-            for listener in self.listeners:
-                listener(message)
+            self.take(message)
+
+    def take(self, message: Message) -> None:
+        """Hand a message to whoever waits or listens, if it is of this vehicle."""
+        if message.system_id != self.system_id:
+            return
+        if message.component_id == AUTOPILOT_COMPONENT:
+            self.latest[message.name] = message
+        for wanted, future in self._waiting:
+            if not future.done() and wanted(message):
+                future.set_result(message)
+        for listener in self.listeners:
+            listener(message)
 
     async def wait_for(self, wanted: Callable[[Message], bool], timeout_s: float) -> Message | None:
         """Return the next message for which ``wanted`` is true, or None after ``timeout_s`` of wall time."""
@@ -82,20 +74,17 @@ class Vehicle:
         finally:
             self._waiting.remove(entry)
 
-    @contextmanager
-    def hearing(self, *names: str) -> Iterator[asyncio.Queue[Message]]:
-        """Collect the autopilot's messages of these names meanwhile."""
-        queue: asyncio.Queue[Message] = asyncio.Queue()
+    def is_for_us(self, message: Message) -> bool:
+        """Tell whether a message of the autopilot answers us: others' answers may pass here too.
 
-        def hear(message: Message) -> None:
-            if message.name in names and message.component_id == AUTOPILOT_COMPONENT:
-                queue.put_nowait(message)
-
-        self.listeners.append(hear)
-        try:
-            yield queue
-        finally:
-            self.listeners.remove(hear)
+        Older autopilots do not tell whom a COMMAND_ACK is for.
+        """
+        if message.component_id != AUTOPILOT_COMPONENT:
+            return False
+        system_id, component_id = self.link.own_id
+        fields = message.fields
+        for_system, for_component = fields.get("target_system") or 0, fields.get("target_component") or 0
+        return for_system in (0, system_id) and for_component in (0, component_id)
 
     async def heard(self, name: str, timeout_s: float) -> Message | None:
         """Return the latest message of that name from the autopilot, waiting for the first one if need be."""
@@ -130,7 +119,8 @@ class Vehicle:
 
     async def _commanded(self, name: str, command: int, fields: dict[str, float]) -> Answer:
         def answers(message: Message) -> bool:
-            return message.name == "COMMAND_ACK" and message.fields["command"] == command
+            fields = message.fields
+            return message.name == "COMMAND_ACK" and self.is_for_us(message) and fields["command"] == command
 
         for attempt in range(_TRIES):
             body = fields | {"command": command}

@@ -39,7 +39,8 @@ _LINE_MAX_BYTES = 4 << 20  # a plan takes a hundredth of that
 class Header:
     """What a replay needs before the first event. plane is None when the run began before it was known.
 
-    home_deg is (latitude, longitude); journals of before did not tell it.
+    home_deg is (latitude, longitude); journals of before did not tell it. autopilot and home_altitude_m are there
+    where the exchange with the autopilot was recorded too.
     """
 
     program: str
@@ -48,6 +49,8 @@ class Header:
     seeds: Mapping[str, int]
     format: int = FORMAT
     home_deg: tuple[float, float] | None = None
+    autopilot: str = ""
+    home_altitude_m: float | None = None
 
 
 def _is_array(kind: object) -> bool:

@@ -195,7 +195,7 @@ class HistoryBuilder:
         elif event.stage == "departed":
             swap = replace(swap, departed_s=event.time_s)
             self._circles.append((event.time_s, swap.plan.circle))
-        else:
+        elif event.stage == "failed":
             swap = replace(swap, failed=event.detail or "failed")
         self._swaps[event.number] = swap
 

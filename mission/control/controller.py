@@ -181,6 +181,7 @@ class StandoffController:
     _mode: str = ""
     _engaged_mode: str = ""
     _swap: _PlanChange | None = None
+    _not_taken: _PlanChange | None = None  # the last departure that failed: should it be flown after all
     _counts: _Counts = field(default_factory=_Counts)
     _latency_s: float = field(init=False)
     _took_s: deque[float] = field(init=False)
@@ -236,6 +237,11 @@ class StandoffController:
             case AttitudeReading() | RangeReading() | GimbalReading() | TargetFixReading():
                 self._read(event)
         return ()
+
+    @property
+    def aircraft(self) -> AircraftState | None:
+        """The aircraft as it was last reported, None before the first position."""
+        return self._aircraft
 
     def snapshot(self) -> Snapshot:
         """Return the state as a display wants it."""
@@ -412,27 +418,47 @@ class StandoffController:
         return (ActivatePlan(self.time_s, swap.number),)
 
     def _swap_reported(self, event: PlanStatus) -> tuple[Command, ...]:
+        late = self._not_taken
+        if event.stage == "departed" and late is not None and late.number == event.number:
+            self._counts.upload_failures -= 1
+            return self._departed(late, event.time_s)
         swap = self._swap
         if swap is None or swap.number != event.number:
             return ()
+        if event.stage == "unconfirmed":
+            return (Announce(event.time_s, "swap", f"plan {event.number}: {event.detail} yet"),)
         if event.stage == "failed":
+            if swap.stage == "departing":
+                self._not_taken = swap
+            elif swap.stage == "preparing" and event.time_s - swap.since_s > self._latency_s:
+                self._note_latency(event.time_s - swap.since_s)
             self._swap = None
             self._counts.upload_failures += 1
             return (Announce(event.time_s, "swap", f"plan {event.number} was not taken: {event.detail}"),)
         if event.stage == "ready":
-            self._took_s.append(event.time_s - swap.since_s)
-            self._latency_s = sorted(self._took_s)[-2] + _LATENCY_MARGIN_S
+            self._note_latency(event.time_s - swap.since_s)
             late_s = event.time_s - swap.plan.departure_s
             if late_s > 0.0 and not self._can_still_join(swap.plan, late_s):
                 self._swap = None
                 return (Announce(event.time_s, "swap", f"plan {event.number} was ready {late_s:.1f} s too late"),)
             swap.stage = "ready"
             return self._drive_swap(swap)
+        return self._departed(swap, event.time_s)
+
+    def _note_latency(self, took_s: float) -> None:
+        """Expect what an upload took of the next one; of one that was given up too, which would have taken longer."""
+        self._took_s.append(took_s)
+        if len(self._took_s) > 1:
+            self._latency_s = sorted(self._took_s)[-2] + _LATENCY_MARGIN_S
+
+    def _departed(self, swap: _PlanChange, time_s: float) -> tuple[Command, ...]:
+        """Take over a plan that is flown: in good time, or one that was thought not to have been taken."""
         assert self.present is not None
         self._counts.moves += swap.plan.circle != self.present.circle
-        self.present, self._commanded, self._swap = swap.plan, swap.commanded, None
-        self._on_line_s = event.time_s
-        return (Announce(event.time_s, "swap", f"flying plan {event.number}"),)
+        self.present, self._commanded = swap.plan, swap.commanded
+        self._swap = self._not_taken = None
+        self._on_line_s = time_s
+        return (Announce(time_s, "swap", f"flying plan {swap.number}"),)
 
     def _can_still_join(self, plan: Plan, late_s: float) -> bool:
         """Tell whether the aircraft, which has flown on, is still so near to the plan's line that it can take it."""

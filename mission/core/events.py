@@ -67,12 +67,13 @@ class PlanStatus:
     """How far the autopilot has followed plan ``number``.
 
     ready: it holds the plan and still flies the line before it. departed: it flies the plan. failed: it does
-    neither, and flies the line before it.
+    neither, and flies the line before it. unconfirmed: it was told to fly the plan and has not said what it flies;
+    departed or failed follows. A departure that failed may still be followed by departed.
     """
 
     time_s: float
     number: int
-    stage: Literal["ready", "departed", "failed"]
+    stage: Literal["ready", "departed", "failed", "unconfirmed"]
     detail: str = ""
 
 
@@ -162,7 +163,7 @@ class Announce:
     """Tell the person in plain words; ``kind`` lets a display colour or filter it."""
 
     time_s: float
-    kind: Literal["decision", "track", "link", "yield", "swap", "operator", "end", "position", "sensor"]
+    kind: Literal["decision", "track", "link", "yield", "swap", "operator", "end", "position", "sensor", "takeover"]
     text: str
 
 

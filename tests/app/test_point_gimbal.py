@@ -24,7 +24,7 @@ ENCODER = mavlink.MAVLink(None, 245, 190)
 class LoopbackLink:
     """A link whose far end answers each command with ``result``; every message must be one MAVLink can carry."""
 
-    system_id = 1
+    system_id, own_id = 1, (245, 190)
 
     def __init__(self, result: int | None = mavlink.MAV_RESULT_ACCEPTED, broken: bool = False) -> None:
         self.result, self.broken = result, broken

@@ -15,7 +15,7 @@ GOOD_PX4 = {"FW_AIRSPD_TRIM": 15.0, "NAV_DLL_ACT": 0.0, "MIS_TKO_LAND_REQ": 2.0}
 class Silent:
     """A vehicle of which nothing but its latest messages matters."""
 
-    system_id = 1
+    system_id, own_id = 1, (245, 190)
 
     def __init__(self, **messages):
         self.latest = {name: Message(name, 1, 1, fields, 0.0) for name, fields in messages.items()}

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from app.delivery.leading_circle import leading_circle
 from mission.core.circle import Circle
 from mission.core.plan import AircraftState, Plan
+from mission.exchange.leading_circle import leading_circle
 from mission.geometry.approach import turn_straight_turn
 from mission.geometry.transition import abcd
 from mission.paper.stretched_lap import stretched_lap

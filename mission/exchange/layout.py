@@ -1,6 +1,6 @@
 """Where a new line goes in the vehicle's mission, so that an upload never disturbs the one being flown.
 
-An upload replaces the whole list, and ArduPlane stores items as they arrive. So the items of the present line keep
+An upload may be cut anywhere, and ArduPlane stores items as they arrive. So the items of the present line keep
 their places in every upload, and the new line goes where it cannot be reached from there: the present line ends in
 a circle that never completes. Wherever the upload is cut, the vehicle flies on as before::
 
@@ -15,14 +15,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from app.link.link import RawItem
+from mission.exchange.raw_item import RawItem
 
 
 @dataclass(frozen=True, slots=True)
 class MissionLayout:
     """The vehicle's mission: ``items`` with the present line at [first, end). ``head`` items stay in front.
 
-    least_items: it is kept that long, so that a new line finds places to be written to without a new list.
+    min_items: it is kept that long, so that a new line finds places to be written to without a new list.
     """
 
     items: tuple[RawItem, ...]
@@ -31,13 +31,17 @@ class MissionLayout:
     end: int
     min_items: int = 0
 
+    def __contains__(self, seq: int) -> bool:
+        """Tell whether an item is one of the present line."""
+        return self.first <= seq < self.end
+
     def line(self) -> tuple[RawItem, ...]:
         """Return the items of the present line."""
         return self.items[self.first : self.end]
 
     def since(self, index: int) -> MissionLayout:
         """Return the same mission with what lies before ``index`` flown: its places are free for a new line."""
-        return replace(self, first=index) if self.first <= index < self.end else self
+        return replace(self, first=index) if index in self else self
 
     def with_line(self, line: Sequence[RawItem]) -> MissionLayout:
         """Return the mission that holds the present line where it is and ``line`` as the next; first is its start."""

@@ -1,0 +1,22 @@
+"""The autopilots that this program flies: a new one is a module beside this and a line here."""
+
+from __future__ import annotations
+
+from app.autopilots.arduplane import ArduPlane
+from app.autopilots.autopilot import Autopilot
+from app.autopilots.px4 import Px4
+
+AUTOPILOTS: tuple[Autopilot, ...] = (
+    ArduPlane(),
+    Px4(),
+)
+
+
+def autopilot_by_mav_autopilot(number: int) -> Autopilot | None:
+    """Return the autopilot that a heartbeat's MAV_AUTOPILOT names, None if it is not flown here."""
+    return next((one for one in AUTOPILOTS if one.mav_autopilot == number), None)
+
+
+def autopilot_by_name(name: str) -> Autopilot | None:
+    """Return the autopilot of a name, None if it is not flown here."""
+    return next((one for one in AUTOPILOTS if one.name == name), None)

@@ -1,1 +1,0 @@
-"""Bringing plans to the autopilot."""

@@ -1,0 +1,35 @@
+"""Sends what the core wants sent, one message after the other; a message that cannot be sent counts as lost."""
+
+from __future__ import annotations
+
+import asyncio
+
+from app.link.link import LinkError
+from app.link.vehicle import Vehicle
+from mission.exchange.outbox import SendMessage
+
+
+class CommandExecutor:
+    """One vehicle's hands. ``run`` must be running."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._waiting: asyncio.Queue[SendMessage] = asyncio.Queue()
+
+    def send(self, message: SendMessage) -> None:
+        """Send a message after those that wait already."""
+        self._waiting.put_nowait(message)
+
+    def drop(self) -> None:
+        """Send nothing of what still waits."""
+        while not self._waiting.empty():
+            self._waiting.get_nowait()
+
+    async def run(self) -> None:
+        """Send until cancelled."""
+        while True:
+            message = await self._waiting.get()
+            try:
+                await self._vehicle.tell(message.name, message.fields)
+            except LinkError:
+                continue  # the core repeats what is not answered

@@ -1,0 +1,141 @@
+"""The switch to a plan that is on board: an open question until the autopilot or the track answers it."""
+
+from __future__ import annotations
+
+import math
+from enum import StrEnum
+
+from mission.core.plan import AircraftState, Plan
+from mission.exchange.layout import MissionLayout
+from mission.exchange.outbox import ACCEPTED, Outbox
+from mission.exchange.raw_item import at_place
+from mission.exchange.reports import MissionCountReported, PositionTargetReported
+from mission.geometry.progress import nearest_arc_m, off_track, point_at
+
+_SENDS = 5
+_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS = 0.4, 2.0
+# After the last request: what is reported still later is told by a vehicle that has had it.
+_SETTLED_S, _SETTLED_ROUND_TRIPS = 0.5, 1.5
+_REPORTS = 2  # of the line before, after that
+_ON_M, _ON_RAD = 25.0, math.radians(25.0)  # so near to a plan the aircraft flies it
+_TRACK_S, _TRACK_BEFORE_S, _TRACK_NEITHER_S = 2.0, 10.0, 15.0  # so long, of the vehicle's clock
+
+
+class Answer(StrEnum):
+    """What became of a switch."""
+
+    OPEN = "open"
+    FLOWN = "flown"
+    NOT_TAKEN = "not taken"
+
+
+class Activation:
+    """Makes the line of ``layout`` current while that of ``before`` is flown.
+
+    MISSION_SET_CURRENT is repeated, each time for an item that the aircraft cannot have passed, should it have heard
+    of the one before. Where no answer comes, a question whose answer passes through the same link tells which reports
+    are newer than the last request.
+    """
+
+    def __init__(
+        self,
+        outbox: Outbox,
+        layout: MissionLayout,
+        before: MissionLayout,
+        plans: tuple[Plan, Plan],
+        round_trip_s: float,
+        target: PositionTargetReported | None,
+    ) -> None:
+        self._outbox, self.layout, self.before = outbox, layout, before
+        self._plan, self._plan_before = plans
+        self._round_trip_s = round_trip_s
+        self._target_was_on_line = target is not None and self._is_on_line(target)
+        self._sends = 0
+        self._sent_s = -math.inf
+        self._settled = False
+        self._reports_before = 0
+        self._since_s: dict[Answer, float] = {}
+        self._due_s = -math.inf
+        self.answer = Answer.OPEN
+        self.unanswered = False  # it was asked for often enough; now only the answer is waited for
+        self.index = layout.first  # the farthest item of the line that is known to be flown
+
+    @property
+    def repeated(self) -> bool:
+        """Whether the next request is not the first."""
+        return self._sends > 0
+
+    @property
+    def next_timer_s(self) -> float:
+        """When ``expire`` is to be called, on the link's clock; -inf: at once, inf: never."""
+        return self._due_s if self.answer is Answer.OPEN else math.inf
+
+    def expire(self, first_ahead: int) -> None:
+        """Ask again. first_ahead: the item of the line that the aircraft cannot have passed when this arrives."""
+        now_s = self._outbox.link_s
+        if self.answer is not Answer.OPEN or now_s < self._due_s:
+            return
+        again_s = max(_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS * self._round_trip_s)
+        if self._sends < _SENDS:
+            self._sends, self._sent_s, self._due_s = self._sends + 1, now_s, now_s + again_s
+            self._outbox.send("MISSION_SET_CURRENT", seq=first_ahead)
+            return
+        settled_s = self._sent_s + max(again_s, _SETTLED_S + _SETTLED_ROUND_TRIPS * self._round_trip_s)
+        if now_s < settled_s:
+            self._due_s = settled_s
+            return
+        self.unanswered = True
+        if self._settled:
+            self._due_s = math.inf
+            return
+        self._due_s = now_s + again_s
+        self._outbox.send_mission("MISSION_REQUEST_LIST")
+
+    def current(self, seq: int) -> None:
+        """Take a MISSION_CURRENT."""
+        if seq in self.layout:
+            self.answer, self.index = Answer.FLOWN, seq
+        elif seq in self.before and self._settled:
+            self._reports_before += 1
+            if self._reports_before >= _REPORTS and self.answer is Answer.OPEN:
+                self.answer = Answer.NOT_TAKEN
+
+    def target(self, report: PositionTargetReported) -> None:
+        """Take where the autopilot says it flies to: told at once, if that is a new place."""
+        if self._sends and not self._target_was_on_line and self._is_on_line(report):
+            self.answer = Answer.FLOWN
+
+    def counted(self, report: MissionCountReported) -> None:
+        """Take the answer to the question: what is reported from now on is newer than the last request."""
+        if self.unanswered and not self._settled:
+            self._settled = True
+            self._outbox.send_mission("MISSION_ACK", type=ACCEPTED)
+
+    def track(self, aircraft: AircraftState) -> None:
+        """Take where the aircraft is: it flies the one plan or the other, or neither."""
+        if not self._sends or self.answer is not Answer.OPEN:
+            return
+        on_plan, off_plan = _flies(aircraft, self._plan)
+        on_before, off_before = _flies(aircraft, self._plan_before)
+        told = {
+            Answer.FLOWN: on_plan and off_before,
+            Answer.NOT_TAKEN: self.unanswered and on_before and off_plan,
+            Answer.OPEN: self.unanswered and off_plan and off_before,
+        }
+        for answer, holds in told.items():
+            if not holds:
+                self._since_s.pop(answer, None)
+        bounds_s = {Answer.FLOWN: _TRACK_S, Answer.NOT_TAKEN: _TRACK_BEFORE_S, Answer.OPEN: _TRACK_NEITHER_S}
+        for answer, holds in told.items():
+            since_s = self._since_s.setdefault(answer, aircraft.time_s) if holds else math.inf
+            if aircraft.time_s - since_s >= bounds_s[answer]:
+                self.answer = Answer.FLOWN if answer is Answer.FLOWN else Answer.NOT_TAKEN
+
+    def _is_on_line(self, report: PositionTargetReported) -> bool:
+        return any(at_place(report.x, report.y, item) for item in self.layout.line())
+
+
+def _flies(aircraft: AircraftState, plan: Plan) -> tuple[bool, bool]:
+    """Tell whether an aircraft is close to a plan, and whether it has left it."""
+    point = point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
+    return not off_track(aircraft, point, _ON_M, _ON_RAD), off_track(aircraft, point)

@@ -1,0 +1,120 @@
+"""What autopilots do differently in the exchange, as data and one Protocol: the state machines know no autopilot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from mission.core.requirement import Wind
+from mission.exchange.raw_item import RawItem
+from mission.exchange.reports import VehicleReport
+from mission.exchange.vehicle_command import VehicleCommand
+from mission.upload.items import Item
+from mission.upload.line_tracking import LineTracking
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """Where heights count from."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class CircleOrder:
+    """A circle on the globe: centre in 1e-7 degrees, a negative radius is flown counter-clockwise, 0: not reported.
+
+    height_m is above home, altitude_m above the sea.
+    """
+
+    x: int
+    y: int
+    height_m: float
+    altitude_m: float
+    signed_radius_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class ProtocolQuirks:
+    """How an autopilot treats the mission protocol.
+
+    stores_items_one_by_one: each item is stored as it arrives, and MISSION_WRITE_PARTIAL_LIST is understood; else a
+    list is taken whole or not at all, and a list on board is read in its order only.
+    home_at_zero: item 0 is its home, whatever is sent, and MISSION_CURRENT's total does not count it.
+    reports_target_at_once: its position target tells a switch before MISSION_CURRENT does.
+    """
+
+    stores_items_one_by_one: bool
+    home_at_zero: bool
+    reports_target_at_once: bool
+
+
+class AutopilotDialect(Protocol):
+    """One kind of autopilot, as far as the exchange knows it."""
+
+    @property
+    def name(self) -> str:
+        """What people call it, and a journal."""
+        ...
+
+    @property
+    def quirks(self) -> ProtocolQuirks:
+        """How it treats the mission protocol."""
+        ...
+
+    @property
+    def mission_mode(self) -> str:
+        """The flight mode, by name, in which it flies a mission."""
+        ...
+
+    @property
+    def circle_mode(self) -> str:
+        """The flight mode, by name, in which it flies a circle given by one command."""
+        ...
+
+    @property
+    def min_items(self) -> int:
+        """How long its mission is kept at least, see ``MissionLayout``."""
+        ...
+
+    def head(self, home: Home) -> tuple[RawItem, ...]:
+        """Return the items that stand in front of every mission."""
+        ...
+
+    def tail(self, home: Home) -> tuple[RawItem, ...]:
+        """Return the items that close every mission without ever being reached."""
+        ...
+
+    def tracking(self, airspeed_m_s: float, wind: Wind) -> LineTracking:
+        """Return how it flies along waypoints, for laying them out."""
+        ...
+
+    def raw(self, item: Item) -> RawItem:
+        """Return the item as this autopilot stores it."""
+        ...
+
+    def arm(self) -> VehicleCommand:
+        """Return the command to arm."""
+        ...
+
+    def disarm(self) -> VehicleCommand:
+        """Return the command to disarm, which is refused in flight."""
+        ...
+
+    def start_mission(self) -> VehicleCommand:
+        """Return the command to fly the mission."""
+        ...
+
+    def return_home(self) -> VehicleCommand:
+        """Return the command to fly home."""
+        ...
+
+    def fly_circle(self, order: CircleOrder, take_over: bool) -> VehicleCommand:
+        """Return the command to fly a circle without a mission. take_over: from another mode too."""
+        ...
+
+    def reported_circle(self, report: VehicleReport) -> CircleOrder | None:
+        """Return the circle that a report says is flown in ``circle_mode``; radius 0: not reported."""
+        ...

@@ -1,0 +1,171 @@
+"""The pure core as one step: the stand-off controller decides, the exchange with the autopilot carries it out.
+
+One event in, everything that it leads to out, in order: what the exchange found out (``PlanStatus``,
+``ControlAcquired``, ``ExternalControl``), the controller's commands, and the messages to the autopilot. No other road
+leads in, so a replay of the journalled events repeats uploads, switches and yields to the last bit.
+
+``next_timer_s`` asks for a ``TimerExpired``; nothing here sleeps.
+"""
+
+from __future__ import annotations
+
+import math
+
+from estimators.readings import PositionReading
+from mission.control.controller import Snapshot, StandoffController
+from mission.core.events import (
+    ActivatePlan,
+    Command,
+    ControlAcquired,
+    End,
+    Event,
+    ModeReported,
+    PlanStatus,
+    UploadPlan,
+    Yield,
+)
+from mission.exchange.dialect import AutopilotDialect
+from mission.exchange.mission_items import MissionItemBackend
+from mission.exchange.orbit_command import OrbitCommandBackend
+from mission.exchange.outbox import ExternalControl, Outbox, SendMessage, TakeoverFailed
+from mission.exchange.plan_backend import BackendSettings, PlanBackend
+from mission.exchange.reports import (
+    CommandAcknowledged,
+    ExchangeEvent,
+    ShutdownRequested,
+    TakeoverRequested,
+    TimerExpired,
+)
+from mission.exchange.takeover import Takeover, TakeoverSettings
+from mission.exchange.vehicle_command import CommandExchange
+
+DERIVED = (ControlAcquired, PlanStatus, ExternalControl)
+
+InboundEvent = Event | ExchangeEvent
+Output = Command | SendMessage | TakeoverFailed | ControlAcquired | PlanStatus | ExternalControl
+
+
+class MissionController:
+    """One vehicle's whole core. make_backend: of the two, the one that flies plans."""
+
+    def __init__(
+        self,
+        controller: StandoffController,
+        dialect: AutopilotDialect,
+        backend_settings: BackendSettings,
+        takeover_settings: TakeoverSettings,
+    ) -> None:
+        self.controller = controller
+        self._dialect = dialect
+        self._outbox = outbox = Outbox()
+        missions = MissionItemBackend(outbox, dialect, backend_settings)
+        orbits = OrbitCommandBackend(outbox, dialect, backend_settings)
+        self._backends: tuple[PlanBackend, ...] = (missions, orbits) if takeover_settings.by_command else (missions,)
+        self._backend: PlanBackend = orbits if takeover_settings.by_command else missions
+        self._takeover = Takeover(outbox, dialect, backend_settings, takeover_settings, missions, orbits)
+        self._way_home: CommandExchange | None = None
+        self._silent = self._closing = False
+        self._mode = ""
+        self._outputs: list[Output] = []
+
+    @property
+    def next_timer_s(self) -> float:
+        """When a ``TimerExpired`` is wanted at the latest, on the link's clock; -inf: at once, inf: never."""
+        if self._way_home is not None:
+            return self._way_home.next_timer_s
+        if self._silent:
+            return math.inf
+        parts = [backend.next_timer_s for backend in self._backends]
+        return min(self._takeover.next_timer_s, *parts)
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is under way that should end before the program does."""
+        if self._way_home is not None:
+            return self._way_home.done
+        return self._silent or self._backend.idle
+
+    def snapshot(self) -> Snapshot:
+        """Return the state as a display wants it."""
+        return self.controller.snapshot()
+
+    def step(self, event: InboundEvent) -> tuple[Output, ...]:
+        """Take one event; return what it led to, in order."""
+        self._outputs = []
+        if isinstance(event, ExchangeEvent):
+            self._outbox.begin(event.time_s, event.link_s)
+            self._exchange(event)
+        else:
+            commands = () if self._closing else self.controller.step(event)
+            self._outbox.begin(max(self._outbox.time_s, self.controller.time_s), None)
+            self._route(commands)
+            self._observe(event)
+        self._settle()
+        return tuple(self._outputs)
+
+    def _exchange(self, event: ExchangeEvent) -> None:
+        if self._way_home is not None:
+            if isinstance(event, CommandAcknowledged):
+                self._way_home.receive(event)
+            self._way_home.expire()
+            return
+        if self._silent:
+            return
+        match event:
+            case TimerExpired():
+                for backend in self._backends:
+                    backend.expire()
+            case TakeoverRequested():
+                self._takeover.begin(event)
+            case ShutdownRequested():
+                self._closing = True
+                self._takeover.stop()
+                self._backend.close()
+            case _:
+                for backend in self._backends:
+                    backend.receive(event)
+                self._takeover.receive(event)
+        self._takeover.step()
+
+    def _observe(self, event: Event) -> None:
+        if self._silent:
+            return
+        if isinstance(event, ModeReported):
+            self._mode = event.mode
+            self._takeover.mode_reported(event.mode)
+        elif isinstance(event, PositionReading):
+            aircraft = self.controller.aircraft
+            if aircraft is not None:
+                self._backend.observe(aircraft, self._mode)
+                self._takeover.observe(aircraft, event.height_m)
+
+    def _settle(self) -> None:
+        """Hand round what this step has led to, until there is no more."""
+        outbox = self._outbox
+        while outbox.sent or outbox.derived:
+            self._outputs += outbox.sent
+            outbox.sent.clear()
+            derived, outbox.derived = outbox.derived, []
+            for event in derived:
+                self._outputs.append(event)
+                if isinstance(event, DERIVED) and not self._closing:
+                    self._route(self.controller.step(event))
+
+    def _route(self, commands: tuple[Command, ...]) -> None:
+        for command in commands:
+            self._outputs.append(command)
+            if isinstance(command, Yield | End):
+                self._fall_silent()
+                if isinstance(command, End) and command.action == "return":
+                    self._way_home = CommandExchange(self._outbox, self._dialect.return_home())
+            elif self._silent:
+                continue
+            elif isinstance(command, UploadPlan):
+                self._backend.upload(command)
+            elif isinstance(command, ActivatePlan):
+                self._backend.activate(command)
+
+    def _fall_silent(self) -> None:
+        self._silent = True
+        self._takeover.stop()
+        self._outbox.sent.clear()

@@ -1,0 +1,486 @@
+"""Plans as mission items: laid out, written beside the line that is flown, made current at the departure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from mission.core.circle import Circle
+from mission.core.events import ActivatePlan, PlanStatus, UploadPlan
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Wind
+from mission.exchange.activation import Activation, Answer
+from mission.exchange.dialect import AutopilotDialect
+from mission.exchange.layout import MissionLayout
+from mission.exchange.mission_read import MissionRead
+from mission.exchange.mission_write import MissionWrite, WriteResult
+from mission.exchange.outbox import ExternalControl, Outbox
+from mission.exchange.ownership import MissionIdentity, Suspicion
+from mission.exchange.plan_backend import BackendSettings
+from mission.exchange.raw_item import RawItem, same_item
+from mission.exchange.reports import (
+    MissionCountReported,
+    MissionCurrentReported,
+    MissionItemReported,
+    PositionTargetReported,
+    VehicleReport,
+)
+from mission.geometry.wind import STILL_AIR
+from mission.upload.items import NAV_LOITER_UNLIM, NAV_WAYPOINT, UnflyableError, plan_items
+
+_SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
+_DURATION_WEIGHT = 0.5
+_LATE_MAX_S = 5.0
+_FIRST_UPLOAD_S, _UPLOAD_S, _USELESS_S, _READ_S = 30.0, 8.0, 2.0, 5.0
+_FROZEN_S = 0.25
+_AUDIT_S = 3.0  # between two looks at the item that is flown
+_NEGLIGIBLE_S = 0.3
+_REPEAT_AHEAD_S, _REPEAT_ROUND_TRIPS = 1.0, 1.5  # a repeated request may arrive so late
+
+
+class _Stage(StrEnum):
+    QUEUED = "queued"
+    WRITING = "writing"
+    READY = "ready"
+    ACTIVATING = "activating"
+    NOT_TAKEN = "not taken"
+
+
+@dataclass(slots=True)
+class _Change:
+    """A plan on its way to the autopilot."""
+
+    command: UploadPlan
+    stage: _Stage = _Stage.QUEUED
+    layout: MissionLayout | None = None
+    activation: Activation | None = None
+
+
+class MissionItemBackend:
+    """``PlanBackend`` by uploads. ``load`` or ``adopt`` comes first."""
+
+    def __init__(self, outbox: Outbox, dialect: AutopilotDialect, settings: BackendSettings) -> None:
+        self._outbox, self._dialect, self._settings = outbox, dialect, settings
+        self._layout: MissionLayout | None = None
+        self._onboard: tuple[RawItem | None, ...] = ()  # None where a failed upload leaves doubt
+        self._mission_id = 0
+        self._write: MissionWrite | None = None
+        self._writing: MissionLayout | None = None
+        self._began_s = 0.0
+        self._read: MissionRead | None = None
+        self._change: _Change | None = None
+        self._not_taken: _Change | None = None  # the latest one: should it be flown after all, that is heard
+        self._left: MissionLayout | None = None  # the line before, until an item of the present one was reported
+        self._upload_took_s = 0.0
+        self._round_trip_s = 0.0
+        self._identity = MissionIdentity()
+        self._suspicion, self._contents = Suspicion(), Suspicion()
+        self._current: MissionCurrentReported | None = None
+        self._target: PositionTargetReported | None = None
+        self._aircraft: AircraftState | None = None
+        self._in_control = self._closed = False
+        self._audit_s = math.inf
+        self._waits = False  # for the next tick, whose link time is that of now
+        self.load_result: WriteResult | None = None
+
+    @property
+    def mode(self) -> str:
+        """The flight mode, by name, in which it flies."""
+        return self._dialect.mission_mode
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is under way that should end before the program does."""
+        return self._write is None and (self._change is None or self._change.stage is not _Stage.ACTIVATING)
+
+    @property
+    def next_timer_s(self) -> float:
+        """When ``expire`` is to be called, on the link's clock; -inf: at once, inf: never."""
+        if self._frozen:
+            return self._outbox.link_s + _FROZEN_S
+        if self._waits:
+            return -math.inf
+        activation = self._change.activation if self._change is not None else None
+        parts = [part.next_timer_s for part in (self._write, self._read, activation) if part is not None]
+        audits = self._in_control and self._dialect.quirks.stores_items_one_by_one
+        return min([*parts, self._audit_s if audits else math.inf])
+
+    @property
+    def _frozen(self) -> bool:
+        """Whether somebody else may be at work: not one message more until that is known."""
+        return self._suspicion.active or self._contents.active
+
+    # -- the first mission ---------------------------------------------------------------------------------
+
+    def load(self, plan: Plan, lead_in: tuple[RawItem, ...] = ()) -> None:
+        """Upload the first mission: ``lead_in`` (a take-off), then the plan's line. Raises UnflyableError."""
+        head = self._dialect.head(self._settings.home)
+        first = len(head) + len(lead_in)
+        items = (*head, *lead_in, *self.line(plan))
+        layout = MissionLayout(items, len(head), first, len(items), self._dialect.min_items).filled()
+        self.load_result = None
+        self._start_write(layout, _FIRST_UPLOAD_S)
+
+    def adopt(self) -> None:
+        """Read the mission that is flown; ``adopted`` then tells what it is."""
+        self._read = MissionRead(self._outbox, self._dialect.quirks, self._outbox.link_s + _READ_S)
+
+    @property
+    def reading(self) -> bool:
+        """Whether the mission on board is being read."""
+        return self._read is not None and not self._read.done
+
+    def adopted(self) -> Circle | None:
+        """Take over the line that is flown and was read, and return the circle it ends in.
+
+        None when the mission could not be read, or what is flown does not end in a circle that needs no one.
+        """
+        read, self._read = self._read, None
+        if read is None or read.items is None or self._current is None:
+            return None
+        items, first = read.items, self._current.seq
+        last = next((i for i in range(first, len(items)) if items[i].command != NAV_WAYPOINT), None)
+        if last is None or items[last].command != NAV_LOITER_UNLIM or not items[last].param3:
+            return None
+        head = len(self._dialect.head(self._settings.home))
+        min_items = self._dialect.min_items
+        kept = max(last + 1, min_items)
+        self._layout = MissionLayout(items[:kept], head, max(first, head), last + 1, min_items).filled()
+        self._onboard, self._mission_id = items, read.mission_id
+        self._identity.ours.add((self._current.total, self._current.mission_id))
+        item = items[last]
+        east_m, north_m = self._settings.plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
+        return Circle(east_m, north_m, abs(item.param3), item.param3 > 0.0)
+
+    @property
+    def line_first(self) -> int:
+        """Index of the first item of the line that is flown."""
+        assert self._layout is not None
+        return self._layout.first
+
+    @property
+    def flown_index(self) -> int | None:
+        """Index of the item that is flown, as reported last."""
+        return self._current.seq if self._current is not None else None
+
+    def line(self, plan: Plan, wind: Wind = STILL_AIR) -> tuple[RawItem, ...]:
+        """Return the items of a plan as the autopilot stores them. Raises UnflyableError."""
+        settings = self._settings
+        tracking = self._dialect.tracking(settings.airspeed_m_s, wind)
+        items = plan_items(plan, settings.plane, settings.height_m, settings.tolerance_m, tracking)
+        return tuple(self._dialect.raw(item) for item in items)
+
+    def take_control(self) -> None:
+        """Begin to look out for somebody else who commands the vehicle: it is ours now."""
+        self._in_control = True
+        self._suspicion.forget()
+        self._audit_s = self._outbox.link_s + _AUDIT_S
+
+    # -- plans ---------------------------------------------------------------------------------------------
+
+    def upload(self, command: UploadPlan) -> None:
+        """Bring a plan to the autopilot without flying it yet."""
+        change = self._change
+        busy = self._write is not None or (change is not None and change.stage is _Stage.ACTIVATING)
+        if busy or self._closed or self._layout is None:
+            self._tell(command.number, "failed", "the plan before is not settled" if busy else "the flight ends")
+            return
+        if change is not None and change.stage is _Stage.NOT_TAKEN:
+            self._not_taken = change
+        self._change = _Change(command)
+        self._waits = True
+
+    def activate(self, command: ActivatePlan) -> None:
+        """Fly a plan now."""
+        change = self._change
+        if change is None or change.command.number != command.number or change.stage is not _Stage.READY:
+            self._tell(command.number, "failed", "it is not on board")
+            return
+        assert change.layout is not None
+        assert self._layout is not None
+        change.stage = _Stage.ACTIVATING
+        plans = (change.command.plan, change.command.present)
+        change.activation = Activation(
+            self._outbox, change.layout, self._layout, plans, self._round_trip_s, self._target
+        )
+        self._waits = True
+
+    def close(self) -> None:
+        """Start nothing new."""
+        self._closed = True
+
+    def expire(self) -> None:
+        """Do what is due."""
+        self._waits = False
+        if self._frozen:
+            self._audit()
+            return
+        if self._read is not None:
+            self._read.expire()
+        if self._write is not None:
+            self._write.expire()
+            self._judge_write()
+        change = self._change
+        if change is not None and change.stage is _Stage.QUEUED:
+            self._lay_out(change)
+        elif change is not None and change.activation is not None and change.stage is _Stage.ACTIVATING:
+            was_unanswered = change.activation.unanswered
+            change.activation.expire(self._first_ahead(change))
+            if change.activation.unanswered and not was_unanswered:
+                self._tell(change.command.number, "unconfirmed", "the autopilot has not confirmed the switch")
+        self._audit()
+
+    def _lay_out(self, change: _Change) -> None:
+        """Find places for the plan's items beside the line that is flown, and write them there."""
+        assert self._layout is not None
+        command = change.command
+        try:
+            line = self.line(replace(command.plan, circle=command.commanded), command.wind)
+        except UnflyableError as error:
+            self._fail(change, str(error))
+            return
+        if self._current is not None:
+            self._layout = self._layout.since(self._current.seq)
+        change.layout, change.stage = self._layout.with_line(line), _Stage.WRITING
+        self._start_write(change.layout, self._bound_s(command))
+
+    def _bound_s(self, command: UploadPlan) -> float:
+        """Long after its departure a plan is of no use, and a better one waits until this upload has ended."""
+        return min(_UPLOAD_S, max(command.plan.departure_s - self._outbox.time_s, 0.0) + _USELESS_S)
+
+    def _first_ahead(self, change: _Change) -> int:
+        """Return the first item that the aircraft has not passed when a request of now arrives."""
+        assert change.layout is not None
+        assert change.activation is not None
+        layout, plan = change.layout, change.command.plan
+        late_s = self._outbox.time_s - plan.departure_s
+        on_the_way_s = self._outbox.vehicle_s(self._round_trip_s)
+        repeated = change.activation.repeated
+        if repeated:  # the one before may have been heard, and this one may be on its way for long
+            late_s = max(late_s, 0.0) + _REPEAT_AHEAD_S + _REPEAT_ROUND_TRIPS * on_the_way_s
+        elif on_the_way_s > _NEGLIGIBLE_S:
+            late_s += on_the_way_s
+        path = plan.transition
+        if path is None or late_s <= 0.0 or (late_s >= _LATE_MAX_S and not repeated):
+            return layout.first
+        flown_m = late_s * self._settings.airspeed_m_s + _SWITCH_M
+        for seq in range(layout.first, layout.end - 1):
+            item = layout.items[seq]
+            east_m, north_m = self._settings.plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
+            nearest = int(np.argmin(np.hypot(path.east_m - east_m, path.north_m - north_m)))
+            if path.arc_m[nearest] > flown_m:
+                return seq
+        return layout.end - 1
+
+    # -- writing -------------------------------------------------------------------------------------------
+
+    def _start_write(self, layout: MissionLayout, bound_s: float) -> None:
+        items = layout.closed_by(self._dialect.tail(self._settings.home)).items
+        changed = range(len(items))
+        if len(self._onboard) == len(items):
+            differing = [seq for seq in changed if items[seq] != self._onboard[seq]]
+            if not differing:
+                self._written(layout, WriteResult.ACCEPTED, items)
+                return
+            if self._dialect.quirks.stores_items_one_by_one:
+                changed = range(differing[0], differing[-1] + 1)
+        self._began_s, self._writing = self._outbox.time_s, layout
+        self._identity.writing = self._total(items)
+        deadline_s = self._outbox.link_s + bound_s
+        self._write = MissionWrite(
+            self._outbox,
+            self._dialect.quirks,
+            items,
+            changed,
+            deadline_s,
+            self._marked,
+            self._mission_id,
+            self._round_trip_s,
+        )
+
+    def _judge_write(self) -> None:
+        write, layout = self._write, self._writing
+        if write is None or write.result is None or layout is None:
+            return
+        self._write = self._writing = None
+        if write.round_trip_s is not None:
+            self._round_trip_s = write.round_trip_s
+            self._suspicion.round_trip_s = self._contents.round_trip_s = write.round_trip_s
+        if write.result is WriteResult.ACCEPTED:
+            self._upload_took_s += _DURATION_WEIGHT * (self._outbox.time_s - self._began_s - self._upload_took_s)
+            self._mission_id = write.mission_id
+            self._identity.written(self._total(write.items), write.mission_id)
+        elif len(write.items) == len(self._onboard):
+            doubtful = zip(write.items, self._onboard, strict=True)
+            self._onboard = tuple(b if a == b else None for a, b in doubtful)
+            self._identity.written(self._total(write.items), 0)
+        else:
+            self._onboard = ()
+            self._identity.written(self._total(write.items), 0)
+        self._written(layout, write.result, write.items)
+
+    def _written(self, layout: MissionLayout, result: WriteResult, items: tuple[RawItem, ...]) -> None:
+        if result is WriteResult.ACCEPTED:
+            self._onboard = items
+        change = self._change
+        if change is None:
+            self.load_result = result
+            self._layout = layout if result is WriteResult.ACCEPTED else None
+            return
+        if result is WriteResult.ACCEPTED:
+            change.stage = _Stage.READY
+            self._tell(change.command.number, "ready")
+        elif (
+            result is WriteResult.TIMEOUT
+            and not self._closed
+            and self._outbox.time_s + self._upload_took_s < change.command.plan.departure_s
+        ):
+            self._start_write(layout, self._bound_s(change.command))
+        else:
+            self._fail(change, f"upload {result}")
+
+    def _marked(self) -> int:
+        """Return the item to mark as current in an upload: PX4 goes there at once when the last item has come.
+
+        That is the item flown then, so a waypoint which is passed meanwhile does not count any more.
+        """
+        layout = self._layout or self._writing
+        assert layout is not None
+        if self._layout is None:
+            return layout.head
+        index = min(max(self._current.seq if self._current else layout.first, layout.first), layout.end - 1)
+        if self._aircraft is None or index == layout.end - 1:
+            return index
+        item = layout.items[index]
+        east_m, north_m = self._settings.plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
+        off_m = math.hypot(east_m - self._aircraft.east_m, north_m - self._aircraft.north_m)
+        reach_m = _SWITCH_M + self._aircraft.ground_speed_m_s * self._upload_took_s
+        return index + (off_m < reach_m)
+
+    def _total(self, items: tuple[RawItem, ...]) -> int:
+        return len(items) - self._dialect.quirks.home_at_zero
+
+    # -- what is reported ----------------------------------------------------------------------------------
+
+    def observe(self, aircraft: AircraftState, mode: str) -> None:
+        """Take where the aircraft is, and its flight mode."""
+        self._aircraft = aircraft
+        change = self._change
+        if change is not None and change.activation is not None:
+            change.activation.track(aircraft)
+            self._judge_activation(change)
+
+    def receive(self, report: VehicleReport) -> None:
+        """Take what the autopilot reports."""
+        if self._read is not None:
+            self._read.receive(report)
+        if self._write is not None and not self._frozen:
+            self._write.receive(report)
+            self._judge_write()
+        change = self._change
+        match report:
+            case MissionCurrentReported():
+                self._on_current(report)
+            case PositionTargetReported() if self._dialect.quirks.reports_target_at_once:
+                self._target = report
+                if change is not None and change.activation is not None:
+                    change.activation.target(report)
+                    self._judge_activation(change)
+            case MissionCountReported() if change is not None and change.activation is not None:
+                change.activation.counted(report)
+            case MissionItemReported() if self._write is None:
+                self._on_item(report)
+
+    def _on_current(self, report: MissionCurrentReported) -> None:
+        self._current = report
+        change = self._change
+        if change is not None and change.activation is not None:
+            change.activation.current(report.seq)
+            self._judge_activation(change)
+        if not self._in_control or self._layout is None:
+            return
+        if report.seq not in self._layout:
+            self._taken_after_all(report.seq)
+        if report.seq in self._layout:
+            self._left = None
+        activating = self._change.layout if self._change is not None and self._change.activation else None
+        known = any(layout is not None and report.seq in layout for layout in (self._layout, self._left, activating))
+        if not self._identity.is_ours(report.total, report.mission_id):
+            self._suspect(self._suspicion, "another station has changed the mission")
+        elif not known:
+            self._suspect(self._suspicion, f"another station has chosen item {report.seq} of the mission")
+        elif self._suspicion.active:
+            self._suspicion.fits()
+            self._waits = True
+
+    def _judge_activation(self, change: _Change) -> None:
+        activation = change.activation
+        if activation is None or activation.answer is Answer.OPEN:
+            return
+        if activation.answer is Answer.NOT_TAKEN:
+            if change.stage is _Stage.ACTIVATING:
+                change.stage = _Stage.NOT_TAKEN
+                self._tell(change.command.number, "failed", "the autopilot did not switch to it")
+            return
+        self._change = None
+        self._fly(change, activation.index)
+
+    def _taken_after_all(self, seq: int) -> None:
+        """Take back that a plan was not taken: what is written over it now is broken off."""
+        late = self._not_taken
+        if late is None or late.layout is None or seq not in late.layout:
+            return
+        change = self._change
+        if self._write is not None:
+            self._write.cancel()
+        if change is not None:
+            if change.layout is not None and change.activation is not None and seq in change.layout:
+                return
+            self._write = self._writing = self._change = None
+            self._onboard = ()
+            self._tell(change.command.number, "failed", "the plan before was taken after all")
+        self._fly(late, seq)
+
+    def _fly(self, change: _Change, index: int) -> None:
+        assert change.layout is not None
+        self._left, self._layout, self._not_taken = self._layout, change.layout.since(index), None
+        self._suspicion.forget()
+        self._tell(change.command.number, "departed")
+
+    def _suspect(self, suspicion: Suspicion, reason: str) -> None:
+        if suspicion.is_confirmed_by(self._outbox.link_s):
+            self._outbox.report(ExternalControl(self._outbox.time_s, reason))
+
+    # -- looking at the item that is flown -----------------------------------------------------------------
+
+    def _audit(self) -> None:
+        """Ask for the item that is flown: another station may have written it without changing the list's length."""
+        if not self._dialect.quirks.stores_items_one_by_one or self._outbox.link_s < self._audit_s:
+            return
+        self._audit_s = self._outbox.link_s + (_AUDIT_S if not self._contents.active else 0.2 * _AUDIT_S)
+        index = self.flown_index
+        if self._write is None and self._layout is not None and index is not None and index in self._layout:
+            self._outbox.send_mission("MISSION_REQUEST_INT", seq=index)
+
+    def _on_item(self, report: MissionItemReported) -> None:
+        if not self._in_control or self._layout is None or report.seq not in self._layout:
+            return
+        if same_item(self._layout.items[report.seq], report.item):
+            if self._contents.active:
+                self._contents.fits()
+                self._waits = True
+        else:
+            self._audit_s = min(self._audit_s, self._outbox.link_s + 0.2 * _AUDIT_S)
+            self._suspect(self._contents, "another station has changed the mission")
+
+    # -- telling -------------------------------------------------------------------------------------------
+
+    def _fail(self, change: _Change, why: str) -> None:
+        self._change = None
+        self._tell(change.command.number, "failed", why)
+
+    def _tell(self, number: int, stage: str, detail: str = "") -> None:
+        self._outbox.report(PlanStatus(self._outbox.time_s, number, stage, detail))  # type: ignore[arg-type]

@@ -1,0 +1,235 @@
+"""Writing a mission, or the changed part of one: all items are sent at once, and what is unanswered is sent again.
+
+Autopilots take the items strictly in their order and leave any other alone, so they may be sent without waiting for
+each request: a lost packet costs a fraction of a second, and nothing can be stored out of its place. What was stored
+is read back where items are stored one by one; elsewhere the acknowledgement names the mission, or the list is read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from enum import StrEnum
+
+from mission.exchange.dialect import ProtocolQuirks
+from mission.exchange.mission_read import MissionRead
+from mission.exchange.outbox import ACCEPTED, CANCELLED, DENIED, ERROR, INVALID_SEQUENCE, NO_SPACE, Outbox
+from mission.exchange.raw_item import RawItem, same_item, same_items
+from mission.exchange.reports import MissionAcknowledged, MissionItemReported, MissionItemRequested, VehicleReport
+
+# So long nothing is heard before everything unanswered is sent again; once the round trip is known, so many of them.
+_AGAIN_S, _MIN_AGAIN_S, _AGAIN_ROUND_TRIPS = 0.25, 0.1, 2.0
+_READ_S = 5.0  # after an upload that was not acknowledged
+_REFUSALS = 3
+_LONG_ROUND_TRIP_S = 0.2  # then the items are sent with the announcement, without waiting for the first request
+
+
+class WriteResult(StrEnum):
+    """What an upload came to. After TIMEOUT the vehicle may hold the old mission, the new one or a mixture."""
+
+    ACCEPTED = "accepted"
+    DENIED = "denied"
+    TIMEOUT = "timeout"
+
+
+class _Phase(StrEnum):
+    ANNOUNCING = "announcing"
+    SENDING = "sending"
+    VERIFYING = "verifying"
+
+
+class MissionWrite:
+    """Makes the vehicle hold ``items``, of which those outside ``changed`` are on board already.
+
+    ``changed`` as long as ``items`` replaces the whole list, however long that was. marked tells which item is to be
+    flown on taking the list over. deadline_s is of the link's clock. ``result`` is None while it goes on; ACCEPTED:
+    verified. After TIMEOUT and DENIED what is on board at ``changed`` is not known.
+    """
+
+    def __init__(
+        self,
+        outbox: Outbox,
+        quirks: ProtocolQuirks,
+        items: Sequence[RawItem],
+        changed: range,
+        deadline_s: float,
+        marked: Callable[[], int],
+        mission_id_before: int = 0,
+        round_trip_s: float = 0.0,
+    ) -> None:
+        self._outbox, self._quirks, self._marked = outbox, quirks, marked
+        self.items, self.changed = tuple(items), changed
+        self._deadline_s, self._mission_id_before = deadline_s, mission_id_before
+        self._again_s = max(_AGAIN_S, _AGAIN_ROUND_TRIPS * round_trip_s)
+        self._at_once = round_trip_s > _LONG_ROUND_TRIP_S
+        self._overtaken = False
+        self._awaited = changed.start
+        self._refusals, self._refused = 0, False
+        self._onboard: dict[int, RawItem] = {}
+        self._read: MissionRead | None = None
+        self._said_s = 0.0
+        self._due_s = 0.0
+        self.round_trip_s: float | None = None
+        self.result: WriteResult | None = None
+        self.mission_id = 0
+        self._announce()
+
+    @property
+    def next_timer_s(self) -> float:
+        """When ``expire`` is to be called, on the link's clock; -inf: at once, inf: never."""
+        if self.result is not None:
+            return math.inf
+        return self._read.next_timer_s if self._read is not None else min(self._due_s, self._deadline_s)
+
+    def receive(self, report: VehicleReport) -> None:
+        """Take a report."""
+        if self.result is not None:
+            return
+        if self._read is not None:
+            self._read.receive(report)
+            self._judge_read()
+            return
+        match report:
+            case MissionItemRequested() if self._phase is not _Phase.VERIFYING and 0 <= report.seq < len(self.items):
+                self._requested(report)
+            case MissionAcknowledged() if self._phase is _Phase.ANNOUNCING:
+                self._answered(report.result)
+            case MissionAcknowledged() if self._phase is _Phase.SENDING:
+                self._acknowledged(report)
+            case MissionItemReported() if self._phase is _Phase.VERIFYING:
+                self._item(report)
+
+    def expire(self) -> None:
+        """Send again what is unanswered, or give up."""
+        if self.result is not None:
+            return
+        if self._read is not None:
+            self._read.expire()
+            self._judge_read()
+        elif self._outbox.link_s >= self._deadline_s:
+            self._give_up()
+        elif self._outbox.link_s >= self._due_s:
+            self._say()
+
+    def cancel(self) -> None:
+        """Break it off: not one item more. What is on board is not known then."""
+        if self.result is None:
+            self._outbox.send_mission("MISSION_ACK", type=CANCELLED)
+            self.result = WriteResult.TIMEOUT
+
+    # -- writing -------------------------------------------------------------------------------------------
+
+    def _announce(self) -> None:
+        self._phase, self._awaited = _Phase.ANNOUNCING, self.changed.start
+        self._say()
+
+    def _requested(self, report: MissionItemRequested) -> None:
+        repeated, self._awaited = report.seq == self._awaited, report.seq
+        self._due_s = report.link_s + self._again_s
+        if self._phase is _Phase.ANNOUNCING:
+            self.round_trip_s = report.link_s - self._said_s
+            self._again_s = max(_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS * self.round_trip_s)
+            self._phase = _Phase.SENDING
+            if not self._at_once:
+                self._say()
+        elif repeated or self._overtaken:
+            self._outbox.send_item(report.seq, self.items[report.seq], report.seq == self._marked())
+
+    def _answered(self, result: int) -> None:
+        """Take an answer to the announcement; late ones to the upload before come here too, and say nothing."""
+        if result == DENIED and self._quirks.stores_items_one_by_one:
+            self._phase = _Phase.SENDING  # it receives already: its first request was lost
+            self._say()
+        elif result == NO_SPACE:
+            self.result = WriteResult.DENIED
+        elif result in (ERROR, DENIED):
+            self._refusals += not (self._refused or self._at_once)
+            self._refused = True
+            if self._refusals > _REFUSALS and self._quirks.stores_items_one_by_one:
+                self.result = WriteResult.DENIED
+
+    def _acknowledged(self, report: MissionAcknowledged) -> None:
+        if report.result in (INVALID_SEQUENCE, DENIED):
+            # An item, or the announcement, has come twice; or items overtake each other, and are better sent singly.
+            self._overtaken = self._overtaken or report.result == INVALID_SEQUENCE
+            return
+        if report.result == CANCELLED:
+            self._announce()
+        elif report.result == ERROR:
+            # It receives nothing, either because all is there or because it never began.
+            self._verify()
+        elif report.result != ACCEPTED:
+            self.result = WriteResult.DENIED
+        elif self._quirks.stores_items_one_by_one:
+            self._verify()
+        elif report.mission_id not in (0, self._mission_id_before):
+            self.mission_id, self.result = report.mission_id, WriteResult.ACCEPTED
+        elif report.mission_id == 0 and self._awaited == self.changed[-1]:
+            self.result = WriteResult.ACCEPTED
+        # Else it is the acknowledgement of the upload before, come late.
+
+    def _say(self) -> None:
+        outbox, changed = self._outbox, self.changed
+        self._said_s, self._due_s = outbox.link_s, outbox.link_s + self._again_s
+        self._refused = False
+        if self._phase is _Phase.ANNOUNCING:
+            if len(changed) == len(self.items):
+                outbox.send_mission("MISSION_COUNT", count=len(self.items))
+            else:
+                ends = {"start_index": changed.start, "end_index": changed.stop - 1}
+                outbox.send_mission("MISSION_WRITE_PARTIAL_LIST", **ends)
+        if self._phase is _Phase.SENDING or (self._phase is _Phase.ANNOUNCING and self._at_once):
+            marked = self._marked()
+            for seq in range(self._awaited, max(changed.stop, self._awaited + 1)):
+                outbox.send_item(seq, self.items[seq], seq == marked)
+        elif self._phase is _Phase.VERIFYING:
+            for seq in self._to_verify():
+                if seq not in self._onboard:
+                    outbox.send_mission("MISSION_REQUEST_INT", seq=seq)
+
+    def _give_up(self) -> None:
+        self._outbox.send_mission("MISSION_ACK", type=CANCELLED)
+        if self._quirks.stores_items_one_by_one or self._phase is _Phase.ANNOUNCING:
+            self.result = WriteResult.TIMEOUT
+        else:  # often only the last acknowledgement was lost
+            self._read = MissionRead(self._outbox, self._quirks, self._outbox.link_s + _READ_S)
+
+    # -- what is on board ----------------------------------------------------------------------------------
+
+    def _verify(self) -> None:
+        if not self._quirks.stores_items_one_by_one:
+            self._read = MissionRead(self._outbox, self._quirks, self._outbox.link_s + _READ_S)
+            return
+        self._phase = _Phase.VERIFYING
+        self._onboard.clear()
+        self._say()
+        self._judge()
+
+    def _to_verify(self) -> list[int]:
+        return [seq for seq in self.changed if not (seq == 0 and self._quirks.home_at_zero)]
+
+    def _item(self, report: MissionItemReported) -> None:
+        if report.seq in self.changed:
+            self._onboard[report.seq] = report.item
+            self._due_s = report.link_s + self._again_s
+            self._judge()
+
+    def _judge(self) -> None:
+        if any(seq not in self._onboard for seq in self._to_verify()):
+            return
+        if all(same_item(self.items[seq], self._onboard[seq]) for seq in self._to_verify()):
+            self.result = WriteResult.ACCEPTED
+        else:
+            self._announce()
+
+    def _judge_read(self) -> None:
+        if self._read is None or not self._read.done:
+            return
+        onboard, self.mission_id = self._read.items, self._read.mission_id
+        self._read = None
+        if onboard is not None and same_items(self.items, onboard):
+            self.result = WriteResult.ACCEPTED
+        elif self._outbox.link_s >= self._deadline_s:
+            self.result = WriteResult.TIMEOUT
+        else:
+            self._announce()

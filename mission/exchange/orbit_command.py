@@ -1,0 +1,178 @@
+"""Plans as circles, each moved by one command: nothing is uploaded, so a plan departs as soon as it is made."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+
+from mission.core.circle import Circle
+from mission.core.events import ActivatePlan, PlanStatus, UploadPlan
+from mission.core.plan import AircraftState, Plan
+from mission.exchange.dialect import AutopilotDialect, CircleOrder
+from mission.exchange.leading_circle import leading_circle
+from mission.exchange.outbox import ExternalControl, Outbox
+from mission.exchange.ownership import Suspicion
+from mission.exchange.plan_backend import BackendSettings
+from mission.exchange.reports import CommandAcknowledged, VehicleReport
+from mission.exchange.vehicle_command import CommandExchange, describe_result
+
+_PERIOD_S = 1.0  # of the vehicle's time
+_SAME_E7 = 200  # two metres
+_REMEMBERED, _REMEMBERED_S = 4, 10.0  # at least so many orders, and all of so long, of the link's clock
+_FROZEN_S = 0.25
+
+
+class OrbitCommandBackend:
+    """``PlanBackend`` by one command a circle. ``take_over`` comes first.
+
+    While a transition is flown, the circle that leads along it is commanded every second, then the plan's own one,
+    once.
+    """
+
+    def __init__(self, outbox: Outbox, dialect: AutopilotDialect, settings: BackendSettings) -> None:
+        self._outbox, self._dialect, self._settings = outbox, dialect, settings
+        self._plan: UploadPlan | None = None  # on board, as far as a plan can be before it is flown
+        self._flown: UploadPlan | None = None  # its transition is being flown
+        self._departing = self._was_last = False
+        self._due_s = -math.inf  # the next circle, of the vehicle's time
+        self._command: CommandExchange | None = None
+        self._ordered: deque[tuple[float, CircleOrder]] = deque()
+        self._suspicion = Suspicion()
+        self._aircraft: AircraftState | None = None
+        self._mode = ""
+        self._in_control = self._closed = self._waits = False
+
+    @property
+    def mode(self) -> str:
+        """The flight mode, by name, in which it flies."""
+        return self._dialect.circle_mode
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is under way that should end before the program does."""
+        return self._command is None
+
+    @property
+    def next_timer_s(self) -> float:
+        """When ``expire`` is to be called, on the link's clock; -inf: at once, inf: never."""
+        if self._suspicion.active:
+            return self._outbox.link_s + _FROZEN_S
+        if self._waits:
+            return -math.inf
+        return self._command.next_timer_s if self._command is not None else math.inf
+
+    def take_over(self, first: Plan) -> CommandExchange:
+        """Take the aircraft over from any mode onto a circle; return the command that does."""
+        order = self._order(first.circle, first)
+        return CommandExchange(self._outbox, self._dialect.fly_circle(order, take_over=True))
+
+    def take_control(self) -> None:
+        """Begin to look out for somebody else who commands the vehicle: it is ours now."""
+        self._in_control = True
+        self._suspicion.forget()
+
+    def upload(self, command: UploadPlan) -> None:
+        """Bring a plan to the autopilot without flying it yet."""
+        self._plan = command
+        self._tell(command.number, "ready")
+
+    def activate(self, command: ActivatePlan) -> None:
+        """Fly a plan now."""
+        plan = self._plan
+        if plan is None or plan.number != command.number or self._closed:
+            self._tell(command.number, "failed", "it is not the plan that was made ready")
+            return
+        self._flown, self._departing, self._due_s, self._command = plan, True, -math.inf, None
+        self._waits = True
+
+    def close(self) -> None:
+        """Start nothing new."""
+        self._closed, self._flown, self._departing = True, None, False
+
+    def observe(self, aircraft: AircraftState, mode: str) -> None:
+        """Take where the aircraft is, and its flight mode."""
+        self._aircraft, self._mode = aircraft, mode
+        if self._flown is not None and self._command is None and aircraft.time_s >= self._due_s:
+            self._waits = True
+
+    def expire(self) -> None:
+        """Do what is due."""
+        self._waits = False
+        if self._suspicion.active:
+            return  # somebody else may be at work: not one message more until that is known
+        if self._command is not None:
+            self._command.expire()
+            self._judge()
+        if self._flown is not None and self._command is None and self._outbox.time_s >= self._due_s:
+            self._lead(self._flown)
+
+    def receive(self, report: VehicleReport) -> None:
+        """Take what the autopilot reports."""
+        if isinstance(report, CommandAcknowledged) and self._command is not None:
+            self._command.receive(report)
+            self._judge()
+        circle = self._dialect.reported_circle(report)
+        if circle is None or not self._in_control or self._mode != self.mode:
+            return
+        if any(_same_place(circle, order) for _, order in self._ordered):
+            if self._suspicion.active:
+                self._suspicion.fits()
+                self._waits = True
+        elif self._suspicion.is_confirmed_by(self._outbox.link_s):
+            self._outbox.report(ExternalControl(self._outbox.time_s, "another station has moved the circle"))
+
+    def _lead(self, plan: UploadPlan) -> None:
+        """Command the circle that serves now."""
+        aircraft = self._aircraft
+        if aircraft is None or self._mode != self.mode:
+            self._failed("the aircraft's place is not known" if aircraft is None else f"the mode is {self._mode}")
+            return
+        wanted = plan.plan.circle
+        circle = leading_circle(plan.plan, aircraft, self._settings.bank_max_rad)
+        self._was_last = circle is None
+        circle = circle or wanted
+        # The autopilot flies another radius than commanded; what is known of that holds for every circle.
+        circle = replace(circle, radius_m=circle.radius_m * plan.commanded.radius_m / wanted.radius_m)
+        self._due_s = aircraft.time_s + _PERIOD_S
+        self._command = CommandExchange(
+            self._outbox, self._dialect.fly_circle(self._order(circle, plan.plan), take_over=False)
+        )
+
+    def _judge(self) -> None:
+        command, plan = self._command, self._flown
+        if command is None or not command.done:
+            return
+        self._command = None
+        if plan is None:
+            return
+        if not command.accepted:
+            self._failed(f"the autopilot's answer to a circle: {describe_result(command.result)}")
+            return
+        if self._was_last:
+            self._flown = None
+        if self._departing:
+            self._departing = False
+            self._suspicion.forget()
+            self._tell(plan.number, "departed")
+
+    def _failed(self, why: str) -> None:
+        """Give a departure up; on the way, the circle before is flown on, and the next second tries again."""
+        if self._departing and self._flown is not None:
+            number, self._flown, self._departing = self._flown.number, None, False
+            self._tell(number, "failed", why)
+        self._due_s = self._outbox.time_s + _PERIOD_S
+
+    def _order(self, circle: Circle, plan: Plan) -> CircleOrder:
+        order, now_s = self._settings.order(circle, plan), self._outbox.link_s
+        while len(self._ordered) >= _REMEMBERED and now_s - self._ordered[0][0] > _REMEMBERED_S:
+            self._ordered.popleft()
+        self._ordered.append((now_s, order))
+        return order
+
+    def _tell(self, number: int, stage: str, detail: str = "") -> None:
+        self._outbox.report(PlanStatus(self._outbox.time_s, number, stage, detail))  # type: ignore[arg-type]
+
+
+def _same_place(a: CircleOrder, b: CircleOrder) -> bool:
+    return abs(a.x - b.x) <= _SAME_E7 and abs(a.y - b.y) <= _SAME_E7

@@ -1,0 +1,84 @@
+"""What leaves the exchange in one step: messages to the autopilot, and what the control step is to know."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from mission.core.events import Announce, ControlAcquired, PlanStatus, YieldRequested
+from mission.exchange.raw_item import RawItem
+
+MISSION = 0  # MAV_MISSION_TYPE_MISSION
+ACCEPTED, ERROR, DENIED, CANCELLED = 0, 1, 14, 15  # of MAV_MISSION_RESULT
+_RATE_KNOWN_S = 2.0
+INVALID_SEQUENCE, NO_SPACE = 13, 4
+
+
+@dataclass(frozen=True, slots=True)
+class SendMessage:
+    """Send a MAVLink message to the autopilot of our vehicle; NaN: unused."""
+
+    time_s: float
+    name: str
+    fields: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class TakeoverFailed:
+    """The aircraft could not be brought onto a circle. wrong_input: the configuration is why, nothing was sent."""
+
+    time_s: float
+    reason: str
+    wrong_input: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ExternalControl(YieldRequested):
+    """The exchange has noticed that somebody else commands the vehicle."""
+
+
+Derived = ControlAcquired | PlanStatus | ExternalControl
+
+
+@dataclass(slots=True)
+class Outbox:
+    """Collects one step's output in order. time_s and link_s are the step's."""
+
+    time_s: float = -math.inf
+    link_s: float = 0.0
+    sent: list[SendMessage] = field(default_factory=list)
+    derived: list[Derived | Announce | TakeoverFailed] = field(default_factory=list)
+    _began: tuple[float, float] | None = None
+
+    def begin(self, time_s: float, link_s: float | None) -> None:
+        """Begin a step. link_s: None where the event has none."""
+        self.time_s = time_s
+        if link_s is None:
+            return
+        self.link_s = link_s
+        if math.isfinite(time_s) and (self._began is None or time_s < self._began[0]):
+            self._began = (time_s, link_s)
+
+    def vehicle_s(self, link_s: float) -> float:
+        """Return a duration of the link's clock on the vehicle's, which runs faster in a simulation."""
+        if self._began is None or self.link_s - self._began[1] < _RATE_KNOWN_S:
+            return link_s
+        return link_s * (self.time_s - self._began[0]) / (self.link_s - self._began[1])
+
+    def send(self, name: str, **fields: float) -> None:
+        """Send a message."""
+        self.sent.append(SendMessage(self.time_s, name, fields))
+
+    def send_mission(self, name: str, **fields: float) -> None:
+        """Send a message of the mission protocol."""
+        self.send(name, **fields, mission_type=MISSION)
+
+    def send_item(self, seq: int, item: RawItem, current: bool) -> None:
+        """Send MISSION_ITEM_INT."""
+        self.send_mission("MISSION_ITEM_INT", seq=seq, current=int(current), **asdict(item))
+
+    def report(self, event: Derived | Announce | TakeoverFailed) -> None:
+        """Tell the control step, or a person."""
+        self.derived.append(event)

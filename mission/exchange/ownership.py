@@ -1,0 +1,71 @@
+"""Whether the mission on board is still ours: known by what the vehicle reports in order, not by a time.
+
+Reports may be late, doubled or overtaken. So a report that does not fit makes us stop commanding at once, and only
+several of them over more than a round trip mean that somebody else commands the vehicle.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+_MIN_REPORTS, _MIN_SPAN_S, _SPAN_ROUND_TRIPS = 3, 1.0, 2.0
+_REMEMBERED_S, _REMEMBERED = 10.0, 64
+
+
+@dataclass(slots=True)
+class Suspicion:
+    """Reports that do not fit to what was commanded from here. Times are of the link's clock."""
+
+    round_trip_s: float = 0.0
+    active: bool = False  # the latest report did not fit
+    _reports_s: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+
+    def fits(self) -> None:
+        """Take a report that fits."""
+        self.active = False
+
+    def is_confirmed_by(self, link_s: float) -> bool:
+        """Take a report that does not fit; tell whether that proves somebody else at work."""
+        self.active = True
+        while self._reports_s and link_s - self._reports_s[0] > _REMEMBERED_S:
+            self._reports_s.popleft()
+        self._reports_s.append(link_s)
+        span_s = max(_MIN_SPAN_S, _SPAN_ROUND_TRIPS * self.round_trip_s)
+        return len(self._reports_s) >= _MIN_REPORTS and link_s - self._reports_s[0] >= span_s
+
+    def forget(self) -> None:
+        """Begin anew, after a change of our own: what comes late belongs to what was before."""
+        self.active = False
+        self._reports_s.clear()
+
+
+@dataclass(slots=True)
+class MissionIdentity:
+    """The missions of ours, each as (total, mission_id).
+
+    ``expected``: a mission of so many items was written, and its id is learnt from the first report of it.
+    """
+
+    ours: set[tuple[int, int]] = field(default_factory=set)
+    expected: int | None = None
+    writing: int | None = None  # a mission of so many items is under way: it may be on board already
+
+    def written(self, total: int, mission_id: int) -> None:
+        """Take over a mission that is on board. mission_id 0: not known yet."""
+        self.writing = None
+        if mission_id:
+            self.ours.add((total, mission_id))
+            self.expected = None
+        else:
+            self.expected = total
+
+    def is_ours(self, total: int, mission_id: int) -> bool:
+        """Tell whether a report is of a mission of ours; learn its id where one is expected."""
+        if (total, mission_id) in self.ours or total == self.writing:
+            return True
+        if total != self.expected:
+            return False
+        self.ours.add((total, mission_id))
+        self.expected = None
+        return True

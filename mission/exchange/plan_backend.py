@@ -1,0 +1,90 @@
+"""How plans reach the autopilot: as mission items, or as one command for each circle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from estimators.frames import LocalPlane
+from mission.core.circle import Circle
+from mission.core.events import ActivatePlan, UploadPlan
+from mission.core.plan import AircraftState, Plan
+from mission.exchange.dialect import CircleOrder, Home
+from mission.exchange.reports import VehicleReport
+
+
+@dataclass(frozen=True, slots=True)
+class BackendSettings:
+    """tolerance_m: how far the flown line may leave the plan.
+
+    height_m is above home, and that of a plan without heights of its own.
+    """
+
+    plane: LocalPlane
+    home: Home
+    airspeed_m_s: float
+    height_m: float
+    tolerance_m: float
+    bank_max_rad: float
+
+    def order(self, circle: Circle, plan: Plan) -> CircleOrder:
+        """Return a circle of the plane on the globe, at the height of a plan."""
+        height_m = self.height_m if plan.heights is None else plan.heights.to_m
+        latitude_deg, longitude_deg = self.plane.latitude_longitude_deg(circle.east_m, circle.north_m)
+        return CircleOrder(
+            round(latitude_deg * 1e7),
+            round(longitude_deg * 1e7),
+            height_m,
+            self.home.altitude_m + height_m,
+            circle.radius_m if circle.clockwise else -circle.radius_m,
+        )
+
+
+class PlanBackend(Protocol):
+    """One way of flying plans. At any moment, whatever fails, the vehicle is left on a circle that needs no one.
+
+    What becomes of a plan is told through the outbox as ``PlanStatus``.
+    """
+
+    @property
+    def mode(self) -> str:
+        """The flight mode, by name, in which it flies."""
+        ...
+
+    @property
+    def next_timer_s(self) -> float:
+        """When ``expire`` is to be called, on the link's clock; -inf: at once."""
+        ...
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is under way that should end before the program does."""
+        ...
+
+    def upload(self, command: UploadPlan) -> None:
+        """Bring a plan to the autopilot without flying it yet."""
+        ...
+
+    def activate(self, command: ActivatePlan) -> None:
+        """Fly a plan now."""
+        ...
+
+    def take_control(self) -> None:
+        """Begin to look out for somebody else who commands the vehicle: it is ours now."""
+        ...
+
+    def receive(self, report: VehicleReport) -> None:
+        """Take what the autopilot reports."""
+        ...
+
+    def observe(self, aircraft: AircraftState, mode: str) -> None:
+        """Take where the aircraft is, and its flight mode."""
+        ...
+
+    def expire(self) -> None:
+        """Do what is due."""
+        ...
+
+    def close(self) -> None:
+        """Start nothing new."""
+        ...

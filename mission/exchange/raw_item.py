@@ -1,0 +1,67 @@
+"""Mission items as MISSION_ITEM_INT carries them, and whether two are the same."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mission.upload.items import Item
+
+_COMPARED_METRES_AS_DEGREES_E7 = 3  # stored coordinates may lose the last digit on the way
+_COMPARED_PARAM = 0.6  # ArduPlane keeps whole metres of radius
+
+
+@dataclass(frozen=True, slots=True)
+class RawItem:
+    """One mission item exactly as MISSION_ITEM_INT carries it (param NaN: unused)."""
+
+    command: int
+    frame: int
+    param1: float
+    param2: float
+    param3: float
+    param4: float
+    x: int
+    y: int
+    z: float
+    autocontinue: int = 1
+
+
+def raw_item(item: Item) -> RawItem:
+    """Return the item in MISSION_ITEM_INT's units, without any autopilot's habits."""
+    return RawItem(
+        command=item.command,
+        frame=item.frame,
+        param1=item.param1,
+        param2=item.param2,
+        param3=item.param3,
+        param4=item.param4,
+        x=round(item.latitude_deg * 1e7),
+        y=round(item.longitude_deg * 1e7),
+        z=item.height_m,
+        autocontinue=int(item.autocontinue),
+    )
+
+
+def at_place(x: int, y: int, item: RawItem) -> bool:
+    """Tell whether 1e-7 degrees are an item's place."""
+    return max(abs(x - item.x), abs(y - item.y)) <= _COMPARED_METRES_AS_DEGREES_E7
+
+
+def same_item(a: RawItem, b: RawItem) -> bool:
+    """Tell whether the items are the same up to the vehicle's rounding."""
+    return (
+        a.command == b.command
+        and at_place(a.x, a.y, b)
+        and abs(a.z - b.z) <= _COMPARED_PARAM
+        and all(
+            math.isnan(x) or math.isnan(y) or abs(x - y) <= _COMPARED_PARAM
+            for x, y in ((a.param1, b.param1), (a.param3, b.param3))
+        )
+    )
+
+
+def same_items(sent: Sequence[RawItem], onboard: Sequence[RawItem]) -> bool:
+    """Tell whether the vehicle holds what was sent, up to its own rounding."""
+    return len(sent) == len(onboard) and all(map(same_item, sent, onboard))

@@ -1,0 +1,135 @@
+"""What the autopilot reports, as typed events of the exchange.
+
+``time_s`` is the vehicle's clock, as everywhere in the core. ``link_s`` is the receiver's monotonic clock since the
+start of the flight: retries run on it, because packets are lost and delayed by the link's time, not by the vehicle's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mission.exchange.raw_item import RawItem
+
+
+@dataclass(frozen=True, slots=True)
+class MissionCurrentReported:
+    """MISSION_CURRENT of the autopilot; total 0 and mission_id 0 where it does not report them."""
+
+    time_s: float
+    link_s: float
+    seq: int
+    total: int
+    mission_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class MissionCountReported:
+    """MISSION_COUNT to us: so many items are on board."""
+
+    time_s: float
+    link_s: float
+    count: int
+    mission_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class MissionItemRequested:
+    """MISSION_REQUEST or MISSION_REQUEST_INT to us."""
+
+    time_s: float
+    link_s: float
+    seq: int
+
+
+@dataclass(frozen=True, slots=True)
+class MissionItemReported:
+    """MISSION_ITEM_INT to us: an item as it is on board."""
+
+    time_s: float
+    link_s: float
+    seq: int
+    item: RawItem
+
+
+@dataclass(frozen=True, slots=True)
+class MissionAcknowledged:
+    """MISSION_ACK to us: a MAV_MISSION_RESULT; mission_id 0 where it does not report one."""
+
+    time_s: float
+    link_s: float
+    result: int
+    mission_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class CommandAcknowledged:
+    """COMMAND_ACK of the autopilot to us: a MAV_RESULT."""
+
+    time_s: float
+    link_s: float
+    command: int
+    result: int
+
+
+@dataclass(frozen=True, slots=True)
+class PositionTargetReported:
+    """POSITION_TARGET_GLOBAL_INT of the autopilot: where it flies to, 1e-7 degrees."""
+
+    time_s: float
+    link_s: float
+    x: int
+    y: int
+
+
+@dataclass(frozen=True, slots=True)
+class OrbitReported:
+    """ORBIT_EXECUTION_STATUS of the autopilot: centre in 1e-7 degrees, a negative radius is counter-clockwise."""
+
+    time_s: float
+    link_s: float
+    x: int
+    y: int
+    signed_radius_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class TimerExpired:
+    """The time that the exchange asked for has come."""
+
+    time_s: float
+    link_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class TakeoverRequested:
+    """Bring the aircraft onto a circle of ours: from the ground, or from ``mode``, in which it flies already.
+
+    arm_period_s: between two requests to arm, of the link's clock.
+    """
+
+    time_s: float
+    link_s: float
+    flying: bool
+    mode: str
+    arm_period_s: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class ShutdownRequested:
+    """The program ends: start nothing new; an upload under way may end."""
+
+    time_s: float
+    link_s: float
+
+
+VehicleReport = (
+    MissionCurrentReported
+    | MissionCountReported
+    | MissionItemRequested
+    | MissionItemReported
+    | MissionAcknowledged
+    | CommandAcknowledged
+    | PositionTargetReported
+    | OrbitReported
+)
+ExchangeEvent = VehicleReport | TimerExpired | TakeoverRequested | ShutdownRequested

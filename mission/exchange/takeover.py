@@ -1,0 +1,325 @@
+"""Bringing the aircraft onto a circle of ours: from the ground, from the air, or onto the circle it flies already.
+
+A script that stands still between events: each ``yield`` waits for the next one, ``until_s`` says when it has to be
+called at the latest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, replace
+
+from mission.core.circle import Circle
+from mission.core.events import Announce, ControlAcquired
+from mission.core.plan import AircraftState, Plan
+from mission.exchange.dialect import AutopilotDialect, CircleOrder
+from mission.exchange.mission_items import MissionItemBackend
+from mission.exchange.mission_write import WriteResult
+from mission.exchange.orbit_command import OrbitCommandBackend
+from mission.exchange.outbox import Outbox, TakeoverFailed
+from mission.exchange.plan_backend import BackendSettings
+from mission.exchange.raw_item import RawItem
+from mission.exchange.reports import CommandAcknowledged, TakeoverRequested, VehicleReport
+from mission.exchange.vehicle_command import CommandExchange, VehicleCommand, describe_result
+
+_TAKE_OFF, _RELATIVE = 22, 3  # MAV_CMD_NAV_TAKEOFF, MAV_FRAME_GLOBAL_RELATIVE_ALT
+_TAKE_OFF_HEIGHT_M = 50.0
+_ARM_WITHIN_S, _TAKE_OFF_WITHIN_S = 120.0, 240.0  # of the vehicle's time
+_MODE_WITHIN_S, _REPORTED_WITHIN_S = 5.0, 2.0  # of the link's clock
+_HIGH_ENOUGH = 0.7  # of the height wanted, to begin watching
+_AT_HEIGHT_M = 5.0
+_LIKE_OURS = (0.7, 1.3)  # a circle flown already with a radius within this share of ours was commanded by us
+_ROUND = 2.5  # so many radii from its centre an aircraft counts as circling
+_TICK_S = 0.1
+
+Script = Iterator[None]
+
+
+@dataclass(frozen=True, slots=True)
+class TakeoverSettings:
+    """How the first circle is to be flown. cleared gives a plan its heights, or names what is in its way."""
+
+    radius_m: float
+    clockwise: bool
+    by_command: bool
+    cleared: Callable[[Plan], Plan | str]
+
+
+class _FailedError(Exception):
+    """The way onto the circle has ended; wrong_input: before anything was sent, by the configuration."""
+
+    def __init__(self, reason: str, wrong_input: bool = False) -> None:
+        super().__init__(reason)
+        self.wrong_input = wrong_input
+
+
+class Takeover:
+    """One vehicle's way into the mission. ``begin`` starts it; ``ControlAcquired`` or ``TakeoverFailed`` ends it."""
+
+    def __init__(
+        self,
+        outbox: Outbox,
+        dialect: AutopilotDialect,
+        backend_settings: BackendSettings,
+        settings: TakeoverSettings,
+        missions: MissionItemBackend,
+        orbits: OrbitCommandBackend,
+    ) -> None:
+        self._outbox, self._dialect = outbox, dialect
+        self._vehicle, self._settings = backend_settings, settings
+        self._missions, self._orbits = missions, orbits
+        self._script: Script | None = None
+        self._mode = ""
+        self._height_m = -math.inf
+        self._aircraft: AircraftState | None = None
+        self._command: CommandExchange | None = None
+        self._circle_reported: CircleOrder | None = None
+        self._arm_period_s = 1.0
+        self._until_s = math.inf
+        self._now_s = outbox.link_s
+
+    @property
+    def running(self) -> bool:
+        """Whether the script is under way."""
+        return self._script is not None
+
+    @property
+    def next_timer_s(self) -> float:
+        """When ``expire`` is to be called, on the link's clock; -inf: at once, inf: never."""
+        command_s = self._command.next_timer_s if self._command is not None else math.inf
+        return min(command_s, self._until_s) if self.running else math.inf
+
+    def begin(self, request: TakeoverRequested) -> None:
+        """Start it."""
+        self._mode, self._arm_period_s = request.mode, request.arm_period_s
+        self._script = self._take_over(request.flying)
+        self.step()
+
+    def observe(self, aircraft: AircraftState, height_m: float) -> None:
+        """Take where the aircraft is."""
+        self._aircraft, self._height_m = aircraft, height_m
+
+    def mode_reported(self, mode: str) -> None:
+        """Take the flight mode."""
+        self._mode = mode
+
+    def receive(self, report: VehicleReport) -> None:
+        """Take a report."""
+        if isinstance(report, CommandAcknowledged) and self._command is not None:
+            self._command.receive(report)
+        self._circle_reported = self._dialect.reported_circle(report) or self._circle_reported
+
+    def stop(self) -> None:
+        """Leave off."""
+        self._script = self._command = None
+
+    def step(self) -> None:
+        """Go on as far as what is known allows."""
+        if self._script is None:
+            return
+        if self._command is not None:
+            self._command.expire()
+        self._until_s = math.inf
+        try:
+            next(self._script)
+        except StopIteration:
+            self.stop()
+        except _FailedError as failed:
+            self._outbox.report(TakeoverFailed(self._outbox.time_s, str(failed), failed.wrong_input))
+            self.stop()
+
+    # -- the script ----------------------------------------------------------------------------------------
+
+    def _take_over(self, flying: bool) -> Script:
+        by_command = self._settings.by_command
+        if not flying:
+            circle = commanded = self._circle_at_home()
+            yield from self._take_off(circle)
+        else:
+            flown, adopted = yield from self._flown_circle()
+            circle, commanded = self._wanted(flown)
+            if not by_command and not adopted:
+                first = replace(self._first(circle), circle=commanded)
+                yield from self._load(first, ())
+                yield from self._start_mission()
+                self._outbox.send("MISSION_SET_CURRENT", seq=self._missions.line_first)
+                yield from self._until_circling(first, _MODE_WITHIN_S)
+        if by_command:
+            yield from self._take_over_by_command(replace(self._first(circle), circle=commanded))
+        mode = self._dialect.circle_mode if by_command else self._dialect.mission_mode
+        backend = self._orbits if by_command else self._missions
+        backend.take_control()
+        self._outbox.report(ControlAcquired(self._outbox.time_s, circle, mode, commanded))
+
+    def _note(self, text: str) -> None:
+        self._outbox.report(Announce(self._outbox.time_s, "takeover", text))
+
+    def _first(self, circle: Circle) -> Plan:
+        """Return the first plan, unless something is in its way."""
+        cleared = self._settings.cleared(Plan(circle))
+        if isinstance(cleared, str):
+            reason = f"the first circle cannot be flown: {cleared}; change the fences or where it begins"
+            raise _FailedError(reason, wrong_input=True)
+        return cleared
+
+    def _until(
+        self, holds: Callable[[], bool], link_s: float = math.inf, vehicle_s: float = math.inf
+    ) -> Iterator[None]:
+        """Wait until something holds, or for so long."""
+        link_end_s, vehicle_end_s = self._outbox.link_s + link_s, self._outbox.time_s + vehicle_s
+        while not holds() and self._outbox.link_s < link_end_s and self._outbox.time_s < vehicle_end_s:
+            self._until_s = min(link_end_s, self._outbox.link_s + _TICK_S)
+            yield
+
+    def _commanded(self, command: VehicleCommand | CommandExchange) -> Iterator[None]:
+        exchange = command if isinstance(command, CommandExchange) else CommandExchange(self._outbox, command)
+        self._command = exchange
+        while not exchange.done:
+            yield
+
+    def _answer(self) -> str:
+        return describe_result(self._command.result if self._command is not None else None)
+
+    # -- from the air --------------------------------------------------------------------------------------
+
+    def _flown_circle(self) -> Generator[None, None, tuple[Circle | None, bool]]:
+        """Return the circle that is flown already, None if there is none, and whether its mission was adopted."""
+        yield from self._until(lambda: self._aircraft is not None, _MODE_WITHIN_S)
+        if self._aircraft is None:
+            raise _FailedError("the aircraft's place is not known")
+        if self._mode == self._dialect.mission_mode:
+            yield from self._until(lambda: self._missions.flown_index is not None, _REPORTED_WITHIN_S)
+            self._missions.adopt()
+            while self._missions.reading:
+                yield
+            flown = self._missions.adopted()
+            return flown, flown is not None
+        if self._mode == self._dialect.circle_mode:
+            yield from self._until(lambda: self._circle_reported is not None, _REPORTED_WITHIN_S)
+            return self._reported_circle(), False
+        return None, False
+
+    def _wanted(self, flown: Circle | None) -> tuple[Circle, Circle]:
+        """Return the circle wanted, and the circle commanded for it."""
+        radius_m = self._settings.radius_m
+        if flown is None:
+            self._note("already flying: taking over from where it is")
+            here = self._here()
+            circle = Circle.tangent_to(here.east_m, here.north_m, here.course_rad, radius_m, self._settings.clockwise)
+            self._first(circle)
+            return circle, circle
+        self._note("already circling: taking over the circle that is flown")
+        ours = _LIKE_OURS[0] < flown.radius_m / radius_m < _LIKE_OURS[1]
+        wanted = Circle(flown.east_m, flown.north_m, radius_m if ours else flown.radius_m, flown.clockwise)
+        self._first(wanted)
+        return wanted, flown
+
+    def _reported_circle(self) -> Circle | None:
+        """Return the circle flown by command, as far as the autopilot reports it."""
+        order, here = self._circle_reported, self._here()
+        if order is None:
+            return None
+        east_m, north_m = self._vehicle.plane.east_north_m(order.x * 1e-7, order.y * 1e-7)
+        radius_m = abs(order.signed_radius_m) or self._settings.radius_m
+        off_east_m, off_north_m = here.east_m - east_m, here.north_m - north_m
+        if math.hypot(off_east_m, off_north_m) > _ROUND * radius_m:
+            return None
+        turning_rad = math.atan2(off_east_m, off_north_m) - here.course_rad
+        clockwise = order.signed_radius_m > 0.0 if order.signed_radius_m else math.sin(turning_rad) < 0.0
+        return Circle(east_m, north_m, radius_m, clockwise)
+
+    def _here(self) -> AircraftState:
+        assert self._aircraft is not None
+        return self._aircraft
+
+    def _take_over_by_command(self, first: Plan) -> Script:
+        yield from self._commanded(self._orbits.take_over(first))
+        assert self._command is not None
+        mode = self._dialect.circle_mode
+        if self._command.accepted:
+            yield from self._until(lambda: self._mode == mode, _MODE_WITHIN_S)
+        if not self._command.accepted or self._mode != mode:
+            raise _FailedError(f"the circle was not taken over ({self._answer()})")
+
+    # -- from the ground -----------------------------------------------------------------------------------
+
+    def _circle_at_home(self) -> Circle:
+        home = self._vehicle.home
+        east_m, north_m = self._vehicle.plane.east_north_m(home.latitude_deg, home.longitude_deg)
+        return Circle(east_m, north_m, self._settings.radius_m, self._settings.clockwise)
+
+    def _take_off(self, circle: Circle) -> Script:
+        first = self._first(circle)
+        yield from self._load(first, (self._take_off_item(),))
+        yield from self._arm()
+        try:
+            yield from self._start_mission()
+        except _FailedError:
+            yield from self._commanded(self._dialect.disarm())  # still on the ground; refused if it is not
+            raise
+        self._note("taking off")
+        yield from self._until_circling(first, _TAKE_OFF_WITHIN_S)
+
+    def _load(self, first: Plan, lead_in: tuple[RawItem, ...]) -> Script:
+        self._missions.load(first, lead_in)
+        while self._missions.load_result is None:
+            yield
+        if self._missions.load_result is not WriteResult.ACCEPTED:
+            raise _FailedError(
+                f"the first mission was not taken ({self._missions.load_result}); nothing was commanded"
+            )
+
+    def _take_off_item(self) -> RawItem:
+        home = self._vehicle.home
+        place = round(home.latitude_deg * 1e7), round(home.longitude_deg * 1e7)
+        height_m = min(_TAKE_OFF_HEIGHT_M, self._vehicle.height_m)
+        return RawItem(_TAKE_OFF, _RELATIVE, 15.0, 0.0, 0.0, math.nan, *place, height_m)
+
+    def _arm(self) -> Script:
+        self._note("arming")
+        deadline_s = self._outbox.time_s + _ARM_WITHIN_S
+        while True:
+            yield from self._commanded(self._dialect.arm())
+            assert self._command is not None
+            if self._command.accepted:
+                return
+            if self._outbox.time_s > deadline_s:
+                raise _FailedError(f"the autopilot does not arm ({self._answer()})")
+            yield from self._until(lambda: False, self._arm_period_s)
+
+    def _start_mission(self) -> Script:
+        yield from self._commanded(self._dialect.start_mission())
+        assert self._command is not None
+        # An accepted command proves nothing: PX4 accepts, and stays in HOLD with a mission it does not like.
+        mode = self._dialect.mission_mode
+        if self._command.accepted:
+            yield from self._until(lambda: self._mode == mode, _MODE_WITHIN_S)
+        if not self._command.accepted or self._mode != mode:
+            raise _FailedError(f"the mission was not started ({self._answer()})")
+
+    def _until_circling(self, first: Plan, again_s: float) -> Script:
+        """Wait for the first circle; ask for it again, should that have been lost."""
+        link_end_s = self._outbox.link_s + _TAKE_OFF_WITHIN_S
+        deadline_s = self._outbox.time_s + _TAKE_OFF_WITHIN_S
+
+        def circling() -> bool:
+            return self._circling(first)
+
+        while not circling():
+            if self._outbox.link_s > link_end_s or self._outbox.time_s > deadline_s:
+                raise _FailedError("the first circle was not reached")
+            yield from self._until(circling, min(again_s, _TAKE_OFF_WITHIN_S), _TAKE_OFF_WITHIN_S)
+            if not circling() and again_s < _TAKE_OFF_WITHIN_S and self._elsewhere():
+                self._outbox.send("MISSION_SET_CURRENT", seq=self._missions.line_first)
+
+    def _elsewhere(self) -> bool:
+        index = self._missions.flown_index
+        return index is not None and index < self._missions.line_first
+
+    def _circling(self, first: Plan) -> bool:
+        index = self._missions.flown_index
+        at_item = index is not None and index >= self._missions.line_first
+        if first.heights is not None:  # over hills only its own height is high enough
+            return at_item and self._height_m > first.heights.to_m - _AT_HEIGHT_M
+        return at_item and self._height_m > _HIGH_ENOUGH * self._vehicle.height_m

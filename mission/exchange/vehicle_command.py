@@ -1,0 +1,91 @@
+"""One command to the autopilot, repeated until it is acknowledged."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mission.exchange.outbox import Outbox
+from mission.exchange.reports import CommandAcknowledged
+
+_ANSWER_S, _TRIES = 1.0, 4
+_ACCEPTED, _IN_PROGRESS, _IN_PROGRESS_S = 0, 5, 10.0
+_RESULTS = {
+    0: "accepted",
+    1: "temporarily rejected",
+    2: "denied",
+    3: "unsupported",
+    4: "failed",
+    5: "in progress",
+    6: "cancelled",
+    7: "sent as COMMAND_LONG only",
+    8: "sent as COMMAND_INT only",
+    9: "unsupported frame",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleCommand:
+    """A MAV_CMD with its parameters: COMMAND_LONG, or COMMAND_INT where it has a frame (NaN: unused)."""
+
+    command: int
+    params: tuple[float, ...]
+    frame: int | None = None
+    x: int = 0
+    y: int = 0
+    z: float = 0.0
+
+
+def describe_result(result: int | None) -> str:
+    """Return a MAV_RESULT in words; None: nothing was heard."""
+    return "no answer" if result is None else _RESULTS.get(result, f"result {result}")
+
+
+class CommandExchange:
+    """``result`` is a MAV_RESULT once ``done``, None when nothing was heard."""
+
+    def __init__(self, outbox: Outbox, command: VehicleCommand) -> None:
+        self._outbox, self._command = outbox, command
+        self._sends = 0
+        self.done = False
+        self.result: int | None = None
+        self.next_timer_s = math.inf
+        self._send()
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it was answered, and accepted."""
+        return self.done and self.result == _ACCEPTED
+
+    def receive(self, report: CommandAcknowledged) -> None:
+        """Take an acknowledgement."""
+        if self.done or report.command != self._command.command:
+            return
+        if report.result == _IN_PROGRESS:
+            self.next_timer_s = self._outbox.link_s + _IN_PROGRESS_S
+            return
+        self.done, self.result, self.next_timer_s = True, report.result, math.inf
+
+    def expire(self) -> None:
+        """Repeat the command, or give up."""
+        if self.done or self._outbox.link_s < self.next_timer_s:
+            return
+        if self._sends < _TRIES:
+            self._send()
+        else:
+            self.done, self.next_timer_s = True, math.inf
+
+    def _send(self) -> None:
+        command = self._command
+        if command.frame is None:
+            values = [*command.params, *([0.0] * (7 - len(command.params)))]
+            fields = {f"param{i}": float(value) for i, value in enumerate(values, 1)}
+            self._outbox.send("COMMAND_LONG", command=command.command, confirmation=self._sends, **fields)
+        else:
+            values = [*command.params, *([math.nan] * (4 - len(command.params)))]
+            fields = {f"param{i}": float(value) for i, value in enumerate(values, 1)}
+            place = {"x": command.x, "y": command.y, "z": command.z}
+            fixed = {"frame": command.frame, "current": 0, "autocontinue": 0}
+            self._outbox.send("COMMAND_INT", command=command.command, **fixed, **fields, **place)
+        self._sends += 1
+        self.next_timer_s = self._outbox.link_s + _ANSWER_S

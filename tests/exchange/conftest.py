@@ -1,0 +1,238 @@
+"""A simulated vehicle, the core, and a link with faults between them, all on one clock that waits for nobody."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import all as mavlink
+
+from app.assembly import mission_controller_of, tracker_of
+from app.autopilots.registry import autopilot_by_mav_autopilot
+from app.config import Config
+from app.link.message import Message
+from app.link.reports import VehicleReports
+from app.link.telemetry import Telemetry
+from app.link.vehicle import Vehicle
+from mission.control.controller import StandoffController, StandoffSettings
+from mission.core.circle import Circle
+from mission.core.events import ControlAcquired, UploadPlan
+from mission.core.plan import AircraftState, Decision, Plan
+from mission.exchange.dialect import Home
+from mission.exchange.mission_controller import MissionController
+from mission.exchange.outbox import SendMessage
+from mission.exchange.reports import TakeoverRequested, TimerExpired
+from mission.geometry.approach import turn_straight_turn
+from mission.geometry.progress import nearest_arc_m, point_at
+from sitl.link import FaultyLink, LinkFaults
+from sitl.settings import Flavour, Settings, TargetSettings
+from sitl.simulation import STEP_S, Simulation
+
+NO_FAULTS = LinkFaults()
+OURS, OTHER = (245, 190), (250, 190)
+_BOOT_S = 25.0
+_RATES_HZ = {30: 20.0, 33: 10.0, 42: 5.0, 87: 2.0, 360: 2.0, 436: 5.0}
+_AHEAD_S = 1.5  # a plan departs so long after it could be on board
+
+
+class Wandering:
+    """A planner that moves the circle about home again and again, each time by a transition."""
+
+    def __init__(self, seed: int, period_s: float = 12.0) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._period_s, self._next_s = period_s, -math.inf
+
+    def decide(self, aircraft, target, present, wind, latency_s):
+        arc_m = nearest_arc_m(present, aircraft)
+        in_transition = present.transition is not None and arc_m < present.transition.length_m
+        if in_transition or aircraft.time_s < self._next_s:
+            return Decision(aircraft.time_s, None, "staying")
+        self._next_s = aircraft.time_s + self._period_s
+        ahead_s = latency_s + _AHEAD_S
+        start = point_at(present, arc_m + ahead_s * aircraft.ground_speed_m_s, aircraft)
+        east_m, north_m = self._rng.uniform(-200.0, 200.0, 2)
+        there = Circle(float(east_m), float(north_m), present.circle.radius_m, present.circle.clockwise)
+        departure_s = aircraft.time_s + ahead_s
+        state = AircraftState(
+            departure_s,
+            start.east_m,
+            start.north_m,
+            start.course_rad,
+            aircraft.ground_speed_m_s,
+            start.curvature_per_m,
+        )
+        transition = turn_straight_turn(state, there, there.radius_m)
+        return Decision(aircraft.time_s, Plan(there, transition, departure_s), "moving")
+
+
+class Flight:
+    """A flight from the ground, in steps of the vehicle's clock.
+
+    ``events`` and ``outputs`` are what went into the core and came out, one tuple of outputs an event. ``sent`` hears
+    of each message as it leaves, ``arrived`` as its first copy reaches the vehicle.
+    """
+
+    def __init__(self, flavour, *, faults=NO_FAULTS, seed=1, speed=1.0, guidance="mission", planner=None):
+        self.config = Config.model_validate({"planner": {"name": "paper", "guidance": guidance}})
+        self.speed = speed
+        self.simulation = Simulation(
+            Settings(Flavour(flavour), seed=seed, target=TargetSettings(speed_max_m_s=0.5), link_rate=speed)
+        )
+        self.autopilot = self.simulation.vehicle
+        self.faults = faults
+        rngs = [np.random.default_rng((seed, direction)) for direction in (1, 2)]
+        self._to_vehicle, self._to_us = (FaultyLink(faults, rng) for rng in rngs)
+        self._packer = mavlink.MAVLink(None, srcSystem=OURS[0], srcComponent=OURS[1])
+        self._parser = mavlink.MAVLink(None)
+        self._parser.robust_parsing = True
+        self.vehicle = Vehicle(SimpleNamespace(system_id=1, own_id=OURS))
+        self.telemetry, self.reports = Telemetry(1), VehicleReports(self.vehicle)
+        self.events, self.outputs = [], []
+        self.lines: dict[int, tuple] = {}  # of each plan, by number; 0: the first circle
+        self.listeners: list[Callable[[object], object]] = []
+        self.arrived: Callable[[str, dict], object] = lambda name, fields: None
+        self._carried = 0
+        self._seen: set[int] = set()
+        self.simulation.connect("us")
+        self.simulation.advance(_BOOT_S)
+        for message_id, rate_hz in _RATES_HZ.items():
+            self.to_vehicle("COMMAND_LONG", command=511, param1=message_id, param2=1e6 / rate_hz)
+        self.core: MissionController | None = None
+        self._start_s = self.simulation.time_s
+        while self.telemetry.plane is None or "HEARTBEAT" not in self.vehicle.latest:
+            self._step_simulation()
+            for _, frame in self.simulation.take():
+                self._hear(frame)
+        planner = planner or Wandering(seed)
+        self.core = self.make_core(planner)
+        self.take_over()
+
+    def make_core(self, planner):
+        settings = self.config.aircraft.aircraft(), self.config.requirement.requirement()
+        controller = StandoffController(
+            StandoffSettings(settings[1], settings[0], give_up_after_s=1e9),
+            tracker_of(self.config),
+            lambda _requirement: planner,
+        )
+        home = self.autopilot.home
+        return mission_controller_of(
+            self.config,
+            controller,
+            autopilot_by_mav_autopilot(self.autopilot.autopilot_id),
+            self.telemetry.plane,
+            Home(home.latitude_deg, home.longitude_deg, home.altitude_m),
+        )
+
+    def take_over(self, flying=False, mode=""):
+        self.put(TakeoverRequested(self.telemetry.now_s, self.link_s, flying, mode))
+
+    @property
+    def link_s(self):
+        return (self.simulation.time_s - self._start_s) / self.speed
+
+    @property
+    def has_control(self):
+        return any(isinstance(output, ControlAcquired) for outputs in self.outputs for output in outputs)
+
+    def found(self, kind):
+        return [output for outputs in self.outputs for output in outputs if isinstance(output, kind)]
+
+    def put(self, event):
+        """Step the core, and carry out what it says."""
+        outputs = self.core.step(event)
+        self.events.append(event)
+        self.outputs.append(outputs)
+        for output in outputs:
+            if isinstance(output, SendMessage):
+                self._send(output)
+            elif isinstance(output, UploadPlan) and self.config.planner.guidance == "mission":
+                plan = replace(output.plan, circle=output.commanded)
+                self.lines[output.number] = self.core._backend.line(plan, output.wind)
+            for listener in self.listeners:
+                listener(output)
+
+    def run(self, seconds, until=lambda: False):
+        """Fly for so much of the vehicle's time, or until something holds; tell whether it does."""
+        end_s = self.simulation.time_s + seconds
+        while self.simulation.time_s < end_s:
+            self.step()
+            if until():
+                return True
+        return False
+
+    def step(self):
+        self._step_simulation()
+        for _, frame in self.simulation.take():
+            self._to_us.put(frame, self.link_s)
+        for frame in self._to_us.take(self.link_s):
+            self._hear(frame)
+        for _ in range(4):
+            if self.core.next_timer_s > self.link_s:
+                break
+            self.put(TimerExpired(self.telemetry.now_s, self.link_s))
+
+    def to_vehicle(self, name, *, source=OURS, **fields):
+        """Let a station say something, without faults."""
+        kind = getattr(mavlink, f"MAVLink_{name.lower()}_message")
+        given = dict.fromkeys(kind.fieldnames, 0) | {"target_system": 1, "target_component": 1} | fields
+        packer = mavlink.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
+        self.simulation.receive("us" if source == OURS else "other", kind(**given).pack(packer))
+
+    def _step_simulation(self):
+        for number, name, fields, frame in self._to_vehicle.take(self.link_s):
+            if number not in self._seen:
+                self._seen.add(number)
+                self.arrived(name, fields)
+            self.simulation.receive("us", frame)
+        self.simulation.advance(self.simulation.time_s + STEP_S)
+
+    def _send(self, message):
+        kind = getattr(mavlink, f"MAVLink_{message.name.lower()}_message")
+        fields = {"target_system": 1, "target_component": 1} | dict(message.fields)
+        self._carried += 1
+        frame = kind(**fields).pack(self._packer)
+        self._to_vehicle.put((self._carried, message.name, fields, frame), self.link_s)
+
+    def _hear(self, frame):
+        for got in self._parser.parse_buffer(frame) or ():
+            fields = {name: getattr(got, name) for name in got.get_fieldnames()}
+            if got.get_type() == "STATUSTEXT":
+                fields["text"] = str(fields["text"])
+            message = Message(got.get_type(), got.get_srcSystem(), got.get_srcComponent(), fields, self.link_s)
+            self.vehicle.take(message)
+            event = self.telemetry.event(message)
+            if self.core is None:
+                continue
+            if event is None:
+                event = self.reports.report(message, self.telemetry.now_s, self.link_s)
+            if event is not None:
+                self.put(event)
+
+    def flown_line(self):
+        """Return what the vehicle flies from now on, to the circle that never completes; None outside a mission."""
+        mission = self.autopilot.mission
+        items, index = mission.items(), mission.index
+        end = next((i for i in range(index, len(items)) if items[i].command != 16), None)
+        return None if end is None else items[index : end + 1]
+
+
+@pytest.fixture
+def fly() -> Callable[..., Flight]:
+    """Return what begins a flight."""
+    return Flight
+
+
+@pytest.fixture
+def in_the_air(fly) -> Iterator[Callable[..., Flight]]:
+    """Return what begins a flight and brings it onto its first circle."""
+
+    def begin(*args, **kwargs):
+        flight = fly(*args, **kwargs)
+        assert flight.run(240.0, lambda: flight.has_control), flight.outputs[-3:]
+        return flight
+
+    return begin
