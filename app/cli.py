@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import signal
 import sys
 import traceback
 from importlib import import_module
@@ -10,8 +12,9 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from app.errors import FlightError, InputError
-from app.shutdown import exit_process
+from app.errors import FlightError, InputError, Interrupted
+from app.link.plain_text import plain
+from app.shutdown import INTERRUPTED, exit_process
 
 _HELP = """Watch a moving ground target from one side with a fixed-wing UAV.
 
@@ -91,25 +94,35 @@ def _options(
 
 def main() -> NoReturn:
     """Run the command line. Exit codes: 0 done, 1 the flight failed, 2 wrong input, 130 interrupted."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
+            signal.signal(number, signal.default_int_handler)
     code = 0
     try:
-        app()
-    except SystemExit as end:
-        code = int(end.code or 0)
+        try:
+            app()
+        except SystemExit as end:
+            code = int(end.code or 0)
+            if code == INTERRUPTED:  # typer's word for an interrupt
+                raise KeyboardInterrupt from end
     except InputError as error:
         code = _complain(error, 2)
     except FlightError as error:
         code = _complain(error, 1)
+    except Interrupted as interrupted:
+        code = _complain(interrupted, INTERRUPTED)
     except KeyboardInterrupt:
-        code = 130
+        code = _complain("interrupted.", INTERRUPTED)
     except BrokenPipeError:
         code = 0
     except Exception:
-        traceback.print_exc()
+        with contextlib.suppress(OSError):
+            traceback.print_exc()
         code = 1
     exit_process(code)
 
 
-def _complain(error: Exception, code: int) -> int:
-    print(f"sidelong: {error}", file=sys.stderr)
+def _complain(said: Exception | str, code: int) -> int:
+    with contextlib.suppress(OSError):
+        print(f"sidelong: {plain(str(said))}", file=sys.stderr)
     return code

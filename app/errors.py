@@ -9,3 +9,7 @@ class InputError(Exception):
 
 class FlightError(Exception):
     """The flight could not go on: says what happened and what the vehicle does now. Exit code 1."""
+
+
+class Interrupted(Exception):
+    """A signal has ended the work: says which, and what the vehicle does now. Exit code 130."""

@@ -7,6 +7,7 @@ where ``asyncio.run`` ends and again where the interpreter does; one call that n
 from __future__ import annotations
 
 import asyncio
+import atexit
 import contextlib
 import os
 import sys
@@ -14,8 +15,9 @@ import threading
 import time
 from collections.abc import Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn, TextIO, TypeVar
 
+INTERRUPTED = 130  # the exit code
 _THREADS_END_S = 1.0
 
 T = TypeVar("T")
@@ -62,11 +64,32 @@ def exit_process(code: int) -> NoReturn:
             thread.join(max(0.0, deadline_s - time.monotonic()))
             if thread.is_alive():
                 _end_at_once(code)
+    _flush()
+    if code == INTERRUPTED:
+        # Python would end by SIGINT itself, whatever was made of it, where that came inside an exec().
+        atexit._run_exitfuncs()
+        os._exit(code)
     sys.exit(code)
 
 
 def _end_at_once(code: int) -> NoReturn:
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):
-            stream.flush()
+    _flush()
     os._exit(code)
+
+
+def _flush() -> None:
+    """Write what is left, or let it go where that is not possible: Python would change the exit code over it."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            abandon(stream)
+
+
+def abandon(stream: TextIO) -> None:
+    """Let a stream that cannot be written lead nowhere, so that what it still holds is not tried again."""
+    with contextlib.suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
+        stream.flush()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import socket
 import sys
@@ -165,7 +166,7 @@ def run(
             _refuse("--terrain", str(error))
         if truth is not None:
             try:
-                file = TruthFile(stack.enter_context(truth.open("w", encoding="utf-8")))
+                file = TruthFile(stack.enter_context(truth.open("w", encoding="utf-8")), _warn)
             except OSError as error:
                 _refuse("--truth", f"{truth} cannot be written: {error.strerror}")
             (companion or simulation).on_truth = file.write
@@ -229,12 +230,16 @@ def _stop_signal(while_input: bool = False) -> Callable[[], bool]:
     if while_input:
 
         def wait_for_end() -> None:
-            while sys.stdin.buffer.read(1):
+            while os.read(0, 1):  # not through sys.stdin: its lock, held at the end, would be a fatal error
                 pass
             received.append(0)
 
         threading.Thread(target=wait_for_end, daemon=True).start()
     return lambda: bool(received)
+
+
+def _warn(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
 def _check_ranges(values: dict[str, tuple[float, float, float, bool]]) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TextIO
 
@@ -43,15 +45,32 @@ class TruthRow:
 
 
 class TruthFile:
-    """Writes rows to a file, flushed at least once a simulated second."""
+    """Writes rows to a file, flushed at least once a simulated second.
 
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
+    A file that cannot be written ends the writing, not the flight: on_trouble hears of it once.
+    """
+
+    def __init__(self, file: TextIO, on_trouble: Callable[[str], object] = lambda _text: None) -> None:
+        self._file: TextIO | None = file
+        self._on_trouble = on_trouble
         self._flushed_s = -math.inf
-        file.write(HEADER + "\n")
+        self._append(HEADER + "\n", flush=True)
 
     def write(self, row: TruthRow) -> None:
-        self._file.write(row.line() + "\n")
-        if abs(row.time_s - self._flushed_s) >= _FLUSH_S:
-            self._file.flush()
+        flush = abs(row.time_s - self._flushed_s) >= _FLUSH_S
+        self._append(row.line() + "\n", flush)
+        if flush:
             self._flushed_s = row.time_s
+
+    def _append(self, text: str, flush: bool) -> None:
+        if self._file is None:
+            return
+        try:
+            self._file.write(text)
+            if flush:
+                self._file.flush()
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                self._file.close()  # or it would be tried again at the end
+            self._file = None
+            self._on_trouble(f"the truth is not written any more: {error.strerror}")

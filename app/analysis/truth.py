@@ -42,7 +42,8 @@ class Truth:
         if not self.time_s[0] <= time_s <= self.time_s[-1]:
             return None
         following = int(np.searchsorted(self.time_s, time_s))
-        if self.time_s[following] - self.time_s[max(following - 1, 0)] > _GAP_MAX_S:
+        gap_s = self.time_s[following] - self.time_s[max(following - 1, 0)]
+        if gap_s > _GAP_MAX_S and self.time_s[following] != time_s:
             return None
         target_east_m, target_north_m, aircraft_east_m, aircraft_north_m = self._positions_m(time_s, plane)
         before_s = max(time_s - _VELOCITY_SPAN_S / 2, float(self.time_s[0]))

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.progress import Progress
 
-from app.commands.output import console
+from app.commands.output import console, progress_bar
 from app.link.modes import AUTOPILOT_PX4
 from app.records.export import Format
 from app.records.export import export as write
@@ -42,8 +41,8 @@ def export(
     """
     if out is None:
         out = source / f"flight.{wanted}" if source.is_dir() else source.with_suffix(f".{wanted}")
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(source.name, total=1.0)
+    progress, task = progress_bar(source.name)
+    with progress:
         flown = read_flight(source, config=config, progress=lambda share: progress.update(task, completed=share))
     context = _Context()
     # A run folder's tlog tells what its journal does not: the autopilot, home and the time of day.

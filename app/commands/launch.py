@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import shutil
-import signal
-from collections.abc import AsyncIterator, Iterator
+import sys
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -20,25 +21,27 @@ from app.commands.output import (
     checked_output,
     console,
     latitude_longitude_deg,
+    shielded_output,
+    standard,
     table_progress,
     write_json,
 )
 from app.commands.report import write_report
 from app.config import Config, check_flyable, load_config
-from app.errors import InputError
+from app.errors import FlightError, InputError, Interrupted
 from app.flight.display import FlightDisplay
 from app.flight.flight import Flight, Sharing, connected
+from app.flight.life import Life, describe_aircraft
 from app.flight.recording import Recording, write_mcap
 from app.flight.simulated import SimulatedVehicle
 from app.link.discovery import SETTLING_S
 from app.records.run_folder import RunFolder
-from app.shutdown import ends_within, run
+from app.shutdown import run
 from app.view.address import DEFAULT_PORT, LOOPBACK, Address
 from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay
 
 _DURATION_S = 1200.0
-_WIND_UP_S = 60.0  # the bounds of what is done after an interrupt are together below this
 
 
 def launch(
@@ -142,24 +145,63 @@ def launch(
     )
     check_flyable(settings)
     address = Address(view_host, view_port, view_cert, view_key) if view else None
+    with shielded_output():
+        ended = _flown(settings, duration, out, quiet, address, Sharing(cot, point_gimbal))
+        _tell(ended, json)
+        if ended.reason is not None:
+            raise ended.reason
+        if mcap:
+            console.print(f"mcap: {write_mcap(ended.folder, settings, console.print)}", soft_wrap=True)
+        if report:
+            write_report(ended.folder.path, ended.folder.path / "report.html")
+
+
+@dataclass(frozen=True, slots=True)
+class _Ended:
+    """How a flight ended. reason: what it is told and exits with, None when it has come to its end."""
+
+    folder: RunFolder
+    summary: Summary
+    reason: Exception | None
+
+
+def _flown(
+    config: Config, duration_s: float, out: Path, quiet: bool, address: Address | None, sharing: Sharing
+) -> _Ended:
     try:
-        folder, summary = run(_launch(settings, duration, out, quiet, address, Sharing(cot, point_gimbal)))
-    except asyncio.CancelledError as interrupted:
-        raise KeyboardInterrupt from interrupted
-    console.print(summary.table())
-    console.print(f"run folder: {folder.path}")
-    if mcap:
-        console.print(f"mcap: {write_mcap(folder, settings, console.print)}", soft_wrap=True)
-    if report:
-        write_report(folder.path, folder.path / "report.html")
-    write_json(json, summary.as_json())
+        return run(_launch(config, duration_s, out, quiet, address, sharing))
+    except (asyncio.CancelledError, KeyboardInterrupt) as interrupted:
+        raise Interrupted("interrupted: nothing was commanded; no records are kept.") from interrupted
+
+
+def _tell(ended: _Ended, json: Path | None) -> None:
+    console.print(ended.summary.table())
+    console.print(f"run folder: {ended.folder.path}", soft_wrap=True)
+    try:
+        ended.folder.write_summary(ended.summary.as_json())
+    except OSError as error:
+        _warn(f"{ended.folder.summary} cannot be written ({error.strerror}); the figures above are all there is.")
+    try:
+        write_json(json, ended.summary.as_json())
+    except InputError as error:
+        if ended.reason is None:
+            raise
+        _warn(str(error))
+    if standard.lost is not None:
+        _warn(f"the terminal could not be written ({standard.lost}); see {ended.folder.path}.")
+
+
+def _warn(text: str) -> None:
+    with contextlib.suppress(OSError):
+        print(f"sidelong: {text}", file=sys.stderr)
 
 
 async def _launch(
     config: Config, duration_s: float, out: Path, quiet: bool, address: Address | None, sharing: Sharing
-) -> tuple[RunFolder, Summary]:
+) -> _Ended:
     loop = asyncio.get_running_loop()
     folder = RunFolder.create(out, datetime.now(UTC))
+    keep, life = False, None
     try:
         async with _displayed(config, quiet, address) as display:
 
@@ -167,38 +209,22 @@ async def _launch(
                 loop.call_soon_threadsafe(display.note, text)
 
             recording = Recording(folder, config, warn)
-            with _interruptible(recording) as stopped:
+            life = Life(lambda: recording.begun, display.note)
+            with life.heeding_signals():
                 try:
-                    summary = await _fly(config, duration_s, folder, recording, display, sharing, stopped)
+                    ended = await _fly(config, duration_s, folder, recording, display, sharing, life)
+                    keep = True
+                    return ended
                 finally:
+                    keep |= life.was_armed
                     recording.close()
-    except (InputError, asyncio.CancelledError):
-        shutil.rmtree(folder.path, ignore_errors=True)  # nothing has flown: leave nothing half-written
+    except asyncio.CancelledError:
+        if life is not None and life.failure is not None:
+            raise FlightError(life.failure) from None
         raise
-    folder.write_summary(summary.as_json())
-    return folder, summary
-
-
-@contextlib.contextmanager
-def _interruptible(recording: Recording) -> Iterator[asyncio.Event]:
-    """Yield what an interrupt sets; before the flight has begun there is nothing to wind up, and it cancels."""
-    stopped = asyncio.Event()
-    loop, task = asyncio.get_running_loop(), asyncio.current_task()
-    assert task is not None
-    with contextlib.ExitStack() as winding_up:
-
-        def stop() -> None:
-            if stopped.is_set():
-                return
-            stopped.set()
-            winding_up.enter_context(ends_within(_WIND_UP_S, "winding up"))
-            if not recording.begun:
-                task.cancel()
-
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, stop)
-            winding_up.callback(loop.remove_signal_handler, number)
-        yield stopped
+    finally:
+        if not keep:
+            shutil.rmtree(folder.path, ignore_errors=True)  # nothing has flown: leave nothing half-written
 
 
 @contextlib.asynccontextmanager
@@ -228,14 +254,14 @@ async def _fly(
     recording: Recording,
     display: FlightDisplay,
     sharing: Sharing,
-    stopped: asyncio.Event,
-) -> Summary:
+    life: Life,
+) -> _Ended:
     async with contextlib.AsyncExitStack() as stack:
         controller = controller_of(config, table_progress(display.note), display.note)
         urls, truth = config.link.connections, None
         if not urls:
             display.note(f"starting a simulated {config.simulation.autopilot} and its target")
-            vehicle = await stack.enter_async_context(SimulatedVehicle(config, folder.truth))
+            vehicle = await stack.enter_async_context(SimulatedVehicle(config, folder.truth, life.fail))
             urls, truth = (vehicle.url,), folder.truth
         display.note(f"connecting to {' and '.join(urls)}")
         link, loop = config.link, asyncio.get_running_loop()
@@ -255,7 +281,31 @@ async def _fly(
             )
         )
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
+        life.watch(session.vehicle)
         flight = Flight(session, config, controller, recording, display, duration_s, sharing)
-        outcome = await flight.fly(stopped)
+        try:
+            outcome, error = await flight.fly(life.stopped), None
+        except Exception as raised:
+            if not life.was_armed and not isinstance(raised, FlightError):
+                raise
+            outcome, error = f"failed: {raised}", raised
+        aircraft = describe_aircraft(
+            session.vehicle, session.autopilot, controller.snapshot(), simulated=truth is not None
+        )
     # Only now, with the simulated vehicle ended, is its truth file whole.
-    return flight.summary(outcome, truth)
+    if life.failure is not None:
+        outcome = f"failed: {life.failure}"
+    try:
+        summary = flight.summary(outcome, truth)
+    except InputError as unjudged:
+        display.note(f"judged by the estimate: {unjudged}")
+        summary = flight.summary(outcome, None)
+    if life.failure is not None:
+        return _Ended(folder, summary, FlightError(life.failure))
+    if life.signal_name is not None:
+        return _Ended(folder, summary, Interrupted(f"interrupted by {life.signal_name}: {aircraft}."))
+    if isinstance(error, FlightError | InputError):
+        return _Ended(folder, summary, FlightError(f"{error} Now {aircraft}."))
+    if error is not None:
+        _warn(f"this is a fault of the program; {aircraft}.")
+    return _Ended(folder, summary, error)

@@ -2,18 +2,90 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO, cast
 
 import typer
 from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress, TaskID
 
 from app.errors import InputError
+from app.link.plain_text import plain
+from app.shutdown import abandon
 
-console = Console(highlight=False)
+
+class _Standard:
+    """Standard output, or standard error when that is asked for, as it is at the moment.
+
+    Shielded, it never raises: a reader that went away or a full disk loses what is said, once and for all. ``lost``
+    then says why. What an encoding lacks is told as ``?`` either way.
+    """
+
+    def __init__(self) -> None:
+        self.to_stderr = self.shielded = False
+        self.lost: str | None = None
+
+    @property
+    def stream(self) -> TextIO:
+        stream = sys.stderr if self.to_stderr else sys.stdout
+        proxied: TextIO = getattr(stream, "rich_proxied_file", stream)  # what rich's live display has put before it
+        return proxied
+
+    def write(self, text: str) -> int:
+        stream = self.stream
+        encoding = stream.encoding or "utf-8"
+        self._tried(lambda: stream.write(text.encode(encoding, "replace").decode(encoding)))
+        return len(text)
+
+    def flush(self) -> None:
+        self._tried(self.stream.flush)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+    def _tried(self, work: Callable[[], object]) -> None:
+        if self.lost is not None:
+            return
+        try:
+            work()
+        except OSError as error:
+            if not self.shielded:
+                raise
+            self.lost = error.strerror
+            abandon(self.stream)
+
+
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        abandon(standard.stream)
+        raise SystemExit(0)  # whoever read this has seen enough
+
+
+standard = _Standard()
+console = _Console(file=cast(TextIO, standard), highlight=False, markup=False)
+
+
+@contextlib.contextmanager
+def shielded_output() -> Iterator[None]:
+    """Keep the trouble of writing to the terminal from what is done meanwhile."""
+    standard.shielded = True
+    try:
+        yield
+    finally:
+        standard.shielded = False
+
+
+def progress_bar(name: str) -> tuple[Progress, TaskID]:
+    """Return a bar that is gone when it ends, with its task from 0 to 1; none where there is no terminal."""
+    progress = Progress(console=console, transient=True, disable=not console.is_terminal)
+    return progress, progress.add_task(escape(plain(name)), total=1.0)
+
 
 JsonOption = Annotated[
     Path | None, typer.Option("--json", help="Write the summary to this file as JSON; - is standard output.")
@@ -25,11 +97,13 @@ def write_json(path: Path | None, values: dict[str, Any]) -> None:
     if path is None:
         return
     text = json.dumps(_finite(values), indent=2, allow_nan=False) + "\n"
-    if str(path) == "-":
-        print(text, end="")
-        return
     try:
-        path.write_text(text, encoding="utf-8")
+        if str(path) == "-":
+            print(text, end="", flush=True)
+        else:
+            path.write_text(text, encoding="utf-8")
+    except BrokenPipeError:
+        raise
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another file to --json.") from error
 
@@ -40,7 +114,7 @@ def checked_output(path: Path | None) -> None:
     When the summary goes to standard output, everything else goes to standard error.
     """
     if str(path) == "-":
-        console.stderr = True
+        standard.to_stderr = True
     elif path is not None and not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}; create it or give another file to --json.")
 

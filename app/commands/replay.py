@@ -17,7 +17,7 @@ from app.analysis.summary import Summary, SummaryCollector, describe_calibration
 from app.analysis.truth import Truth, read_truth
 from app.assembly import controller_of, mission_controller_of, settle
 from app.autopilots.registry import autopilot_by_name
-from app.commands.output import JsonOption, checked_output, console, table_progress, write_json
+from app.commands.output import JsonOption, checked_output, console, progress_bar, table_progress, write_json
 from app.config import Config, load_config, with_values
 from app.errors import FlightError, InputError
 from app.flight.recording import JOURNAL_TYPES, journalled_config
@@ -101,8 +101,8 @@ def _replay_log(path: Path, truth: Path | None, settings: Config, quiet: bool, s
         settle(controller, settings, plane, (plane.origin_latitude_deg, plane.origin_longitude_deg))
 
     steps = LogReplay(controller, telemetry, fence)
-    with _progress() as progress:
-        task = progress.add_task(path.name, total=1.0)
+    progress, task = progress_bar(path.name)
+    with progress:
         messages = log.messages(telemetry.wanted, lambda share: progress.update(task, completed=share))
         judged = _Judged(settings, controller, progress, quiet)
         _follow(judged, steps.run(messages), shown, settings, lambda: steps.plane)
@@ -123,8 +123,8 @@ def _replay_run(
     shown: _Shown | None,
 ) -> Summary:
     folder = RunFolder.open(path if path.is_dir() else path.parent)
-    with _progress() as progress:
-        task = progress.add_task(folder.path.name, total=1.0)
+    progress, task = progress_bar(folder.path.name)
+    with progress:
         journal = JournalReader(folder.journal, JOURNAL_TYPES, lambda share: progress.update(task, completed=share))
         flown = load_config(config) if config is not None else journalled_config(journal)
         settings = with_values(flown, changes, "--set")
@@ -218,7 +218,3 @@ class _Judged:
             rejected=tracker.rejected,
             outcome="replayed",
         )
-
-
-def _progress() -> Progress:
-    return Progress(console=console, transient=True, disable=not console.is_terminal)

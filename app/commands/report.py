@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import Progress
 
-from app.commands.output import console
+from app.commands.output import console, progress_bar
 from app.errors import InputError
 
 
@@ -46,8 +45,8 @@ def write_report(
     from app.report.page import report_page, save_png  # noqa: PLC0415
     from app.report.sources import read_flight  # noqa: PLC0415
 
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(run.name, total=1.0)
+    progress, task = progress_bar(run.name)
+    with progress:
         flown = read_flight(run, truth, config, lambda share: progress.update(task, completed=share))
     try:
         out.write_text(report_page(flown), encoding="utf-8")

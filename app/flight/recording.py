@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import get_args
@@ -40,12 +41,24 @@ def journalled_config(journal: JournalReader) -> Config:
     )
 
 
+@contextlib.contextmanager
+def _told(folder: RunFolder) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{folder.path} takes no records ({error.strerror}); give another --out.") from error
+
+
 class Recording:
-    """Opens the tlog at once and the journal when the plane is known; ``on_trouble`` is told when a disk is full."""
+    """Opens the tlog at once and the journal when the plane is known; ``on_trouble`` is told when a disk is full.
+
+    Raises InputError when there is no writing from the beginning.
+    """
 
     def __init__(self, folder: RunFolder, config: Config, on_trouble: Callable[[str], None]) -> None:
         self._folder, self._config, self._on_trouble = folder, config, on_trouble
-        self._tlog = TlogWriter(folder.tlog, on_trouble)
+        with _told(folder):
+            self._tlog = TlogWriter(folder.tlog, on_trouble)
         self._journal: JournalWriter | None = None
 
     def frame(self, data: bytes) -> None:
@@ -65,7 +78,10 @@ class Recording:
         autopilot: str = "",
         home_altitude_m: float | None = None,
     ) -> None:
-        """Open the journal; home is (latitude, longitude). autopilot: where the exchange with it is recorded too."""
+        """Open the journal; home is (latitude, longitude). autopilot: where the exchange with it is recorded too.
+
+        Raises InputError when it cannot be written: nothing has been commanded yet.
+        """
         header = Header(
             program=f"sidelong {version('sidelong')}",
             config=self._config.model_dump(mode="json"),
@@ -75,7 +91,8 @@ class Recording:
             autopilot=autopilot,
             home_altitude_m=home_altitude_m,
         )
-        self._journal = JournalWriter(self._folder.journal, header, self._on_trouble)
+        with _told(self._folder):
+            self._journal = JournalWriter(self._folder.journal, header, self._on_trouble)
 
     def event(self, event: InboundEvent | Output) -> None:
         if self._journal is not None:
@@ -102,7 +119,8 @@ def write_mcap(folder: RunFolder, config: Config, on_trouble: Callable[[str], No
     journal = JournalReader(folder.journal, JOURNAL_TYPES)
     if journal.header.plane is None:
         raise InputError(f"{folder.path} holds no flight: the vehicle told no position.")
-    log = McapLog(path, journal.header.plane, tracker_of(config), on_trouble)
+    with _told(folder):
+        log = McapLog(path, journal.header.plane, tracker_of(config), on_trouble)
     for record in journal:
         if isinstance(record, Command):
             log.command(record)

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import socket
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from app.config import Config
@@ -23,9 +24,12 @@ def free_udp_port() -> int:
 
 
 class SimulatedVehicle:
-    """Starts ``python -m sitl`` for a configuration, and stops it. Use as ``async with``."""
+    """Starts ``python -m sitl`` for a configuration, and stops it. Use as ``async with``.
 
-    def __init__(self, config: Config, truth: Path) -> None:
+    on_end gets a sentence when the vehicle ends by itself meanwhile.
+    """
+
+    def __init__(self, config: Config, truth: Path, on_end: Callable[[str], object]) -> None:
         self.port = free_udp_port()
         self.url = f"udpin://127.0.0.1:{self.port}"
         simulation = config.simulation
@@ -46,6 +50,8 @@ class SimulatedVehicle:
             "--while-input",  # so that it does not outlive this program, however that ends
         ]
         self._process: asyncio.subprocess.Process | None = None
+        self._on_end = on_end
+        self._vigil: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> SimulatedVehicle:
         # A session of its own keeps the terminal's Ctrl-C from ending it before the mission has been wound up.
@@ -62,12 +68,23 @@ class SimulatedVehicle:
         except TimeoutError as error:
             await self._stop()
             raise FlightError(f"the simulated vehicle was not ready within {_READY_S:g} s.") from error
+        except asyncio.CancelledError:
+            await self._stop()
+            raise
         if not line.startswith(b"ready"):
             raise InputError(await self.ended())  # asyncio has words for a process that ends after its loop
+        self._vigil = asyncio.create_task(self._keep_vigil())
         return self
 
     async def __aexit__(self, *_: object) -> None:
+        assert self._vigil is not None
+        self._vigil.cancel()
+        await asyncio.gather(self._vigil, return_exceptions=True)
         await self._stop()
+
+    async def _keep_vigil(self) -> None:
+        why = await self.ended()
+        self._on_end(f"the simulated vehicle has ended: {why.rstrip('.')}; nothing flies any more.")
 
     async def ended(self) -> str:
         """Wait until the process has ended by itself, and return why."""
@@ -79,7 +96,7 @@ class SimulatedVehicle:
         assert self._process is not None
         assert self._process.stderr is not None
         text = (await self._process.stderr.read()).decode(errors="replace").strip()
-        return text.splitlines()[-1] if text else "the simulated vehicle has stopped."
+        return text.splitlines()[-1] if text else f"it stopped with code {self._process.returncode}."
 
     async def _stop(self) -> None:
         process = self._process

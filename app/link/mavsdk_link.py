@@ -19,7 +19,6 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequenc
 from pathlib import Path
 from typing import Any
 
-import mavsdk.logging
 from mavsdk.asyncio import Configuration, Mavsdk
 from mavsdk.asyncio.enums import ForwardingOption
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkDirectError, MavlinkMessage
@@ -27,9 +26,11 @@ from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
 from pymavlink.dialects.v20 import common as mavlink
 
 from app.errors import InputError
+from app.link import mavsdk_log
 from app.link.discovery import SETTLING_S, the_vehicle
 from app.link.link import LinkError
 from app.link.message import Message
+from app.link.plain_text import plain_fields
 from app.link.raw_links import LinkReport, RawLinks, opened_links
 from app.link.url import checked_url
 
@@ -81,7 +82,7 @@ class MavsdkLink:
         are heard (for ``settling_s`` after the first) and none is named.
         """
         own = (own_system_id, own_component_id)
-        mavsdk.logging.log_subscribe(lambda _level, _message, _file, _line: True)
+        mavsdk_log.silence()
         instance = Mavsdk(Configuration.create_manual(*own, True))
         ours = contextlib.ExitStack()  # transports of our own
         try:
@@ -120,7 +121,13 @@ class MavsdkLink:
     async def _receive(self) -> None:
         async for raw in self._direct.subscribe_message(""):
             self._queue.put_nowait(
-                Message(raw.message_name, raw.system_id, raw.component_id, json.loads(raw.fields_json), time.time())
+                Message(
+                    raw.message_name,
+                    raw.system_id,
+                    raw.component_id,
+                    plain_fields(json.loads(raw.fields_json)),
+                    time.time(),
+                )
             )
             # A full queue never waits: messages that come faster than they are handled would shut out all else, an
             # interrupt too.

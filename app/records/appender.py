@@ -28,7 +28,8 @@ class Appender:
     def __init__(self, path: Path, on_trouble: Callable[[str], None], opening: bytes = b"") -> None:
         self._path, self._on_trouble = path, on_trouble
         self._file = path.open("xb", buffering=0)
-        self._file.write(opening)
+        while opening:  # a disk that is almost full takes a part, and the error comes with the next
+            opening = opening[self._file.write(opening) or 0 :]
         self._lock = threading.Lock()
         self._backlog: list[bytes] = []
         self._backlog_bytes = 0

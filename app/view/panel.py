@@ -12,6 +12,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from app.link.plain_text import plain
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TrackQuality
 from estimators.frames import LocalPlane
@@ -74,11 +75,11 @@ class PanelDisplay:
         self._start_s, self._duration_s = start_s, duration_s
 
     def note(self, text: str) -> None:
-        self._print(Text(text))
+        self._print(Text(plain(text)))
 
     def say(self, announcement: Announce) -> None:
         since = "" if self._start_s is None else clock(max(announcement.time_s - self._start_s, 0.0))
-        self._print(Text(f"{since:>7}  {announcement.text}", style=_STYLES.get(announcement.kind, "")))
+        self._print(Text(f"{since:>7}  {plain(announcement.text)}", style=_STYLES.get(announcement.kind, "")))
 
     def show(self, snapshot: Snapshot) -> None:
         self._snapshot = snapshot
@@ -150,7 +151,7 @@ class PanelDisplay:
         sensors.append(f"   bank {math.degrees(sensor_status.bank_rad):.0f}°   wind {shown.wind.speed_m_s:.1f} m/s")
         yield "sensors", sensors
         if shown.decision is not None:
-            yield "decided", Text(shown.decision.reason, style="cyan")
+            yield "decided", Text(plain(shown.decision.reason), style="cyan")
 
     def _gauge(self, range_m: float) -> Text:
         """Return the range as a mark between least and greatest allowed; the mark is red outside."""

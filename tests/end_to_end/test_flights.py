@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -81,22 +80,3 @@ def test_a_flight_exports_its_mission_and_its_tracks(flown, tmp_path):
         done = sidelong("export", run, "--format", wanted, "--out", out)
         assert done.returncode == 0, done.stderr
         assert mark in out.read_text()
-
-
-def test_an_interrupt_ends_in_order(tmp_path):
-    command = [str(SIDELONG), "launch", "--duration", "900", "--planner", "paper", "--out", str(tmp_path)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    try:
-        for line in process.stdout:
-            if "watched from now on" in line:
-                break
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=60)
-    finally:
-        process.kill()
-    assert process.returncode == 0, err
-    assert "interrupted" in out
-    assert "Traceback" not in err
-    (run,) = tmp_path.iterdir()
-    assert json.loads((run / "summary.json").read_text())["outcome"] == "interrupted"

@@ -50,7 +50,7 @@ def test_truth_comes_ten_times_a_second_and_fits_the_telemetry(simulate, station
     row = truth[position.time_boot_ms]
     assert (position.lat / 1e7, position.lon / 1e7) == pytest.approx(row.aircraft_deg, abs=6e-8)
     assert position.relative_alt / 1000.0 == pytest.approx(row.aircraft_m[2], abs=6e-4)
-    east_m, north_m = (t - a for t, a in zip(row.target_m, row.aircraft_m, strict=False))
+    east_m, north_m = (t - a for t, a in zip(row.target_m[:2], row.aircraft_m[:2], strict=True))
     assert row.bearing_rad == pytest.approx(math.atan2(east_m, north_m))
     assert row.slant_range_m == pytest.approx(math.hypot(east_m, north_m, row.aircraft_m[2]))
 
@@ -66,7 +66,7 @@ def test_the_truth_file_has_the_columns_of_the_recorded_ones(simulate, tmp_path)
     lines = path.read_text().splitlines()
     assert lines[0] == HEADER
     assert HEADER.startswith("time_boot_s,target_east_m,target_north_m,target_lat_deg,target_lon_deg,uav_lat_deg,")
-    assert lines[0].count(",") == lines[1].count(",") == 11
+    assert lines[0].count(",") == lines[1].count(",") == 14
     assert lines[10].startswith("1.000,250.000,300.000,")
     assert len(lines) == 31
 

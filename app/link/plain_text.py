@@ -1,0 +1,15 @@
+"""Texts of strangers (a vehicle, a file) as a terminal and a page may show them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def plain(text: str) -> str:
+    """Return the text on one line, with ``?`` for what cannot be shown, such as the escape of a sequence."""
+    return "".join(c if c.isprintable() else " " if c.isspace() else "?" for c in text).strip()
+
+
+def plain_fields(fields: dict[str, Any]) -> dict[str, Any]:
+    """Return a message's fields with its texts made plain."""
+    return {name: plain(value) if isinstance(value, str) else value for name, value in fields.items()}

@@ -1,0 +1,101 @@
+"""A flight that is interrupted at some moment, and what has to be left of it."""
+
+from __future__ import annotations
+
+import json
+import random
+import re
+import signal
+import subprocess
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.flight.recording import JOURNAL_TYPES
+from app.records.journal import JournalReader
+from app.records.tlog import read_tlog
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_NOTHING_BEGUN = re.compile(r"sidelong: interrupted(: nothing was commanded; no records are kept)?\.")
+_WOUND_UP = re.compile(
+    r"sidelong: interrupted by SIG(INT|TERM|HUP): the aircraft "
+    r"(is not armed|flies to its first circle and stays on it|goes on circling where it is|flies on in \w+), "
+    r"but it was simulated and ends with this program\."
+)
+_LAUNCH = ("launch", "--planner", "paper", "--duration", "250", "--target", "straight")
+_ENDS_WITHIN_S = 90.0
+
+
+@dataclass(frozen=True, slots=True)
+class Interruption:
+    """after_s: of wall time since the start, or since a line with the text ``after``."""
+
+    signal: signal.Signals
+    after_s: float
+    after: str | None = None
+    speed: float = 20.0
+
+    @staticmethod
+    def drawn(seed: str) -> Interruption:
+        rng = random.Random(seed)
+        return Interruption(rng.choice(SIGNALS), rng.uniform(0.2, 14.0))
+
+
+def left_of(interruption: Interruption, out: Path) -> tuple[str, list[str]]:
+    """Interrupt a flight into ``out``; return its last sentence, and what is wrong with what it left."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app", *_LAUNCH, "--speed", str(interruption.speed), "--out", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    said = []
+    if interruption.after is not None:
+        for line in process.stdout:
+            said.append(line)
+            if interruption.after in line:
+                break
+    timer = threading.Timer(interruption.after_s, process.send_signal, (interruption.signal,))
+    timer.start()
+    try:
+        rest, complaint = process.communicate(timeout=_ENDS_WITHIN_S)
+    finally:
+        timer.cancel()
+        process.kill()
+    wrong = list(_wrongs(process.returncode, "".join(said) + rest, complaint.strip(), list(out.glob("2*"))))
+    return f"{process.returncode} {complaint.strip()}", wrong
+
+
+def _wrongs(code: int, said: str, complaint: str, runs: list[Path]) -> list[str]:
+    if code == 0 and not complaint:
+        return [] if "completed" in said else ["ended in order, and not by itself"]  # the signal came too late
+    wrong = [] if code == 130 else [f"exit code {code}"]
+    if "Traceback" in complaint or "\n" in complaint:
+        wrong.append(f"more than a sentence: {complaint[:500]}")
+    if _NOTHING_BEGUN.fullmatch(complaint):
+        return wrong + [f"{run} was left" for run in runs]
+    if not _WOUND_UP.fullmatch(complaint):
+        wrong.append(f"not a sentence that is known: {complaint[:500]}")
+    if len(runs) != 1:
+        return [*wrong, f"{len(runs)} run folders"]
+    if "outcome" not in said or str(runs[0]) not in said:
+        wrong.append("no summary")
+    return wrong + _damages(runs[0])
+
+
+def _damages(run: Path) -> list[str]:
+    """Return what is not whole of a run's records."""
+    wrong = []
+    summary = run / "summary.json"
+    if not summary.exists() or json.loads(summary.read_text())["outcome"] != "interrupted":
+        wrong.append("no summary.json of an interrupted flight")
+    journal = JournalReader(run / "journal.jsonl", JOURNAL_TYPES)
+    for _ in journal:
+        pass
+    if journal.damaged_lines or not (run / "journal.jsonl").read_bytes().endswith(b"\n"):
+        wrong.append("the journal is cut")
+    if not any(True for _ in read_tlog(run / "flight.tlog", ["HEARTBEAT"])):
+        wrong.append("the tlog is empty")
+    return wrong

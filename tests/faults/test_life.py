@@ -1,0 +1,110 @@
+"""Whatever ends a flight, or takes its output away: one sentence, the right exit code, whole records."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.faults.interrupts import Interruption, left_of
+
+pytestmark = pytest.mark.udp
+SHORT = ("launch", "--planner", "paper", "--speed", "20", "--duration", "20", "--target", "straight")
+
+
+@pytest.mark.parametrize(
+    ("interruption", "said"),
+    [
+        (Interruption(signal.SIGHUP, 0.3), "130 sidelong: interrupted."),
+        (Interruption(signal.SIGINT, 0.1, "checking"), "nothing was commanded; no records are kept."),
+        (Interruption(signal.SIGTERM, 0.1, "taking off", 5.0), "by SIGTERM: the aircraft flies to its first circle"),
+        (Interruption(signal.SIGHUP, 0.5, "watched from now on"), "by SIGHUP: the aircraft goes on circling"),
+    ],
+    ids=["loading", "checking", "climbing", "watching"],
+)
+def test_a_signal_ends_it_in_order(tmp_path, interruption, said):
+    sentence, wrong = left_of(interruption, tmp_path)
+    assert not wrong
+    assert said in sentence
+
+
+def test_the_end_of_the_simulated_vehicle_ends_it(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app", *SHORT, "--duration", "900", "--out", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    try:
+        said = [next(line for line in process.stdout if "watched from now on" in line)]
+        (simulator,) = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        os.kill(int(simulator), signal.SIGKILL)
+        rest, complaint = process.communicate(timeout=60.0)
+    finally:
+        process.kill()
+    assert process.returncode == 1
+    assert complaint == (
+        "sidelong: the simulated vehicle has ended: it stopped with code -9; nothing flies any more.\n"
+    )
+    assert "outcome" in "".join(said) + rest
+    (run,) = tmp_path.iterdir()
+    assert json.loads((run / "summary.json").read_text())["outcome"].startswith("failed: the simulated vehicle")
+
+
+def flown(out: Path, stdout: int, **options: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "app", *SHORT, "--out", str(out)]
+    return subprocess.run(
+        command, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=100.0, check=False, **options
+    )
+
+
+def test_output_that_nobody_takes_does_not_reach_the_flight(tmp_path):
+    out = tmp_path / "e6[" / "x]"  # what the terminal's library would take for markup
+    with Path("/dev/full").open("w") as full:
+        done = flown(out, full.fileno())
+    assert done.returncode == 0
+    (run,) = out.iterdir()
+    assert done.stderr == f"sidelong: the terminal could not be written (No space left on device); see {run}.\n"
+    assert json.loads((run / "summary.json").read_text())["outcome"] == "completed"
+
+
+def test_a_reader_that_goes_away_does_not_reach_the_flight(tmp_path):
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = flown(tmp_path, writing)
+    os.close(writing)
+    assert done.returncode == 0
+    (run,) = tmp_path.iterdir()
+    assert done.stderr == f"sidelong: the terminal could not be written (Broken pipe); see {run}.\n"
+    assert json.loads((run / "summary.json").read_text())["outcome"] == "completed"
+
+
+def test_records_that_find_no_room_do_not_reach_the_flight(tmp_path):
+    def no_room() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+    done = flown(tmp_path, subprocess.PIPE, preexec_fn=no_room)
+    assert done.returncode == 0, done.stderr
+    assert "recording has ended" in done.stdout
+    assert "the flight goes on" in done.stdout
+    assert "completed" in done.stdout
+    assert "Traceback" not in done.stderr + done.stdout
+
+
+def test_a_disk_without_room_for_any_record_is_refused_before_anything_is_armed(tmp_path):
+    def no_room() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (10, 10))
+
+    done = flown(tmp_path, subprocess.PIPE, preexec_fn=no_room)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"sidelong: {tmp_path}")
+    assert "takes no records (File too large)" in done.stderr
+    assert "arming" not in done.stdout
+    assert not list(tmp_path.iterdir())
