@@ -22,6 +22,7 @@ from app.config import load_config
 from app.errors import InputError
 from app.study import export as exporting
 from app.study.design import Design, Overrides, configured, designs, parsed_sweep
+from app.study.fleet_study import fleet_json, fleet_table, fly_fleets
 from app.study.processes import on_processes
 from app.study.recorded import recorded_targets
 from app.study.report import study_json, study_table, study_title, sweep_json, sweep_table
@@ -75,6 +76,9 @@ def study(
     perfect_sensors: Annotated[
         bool, typer.Option("--perfect-sensors", help="Let the planners know the truth.")
     ] = False,
+    fleet: Annotated[
+        int, typer.Option(min=1, max=6, help="Aircraft on each target, by the default planner with shared roles.")
+    ] = 1,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; by default one for each core.")] = None,
     scheduler: Annotated[
         str | None, typer.Option(help="Fly on the workers of this Dask scheduler: tcp://HOST:PORT.")
@@ -101,6 +105,8 @@ def study(
 
     Sweep: sidelong study --sweep aircraft.airspeed_m_s=12,15,18 --sweep requirement.range_max_m=300:600:50
     --planner predictive --store sweep.db --report sweep.html --export sweep.parquet
+
+    Several aircraft: sidelong study --fleet 2 --runs 50
 
     Cluster: dask scheduler; dask worker tcp://HOST:8786 --nthreads 1 --nworkers -1 (on each machine);
     sidelong study --runs 10000 --scheduler tcp://HOST:8786 --store study.db
@@ -138,6 +144,9 @@ def study(
     if targets is not None:
         found = _recorded(found, targets, runs, math.inf if duration is None else duration)
     found = _only(found, run)
+    if fleet > 1:
+        _fly_fleet(replace(found[0].settings, fleet=fleet), len(found), jobs, json)
+        return
     words = _words(
         (config,),
         targets=targets,
@@ -171,6 +180,23 @@ def study(
                 _written("--report", report, lambda: page.write_page(whole, words, report))
     finally:
         kept.close()
+
+
+def _fly_fleet(settings: StudySettings, designs: int, jobs: int | None, json: Path | None) -> None:
+    if designs > 1:
+        raise InputError("--fleet flies one design; leave out --sweep.")
+    if settings.requirement().either_side or settings.requirement().sector is not None:
+        raise InputError("--fleet shares the sides of a target; set requirement.side to left or right.")
+    with _progress(len(settings.numbers)) as (advance, computing):
+        table = table_of(settings, computing)
+        assert table is not None
+        flown = fly_fleets(settings, table, jobs, advance)
+    for name, reason in settings.skipped:
+        console.print(f"skipped {name}: {reason}")
+    if str(json) != "-":
+        console.print(f"{settings.fleet} aircraft on each target, {settings.layer_m:g} m of height apart")
+        console.print(fleet_table(flown))
+    write_json(json, fleet_json(flown))
 
 
 def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:

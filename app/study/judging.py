@@ -67,23 +67,9 @@ def judged(
 
     log (n, 6): time, aircraft (east, north), target (east, north), target's course.
     """
-    time_s, east_m, north_m, target_east_m, target_north_m, course_rad = log.T
+    time_s, east_m, north_m, target_east_m, target_north_m, _ = log.T
     range_m = np.hypot(east_m - target_east_m, north_m - target_north_m)
-    bearing_rad = np.arctan2(east_m - target_east_m, north_m - target_north_m)
-    short_rad = _truth_course_rad(target_east_m, target_north_m, *SHORT)
-    long_rad = _truth_course_rad(target_east_m, target_north_m, *LONG) if settings.tracks else course_rad
-    moved = np.hypot(target_east_m - target_east_m[0], target_north_m - target_north_m[0]) > _MOVED_M
-    moved = np.logical_or.accumulate(moved)
-    requirement = settings.requirement()
-    half_width_rad, sector = math.pi / 2, requirement.sector
-    if sector is not None:
-        half_width_rad = sector.half_width_rad
-        short = observation_rad = _wrapped(bearing_rad - sector.middle_rad)
-    else:
-        turn_rad = requirement.side.normal_turn_rad
-        short, observation_rad = (_wrapped(bearing_rad - course - turn_rad) for course in (short_rad, long_rad))
-    if requirement.either_side:
-        half_width_rad = math.pi
+    moved, short, observation_rad, half_width_rad = _observed(settings, log)
     in_band = (range_m >= settings.range_min_m) & (range_m <= settings.range_max_m)
     per_hour = 3600.0 / (STEP_S * len(log))
     return RunResult(
@@ -104,6 +90,47 @@ def judged(
     )
 
 
+def shares_of_any(settings: StudySettings, logs: FloatArray) -> tuple[float, float, float]:
+    """Return the shares of time on the side, on it by the course of 5 s, and in the band, by at least one aircraft.
+
+    logs (aircraft, n, 6): each as :func:`judged` takes it.
+    """
+    moved, width_rad = np.zeros(logs.shape[1], bool), math.pi
+    on_side, on_side_5s, in_band = (np.zeros(logs.shape[1], bool) for _ in range(3))
+    for log in logs:
+        moved, short, observation_rad, width_rad = _observed(settings, log)
+        range_m = np.hypot(log[:, 1] - log[:, 3], log[:, 2] - log[:, 4])
+        within = (range_m >= settings.range_min_m) & (range_m <= settings.range_max_m)
+        on_side |= (np.abs(observation_rad) <= width_rad) & within
+        on_side_5s |= (np.abs(short) <= width_rad) & within
+        in_band |= within
+    counted = moved if settings.tracks else np.ones_like(moved)
+    return _share(on_side[counted]), _share(on_side_5s[moved]), _share(in_band)
+
+
+def _observed(
+    settings: StudySettings, log: FloatArray
+) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray, float]:
+    """Return since when the target has moved, both observation angles (n,), and how wide the asked side is."""
+    _, east_m, north_m, target_east_m, target_north_m, course_rad = log.T
+    bearing_rad = np.arctan2(east_m - target_east_m, north_m - target_north_m)
+    short_rad = _truth_course_rad(target_east_m, target_north_m, *SHORT)
+    long_rad = _truth_course_rad(target_east_m, target_north_m, *LONG) if settings.tracks else course_rad
+    moved = np.hypot(target_east_m - target_east_m[0], target_north_m - target_north_m[0]) > _MOVED_M
+    moved = np.logical_or.accumulate(moved)
+    requirement = settings.requirement()
+    half_width_rad, sector = math.pi / 2, requirement.sector
+    if sector is not None:
+        half_width_rad = sector.half_width_rad
+        short = observation_rad = _wrapped(bearing_rad - sector.middle_rad)
+    else:
+        turn_rad = requirement.side.normal_turn_rad
+        short, observation_rad = (_wrapped(bearing_rad - course - turn_rad) for course in (short_rad, long_rad))
+    if requirement.either_side:
+        half_width_rad = math.pi
+    return moved, short, observation_rad, half_width_rad
+
+
 def _truth_course_rad(east_m: FloatArray, north_m: FloatArray, window_s: float, min_way_m: float) -> FloatArray:
     east_m, north_m, n = east_m[::_JUDGED_EVERY], north_m[::_JUDGED_EVERY], east_m.size
     course_rad = course_made_good_rad(east_m, north_m, _JUDGED_EVERY * STEP_S, window_s, min_way_m)
@@ -116,3 +143,7 @@ def _wrapped(angle_rad: FloatArray) -> FloatArray:
 
 def _share_within(half_width_rad: float, observation_rad: FloatArray) -> float:
     return float((np.abs(observation_rad) <= half_width_rad).mean()) if observation_rad.size else math.nan
+
+
+def _share(flags: npt.NDArray[np.bool_]) -> float:
+    return float(flags.mean()) if flags.size else math.nan

@@ -72,34 +72,48 @@ class LawPilot:
         return aircraft.curvature_per_m if self._command_per_m is None else self._command_per_m
 
 
+class PlanFollower:
+    """Follows plans, each from its departure on. changed_s: when each was departed to."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.coming: Plan | None = None
+        self.changed_s: list[float] = []
+
+    def take_up(self, plan: Plan) -> None:
+        """Fly ``plan`` from its departure on."""
+        self.coming = plan
+
+    def curvature_per_m(self, aircraft: AircraftState) -> float:
+        """Return the curvature to fly now."""
+        if self.coming is not None and aircraft.time_s >= self.coming.departure_s - 1e-6:
+            self.plan, self.coming = self.coming, None
+            self.changed_s.append(aircraft.time_s)
+        line = point_at(self.plan, nearest_arc_m(self.plan, aircraft), aircraft)
+        off_rad = math.remainder(line.course_rad - aircraft.course_rad, 2.0 * math.pi)
+        sin_c, cos_c = math.sin(line.course_rad), math.cos(line.course_rad)
+        cross_track_m = (aircraft.east_m - line.east_m) * cos_c - (aircraft.north_m - line.north_m) * sin_c
+        return line.curvature_per_m + _COURSE_GAIN_PER_M * off_rad - _BESIDE_GAIN_PER_M2 * cross_track_m
+
+
 class PlanPilot:
     """Follows a planner's plans: what the autopilot and the control loop do in flight."""
 
     def __init__(self, planner: Planner, circle: Circle, wind: Wind, latency_s: float) -> None:
         self._planner, self._wind, self._latency_s = planner, wind, latency_s
-        self._plan = Plan(circle)
-        self._coming: Plan | None = None
-        self.changed_s: list[float] = []
+        self._follower = PlanFollower(Plan(circle))
+        self.changed_s = self._follower.changed_s
         self.stopwatch = StopWatch()
         self._next_s = 0.0
 
     def curvature_per_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
         """See :class:`Pilot`."""
-        if self._coming is None and aircraft.time_s >= self._next_s - 1e-6:
+        follower = self._follower
+        if follower.coming is None and aircraft.time_s >= self._next_s - 1e-6:
             self._next_s = aircraft.time_s + _DECISION_PERIOD_S
             estimate = estimate_at(aircraft.time_s)
             if estimate is not None:
-                self._coming = self.stopwatch(
-                    lambda: self._planner.decide(aircraft, estimate, self._plan, self._wind, self._latency_s)
+                follower.coming = self.stopwatch(
+                    lambda: self._planner.decide(aircraft, estimate, follower.plan, self._wind, self._latency_s)
                 ).plan
-        if self._coming is not None and aircraft.time_s >= self._coming.departure_s - 1e-6:
-            self._plan, self._coming = self._coming, None
-            self.changed_s.append(aircraft.time_s)
-        return self._following(aircraft)
-
-    def _following(self, aircraft: AircraftState) -> float:
-        line = point_at(self._plan, nearest_arc_m(self._plan, aircraft), aircraft)
-        off_rad = math.remainder(line.course_rad - aircraft.course_rad, 2.0 * math.pi)
-        sin_c, cos_c = math.sin(line.course_rad), math.cos(line.course_rad)
-        cross_track_m = (aircraft.east_m - line.east_m) * cos_c - (aircraft.north_m - line.north_m) * sin_c
-        return line.curvature_per_m + _COURSE_GAIN_PER_M * off_rad - _BESIDE_GAIN_PER_M2 * cross_track_m
+        return follower.curvature_per_m(aircraft)

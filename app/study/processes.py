@@ -23,7 +23,7 @@ def on_processes(jobs: int | None) -> Executor:
     processes = jobs or os.cpu_count() or 1
 
     def fly(designs: Designs, batches: Iterable[tuple[Batch, ValueTable | None]]) -> Iterator[Flown]:
-        with _uninterrupted():
+        with uninterrupted():
             # Not forked: a fork copies the locks that other threads of this process hold just then, for ever locked.
             pool = multiprocessing.get_context("spawn").Pool(processes, _begin, (designs,))
         done: SimpleQueue[Flown | BaseException] = SimpleQueue()
@@ -49,7 +49,7 @@ def _taken(done: SimpleQueue[Flown | BaseException]) -> Flown:
 
 
 @contextlib.contextmanager
-def _uninterrupted() -> Iterator[None]:
+def uninterrupted() -> Iterator[None]:
     """Let processes begin that an interrupt does not reach, not even while they import."""
     answer = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

@@ -131,19 +131,19 @@ def _planner_json(planner: PlannerResult, settings: StudySettings) -> dict[str, 
     return {
         "targets": settings.runs,
         "skipped": len(settings.skipped),
-        "time_in_band": _spread(planner.time_in_band, 5),
-        "time_on_side": _spread(planner.time_on_side, 5),
-        "time_on_side_5s": _spread(planner.time_on_side_5s, 5),
-        "min_range_m": _spread(planner.min_range_m, 5),
-        "max_range_m": _spread(planner.max_range_m, 95),
-        "moves_per_hour": _spread(planner.moves_per_hour, 95),
-        "quick_changes_per_hour": _spread(planner.quick_changes_per_hour, 95),
+        "time_in_band": spread(planner.time_in_band, 5),
+        "time_on_side": spread(planner.time_on_side, 5),
+        "time_on_side_5s": spread(planner.time_on_side_5s, 5),
+        "min_range_m": spread(planner.min_range_m, 5),
+        "max_range_m": spread(planner.max_range_m, 95),
+        "moves_per_hour": spread(planner.moves_per_hour, 95),
+        "quick_changes_per_hour": spread(planner.quick_changes_per_hour, 95),
         "observation_spread_deg": float(planner.observation_spread_deg.mean()),
         "decision_ms": {"p50": 1e3 * float(p50_s), "p99": 1e3 * float(p99_s)},
     }
 
 
-def _spread(values: FloatArray, tail: int) -> dict[str, float | None]:
+def spread(values: FloatArray, tail: int) -> dict[str, float | None]:
     """Return mean, tail and worst; the worst is the least where the tail is a low percentile, else the greatest."""
     values = values[np.isfinite(values)]
     if not values.size:

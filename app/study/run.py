@@ -24,9 +24,9 @@ from mission.paper.planner import PaperPlanner
 from mission.predictive.planner import PredictivePlanner
 from mission.predictive.value_table import ValueTable
 
-_START_RANGE_M = 300.0
+START_RANGE_M = 300.0
 # Of the curvature limit: what correcting the flown line may ask for beyond the circle itself.
-_BANK_RESERVE = 1.1
+BANK_RESERVE = 1.1
 
 # The guidance laws, tuned by grid search over 20 other targets with perfect sensors: of those that always keep the
 # band the one most on the side, with room to both edges. Radii 150 to 400 m, gains 0.25 to 2 1/s, look-aheads 40 to
@@ -49,8 +49,8 @@ def run(
     if requirement.sector is not None:
         normal_rad = requirement.sector.middle_rad
     circle = Circle(
-        _START_RANGE_M * math.sin(normal_rad),
-        _START_RANGE_M * math.cos(normal_rad),
+        START_RANGE_M * math.sin(normal_rad),
+        START_RANGE_M * math.cos(normal_rad),
         aircraft.radius_m,
         requirement.side.clockwise,
     )
@@ -65,13 +65,13 @@ def run(
     body = KinematicAircraft(
         start,
         aircraft.airspeed_m_s,
-        math.atan(_BANK_RESERVE * math.tan(settings.circle_bank_rad)),
+        math.atan(BANK_RESERVE * math.tan(settings.circle_bank_rad)),
         aircraft.roll_rate_max_rad_s,
         wind,
         settings.lag_s,
     )
     pilot = _pilot(settings, planner, table, circle)
-    sensing: Sensing = PerfectSensing() if settings.perfect_sensors else _payload(settings, flown.sensor_rng)
+    sensing = sensing_of(settings, flown.sensor_rng)
 
     log = fly(target, body, pilot, sensing, flown.duration_s)
     return judged(settings, log, pilot.changed_s, pilot.stopwatch.taken_s, keep_track)
@@ -90,7 +90,10 @@ def fly(target: Target, body: KinematicAircraft, pilot: Pilot, sensing: Sensing,
     return log
 
 
-def _payload(settings: StudySettings, rng: np.random.Generator) -> PayloadSensing:
+def sensing_of(settings: StudySettings, rng: np.random.Generator) -> Sensing:
+    """Return what one aircraft sees the target with."""
+    if settings.perfect_sensors:
+        return PerfectSensing()
     sensors = settings.sensors
     errors = PayloadErrors(sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg))
     return PayloadSensing(rng, errors, tracker_settings(sensors, settings.lost_after_s), settings.height_m)

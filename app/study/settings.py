@@ -33,7 +33,8 @@ class StudySettings:
     runs: targets; each is flown noise_draws times by each planner. latency_s: from a decision to the earliest
     departure. lag_s: time constant with which the bank follows its command, within the roll rate; 0: the roll rate
     alone. tracks: recorded targets in place of random ones, as many as runs, each flown to its end or for
-    duration_s; skipped: (file, reason) of others. only: numbers of the runs to be flown, not all.
+    duration_s; skipped: (file, reason) of others. only: numbers of the runs to be flown, not all. fleet: aircraft on
+    each target, each layer_m above the one before.
     """
 
     planners: tuple[PlannerName, ...] = tuple(PlannerName)
@@ -61,6 +62,8 @@ class StudySettings:
     roll_rate_max_deg_s: float = 30.0
     height_m: float = 100.0
     lost_after_s: float = 60.0
+    fleet: int = 1
+    layer_m: float = 60.0
     sensors: SensorsSection = STUDIED_SENSORS
 
     @property
