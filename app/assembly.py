@@ -90,13 +90,17 @@ def controller_of(
     if not config.link.connections and config.simulation.wind_speed_m_s > 0.0:
         winds_m_s.add(config.simulation.wind_speed_m_s)
 
+    # Made before the flight: no step may wait for a disk or a computation. A change of side needs no other table.
+    by_paper = config.planner.name == "paper"
+    tables = [
+        value_table(table_configuration(aircraft, requirement, wind_m_s), progress)
+        for wind_m_s in (() if by_paper else (0.0, *sorted(winds_m_s)))
+    ]
+
     def planner(wanted: Requirement) -> Planner:
-        if config.planner.name == "paper":
+        if by_paper:
             return PaperPlanner(aircraft, wanted, largest_psi_c_rad(aircraft, wanted))
-        calm, *windy = (
-            value_table(table_configuration(aircraft, wanted, wind_m_s), progress)
-            for wind_m_s in (0.0, *sorted(winds_m_s))
-        )
+        calm, *windy = tables
 
         def check(plan: Plan) -> str | None:
             # Asked each time: fences and ground are known only when the plane is.

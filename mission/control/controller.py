@@ -158,7 +158,8 @@ class StandoffController:
 
     ``level`` gives a plan its heights, from the present height and the target's place as far as they are known, or
     tells why there are none.
-    ``make_planner`` builds the planner for a requirement; it is called again when the side changes.
+    ``make_planner`` builds the planner for a requirement, at once and of what is at hand; it is called again, within
+    a step, when the side changes.
     """
 
     settings: StandoffSettings
@@ -487,17 +488,26 @@ class StandoffController:
     def _operator(self, event: OperatorRequest) -> tuple[Command, ...]:
         if self.phase not in (Phase.WATCHING, Phase.HOLDING):
             return (Announce(event.time_s, "operator", f"{event.action} refused: the mission is {self.phase}"),)
-        text = f"operator: {event.action}"
+        match event.action:
+            case "hold":
+                self.phase = Phase.HOLDING
+            case "resume":
+                self.phase = Phase.WATCHING
+            case "end":
+                self.phase = Phase.ENDED
+            case "side" if event.side is None or self._requirement.sector is not None:
+                why = (
+                    "no side is named" if event.side is None else "the mission watches from bearings, not from a side"
+                )
+                return (Announce(event.time_s, "operator", f"side refused: {why}"),)
+            case "side":
+                self._requirement = replace(self._requirement, side=event.side)
+                self._planner = self.make_planner(self._requirement)
+        text = f"operator: {event.action}" + (f" {event.side}" if event.action == "side" else "")
+        told = Announce(event.time_s, "operator", text)
         if event.action == "end":
-            self.phase = Phase.ENDED
-            return (Announce(event.time_s, "operator", text), End(event.time_s, "hold", "ended by the operator"))
-        if event.action == "side" and event.side is not None:
-            self._requirement = replace(self._requirement, side=event.side)
-            self._planner = self.make_planner(self._requirement)
-            text += f" {event.side}"
-        else:
-            self.phase = Phase.HOLDING if event.action == "hold" else Phase.WATCHING
-        return (Announce(event.time_s, "operator", text),)
+            return told, End(event.time_s, "hold", "ended by the operator")
+        return (told,)
 
 
 def _advanced(aircraft: AircraftState, duration_s: float) -> AircraftState:

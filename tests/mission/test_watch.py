@@ -305,6 +305,15 @@ def test_an_operator_holds_resumes_changes_side_and_ends():
     assert "refused" in refused.text
 
 
+def test_a_side_that_is_not_named_leaves_a_held_mission_held():
+    controller = make(Scripted([THERE] * 9))
+    engaged(controller, 0.5)
+    controller.step(OperatorRequest(0.5, "hold"))
+    (refused,) = controller.step(OperatorRequest(1.0, "side", None))
+    assert refused.text == "side refused: no side is named"
+    assert controller.phase is Phase.HOLDING
+
+
 def test_a_late_position_does_not_turn_back_the_clock():
     controller = make(Scripted())
     engaged(controller, 5.0)

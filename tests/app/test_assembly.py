@@ -1,0 +1,38 @@
+"""The control step is put together so that none of its steps has to wait for anything."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from app import assembly
+from app.assembly import controller_of
+from app.config import load_config
+from mission.core.circle import Circle
+from mission.core.events import ControlAcquired, OperatorRequest
+from mission.core.requirement import Side
+
+
+def test_a_change_of_side_computes_and_loads_no_table(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "no" / "such"))
+    small = assembly.table_configuration
+    monkeypatch.setattr(
+        assembly, "table_configuration", lambda *known: replace(small(*known), cells=4, improvements=(1, 1))
+    )
+    controller = controller_of(load_config(None, {"planner": {"winds_m_s": [5.0]}}))
+    monkeypatch.setattr(assembly, "value_table", lambda *_: pytest.fail("a table was asked for within a step"))
+    controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
+    (told,) = controller.step(OperatorRequest(1.0, "side", Side.RIGHT))
+    assert told.text == "operator: side right"
+    assert controller.snapshot().side is Side.RIGHT
+
+
+def test_a_side_is_refused_where_bearings_are_watched_from():
+    settings = load_config(None, {"planner": {"name": "paper"}, "requirement": {"side": "120-200"}})
+    controller = controller_of(settings)
+    controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
+    before = controller.snapshot().side
+    (told,) = controller.step(OperatorRequest(1.0, "side", Side.RIGHT))
+    assert told.text == "side refused: the mission watches from bearings"
+    assert controller.snapshot().side is before
