@@ -210,6 +210,7 @@ def settle(controller: StandoffController, config: Config, plane: LocalPlane, ho
         math.inf if config.fences.ceiling_m is None else config.fences.ceiling_m,
     )
     controller.level = FlightHeights(ground, rules).levelled
+    controller.tracker.stand_on(ground, config.sensors.angles_alone)
 
 
 def ground_of(config: Config, plane: LocalPlane, home_deg: tuple[float, float]) -> Ground | None:

@@ -151,6 +151,8 @@ class SensorsSection(_Section):
     """The same of the laser's constant error; 0: none is estimated, m."""
     filter: Literal["imm", "ekf", "ukf"] = "imm"
     """Motion model of the target filter."""
+    angles_alone: bool = True
+    """Where [terrain] tells the ground and the laser is silent, go on by the line of sight and the ground."""
 
 
 class LinkSection(_Section):

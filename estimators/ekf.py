@@ -16,9 +16,11 @@ from estimators.sighting import AnySighting
 from estimators.target_filter import (
     BIASES,
     EAST,
+    HEIGHT,
     NORTH,
     FloatArray,
     bias_drift,
+    measured_linearly,
     starting_state,
 )
 
@@ -64,6 +66,26 @@ class TargetEkf:
     def _take_in(self, comparison: Comparison, noise: FloatArray) -> None:
         # The residual is taken where bearings wrap; the filter is given it as the measurement, with zero expected.
         self._kf.update(comparison.residual, lambda _: comparison.jacobian, lambda _: 0.0, R=noise)
+
+    @property
+    def size(self) -> int:
+        """How many numbers the state has."""
+        return int(self._kf.x.size)
+
+    @property
+    def height_m(self) -> float:
+        """The height of the target's ground."""
+        return float(self._kf.x[HEIGHT])
+
+    def carry(self, transition: FloatArray, shift: FloatArray, height_variance_m2: float) -> None:
+        """Turn the state linearly; see :class:`estimators.target_filter.TargetFilter`."""
+        covariance = transition @ self._kf.P @ transition.T
+        covariance[HEIGHT, HEIGHT] += height_variance_m2
+        self._kf.x, self._kf.P = transition @ self._kf.x + shift, 0.5 * (covariance + covariance.T)
+
+    def measure(self, row: FloatArray, residual: float, variance: float) -> None:
+        """Take in one number; see :class:`estimators.target_filter.TargetFilter`."""
+        self._kf.x, self._kf.P = measured_linearly(self._kf.x, self._kf.P, row, residual, variance)
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """Return mean (4,) and covariance (4, 4) of (east, north, velocity east, velocity north)."""

@@ -24,7 +24,7 @@ from estimators._imm_kernel import COVARIANCE, MEAN, MODELS, PROBABILITY, RANGE,
 from estimators.biases import Biases
 from estimators.settings import TrackerSettings
 from estimators.sighting import AnySighting, Fix
-from estimators.target_filter import BIASES, FloatArray, bias_drift, starting_state
+from estimators.target_filter import BIASES, HEIGHT, FloatArray, bias_drift, measured_linearly, starting_state
 
 
 class TargetImm:
@@ -54,6 +54,36 @@ class TargetImm:
         if nis <= gate_nis:
             self._state = state
         return nis
+
+    @property
+    def size(self) -> int:
+        """How many numbers the state has."""
+        return N
+
+    @property
+    def height_m(self) -> float:
+        """The height of the target's ground."""
+        return float(self._state[:, PROBABILITY] @ self._state[:, MEAN + HEIGHT])
+
+    def carry(self, transition: FloatArray, shift: FloatArray, height_variance_m2: float) -> None:
+        """Turn the state linearly; see :class:`estimators.target_filter.TargetFilter`."""
+        state = self._state.copy()
+        for model in state:
+            covariance = model[COVARIANCE:].reshape(N, N)
+            model[MEAN:COVARIANCE] = transition @ model[MEAN:COVARIANCE] + shift
+            covariance[:] = transition @ covariance @ transition.T
+            covariance[HEIGHT, HEIGHT] += height_variance_m2
+        self._state = state
+
+    def measure(self, row: FloatArray, residual: float, variance: float) -> None:
+        """Take in one number; see :class:`estimators.target_filter.TargetFilter`."""
+        state = self._state.copy()
+        for model in state:
+            covariance = model[COVARIANCE:].reshape(N, N)
+            model[MEAN:COVARIANCE], covariance[:] = measured_linearly(
+                model[MEAN:COVARIANCE], covariance, row, residual, variance
+            )
+        self._state = state
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """Return mean (4,) and covariance (4, 4) of (east, north, velocity east, velocity north)."""

@@ -1,7 +1,7 @@
 """Ranges, lines of sight and poses of different times become sightings.
 
 A range waits until gimbal and aircraft are known on both sides of its time, and takes what lies between. It gives
-up after ``_WAIT_S``.
+up after ``_WAIT_S``. Over known ground, while the laser is silent, a line of sight becomes a sighting by itself.
 """
 
 from __future__ import annotations
@@ -9,18 +9,25 @@ from __future__ import annotations
 import math
 from bisect import insort
 from operator import attrgetter
+from typing import TYPE_CHECKING
 
-from estimators.line_of_sight import lever_arm_plane_m, line_of_sight
+from estimators.line_of_sight import LineOfSight, lever_arm_plane_m, line_of_sight
 from estimators.pose import History, PoseHistory
 from estimators.readings import GimbalReading, RangeReading
 from estimators.rotations import from_roll_pitch_yaw, interpolated
 from estimators.settings import TrackerSettings
 from estimators.sighting import Sighting
 
+if TYPE_CHECKING:
+    from estimators.terrain.ground import Ground
+
 _SPAN_S = 12.0
 _WAIT_S = 1.5
 _GIMBAL_GAP_MAX_S = 1.0
 _WAITING_MAX = 32  # so that what has waited is never long to take in
+# The laser is silent after so long; then a line of sight in so much time counts, with a range that says nothing.
+_SILENT_S, _ALONE_EVERY_S = 1.0, 0.2
+_UNKNOWN_M, _REACH_M = 2e3, 5_000.0
 _time_s = attrgetter("time_s")
 
 
@@ -34,14 +41,20 @@ class Pairing:
         self._ranges: History[RangeReading] = History(_SPAN_S)
         self._parent_from_mount = from_roll_pitch_yaw(*settings.mount_roll_pitch_yaw_rad)
         self._paired_s = -math.inf
+        self._alone: list[float] = []  # times of lines of sight that go without a range
+        self.ground: Ground | None = None
         self.waiting: list[RangeReading] = []
         self.unpaired = 0
 
     def add_gimbal(self, gimbal: GimbalReading) -> None:
         """Keep a line of sight; one whose quaternion is no rotation is dropped."""
         length_2 = sum(part * part for part in gimbal.quaternion_wxyz)
-        if abs(length_2 - 1.0) < 0.1:
-            self._gimbals.add(gimbal)
+        if abs(length_2 - 1.0) >= 0.1 or not self._gimbals.add(gimbal) or self.ground is None:
+            return
+        last_s = self._alone[-1] if self._alone else self._paired_s
+        if gimbal.time_s - self._ranges.newest_s > _SILENT_S and gimbal.time_s - last_s >= _ALONE_EVERY_S:
+            self._alone.append(gimbal.time_s)
+            del self._alone[:-_WAITING_MAX]
 
     def add_range(self, reading: RangeReading) -> None:
         """Keep a range until it can be paired."""
@@ -64,7 +77,16 @@ class Pairing:
                 self.unpaired += 1
             else:
                 made.append(sighting)
+        while self._alone and known_s >= self._alone[0]:
+            sighting = self._seen(self._alone.pop(0), None)
+            if sighting is not None:
+                made.append(sighting)
         return made
+
+    @property
+    def due(self) -> bool:
+        """Whether anything waits to be completed."""
+        return bool(self.waiting or self._alone)
 
     @property
     def _needs_attitude(self) -> bool:
@@ -72,8 +94,14 @@ class Pairing:
         return any(self._settings.lever_arm_body_m) or (newest is not None and newest.frame != "earth")
 
     def _sighting(self, reading: RangeReading) -> Sighting | None:
+        sigma_m = reading.sigma_m or self._settings.range_sigma_m
+        return self._seen(reading.time_s, (reading.slant_range_m, sigma_m), reading.quality)
+
+    def _seen(
+        self, time_s: float, told_m: tuple[float, float] | None, quality: float | None = None
+    ) -> Sighting | None:
+        """Return the sighting at a time, with a range and its sigma, or where the line of sight meets the ground."""
         settings = self._settings
-        time_s, range_m = reading.time_s, reading.slant_range_m
         position = self._poses.position_at(time_s)
         attitude = self._poses.attitude_at(time_s) if self._needs_attitude else None
         found = self._gimbal_at(time_s)
@@ -82,6 +110,12 @@ class Pairing:
         gimbal, gap_s = found
         sight = line_of_sight(gimbal, attitude, self._parent_from_mount)
         arm_m = (0.0, 0.0, 0.0) if attitude is None else lever_arm_plane_m(settings.lever_arm_body_m, attitude)
+        aircraft_m = position.east_m + arm_m[0], position.north_m + arm_m[1], position.height_m + arm_m[2]
+        range_m, range_sigma_m = told_m or (self._to_ground_m(aircraft_m, sight), _UNKNOWN_M)
+        if range_m is None:
+            return None
+        # Without a range, what the ground is off its data is as good as an error of the sight.
+        uneven_m = self.ground.sigma_m if told_m is None and self.ground is not None else 0.0
         attitude_sigma_rad = 0.0 if gimbal.frame == "earth" else settings.attitude_sigma_rad
         # Several ranges between two lines of sight share the noise of these: none may count it as its own.
         shared = math.sqrt(max(1.0, gap_s / max(abs(time_s - self._paired_s), 1e-3)))
@@ -92,20 +126,29 @@ class Pairing:
             bearing_rad=sight.bearing_rad,
             depression_rad=sight.depression_rad,
             # The same position error in all three axes adds to each measured number by itself.
-            range_sigma_m=math.hypot(reading.sigma_m or settings.range_sigma_m, settings.position_sigma_m),
+            range_sigma_m=math.hypot(range_sigma_m, settings.position_sigma_m),
             bearing_sigma_rad=math.hypot(
                 shared * settings.yaw_sigma_rad,
                 attitude_sigma_rad,
                 settings.position_sigma_m / (range_m * max(math.cos(sight.depression_rad), 0.01)),
             ),
             depression_sigma_rad=math.hypot(
-                shared * settings.pitch_sigma_rad, attitude_sigma_rad, settings.position_sigma_m / range_m
+                shared * settings.pitch_sigma_rad,
+                attitude_sigma_rad,
+                math.hypot(settings.position_sigma_m, uneven_m) / range_m,
             ),
-            aircraft_east_m=position.east_m + arm_m[0],
-            aircraft_north_m=position.north_m + arm_m[1],
-            aircraft_height_m=position.height_m + arm_m[2],
-            quality=reading.quality,
+            aircraft_east_m=aircraft_m[0],
+            aircraft_north_m=aircraft_m[1],
+            aircraft_height_m=aircraft_m[2],
+            quality=quality,
         )
+
+    def _to_ground_m(self, aircraft_m: tuple[float, float, float], sight: LineOfSight) -> float | None:
+        """Return the slant range at which a line of sight meets the ground."""
+        if self.ground is None:
+            return None
+        level_m = self.ground.cut_m(*aircraft_m, sight.bearing_rad, sight.depression_rad, _REACH_M)
+        return None if level_m is None else level_m / math.cos(sight.depression_rad)
 
     def _gimbal_at(self, time_s: float) -> tuple[GimbalReading, float] | None:
         """Return where the gimbal pointed, and the gap between the readings that tell it."""

@@ -46,6 +46,24 @@ class TargetFilter(Protocol):
         """
         ...
 
+    @property
+    def size(self) -> int:
+        """How many numbers the state has."""
+        ...
+
+    @property
+    def height_m(self) -> float:
+        """The height of the target's ground."""
+        ...
+
+    def carry(self, transition: FloatArray, shift: FloatArray, height_variance_m2: float) -> None:
+        """Turn the state x into ``transition @ x + shift``, (n, n) and (n,), with a variance added to its height."""
+        ...
+
+    def measure(self, row: FloatArray, residual: float, variance: float) -> None:
+        """Take in one number that depends on the state by ``row`` (n,); residual is measured minus expected."""
+        ...
+
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """Return mean (4,) and covariance (4, 4) of position and velocity."""
         ...
@@ -57,6 +75,16 @@ class TargetFilter(Protocol):
     def copy(self) -> Self:
         """Return a filter that goes its own way from here."""
         ...
+
+
+def measured_linearly(
+    mean: FloatArray, covariance: FloatArray, row: FloatArray, residual: float, variance: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean (n,) and covariance (n, n) after one number was measured, with what it depends on, (n,)."""
+    cross = covariance @ row
+    expected = float(row @ cross) + variance
+    updated = covariance - np.outer(cross, cross) / expected
+    return mean + cross * (residual / expected), 0.5 * (updated + updated.T)
 
 
 def starting_state(settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> tuple[FloatArray, FloatArray]:

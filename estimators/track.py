@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from estimators.biases import Biases, Calibration
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.settings import TrackerSettings
 from estimators.sighting import AnySighting, SightingOutcome
 from estimators.target_filter import FloatArray, TargetFilter
+
+if TYPE_CHECKING:
+    from estimators.terrain.ground import Ground
 
 _HISTORY_S, _REPEATED_MAX = 5.0, 60
 # Longer predictions go by steps, so that the motion models can mix on the way; the longest by so many larger ones.
@@ -55,6 +58,14 @@ class Track:
         self._astray: list[AnySighting] = []  # beyond the gate, since the last one within
         self._last_rejection = ""
         self._last_sighting_s = -math.inf
+
+    def stand_on(self, ground: Ground) -> None:
+        """Take the target to stand on a ground from now on."""
+        # What is compiled takes a second to load: only who has elevation data waits for it.
+        from estimators.terrain.standing import GroundedFilter  # noqa: PLC0415
+
+        start = self._start
+        self._start = lambda *first: GroundedFilter(start(*first), ground)
 
     def add(self, sighting: AnySighting) -> SightingOutcome:
         """Take a sighting in, or reject it with a reason."""

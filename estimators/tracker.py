@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from estimators.biases import Calibration
 from estimators.estimate import TargetEstimate
@@ -22,6 +22,9 @@ from estimators.settings import SourceChoice, TrackerSettings
 from estimators.sighting import AnySighting, Fix, SightingOutcome
 from estimators.sources import SourceSelector, range_rank, sight_rank
 from estimators.track import Track
+
+if TYPE_CHECKING:
+    from estimators.terrain.ground import Ground
 
 __all__ = ["SourceChoice", "Tracker", "TrackerSettings"]
 
@@ -56,7 +59,7 @@ class Tracker:
                 self._add_range(reading)
             case TargetFixReading():
                 return self._add_fix(reading)
-        if not self._pairing.waiting:
+        if not self._pairing.due:
             return ()
         return tuple(self._take(sighting) for sighting in self._pairing.completed())
 
@@ -93,6 +96,16 @@ class Tracker:
         self.sightings += 1
         self.rejected += not outcome.accepted
         return outcome
+
+    def stand_on(self, ground: Ground, angles_alone: bool = True) -> None:
+        """Take the target to stand on a ground, before the first sighting.
+
+        angles_alone: while the laser is silent, the line of sight alone counts. It must not where the gimbal follows
+        the estimate: that would confirm itself.
+        """
+        self._track.stand_on(ground)
+        if angles_alone:
+            self._pairing.ground = ground
 
     def estimate(self, now_s: float) -> TargetEstimate | None:
         """Return the target predicted to ``now_s``; None before the first sighting."""

@@ -20,6 +20,7 @@ from estimators.target_filter import (
     NORTH,
     FloatArray,
     bias_drift,
+    measured_linearly,
     starting_state,
 )
 
@@ -74,6 +75,26 @@ class TargetUkf:
         biases[self._estimated] = state[BIASES:]
         expected: FloatArray = measurement_by_biases(sighting) @ biases - sighting.residual(*place)
         return expected
+
+    @property
+    def size(self) -> int:
+        """How many numbers the state has."""
+        return int(self._kf.x.size)
+
+    @property
+    def height_m(self) -> float:
+        """The height of the target's ground."""
+        return float(self._kf.x[HEIGHT])
+
+    def carry(self, transition: FloatArray, shift: FloatArray, height_variance_m2: float) -> None:
+        """Turn the state linearly; see :class:`estimators.target_filter.TargetFilter`."""
+        covariance = transition @ self._kf.P @ transition.T
+        covariance[HEIGHT, HEIGHT] += height_variance_m2
+        self._kf.x, self._kf.P = transition @ self._kf.x + shift, 0.5 * (covariance + covariance.T)
+
+    def measure(self, row: FloatArray, residual: float, variance: float) -> None:
+        """Take in one number; see :class:`estimators.target_filter.TargetFilter`."""
+        self._kf.x, self._kf.P = measured_linearly(self._kf.x, self._kf.P, row, residual, variance)
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """Return mean (4,) and covariance (4, 4) of (east, north, velocity east, velocity north)."""

@@ -22,6 +22,7 @@ _WIDTH = 112
 _EXAMPLES = {
     "sensors.range_component": "154",
     "sensors.gimbal_component": "154",
+    "link.system_id": "1",
     "link.url": '"udpin://0.0.0.0:14540"',
     "link.urls": '["serial:///dev/ttyUSB0:57600", "udpin://0.0.0.0:14550"]',
     "link.signing_key_file": '"vehicle.key"',

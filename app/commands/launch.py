@@ -144,6 +144,11 @@ def launch(
         },
     )
     check_flyable(settings)
+    if point_gimbal and settings.terrain.folder is not None and settings.sensors.angles_alone:
+        raise InputError(
+            "--point-gimbal points the gimbal at the estimate, which would confirm itself while the laser is silent; "
+            "set sensors.angles_alone = false with it."
+        )
     address = Address(view_host, view_port, view_cert, view_key) if view else None
     with shielded_output():
         ended = _flown(settings, duration, out, quiet, address, Sharing(cot, point_gimbal))

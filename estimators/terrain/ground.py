@@ -75,7 +75,8 @@ class Ground:
         if math.isnan(height_m):
             return None
         misplaced_m = _MISPLACED * self.step_m * math.hypot(slope_east, slope_north)
-        return GroundPatch(east_m, north_m, height_m, slope_east, slope_north, math.hypot(self.sigma_m, misplaced_m))
+        sigma_m = math.hypot(self.sigma_m, misplaced_m)
+        return GroundPatch(east_m, north_m, height_m, slope_east, slope_north, sigma_m)
 
     def cut_m(
         self,
