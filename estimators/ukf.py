@@ -90,11 +90,16 @@ class TargetUkf:
         """Turn the state linearly; see :class:`estimators.target_filter.TargetFilter`."""
         covariance = transition @ self._kf.P @ transition.T
         covariance[HEIGHT, HEIGHT] += height_variance_m2
-        self._kf.x, self._kf.P = transition @ self._kf.x + shift, 0.5 * (covariance + covariance.T)
+        self._become(transition @ self._kf.x + shift, 0.5 * (covariance + covariance.T))
 
     def measure(self, row: FloatArray, residual: float, variance: float) -> None:
         """Take in one number; see :class:`estimators.target_filter.TargetFilter`."""
-        self._kf.x, self._kf.P = measured_linearly(self._kf.x, self._kf.P, row, residual, variance)
+        self._become(*measured_linearly(self._kf.x, self._kf.P, row, residual, variance))
+
+    def _become(self, mean: FloatArray, covariance: FloatArray) -> None:
+        kf = self._kf
+        kf.x, kf.P = mean, covariance
+        kf.sigmas_f = kf.points_fn.sigma_points(mean, covariance)  # those of the last prediction are not its own
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """Return mean (4,) and covariance (4, 4) of (east, north, velocity east, velocity north)."""
