@@ -38,6 +38,8 @@ class Summary:
     outcome: str
     time_in_sight: float | None = None
     min_clearance_m: float | None = None
+    links: tuple[dict[str, Any], ...] = ()
+    """Each way to the vehicle, as ``LinkReport.as_json`` has it."""
 
     def as_json(self) -> dict[str, Any]:
         return asdict(self)
@@ -63,7 +65,24 @@ class Summary:
             ("error of the estimate (RMS)", "-" if self.estimate_rmse_m is None else f"{self.estimate_rmse_m:.2f} m"),
         ):
             table.add_row(name, text)
+        for link in self.links:
+            table.add_row(f"link {link['url']}", describe_link(link))
         return table
+
+
+def describe_link(link: dict[str, Any]) -> str:
+    """Return a link's measures in words."""
+    loss, round_trip_s = link["loss"], link["round_trip_s"]
+    words = [
+        "signed" if link["signed"] else "unsigned",
+        f"lost {_percent(loss)}",
+        f"round trip {'-' if round_trip_s is None else f'{1e3 * round_trip_s:.0f} ms'}",
+        f"{link['received_bytes_s'] / 1e3:.1f} kB/s down, {link['sent_bytes_s'] / 1e3:.2f} kB/s up",
+    ]
+    if link["rssi"] is not None:
+        words.append(f"signal {link['rssi']} here, {link['remote_rssi']} there")
+    words += [f"refused {count} {why}" for why, count in link["refused"].items()]
+    return ", ".join(words)
 
 
 class SummaryCollector:

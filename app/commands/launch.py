@@ -7,7 +7,7 @@ import contextlib
 import shutil
 import sys
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -32,6 +32,7 @@ from app.errors import FlightError, InputError, Interrupted
 from app.flight.display import FlightDisplay
 from app.flight.flight import Flight, Sharing, connected
 from app.flight.life import Life, describe_aircraft
+from app.flight.link_log import link_log
 from app.flight.recording import Recording, write_mcap
 from app.flight.simulated import SimulatedVehicle
 from app.link.discovery import SETTLING_S
@@ -289,11 +290,13 @@ async def _fly(
         life.watch(session.vehicle)
         flight = Flight(session, config, controller, recording, display, duration_s, sharing)
         try:
-            outcome, error = await flight.fly(life.stopped), None
+            async with link_log(session.vehicle.link, folder.links, lambda: session.telemetry.now_s, trouble):
+                outcome, error = await flight.fly(life.stopped), None
         except Exception as raised:
             if not life.was_armed and not isinstance(raised, FlightError):
                 raise
             outcome, error = f"failed: {raised}", raised
+        links = tuple(report.as_json() for report in session.vehicle.link.reports())
         aircraft = describe_aircraft(
             session.vehicle, session.autopilot, controller.snapshot(), simulated=truth is not None
         )
@@ -305,6 +308,7 @@ async def _fly(
     except InputError as unjudged:
         display.note(f"judged by the estimate: {unjudged}")
         summary = flight.summary(outcome, None)
+    summary = replace(summary, links=links)
     if life.failure is not None:
         return _Ended(folder, summary, FlightError(life.failure))
     if life.signal_name is not None:

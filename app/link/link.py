@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator, Mapping
 from typing import Any, Protocol
 
 from app.link.message import Message
+from app.link.quality import LinkReport
 
 
 class Link(Protocol):
@@ -28,6 +29,14 @@ class Link(Protocol):
 
     async def set_parameter(self, name: str, value: float, timeout_s: float = 4.0) -> bool:
         """Set a parameter and tell whether the vehicle took it."""
+        ...
+
+    def reports(self) -> tuple[LinkReport, ...]:
+        """Return how each way to the vehicle has been since the beginning."""
+        ...
+
+    def recent(self) -> tuple[LinkReport, ...]:
+        """Return how each way to the vehicle is now."""
         ...
 
     async def close(self) -> None:

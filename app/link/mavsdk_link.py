@@ -30,10 +30,13 @@ from app.link import mavsdk_log
 from app.link.discovery import SETTLING_S, the_vehicle
 from app.link.link import LinkError
 from app.link.message import Message
+from app.link.meter import LinkMeter
 from app.link.plain_text import plain_fields
-from app.link.raw_links import LinkReport, RawLinks, opened_links
+from app.link.quality import LinkReport
+from app.link.raw_links import RawLinks, opened_links
 from app.link.url import checked_url
 
+_ASK_DELAY_S = 1.0
 _PENDING_AT_CLOSE_S, _DESTROY_S = 8.0, 5.0
 
 FrameListener = Callable[[bytes], None]
@@ -48,11 +51,11 @@ class MavsdkLink:
         system: Any,
         system_id: int,
         own_id: tuple[int, int],
-        raw: RawLinks | None,
+        measured: RawLinks | LinkMeter,
         ours: contextlib.ExitStack,
     ) -> None:
         self.system_id, self.own_id = system_id, own_id
-        self._raw, self._ours = raw, ours
+        self._measured, self._ours = measured, ours
         self._instance = instance
         self._direct = MavlinkDirectAsync(system)
         self._param = ParamAsync(system)
@@ -60,6 +63,7 @@ class MavsdkLink:
         self._pending: set[asyncio.Future[Any]] = set()
         self._queue: asyncio.Queue[Message | None] = asyncio.Queue()
         self._pump = asyncio.create_task(self._receive())
+        self._asker = asyncio.create_task(self._ask_delay())
 
     @classmethod
     async def open(
@@ -86,9 +90,9 @@ class MavsdkLink:
         instance = Mavsdk(Configuration.create_manual(*own, True))
         ours = contextlib.ExitStack()  # transports of our own
         try:
-            raw = None
+            raw, meter = None, LinkMeter(urls[0], own)
             if key_file is None and len(urls) == 1:
-                await _connect(instance, urls[0], on_frame)
+                await _connect(instance, urls[0], _both(on_frame, meter.frame))
             else:
                 raw = ours.enter_context(opened_links(urls, own, key_file, on_frame, on_trouble))
                 # The asyncio wrapper does not offer the subscription, the object beneath it does.
@@ -110,25 +114,36 @@ class MavsdkLink:
             answer = mavlink.MAVLink_command_ack_message(0, 0, 0, 0, *own)
             heard = answer.pack(mavlink.MAVLink(None, srcSystem=found_id, srcComponent=1))
             instance._mavsdk.pass_received_raw_bytes(heard)
-        return cls(instance, system, found_id, own, raw, ours)
+        return cls(instance, system, found_id, own, raw or meter, ours)
 
     def reports(self) -> tuple[LinkReport, ...]:
-        """Return how each link of our own transport has been; none where MAVSDK's own is used."""
-        return self._raw.reports() if self._raw is not None else ()
+        """Return how each link has been since the beginning."""
+        return self._measured.reports()
+
+    def recent(self) -> tuple[LinkReport, ...]:
+        """Return how each link is now."""
+        return self._measured.recent()
+
+    async def _ask_delay(self) -> None:
+        while isinstance(self._measured, LinkMeter):  # links of our own ask by themselves
+            with contextlib.suppress(LinkError):
+                await self.send(*self._measured.question())
+            await asyncio.sleep(_ASK_DELAY_S)
 
     # -- messages ------------------------------------------------------------------------------------------
 
     async def _receive(self) -> None:
         async for raw in self._direct.subscribe_message(""):
-            self._queue.put_nowait(
-                Message(
-                    raw.message_name,
-                    raw.system_id,
-                    raw.component_id,
-                    plain_fields(json.loads(raw.fields_json)),
-                    time.time(),
-                )
+            message = Message(
+                raw.message_name,
+                raw.system_id,
+                raw.component_id,
+                plain_fields(json.loads(raw.fields_json)),
+                time.time(),
             )
+            if isinstance(self._measured, LinkMeter):
+                self._measured.message(message)
+            self._queue.put_nowait(message)
             # A full queue never waits: messages that come faster than they are handled would shut out all else, an
             # interrupt too.
             await asyncio.sleep(0)
@@ -196,13 +211,26 @@ class MavsdkLink:
             return
         self._closed = True
         self._pump.cancel()
+        self._asker.cancel()
         self._queue.put_nowait(None)
         if self._pending:
             await asyncio.wait(self._pending, timeout=_PENDING_AT_CLOSE_S)
         if not self._pending:
-            await asyncio.gather(self._pump, return_exceptions=True)
+            await asyncio.gather(self._pump, self._asker, return_exceptions=True)
             await asyncio.to_thread(self._ours.close)
             await _destroy(self._instance)
+
+
+def _both(on_frame: FrameListener | None, measure: FrameListener) -> FrameListener | None:
+    """Return a listener for both; none where nobody listens, as the raw copy costs something."""
+    if on_frame is None:
+        return None
+
+    def frame(data: bytes) -> None:
+        measure(data)
+        on_frame(data)
+
+    return frame
 
 
 async def _connect(instance: Mavsdk, url: str, on_frame: FrameListener | None) -> None:

@@ -30,8 +30,24 @@ class Measured:
     rssi: int | None = None
     remote_rssi: int | None = None
 
+
+@dataclass(frozen=True, slots=True)
+class LinkReport:
+    """One link: how good it is, whether it is the one spoken on, and what was not let in."""
+
+    url: str
+    signed: bool
+    in_use: bool
+    measured: Measured
+    refused: dict[str, int]
+
     def as_json(self) -> dict[str, Any]:
-        return asdict(self)
+        """Return it as plain values, in one level."""
+        measured = {name: None if value is None else round(value, 4) for name, value in asdict(self.measured).items()}
+        return {"url": self.url, "signed": self.signed, **measured, "refused": self.refused}
+
+    def refused_text(self) -> str:
+        return ", ".join(f"{count} {why}" for why, count in self.refused.items())
 
 
 @dataclass(slots=True)
@@ -70,6 +86,11 @@ class LinkQuality:
         self.received += 1
         self.missed += ahead
 
+    def found(self, now_s: float) -> None:
+        """Take back one of the missed: it had come, but is not shown here."""
+        self._second(now_s).missed -= 1
+        self.missed -= 1
+
     def sent(self, size: int, now_s: float) -> None:
         """Count bytes that went out."""
         self._second(now_s).sent_bytes += size
@@ -92,7 +113,7 @@ class LinkQuality:
         self._second(now_s)
         span_s = max(1.0, now_s - self._seconds[0].begin_s)
         received = sum(second.received for second in self._seconds)
-        missed = sum(second.missed for second in self._seconds)
+        missed = max(0, sum(second.missed for second in self._seconds))
         round_trips_s = sorted(self._round_trips_s)
         return Measured(
             silent_s=now_s - (self.heard_s if self.heard_s is not None else self._begin_s),
@@ -106,11 +127,12 @@ class LinkQuality:
 
     def total(self, now_s: float) -> Measured:
         """Return the same over all the time."""
-        span_s, counted = max(1.0, now_s - self._begin_s), self.received + self.missed
+        span_s, missed = max(1.0, now_s - self._begin_s), max(0, self.missed)
+        counted = self.received + missed
         recent = self.measured(now_s)
         return Measured(
             silent_s=recent.silent_s,
-            loss=self.missed / counted if counted else None,
+            loss=missed / counted if counted else None,
             round_trip_s=recent.round_trip_s,
             received_bytes_s=self.received_bytes / span_s,
             sent_bytes_s=self.sent_bytes / span_s,

@@ -20,7 +20,7 @@ from app.errors import InputError
 from app.link.frames import Frame, FrameSplitter
 from app.link.key_file import KeptTimes, kept_times, read_key
 from app.link.merger import LinkMerger
-from app.link.quality import LinkQuality, Measured
+from app.link.quality import LinkQuality, LinkReport, Measured
 from app.link.signing import RADIO_STATUS_ID, LinkSigning, Refusal, SigningKey, signing_time
 from app.link.transport import Peer, Transport, opened
 from app.link.url import checked_url
@@ -37,20 +37,6 @@ _HEARTBEAT, _COMMAND_LONG, _TIMESYNC = (
 _SET_MESSAGE_INTERVAL = 511
 
 FrameListener = Callable[[bytes], object]
-
-
-@dataclass(frozen=True, slots=True)
-class LinkReport:
-    """One link: how good it is, whether it is the one spoken on, and what was not let in."""
-
-    url: str
-    signed: bool
-    in_use: bool
-    measured: Measured
-    refused: dict[str, int]
-
-    def refused_text(self) -> str:
-        return ", ".join(f"{count} {why}" for why, count in self.refused.items())
 
 
 @dataclass(slots=True)

@@ -40,6 +40,10 @@ class RunFolder:
         return self.path / "summary.json"
 
     @property
+    def links(self) -> Path:
+        return self.path / "links.csv"
+
+    @property
     def config(self) -> Path:
         return self.path / "config.toml"
 

@@ -18,6 +18,7 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from sitl.items import Item
+from sitl.link import LinkFaults
 from sitl.server import serve
 from sitl.settings import Flavour, Settings, TargetSettings
 from sitl.simulation import Simulation
@@ -38,13 +39,15 @@ COMMANDING = WRITING | {"COMMAND_LONG", "COMMAND_INT", "MISSION_SET_CURRENT", "S
 class Vehicle:
     """A simulated vehicle in a thread, circling at home when it begins, and everything that is commanded to it."""
 
-    def __init__(self, flavour: str, port: int, seed: int = 1) -> None:
+    def __init__(
+        self, flavour: str, ports: list[int], seed: int = 1, speed: float = SPEED, faults: LinkFaults | None = None
+    ) -> None:
         self.simulation = simulation = Simulation(
             Settings(
                 flavour=Flavour(flavour),
                 seed=seed,
                 target=TargetSettings(speed_max_m_s=4.0),
-                link_rate=SPEED,
+                link_rate=speed,
                 boot_unix_s=time.time(),
             )
         )
@@ -58,8 +61,10 @@ class Vehicle:
         vehicle.set_mode(self.mission_mode)
         while vehicle.craft.height_m < 95.0:
             simulation.advance(simulation.time_s + 1.0)
-        self.port = port
-        self.url = f"udpin://127.0.0.1:{self.port}"
+        self.ports, self._speed, self._faults = ports, speed, faults
+        self.urls = [f"udpin://127.0.0.1:{port}" for port in ports]
+        self.url = self.urls[0]
+        self.cut: set[int] = set()  # ports of links that are silent both ways
         self.commanded: list[tuple[float, str]] = []  # (simulated time, message) from the application
         self.items_until_act = 0  # something happens when the application sends the item that ends the count
         self.deaf = False
@@ -115,7 +120,8 @@ class Vehicle:
         self._thread.join(10.0)
 
     def _serve(self):
-        serve(self.simulation, [("127.0.0.1", self.port)], speed=SPEED, stopped=self._stopped)
+        stations = [("127.0.0.1", port) for port in self.ports]
+        serve(self.simulation, stations, speed=self._speed, faults=self._faults, stopped=self._stopped)
 
     def _stopped(self):
         while not self._work.empty():
@@ -124,7 +130,7 @@ class Vehicle:
         return self._ended.is_set()
 
     def _listen(self, address, data):
-        if self.deaf:
+        if self.deaf or address[1] in self.cut:
             return
         for message in self._parser.parse_buffer(bytes(data)) or ():
             kind = message.get_type()
@@ -138,7 +144,7 @@ class Vehicle:
 
     def _talk(self):
         sent = self._take()
-        return [] if self.deaf else sent
+        return [] if self.deaf else [(address, data) for address, data in sent if address[1] not in self.cut]
 
 
 class Application:
@@ -180,8 +186,8 @@ class Application:
 def vehicle_of(free_port):
     made = []
 
-    def make(flavour, seed=1):
-        made.append(Vehicle(flavour, free_port(), seed))
+    def make(flavour, seed=1, links=1, **options):
+        made.append(Vehicle(flavour, [free_port() for _ in range(links)], seed, **options))
         return made[-1]
 
     yield make
