@@ -36,7 +36,8 @@ def test_one_of_two_links_is_cut_again_and_again(vehicle_of, launch, flavour):
     assert summary["outcome"] == "interrupted"
     for trouble in ("yielding", "link lost", "started anew"):
         assert trouble not in application.said
-    assert application.said.count("too late") == 0 or FAULTS.loss
+    if SPEED == 1.0 and not FAULTS.loss:  # a second of silence is ten of the vehicle's at ten times the speed
+        assert "too late" not in application.said
     (first, second) = summary["links"]
     assert first["received_bytes_s"] > 500.0
     assert second["received_bytes_s"] > 500.0
