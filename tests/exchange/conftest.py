@@ -25,6 +25,7 @@ from mission.core.plan import AircraftState, Decision, Plan
 from mission.exchange.dialect import Home
 from mission.exchange.mission_controller import MissionController
 from mission.exchange.outbox import SendMessage
+from mission.exchange.raw_item import RawItem
 from mission.exchange.reports import TakeoverRequested, TimerExpired
 from mission.geometry.approach import turn_straight_turn
 from mission.geometry.progress import nearest_arc_m, point_at
@@ -35,6 +36,8 @@ from sitl.simulation import STEP_S, Simulation
 NO_FAULTS = LinkFaults()
 OURS, OTHER = (245, 190), (250, 190)
 _BOOT_S = 25.0
+_MISSION_IDS = {"MISSION_CURRENT": ("mission_id", 6), "MISSION_ACK": ("opaque_id", 4)}
+_ID_BYTES, _MISSION_CURRENT = slice(7, 10), (42).to_bytes(3, "little")
 _RATES_HZ = {30: 20.0, 33: 10.0, 42: 5.0, 87: 2.0, 360: 2.0, 436: 5.0}
 _AHEAD_S = 1.5  # a plan departs so long after it could be on board
 
@@ -76,7 +79,7 @@ class Flight:
     of each message as it leaves, ``arrived`` as its first copy reaches the vehicle.
     """
 
-    def __init__(self, flavour, *, faults=NO_FAULTS, seed=1, speed=1.0, guidance="mission", planner=None):
+    def __init__(self, flavour, *, faults=NO_FAULTS, seed=1, speed=1.0, guidance="mission", planner=None, begin=True):
         self.config = Config.model_validate({"planner": {"name": "paper", "guidance": guidance}})
         self.speed = speed
         self.simulation = Simulation(
@@ -86,6 +89,7 @@ class Flight:
         self.faults = faults
         rngs = [np.random.default_rng((seed, direction)) for direction in (1, 2)]
         self._to_vehicle, self._to_us = (FaultyLink(faults, rng) for rng in rngs)
+        self._late = FaultyLink(NO_FAULTS, rngs[0])  # what is held up on its way to us: MISSION_CURRENT
         self._packer = mavlink.MAVLink(None, srcSystem=OURS[0], srcComponent=OURS[1])
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
@@ -93,7 +97,8 @@ class Flight:
         self.telemetry, self.reports = Telemetry(1), VehicleReports(self.vehicle)
         self.events, self.outputs = [], []
         self.lines: dict[int, tuple] = {}  # of each plan, by number; 0: the first circle
-        self.listeners: list[Callable[[object], object]] = []
+        self.listeners: list[Callable[[object], object]] = []  # of each output
+        self.observers: list[Callable[[], object]] = []  # of each step
         self.arrived: Callable[[str, dict], object] = lambda name, fields: None
         self._carried = 0
         self._seen: set[int] = set()
@@ -107,9 +112,10 @@ class Flight:
             self._step_simulation()
             for _, frame in self.simulation.take():
                 self._hear(frame)
-        planner = planner or Wandering(seed)
-        self.core = self.make_core(planner)
-        self.take_over()
+        self.seed, self.planner = seed, planner or Wandering(seed)
+        self.core = self.make_core(self.planner)
+        if begin:
+            self.take_over()
 
     def make_core(self, planner):
         settings = self.config.aircraft.aircraft(), self.config.requirement.requirement()
@@ -129,6 +135,11 @@ class Flight:
 
     def take_over(self, flying=False, mode=""):
         self.put(TakeoverRequested(self.telemetry.now_s, self.link_s, flying, mode))
+
+    def spoil(self, faults, late_current_s=0.0):
+        """Change the link's faults; MISSION_CURRENT comes later still."""
+        self.faults = self._to_vehicle._faults = self._to_us._faults = faults
+        self._late._faults = LinkFaults(delay_s=late_current_s)
 
     @property
     def link_s(self):
@@ -166,10 +177,18 @@ class Flight:
 
     def step(self):
         self._step_simulation()
-        for _, frame in self.simulation.take():
-            self._to_us.put(frame, self.link_s)
+        for address, frame in self.simulation.take():
+            if address == "us":
+                self._to_us.put(frame, self.link_s)
         for frame in self._to_us.take(self.link_s):
+            if frame[_ID_BYTES] == _MISSION_CURRENT:
+                self._late.put(frame, self.link_s)
+            else:
+                self._hear(frame)
+        for frame in self._late.take(self.link_s):
             self._hear(frame)
+        for observer in self.observers:
+            observer()
         for _ in range(4):
             if self.core.next_timer_s > self.link_s:
                 break
@@ -202,6 +221,10 @@ class Flight:
             fields = {name: getattr(got, name) for name in got.get_fieldnames()}
             if got.get_type() == "STATUSTEXT":
                 fields["text"] = str(fields["text"])
+            if got.get_type() in _MISSION_IDS:  # fields that pymavlink does not know yet
+                name, offset = _MISSION_IDS[got.get_type()]
+                payload = frame[10:-2].ljust(offset + 4, b"\0")
+                fields[name] = int.from_bytes(payload[offset : offset + 4], "little")
             message = Message(got.get_type(), got.get_srcSystem(), got.get_srcComponent(), fields, self.link_s)
             self.vehicle.take(message)
             event = self.telemetry.event(message)
@@ -218,6 +241,16 @@ class Flight:
         items, index = mission.items(), mission.index
         end = next((i for i in range(index, len(items)) if items[i].command != 16), None)
         return None if end is None else items[index : end + 1]
+
+
+@pytest.fixture(scope="session")
+def raw_items() -> Callable[[list], list[RawItem]]:
+    """Return what makes a vehicle's items comparable with ours."""
+
+    def made(items):
+        return [RawItem(i.command, i.frame, *i.params, i.latitude_e7, i.longitude_e7, i.altitude_m) for i in items]
+
+    return made
 
 
 @pytest.fixture

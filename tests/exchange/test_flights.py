@@ -1,0 +1,113 @@
+"""Flights over bad links: told as they are flown, yielded when another takes over, repeated to the last bit."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.analysis.replay import JournalReplay
+from app.flight.recording import JOURNAL_TYPES
+from app.records.journal import Header, JournalReader, JournalWriter
+from mission.core.events import ActivatePlan, Command, PlanStatus, Yield
+from mission.exchange.mission_controller import DERIVED
+from mission.exchange.outbox import SendMessage, TakeoverFailed
+from sitl.link import LinkFaults
+
+BAD = LinkFaults(loss=0.05, duplicate=0.05, delay_s=0.1)
+SLOW = LinkFaults(loss=0.05, delay_s=1.0)
+
+
+def statuses(flight, stage):
+    return [one.number for one in flight.found(PlanStatus) if one.stage == stage]
+
+
+def replayed(flight, path):
+    """Write the flight's journal, and replay it with a core of its own."""
+    writer = JournalWriter(path, Header("test", {}, flight.telemetry.plane, {}), pytest.fail)
+    for event, outputs in zip(flight.events, flight.outputs, strict=True):
+        writer.write(event)
+        for output in outputs:
+            writer.write(output)
+    writer.close()
+    again = flight.make_core(type(flight.planner)(flight.seed))
+    replay = JournalReplay(again.controller, again)
+    for _ in replay.run(JournalReader(path, JOURNAL_TYPES)):
+        pass
+    return replay
+
+
+@pytest.mark.parametrize("guidance", ["mission", "command"])
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_a_replay_repeats_uploads_and_switches_to_the_last_bit(in_the_air, tmp_path, flavour, guidance):
+    flight = in_the_air(flavour, faults=BAD, guidance=guidance)
+    flight.run(60.0)
+    assert len(statuses(flight, "departed")) >= 2
+    assert not flight.found(Yield)
+    replay = replayed(flight, tmp_path / "journal.jsonl")
+    assert replay.difference is None
+    assert replay.compared >= len(flight.found((SendMessage, Command, *DERIVED, TakeoverFailed)))
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_at_a_second_of_delay_every_switch_is_told_as_flown(in_the_air, flavour):
+    flight = in_the_air(flavour, faults=SLOW)
+    flight.run(100.0)
+    flight.spoil(LinkFaults())
+    flight.run(10.0)
+    activated = [one.number for one in flight.found(ActivatePlan)]
+    assert len(activated) >= 3
+    assert set(activated) <= set(statuses(flight, "departed"))
+    assert not flight.found(Yield)
+
+
+def test_a_switch_is_confirmed_by_the_track_alone(in_the_air):
+    flight = in_the_air("arduplane")
+    flight.autopilot.silenced.add(42)
+    flight.autopilot.broadcast_now = lambda _id: None
+    flight.run(100.0)
+    assert len(statuses(flight, "departed")) >= 2
+    assert not flight.found(Yield)
+
+
+def test_a_switch_that_is_never_heard_is_an_open_question_until_it_is_answered(in_the_air):
+    flight = in_the_air("arduplane")
+    set_current = flight.autopilot.set_current_item
+    flight.autopilot.set_current_item = lambda _index: False
+    assert flight.run(60.0, lambda: statuses(flight, "failed"))
+    assert statuses(flight, "unconfirmed") == statuses(flight, "failed")
+    number = statuses(flight, "failed")[-1]
+    # It is taken after all, much later than anybody expected it.
+    set_current(flight.core._backend._change.layout.first)
+    assert flight.run(10.0, lambda: number in statuses(flight, "departed"))
+    assert not flight.found(Yield)
+
+
+@pytest.mark.parametrize(("flavour", "guidance"), [("arduplane", "mission"), ("px4", "mission"), ("px4", "command")])
+def test_another_mode_is_somebody_else(in_the_air, flavour, guidance):
+    flight = in_the_air(flavour, faults=BAD, guidance=guidance)
+    flight.run(20.0)
+    flight.simulation.pilot_takes_over()
+    assert flight.run(5.0, lambda: bool(flight.found(Yield)))
+    sent = len(flight.found(SendMessage))
+    flight.run(20.0)
+    assert len(flight.found(SendMessage)) == sent
+
+
+def test_another_station_moves_the_circle(in_the_air):
+    flight = in_the_air("arduplane", guidance="command", faults=BAD)
+    assert flight.run(60.0, lambda: statuses(flight, "departed") and flight.core._backend._flown is None)
+    here = flight.autopilot.here
+    flight.autopilot._circle_at(type(here)(here.east_m - 500.0, here.north_m, 100.0), True)
+    assert flight.run(10.0, lambda: bool(flight.found(Yield)))
+    assert "moved the circle" in flight.found(Yield)[0].reason
+
+
+def test_answers_to_another_station_are_not_ours(in_the_air):
+    """Another ground station reads the mission, and is refused a command, all the time."""
+    flight = in_the_air("arduplane")
+    flight.simulation.connect("other")
+    for _ in range(40):
+        flight.to_vehicle("MISSION_REQUEST_LIST", source=(250, 190))
+        flight.to_vehicle("COMMAND_LONG", source=(250, 190), command=31_000)
+        flight.run(1.0)
+    assert len(statuses(flight, "departed")) >= 2
+    assert not flight.found(Yield)

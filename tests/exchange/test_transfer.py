@@ -1,0 +1,156 @@
+"""Missions written to and read from simulated autopilots over links that lose, delay, double and reorder."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from app.autopilots.registry import AUTOPILOTS
+from mission.exchange.mission_read import MissionRead
+from mission.exchange.mission_write import MissionWrite, WriteResult
+from mission.exchange.outbox import Outbox
+from mission.exchange.raw_item import RawItem, same_item
+from mission.exchange.reports import MissionAcknowledged, MissionItemRequested, TimerExpired
+from sitl.link import LinkFaults
+
+ACCEPTED, DENIED, TIMEOUT = WriteResult
+QUIRKS = {one.name.lower(): one.quirks for one in AUTOPILOTS}
+COUNT, CHANGED = 24, range(5, 12)
+DELAY_S = 0.025
+
+
+def circle(tag):
+    return RawItem(17, 6, 0.0, 0.0, 60.0 + tag % 20, 0.0, 470_000_000 + tag, 80_000_000 - tag, 100.0)
+
+
+OLD = tuple(circle(seq) for seq in range(COUNT))
+NEW = tuple(circle(1000 + seq) if seq in CHANGED else OLD[seq] for seq in range(COUNT))
+
+
+class Work:
+    """A write or a read in the place of the core."""
+
+    def __init__(self, flight, make):
+        self._outbox = Outbox()
+        self._outbox.begin(0.0, flight.link_s)
+        self._work = make(self._outbox)
+
+    @property
+    def next_timer_s(self):
+        return self._work.next_timer_s
+
+    @property
+    def over(self):
+        return self._work.done if isinstance(self._work, MissionRead) else self._work.result is not None
+
+    def step(self, event):
+        self._outbox.begin(event.time_s, getattr(event, "link_s", None))
+        if isinstance(event, TimerExpired):
+            self._work.expire()
+        else:
+            self._work.receive(event)
+        sent = tuple(self._outbox.sent)
+        self._outbox.sent.clear()
+        return sent
+
+
+@pytest.fixture
+def transfer(fly):
+    """Return what lets one piece of work after the other at a vehicle, the first over a clean link."""
+
+    def run(flavour, faults, seed, *makes):
+        flight = fly(flavour, seed=seed, begin=False)
+        done = []
+        for number, make in enumerate(makes):
+            flight.spoil(faults if number else LinkFaults(delay_s=0.002))
+            flight.core = Work(flight, lambda outbox, make=make: make(outbox, QUIRKS[flavour], flight.link_s))
+            begin_s = flight.link_s
+            flight.put(TimerExpired(0.0, flight.link_s))
+            assert flight.run(60.0, lambda: flight.core.over)
+            took_s = flight.link_s - begin_s
+            done.append(flight.core._work)
+            flight.run(0.5)
+        return done, flight.autopilot.mission.items(), took_s
+
+    return run
+
+
+def write(items, changed, bound_s=20.0):
+    return lambda outbox, quirks, now_s: MissionWrite(outbox, quirks, items, changed, now_s + bound_s, lambda: 0)
+
+
+WHOLE = write(OLD, range(COUNT))
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.05, 0.2, 0.5])
+def test_a_part_is_written_and_the_rest_is_left_alone(transfer, raw_items, loss):
+    took_s = []
+    for seed in range(3):
+        faults = LinkFaults(loss, 0.1 if loss else 0.0, DELAY_S, DELAY_S if loss else 0.0)
+        done, items, seconds = transfer("arduplane", faults, seed, WHOLE, write(NEW, CHANGED))
+        assert [one.result for one in done] == [ACCEPTED, ACCEPTED]
+        assert all(map(same_item, raw_items(items)[1:], NEW[1:]))
+        took_s.append(seconds)
+    assert sorted(took_s)[1] < {0.0: 0.35, 0.05: 1.5, 0.2: 3.0, 0.5: 20.0}[loss]  # of the link's clock
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.2])
+def test_px4_takes_a_list_whole_and_says_which(transfer, raw_items, loss):
+    faults = LinkFaults(loss, 0.1 if loss else 0.0, DELAY_S)
+    done, items, took_s = transfer("px4", faults, 3, WHOLE, write(NEW, range(COUNT)))
+    assert [one.result for one in done] == [ACCEPTED, ACCEPTED]
+    assert all(map(same_item, raw_items(items), NEW))
+    assert done[1].mission_id not in (0, done[0].mission_id) or loss
+    assert took_s < (0.3 if loss == 0.0 else 6.0)  # of the link's clock
+
+
+def test_cut_at_any_moment_each_item_is_the_old_or_the_new_one_and_a_second_try_ends_it(transfer, raw_items):
+    for hundredths in range(4, 40, 9):
+        faults = LinkFaults(0.2, 0.0, DELAY_S)
+        cut = write(NEW, CHANGED, hundredths / 100.0)
+        done, items, _ = transfer("arduplane", faults, hundredths, WHOLE, cut, write(NEW, CHANGED))
+        assert done[1].result in (ACCEPTED, TIMEOUT)
+        assert len(items) == COUNT
+        assert done[2].result is ACCEPTED
+        assert all(map(same_item, raw_items(items)[1:], NEW[1:]))
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_an_item_that_the_vehicle_refuses_is_a_refusal(transfer, raw_items, flavour):
+    bad = (*NEW[:6], replace(NEW[6], command=31_000), *NEW[7:])
+    changed = CHANGED if flavour == "arduplane" else range(COUNT)
+    done, items, _ = transfer(flavour, LinkFaults(), 1, WHOLE, write(bad, changed))
+    assert done[1].result is DENIED
+    assert all(map(same_item, raw_items(items)[7:], OLD[7:]))
+
+
+def test_places_that_the_vehicle_does_not_have_are_a_refusal(transfer):
+    longer = (*OLD, *(circle(500 + seq) for seq in range(6)))
+    done, items, _ = transfer("arduplane", LinkFaults(), 1, WHOLE, write(longer, range(COUNT, COUNT + 6), 8.0))
+    assert done[1].result in (DENIED, TIMEOUT)
+    assert len(items) <= COUNT + 1
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_the_mission_is_read_as_it_is_on_board(transfer, flavour, loss):
+    def read(outbox, quirks, now_s):
+        return MissionRead(outbox, quirks, now_s + 40.0)
+
+    done, _, took_s = transfer(flavour, LinkFaults(loss, 0.0, DELAY_S), 5, WHOLE, read)
+    assert all(map(same_item, done[1].items[1:], OLD[1:]))
+    at_once = QUIRKS[flavour].stores_items_one_by_one
+    assert took_s < {0.0: 0.35 if at_once else 3.0, 0.3: 3.0 if at_once else 40.0}[loss]  # of the link's clock
+
+
+def test_late_answers_to_the_upload_before_say_nothing(transfer):
+    outbox = Outbox(0.0, 0.0)
+    late = MissionWrite(outbox, QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0, mission_id_before=77)
+    late.receive(MissionAcknowledged(0.0, 0.1, 0, 77))
+    late.receive(MissionItemRequested(0.0, 0.2, 0))
+    late.receive(MissionAcknowledged(0.0, 0.3, 0, 77))
+    assert late.result is None
+    late.receive(MissionAcknowledged(0.0, 0.4, 0, 78))
+    assert late.result is ACCEPTED
+    assert late.mission_id == 78
