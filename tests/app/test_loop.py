@@ -1,0 +1,201 @@
+"""The shell around the core: what comes in goes through journal and core in order, what comes out is carried out."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from app.flight.executor import CommandExecutor
+from app.flight.loop import ControlLoop
+from app.link.link import LinkError
+from app.link.message import Message
+from app.link.telemetry import Telemetry
+from app.link.vehicle import Vehicle
+from mission.core.events import Announce, End, ModeReported, Yield
+from mission.exchange.outbox import SendMessage, TakeoverFailed
+from mission.exchange.reports import CommandAcknowledged, ShutdownRequested, TimerExpired
+
+OURS = (245, 190)
+
+
+class Wire:
+    """A link whose far end answers the ``heeded``-th command, as ``answerer`` (system, component) to ``to``."""
+
+    system_id, own_id = 1, OURS
+
+    def __init__(self, heeded=1, answerer=(1, 1), to=OURS, broken=False):
+        self.heeded, self.answerer, self.to, self.broken = heeded, answerer, to, broken
+        self.sent: list[str] = []
+        self.inbox: asyncio.Queue[Message] = asyncio.Queue()
+
+    async def send(self, name, fields):
+        if self.broken:
+            raise LinkError("the link is gone")
+        self.sent.append(name)
+        if name == "COMMAND_LONG" and len(self.sent) >= self.heeded:
+            to = {"target_system": self.to[0], "target_component": self.to[1]}
+            ack = {"command": fields["command"], "result": mavlink.MAV_RESULT_ACCEPTED} | to
+            self.inbox.put_nowait(Message("COMMAND_ACK", *self.answerer, ack, 0.0))
+
+    async def messages(self):
+        while True:
+            yield await self.inbox.get()
+
+
+def commanded(wire, monkeypatch):
+    monkeypatch.setattr("app.link.vehicle._ANSWER_S", 0.02)
+
+    async def go():
+        vehicle = Vehicle(wire)
+        running = asyncio.create_task(vehicle.run())
+        try:
+            return await vehicle.command(400, 1.0)
+        finally:
+            running.cancel()
+
+    return asyncio.run(go())
+
+
+def test_a_command_is_repeated_until_it_is_answered(monkeypatch):
+    wire = Wire(heeded=3)
+    assert commanded(wire, monkeypatch).accepted
+    assert wire.sent == ["COMMAND_LONG"] * 3
+
+
+@pytest.mark.parametrize(("answerer", "to"), [((1, 154), OURS), ((2, 1), OURS), ((1, 1), (255, 190))])
+def test_an_acknowledgement_counts_only_from_the_autopilot_and_for_us(monkeypatch, answerer, to):
+    answer = commanded(Wire(answerer=answerer, to=to), monkeypatch)
+    assert str(answer) == "no answer"
+
+
+def test_an_older_autopilot_does_not_say_whom_it_answers(monkeypatch):
+    assert commanded(Wire(to=(0, 0)), monkeypatch).accepted
+
+
+def test_the_executor_sends_in_order_drops_what_waits_and_survives_a_link_that_fails():
+    async def go(wire):
+        executor = CommandExecutor(Vehicle(wire))
+        for name in ("A", "B", "C"):
+            executor.send(SendMessage(0.0, name, {}))
+        running = asyncio.create_task(executor.run())
+        for _ in range(10):
+            await asyncio.sleep(0)
+        executor.send(SendMessage(0.0, "D", {}))
+        executor.drop()
+        for _ in range(10):
+            await asyncio.sleep(0)
+        alive = not running.done()
+        running.cancel()
+        return wire.sent, alive
+
+    assert asyncio.run(go(Wire())) == (["A", "B", "C"], True)
+    assert asyncio.run(go(Wire(broken=True))) == ([], True)
+
+
+class Core:
+    """Answers each event with what it is told to; asks for a timer as long as ``wants_timer``."""
+
+    def __init__(self, answers=(), wants_timer=False):
+        self.answers, self.wants_timer = dict(answers), wants_timer
+        self.stepped: list[object] = []
+        self.idle = True
+
+    @property
+    def next_timer_s(self):
+        return -float("inf") if self.wants_timer else float("inf")
+
+    def step(self, event):
+        self.stepped.append(event)
+        if isinstance(event, TimerExpired):
+            self.wants_timer = False
+        return self.answers.get(type(event), ())
+
+    def snapshot(self):
+        return "the picture"
+
+
+class Records(list):
+    def event(self, event):
+        self.append(event)
+
+    command = event
+
+
+def run_loop(core, *inputs):
+    """Run a loop on inputs (events or messages) until it ends by itself; return it, its records, what was shown."""
+    shown = []
+
+    async def go():
+        vehicle = Vehicle(Wire())
+        display = SimpleNamespace(say=lambda said: shown.append(said.text), show=lambda _snapshot: None)
+        records = Records()
+        loop = ControlLoop(vehicle, Telemetry(1), core, records, display, shown.append)
+        running = asyncio.create_task(loop.run())
+        await asyncio.sleep(0)
+        for one in inputs:
+            vehicle.take(one) if isinstance(one, Message) else loop.put(one)
+        await running
+        return loop, records, vehicle
+
+    return *asyncio.run(go()), shown
+
+
+STOP = ShutdownRequested(9.0, 9.0)
+MODE = ModeReported(1.0, "AUTO", True)
+
+
+def test_everything_passes_the_journal_before_the_core():
+    said = Announce(1.0, "track", "hello")
+    core = Core({ModeReported: (said, SendMessage(1.0, "X", {}))})
+    loop, records, vehicle, shown = run_loop(core, MODE, STOP)
+    assert records == [MODE, said, SendMessage(1.0, "X", {}), STOP]
+    assert core.stepped == [MODE, STOP]
+    assert shown == ["hello"]
+    assert vehicle.listeners == []
+    assert loop.outcome is None
+
+
+def test_a_message_becomes_a_report_with_the_time_of_vehicle_and_link():
+    position = {"time_boot_ms": 5000, "lat": 470_000_000, "lon": 80_000_000, "relative_alt": 0}
+    position |= {"vx": 0, "vy": 0, "vz": 0}
+    ack = {"command": 400, "result": 0, "target_system": 245, "target_component": 190}
+    heard = [Message("GLOBAL_POSITION_INT", 1, 1, position, 0.0), Message("COMMAND_ACK", 1, 1, ack, 0.0)]
+    others = [
+        Message("COMMAND_ACK", 1, 154, ack, 0.0),
+        Message("COMMAND_ACK", 1, 1, ack | {"target_system": 255}, 0.0),
+        Message("MISSION_CURRENT", 1, 154, {"seq": 3}, 0.0),
+    ]
+    core = Core()
+    run_loop(core, *heard, *others, STOP)
+    position_read, report, stop = core.stepped
+    assert position_read.time_s == 5.0
+    assert isinstance(report, CommandAcknowledged)
+    assert (report.time_s, report.command) == (5.0, 400)
+    assert report.link_s >= 0.0
+    assert stop is STOP
+
+
+def test_a_timer_that_is_asked_for_comes_as_an_event():
+    core = Core(wants_timer=True)
+    core.answers[TimerExpired] = (End(1.0, "hold", "enough"),)
+    loop, records, _, shown = run_loop(core, MODE)
+    assert [type(one) for one in core.stepped] == [ModeReported, TimerExpired]
+    assert loop.outcome == "ended: enough"
+    assert shown == ["ending (hold): enough"]
+    assert isinstance(records[1], TimerExpired)
+
+
+def test_a_yield_is_told_and_the_flight_goes_on_silently():
+    core = Core({ModeReported: (Yield(1.0, "the pilot"),)})
+    loop, _, _, shown = run_loop(core, MODE, STOP)
+    assert loop.outcome == "yielded: the pilot"
+    assert shown == ["yielding: the pilot; commanding nothing more"]
+
+
+def test_a_takeover_that_fails_ends_it():
+    failed = TakeoverFailed(1.0, "the autopilot does not arm")
+    loop, _, _, _ = run_loop(Core({ModeReported: (failed,)}), MODE)
+    assert loop.failed is failed
