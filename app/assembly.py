@@ -90,6 +90,8 @@ def controller_of(
     if not config.link.connections and config.simulation.wind_speed_m_s > 0.0:
         winds_m_s.add(config.simulation.wind_speed_m_s)
 
+    if not (is_kept(look_ahead) and is_kept(update)):
+        tell("compiling the planner and the filter, once for this version of the program: up to a minute")
     # Made before the flight: no step may wait for a disk or a computation. A change of side needs no other table.
     by_paper = config.planner.name == "paper"
     tables = [
@@ -109,8 +111,6 @@ def controller_of(
 
         return PredictivePlanner(aircraft, wanted, calm, settings, windy, check)
 
-    if not (is_kept(look_ahead) and is_kept(update)):
-        tell("compiling the planner and the filter, once for this version of the program: up to a minute")
     controller = StandoffController(
         StandoffSettings(
             requirement,

@@ -263,7 +263,8 @@ async def _fly(
     life: Life,
 ) -> _Ended:
     async with contextlib.AsyncExitStack() as stack:
-        controller = controller_of(config, table_progress(display.note), display.note)
+        with life.computing():
+            controller = controller_of(config, table_progress(display.note), display.note)
         urls, truth = config.link.connections, None
         if not urls:
             display.note(f"starting a simulated {config.simulation.autopilot} and its target")

@@ -44,6 +44,7 @@ class Life:
         self.was_armed = False
         self._begun, self._note = begun, note
         self._task = asyncio.current_task()
+        self._at_once = False
         self._winding_up = contextlib.ExitStack()
 
     @contextlib.contextmanager
@@ -55,6 +56,8 @@ class Life:
         loop = asyncio.get_running_loop()
 
         def heed(number: int, _frame: object) -> None:
+            if self._at_once:
+                raise KeyboardInterrupt
             loop.call_soon_threadsafe(self._signalled, number)
 
         heeded = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
@@ -66,6 +69,15 @@ class Life:
             finally:
                 for number in heeded:
                     signal.signal(number, signal.default_int_handler)
+
+    @contextlib.contextmanager
+    def computing(self) -> Iterator[None]:
+        """Let a signal break off at once what is done meanwhile: the loop does not turn, and nothing has begun."""
+        self._at_once = True
+        try:
+            yield
+        finally:
+            self._at_once = False
 
     def watch(self, vehicle: Vehicle) -> None:
         """Note from now on whether the vehicle is armed."""

@@ -496,9 +496,7 @@ class StandoffController:
             case "end":
                 self.phase = Phase.ENDED
             case "side" if event.side is None or self._requirement.sector is not None:
-                why = (
-                    "no side is named" if event.side is None else "the mission watches from bearings, not from a side"
-                )
+                why = "no side is named" if event.side is None else "the mission watches from bearings"
                 return (Announce(event.time_s, "operator", f"side refused: {why}"),)
             case "side":
                 self._requirement = replace(self._requirement, side=event.side)

@@ -61,6 +61,8 @@ def left_of(interruption: Interruption, out: Path) -> tuple[str, list[str]]:
     timer.start()
     try:
         rest, complaint = process.communicate(timeout=_ENDS_WITHIN_S)
+    except subprocess.TimeoutExpired as late:
+        return "none", [f"had not ended after {_ENDS_WITHIN_S:g} s: {late.stdout!r}"]
     finally:
         timer.cancel()
         process.kill()

@@ -34,6 +34,26 @@ def test_a_signal_ends_it_in_order(tmp_path, interruption, said):
     assert said in sentence
 
 
+def test_a_signal_breaks_off_what_is_computed_before_a_flight(tmp_path):
+    command = [sys.executable, "-m", "app", *SHORT, "--planner", "predictive", "--out", str(tmp_path / "runs")]
+    # Without a cache the value table is computed anew, and what computes it is compiled.
+    nowhere = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "NUMBA_CACHE_DIR": str(tmp_path / "numba")}
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | nowhere
+    )
+    assert process.stdout is not None
+    try:
+        assert "compiling" in next(process.stdout)
+        process.send_signal(signal.SIGTERM)
+        rest, complaint = process.communicate(timeout=60.0)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert complaint == "sidelong: interrupted: nothing was commanded; no records are kept.\n"
+    assert "starting" not in rest
+    assert not list((tmp_path / "runs").iterdir())
+
+
 def test_the_end_of_the_simulated_vehicle_ends_it(tmp_path):
     process = subprocess.Popen(
         [sys.executable, "-m", "app", *SHORT, "--duration", "900", "--out", str(tmp_path)],
