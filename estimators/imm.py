@@ -28,31 +28,42 @@ from estimators.target_filter import BIASES, HEIGHT, FloatArray, bias_drift, mea
 
 
 class TargetImm:
-    """The state is never changed in place, so that copies may share it."""
+    """state is that of :mod:`estimators._imm_kernel`; it is never changed in place, so that copies may share it."""
 
     def __init__(self, settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> None:
+        self._set_up(settings, biases)
         self.time_s = sighting.time_s
+        self.state = starting_models(settings, sighting, biases)
+
+    @classmethod
+    def resumed(cls, settings: TrackerSettings, biases: Biases, time_s: float, state: FloatArray) -> Self:
+        """Return a filter in a known ``state``; biases are what was known of them before."""
+        filtered = cls.__new__(cls)
+        filtered._set_up(settings, biases)
+        filtered.time_s, filtered.state = time_s, state
+        return filtered
+
+    def _set_up(self, settings: TrackerSettings, biases: Biases) -> None:
         self._density_m2_s3 = settings.acceleration_density_m2_s3
         self._soft_nis = settings.soft_nis
         self._prior = biases
         self._drift_per_s = drift_per_s(biases)
-        self._state = starting_models(settings, sighting, biases)
 
     def predict(self, time_s: float) -> None:
         """Carry the state on to ``time_s``; see :class:`estimators.target_filter.TargetFilter`."""
         step_s = round(time_s - self.time_s, 6)
         self.time_s = time_s
         if step_s > 0.0:
-            ahead = np.empty_like(self._state)
-            kernel.predict(self._state, step_s, self._density_m2_s3, self._drift_per_s, ahead)
-            self._state = ahead
+            ahead = np.empty_like(self.state)
+            kernel.predict(self.state, step_s, self._density_m2_s3, self._drift_per_s, ahead)
+            self.state = ahead
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
         """Take a sighting in unless it lies beyond the gate; return its normalised innovation squared."""
-        state = self._state.copy()
+        state = self.state.copy()
         nis = kernel.update(state, seen(sighting), gate_nis, self._soft_nis)
         if nis <= gate_nis:
-            self._state = state
+            self.state = state
         return nis
 
     @property
@@ -63,27 +74,27 @@ class TargetImm:
     @property
     def height_m(self) -> float:
         """The height of the target's ground."""
-        return float(self._state[:, PROBABILITY] @ self._state[:, MEAN + HEIGHT])
+        return float(self.state[:, PROBABILITY] @ self.state[:, MEAN + HEIGHT])
 
     def carry(self, transition: FloatArray, shift: FloatArray, height_variance_m2: float) -> None:
         """Turn the state linearly; see :class:`estimators.target_filter.TargetFilter`."""
-        state = self._state.copy()
+        state = self.state.copy()
         for model in state:
             covariance = model[COVARIANCE:].reshape(N, N)
             model[MEAN:COVARIANCE] = transition @ model[MEAN:COVARIANCE] + shift
             covariance[:] = transition @ covariance @ transition.T
             covariance[HEIGHT, HEIGHT] += height_variance_m2
-        self._state = state
+        self.state = state
 
     def measure(self, row: FloatArray, residual: float, variance: float) -> None:
         """Take in one number; see :class:`estimators.target_filter.TargetFilter`."""
-        state = self._state.copy()
+        state = self.state.copy()
         for model in state:
             covariance = model[COVARIANCE:].reshape(N, N)
             model[MEAN:COVARIANCE], covariance[:] = measured_linearly(
                 model[MEAN:COVARIANCE], covariance, row, residual, variance
             )
-        self._state = state
+        self.state = state
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
         """Return mean (4,) and covariance (4, 4) of (east, north, velocity east, velocity north)."""
@@ -97,13 +108,13 @@ class TargetImm:
 
     def _combined(self, size: int) -> tuple[FloatArray, FloatArray]:
         mean, covariance = np.empty(size), np.empty((size, size))
-        kernel.combine(self._state, mean, covariance)
+        kernel.combine(self.state, mean, covariance)
         return mean, covariance
 
     @property
     def mode_probabilities(self) -> FloatArray:
         """How likely each motion is: standing, cruising, turning, manoeuvring."""
-        return self._state[:, PROBABILITY]
+        return self.state[:, PROBABILITY]
 
     def copy(self) -> Self:
         """Return a filter that goes on by itself from the same state."""

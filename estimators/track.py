@@ -67,6 +67,20 @@ class Track:
         start = self._start
         self._start = lambda *first: GroundedFilter(start(*first), ground)
 
+    def resume(self, last: TargetFilter, last_sighting_s: float, astray: list[AnySighting]) -> None:
+        """Go on from a filter as of the last sighting; astray: those beyond the gate since then.
+
+        Nothing can be gone back to before that time.
+        """
+        self._filter, self._coasted = last, None
+        self._steps.clear()
+        self._last_sighting_s, self._astray = last_sighting_s, astray
+
+    @property
+    def last(self) -> tuple[TargetFilter | None, float]:
+        """The filter as of the last sighting, and the time of that."""
+        return self._filter, self._last_sighting_s
+
     def add(self, sighting: AnySighting) -> SightingOutcome:
         """Take a sighting in, or reject it with a reason."""
         settings = self._settings

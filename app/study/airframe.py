@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
+from app.study._airframe_kernel import Airframe, Body, stepped
 from mission.core.plan import AircraftState
 from mission.core.requirement import GRAVITY_M_S2, Wind
-from mission.geometry.wind import ground_speed_m_s
 
 
 class KinematicAircraft:
@@ -22,32 +22,24 @@ class KinematicAircraft:
         lag_s: float = 0.0,
     ) -> None:
         """lag_s: time constant of the bank towards its command, within the roll rate; 0: the roll rate alone."""
-        self._airspeed_m_s, self._wind = airspeed_m_s, wind
-        self._bank_max_rad, self._roll_rate_max_rad_s = bank_max_rad, roll_rate_max_rad_s
-        self._lag_s = lag_s
+        self._limits = (airspeed_m_s, bank_max_rad, roll_rate_max_rad_s)
+        self._lag_s, self._wind = lag_s, wind
         self.state = start
         self.bank_rad = math.atan(start.ground_speed_m_s**2 * start.curvature_per_m / GRAVITY_M_S2)
 
+    def frame(self, step_s: float) -> Airframe:
+        """Return the airframe as the loops see it, for steps of this length."""
+        answer = 1.0 if self._lag_s <= 0.0 else -math.expm1(-step_s / self._lag_s)
+        return Airframe(*self._limits, answer, self._wind.east_m_s, self._wind.north_m_s)
+
+    @property
+    def body(self) -> Body:
+        """Where it is, as the loops see it."""
+        s = self.state
+        return Body(s.time_s, s.east_m, s.north_m, s.course_rad, s.ground_speed_m_s, s.curvature_per_m, self.bank_rad)
+
     def step(self, curvature_per_m: float, step_s: float) -> AircraftState:
         """Roll towards the commanded curvature, fly on for a step and return the new state."""
-        before = self.state
-        wanted_rad = math.atan(before.ground_speed_m_s**2 * curvature_per_m / GRAVITY_M_S2)
-        wanted_rad = min(max(wanted_rad, -self._bank_max_rad), self._bank_max_rad)
-        reach_rad = self._roll_rate_max_rad_s * step_s
-        answered = 1.0 if self._lag_s <= 0.0 else -math.expm1(-step_s / self._lag_s)
-        self.bank_rad += min(max(answered * (wanted_rad - self.bank_rad), -reach_rad), reach_rad)
-        speed_m_s = before.ground_speed_m_s
-        flown_per_m = GRAVITY_M_S2 * math.tan(self.bank_rad) / speed_m_s**2
-        turned_rad = flown_per_m * speed_m_s * step_s
-        middle_rad = before.course_rad + 0.5 * turned_rad
-        course_rad = math.remainder(before.course_rad + turned_rad, 2.0 * math.pi)
-        windy = self._wind.speed_m_s > 0.0
-        self.state = AircraftState(
-            before.time_s + step_s,
-            before.east_m + speed_m_s * step_s * math.sin(middle_rad),
-            before.north_m + speed_m_s * step_s * math.cos(middle_rad),
-            course_rad,
-            ground_speed_m_s(course_rad, self._airspeed_m_s, self._wind) if windy else self._airspeed_m_s,
-            flown_per_m,
-        )
+        *state, self.bank_rad = stepped(self.body, self.frame(step_s), curvature_per_m, step_s)
+        self.state = AircraftState(*state)
         return self.state

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from time import thread_time
 from typing import Protocol, TypeVar
@@ -11,13 +10,12 @@ from estimators.estimate import TargetEstimate
 from mission.core.circle import Circle
 from mission.core.plan import AircraftState, Plan, Planner
 from mission.core.requirement import Wind
-from mission.geometry.progress import nearest_arc_m, point_at
+from mission.geometry._line_kernel import following_per_m
+from mission.geometry.progress import line_of
 
-_LAW_PERIOD_S = 0.2
-_DECISION_PERIOD_S = 1.0
-_TIMED_EVERY = 8
-# Following a line: curvature for each metre beside it and each radian off its course, critically damped.
-_BESIDE_GAIN_PER_M2, _COURSE_GAIN_PER_M = 1.0 / 20.0**2, 2.0 / 20.0
+LAW_PERIOD_S = 0.2
+DECISION_PERIOD_S = 1.0
+TIMED_EVERY = 8
 
 T = TypeVar("T")
 GuidanceLaw = Callable[[AircraftState, TargetEstimate], float]
@@ -25,15 +23,15 @@ EstimateAt = Callable[[float], TargetEstimate | None]
 
 
 class StopWatch:
-    """Times one call in eight: asking for the processor's time may itself cost as much as a decision."""
+    """Times one call in ``every``: asking for the processor's time may itself cost as much as a decision."""
 
-    def __init__(self) -> None:
+    def __init__(self, every: int = TIMED_EVERY) -> None:
         self.taken_s: list[float] = []
-        self._calls = 0
+        self._every, self._calls = every, 0
 
     def __call__(self, decide: Callable[[], T]) -> T:
         self._calls += 1
-        if self._calls % _TIMED_EVERY != 1:
+        if (self._calls - 1) % self._every != 0:
             return decide()
         begun_s = thread_time()
         decision = decide()
@@ -65,7 +63,7 @@ class LawPilot:
     def curvature_per_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
         """See :class:`Pilot`."""
         if aircraft.time_s >= self._next_s - 1e-6:
-            self._next_s = aircraft.time_s + _LAW_PERIOD_S
+            self._next_s = aircraft.time_s + LAW_PERIOD_S
             estimate = estimate_at(aircraft.time_s)
             if estimate is not None:
                 self._command_per_m = self.stopwatch(lambda: self._law(aircraft, estimate))
@@ -89,11 +87,7 @@ class PlanFollower:
         if self.coming is not None and aircraft.time_s >= self.coming.departure_s - 1e-6:
             self.plan, self.coming = self.coming, None
             self.changed_s.append(aircraft.time_s)
-        line = point_at(self.plan, nearest_arc_m(self.plan, aircraft), aircraft)
-        off_rad = math.remainder(line.course_rad - aircraft.course_rad, 2.0 * math.pi)
-        sin_c, cos_c = math.sin(line.course_rad), math.cos(line.course_rad)
-        cross_track_m = (aircraft.east_m - line.east_m) * cos_c - (aircraft.north_m - line.north_m) * sin_c
-        return line.curvature_per_m + _COURSE_GAIN_PER_M * off_rad - _BESIDE_GAIN_PER_M2 * cross_track_m
+        return following_per_m(*line_of(self.plan), aircraft.east_m, aircraft.north_m, aircraft.course_rad)
 
 
 class PlanPilot:
@@ -110,7 +104,7 @@ class PlanPilot:
         """See :class:`Pilot`."""
         follower = self._follower
         if follower.coming is None and aircraft.time_s >= self._next_s - 1e-6:
-            self._next_s = aircraft.time_s + _DECISION_PERIOD_S
+            self._next_s = aircraft.time_s + DECISION_PERIOD_S
             estimate = estimate_at(aircraft.time_s)
             if estimate is not None:
                 follower.coming = self.stopwatch(

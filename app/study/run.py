@@ -9,12 +9,14 @@ import numpy.typing as npt
 
 from app.assembly import tracker_settings
 from app.study.airframe import KinematicAircraft
+from app.study.flight import CompiledFlight, Flown, Sensed, can_fly
 from app.study.judging import STEP_S, RunResult, judged
-from app.study.pilots import LawPilot, Pilot, PlanPilot
+from app.study.pilots import GuidanceLaw, LawPilot, Pilot, PlanPilot
 from app.study.scene import scene
 from app.study.sensors import PayloadErrors, PayloadSensing, PerfectSensing, Sensing
 from app.study.settings import PlannerName, StudySettings
 from app.study.target import Target
+from estimators.settings import TrackerSettings
 from mission.core.circle import Circle
 from mission.core.plan import AircraftState
 from mission.geometry.wind import ground_speed_m_s
@@ -70,15 +72,38 @@ def run(
         wind,
         settings.lag_s,
     )
+    errors, told = payload_of(settings)
+    if can_fly(told):
+        sensed = Sensed(errors, told, settings.height_m, flown.sensor_rng, settings.perfect_sensors)
+        flight = CompiledFlight(target, body, circle, sensed, wind, flown.duration_s)
+        run = _steered(settings, planner, table, flight)
+        return judged(settings, run.log, run.changed_s, run.decision_s, keep_track)
     pilot = _pilot(settings, planner, table, circle)
     sensing = sensing_of(settings, flown.sensor_rng)
-
     log = fly(target, body, pilot, sensing, flown.duration_s)
     return judged(settings, log, pilot.changed_s, pilot.stopwatch.taken_s, keep_track)
 
 
+def _steered(
+    settings: StudySettings, planner: PlannerName, table: ValueTable | None, flight: CompiledFlight
+) -> Flown:
+    """Fly a run in the compiled loop."""
+    aircraft, requirement = settings.aircraft(), settings.requirement()
+    match planner:
+        case PlannerName.PREDICTIVE:
+            assert table is not None
+            return flight.with_predictive(PredictivePlanner(aircraft, requirement, table), settings.latency_s)
+        case PlannerName.PAPER:
+            return flight.with_planner(PaperPlanner(aircraft, requirement), settings.latency_s)
+        case _:
+            return flight.with_law(_law(planner, requirement.side.clockwise))
+
+
 def fly(target: Target, body: KinematicAircraft, pilot: Pilot, sensing: Sensing, duration_s: float) -> FloatArray:
-    """Fly from the aircraft's present state; return (n, 6): time, aircraft, target (east, north), target's course."""
+    """Fly step by step from the aircraft's present state, with any sensing and pilot.
+
+    Returns (n, 6): time, aircraft, target (east, north), target's course.
+    """
     steps = round(duration_s / STEP_S)
     log = np.empty((steps, 6))
     state = body.state
@@ -94,9 +119,14 @@ def sensing_of(settings: StudySettings, rng: np.random.Generator) -> Sensing:
     """Return what one aircraft sees the target with."""
     if settings.perfect_sensors:
         return PerfectSensing()
+    return PayloadSensing(rng, *payload_of(settings), settings.height_m)
+
+
+def payload_of(settings: StudySettings) -> tuple[PayloadErrors, TrackerSettings]:
+    """Return the errors of the payload, and what the tracker is told of it."""
     sensors = settings.sensors
     errors = PayloadErrors(sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg))
-    return PayloadSensing(rng, errors, tracker_settings(sensors, settings.lost_after_s), settings.height_m)
+    return errors, tracker_settings(sensors, settings.lost_after_s)
 
 
 def _pilot(settings: StudySettings, planner: PlannerName, table: ValueTable | None, circle: Circle) -> Pilot:
@@ -108,9 +138,11 @@ def _pilot(settings: StudySettings, planner: PlannerName, table: ValueTable | No
             return PlanPilot(PredictivePlanner(aircraft, requirement, table), circle, wind, settings.latency_s)
         case PlannerName.PAPER:
             return PlanPilot(PaperPlanner(aircraft, requirement), circle, wind, settings.latency_s)
-        case PlannerName.LVFG:
-            field = VectorField(_FIELD_RADIUS_M, requirement.side.clockwise, _FIELD_GAIN_PER_S)
-            return LawPilot(field.curvature_per_m)
-        case PlannerName.PARK:
-            law = LateralGuidance(_LATERAL_RADIUS_M, requirement.side.clockwise, _LATERAL_LOOK_AHEAD_M)
-            return LawPilot(law.curvature_per_m)
+        case _:
+            return LawPilot(_law(planner, requirement.side.clockwise))
+
+
+def _law(planner: PlannerName, clockwise: bool) -> GuidanceLaw:
+    if planner is PlannerName.LVFG:
+        return VectorField(_FIELD_RADIUS_M, clockwise, _FIELD_GAIN_PER_S).curvature_per_m
+    return LateralGuidance(_LATERAL_RADIUS_M, clockwise, _LATERAL_LOOK_AHEAD_M).curvature_per_m

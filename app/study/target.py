@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 # The heading change at each new leg, and its chance.
 _TURNS_DEG = (-90.0, -45.0, -20.0, 0.0, 20.0, 45.0, 90.0, 180.0)
@@ -71,6 +72,22 @@ class RandomTarget:
             north_m += length_s * speed_m_s * math.cos(heading_rad)
             heading_rad += math.radians(float(rng.choice(_TURNS_DEG, p=_CHANCES)))
         self._starts_s = [leg.start_s for leg in self._legs]
+
+    def sampled(self, time_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return (n, 5) at times (n,): east, north, velocity east, velocity north, course."""
+        k = np.maximum(np.searchsorted(self._starts_s, time_s, side="right") - 1, 0)
+        legs = np.array(
+            [
+                (
+                    *(leg.start_s, leg.east_m, leg.north_m),
+                    *(leg.speed_m_s * math.sin(leg.heading_rad), leg.speed_m_s * math.cos(leg.heading_rad)),
+                    leg.course_rad,
+                )
+                for leg in self._legs
+            ]
+        )[k]
+        gone_s = time_s - legs[:, 0]
+        return np.stack([legs[:, 1] + legs[:, 3] * gone_s, legs[:, 2] + legs[:, 4] * gone_s, *legs[:, 3:].T], axis=1)
 
     def at(self, time_s: float) -> TargetTruth:
         """See :class:`Target`."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from mission.geometry.trapezoid import Trapezoids
-from mission.predictive._decision_kernel import MOVES, STAY_LENGTHS, move_from
+from mission.predictive._moves_kernel import MOVES, STAY_LENGTHS, move_from
 
 
 def moves_from(start_per_m: float, radius_m: float, sharpness_per_m2: float) -> Trapezoids:

@@ -25,7 +25,9 @@ from mission.geometry._line_kernel import Circling, craft_of
 from mission.geometry.progress import line_of
 from mission.geometry.trapezoid import end_circle, sharpness_per_m2
 from mission.predictive import _decision_kernel as kernel
-from mission.predictive._decision_kernel import Scene
+from mission.predictive._decision_kernel import Looker, Prices
+from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
+from mission.predictive._scene_kernel import Scene, scene_of
 from mission.predictive.cost import WatchCost
 from mission.predictive.forecast import Outlook, describe_breach, describe_range
 from mission.predictive.value_table import TableConfiguration, ValueTable
@@ -100,19 +102,22 @@ class PredictivePlanner:
     ) -> None:
         self._aircraft, self._requirement, self._tables = aircraft, requirement, (table, *windy)
         self._settings = settings or PredictiveSettings()
-        self._policy = SidePolicy(requirement, aircraft.radius_m)
         self._check = check
-        self._kept = kernel.nothing_kept()
-
-    @classmethod
-    def for_(cls, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
-        """Return a planner with the value table for still air, which takes a second or so to compute.
-
-        aircraft, requirement: what is flown and what is asked for, as they are given to every planner.
-        """
-        from mission.predictive.value_iteration import compute  # noqa: PLC0415  # what is compiled loads slowly
-
-        return cls(aircraft, requirement, compute(table_configuration(aircraft, requirement)))
+        policy, kept = SidePolicy(requirement, aircraft.radius_m), nothing_kept()
+        self.lookers = [
+            Looker(
+                craft_of(aircraft),
+                requirement.target_speed_max_m_s,
+                policy.wish,
+                one.configuration.cost.terms,
+                one.arrays,
+                one.motions,
+                Prices(one.configuration.leave_cost, self._settings.change_cost),
+                policy.memory,
+                kept,
+            )
+            for one in self._tables
+        ]
 
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
@@ -126,8 +131,9 @@ class PredictivePlanner:
             words = f"a wind of {wind.speed_m_s:.1f} m/s is too strong"
             reason = f"holding the circle: {words} for an airspeed of {self._aircraft.airspeed_m_s:.1f} m/s"
             return Decision(aircraft.time_s, None, reason)
+        looker = min(self.lookers, key=lambda one: abs(one.motions.wind_speed_m_s - wind.speed_m_s))
         line, circle = line_of(present)
-        scene = kernel.scene_of(
+        scene = scene_of(
             aircraft.time_s,
             aircraft.east_m,
             aircraft.north_m,
@@ -140,36 +146,19 @@ class PredictivePlanner:
             wind.east_m_s,
             wind.north_m_s,
             latency_s,
-            self._requirement.target_speed_max_m_s,
-            craft_of(self._aircraft),
-            self._policy.wish,
-            self._policy.memory,
+            looker.target_speed_max_m_s,
+            looker.craft,
+            looker.wish,
+            looker.memory,
         )
-        return self._look_ahead(scene, aircraft, present, line, circle, wind)
+        return self._look_ahead(scene, aircraft, present, line, circle, looker)
 
     def _look_ahead(
-        self, scene: Scene, aircraft: AircraftState, present: Plan, line: FloatArray, circle: Circling, wind: Wind
+        self, scene: Scene, aircraft: AircraftState, present: Plan, line: FloatArray, circle: Circling, looker: Looker
     ) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
-        table = min(self._tables, key=lambda t: abs(t.configuration.wind_speed_m_s - wind.speed_m_s))
-        c, motions = table.configuration, table.motions
-        craft = craft_of(self._aircraft)
-        costs = np.empty(kernel.MOVES)
-        stay_cost = kernel.look_ahead(
-            scene,
-            aircraft.east_m,
-            aircraft.north_m,
-            line,
-            circle,
-            kernel.going_straight(scene, motions),
-            craft,
-            c.cost.terms,
-            table.arrays,
-            motions,
-            kernel.Prices(c.leave_cost, self._settings.change_cost),
-            self._kept,
-            costs,
-        )
+        costs, futures = np.empty(MOVES), kernel.going_straight(scene, looker.motions)
+        stay_cost = kernel.look_ahead(scene, aircraft.east_m, aircraft.north_m, line, circle, futures, looker, costs)
         now_s = aircraft.time_s
         length_m = 4.0 * math.pi * scene.radius_m
         places, time_s = kernel.flown_on(scene, line, circle, aircraft.east_m, aircraft.north_m, length_m)
@@ -179,7 +168,7 @@ class PredictivePlanner:
         order = np.argsort(costs, kind="stable")
         broken: str | None = None
         for move in order[: min(np.count_nonzero(costs < stay_cost), _MAX_TRIES)].tolist():
-            path = Path(*kernel.move_line(scene, craft, move))
+            path = Path(*move_line(scene, looker.craft, move))
             plan = Plan(end_circle(path, scene.radius_m), path, scene.departure_s)
             rejection = self._check(plan)
             if rejection is None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mission.core.requirement import Wind
-from mission.predictive._decision_kernel import HOLD_CURVATURES, HOLD_LENGTHS, STAY_LENGTHS
+from mission.predictive._moves_kernel import HOLD_CURVATURES, HOLD_LENGTHS, STAY_LENGTHS
 from mission.predictive.value_table import HEADING_STEP_RAD, HEADINGS
 
 _NODES, _WEIGHTS = 0.5 + np.array([-0.5, 0.5]) / math.sqrt(3.0), np.array([0.5, 0.5])

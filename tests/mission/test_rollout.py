@@ -13,14 +13,16 @@ from mission.geometry.progress import line_at, line_of
 from mission.geometry.trapezoid import sharpness_per_m2, sharpnesses_per_m2
 from mission.geometry.wind import ground_speeds_m_s, min_radius_m
 from mission.predictive import _decision_kernel as kernel
-from mission.predictive._rollout_kernel import Futures, line_cost, times_s
+from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
+from mission.predictive._rollout_kernel import Air, Futures, line_cost, times_s
+from mission.predictive._scene_kernel import in_frame, scene_of
 from mission.predictive.planner import table_configuration
 from mission.predictive.value_table import completed
 from mission.viewpoint._viewpoint_kernel import Known, Wish, fresh_memory
 from mission.viewpoint.side_policy import watching_from
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
-CALM = Wind()
+CALM, WISH = Wind(), Wish(False, 50.0, math.nan)
 
 
 def a_table(aircraft, requirement, wind_m_s=0.0):
@@ -43,7 +45,7 @@ class Look:
         self.craft = craft_of(aircraft)
         scene = self._scene(target, present)
         if under_way:
-            line = kernel.move_line(scene, self.craft, 33)
+            line = move_line(scene, self.craft, 33)
             circle = Circle(*circle_after(line, scene.radius_m)[:2], scene.radius_m, clockwise=side > 0.0)
             present = Plan(circle, Path(*line))
             here = 12
@@ -53,20 +55,23 @@ class Look:
 
     def _scene(self, target, present):
         s = self.state
-        return kernel.scene_of(
+        return scene_of(
             *(s.time_s, s.east_m, s.north_m, s.course_rad, s.ground_speed_m_s, s.curvature_per_m, target),
             *(*line_of(present), self.wind.east_m_s, self.wind.north_m_s, 0.4, 5.0, self.craft),
-            *(Wish(False, 50.0, math.nan), fresh_memory(self.side)),
+            *(WISH, fresh_memory(self.side)),
         )
 
     def compiled(self, futures=None, kept=None):
-        costs, motions, c = np.empty(kernel.MOVES), self.table.motions, self.table.configuration
+        costs, motions, c = np.empty(MOVES), self.table.motions, self.table.configuration
         stay = kernel.look_ahead(
             self.scene,
             *(self.state.east_m, self.state.north_m, *line_of(self.present)),
             futures or kernel.going_straight(self.scene, motions),
-            *(self.craft, c.cost.terms, self.table.arrays, motions, kernel.Prices(0.5, 1.0)),
-            *(kept or kernel.nothing_kept(), costs),
+            kernel.Looker(
+                *(self.craft, 5.0, WISH, c.cost.terms, self.table.arrays, motions, kernel.Prices(0.5, 1.0)),
+                *(fresh_memory(self.side), kept or nothing_kept()),
+            ),
+            costs,
         )
         return costs, stay
 
@@ -77,7 +82,7 @@ class Look:
         beyond_m = 2.0 * math.pi * radius_m if other_wind or scene.doubt.position_m > 10.0 else 0.0
         velocity = scene.velocity_x_m_s, scene.velocity_y_m_s
         roll_out = RollOut(self.table, velocity, wind, scene.doubt, self.aircraft.airspeed_m_s, beyond_m)
-        x, y = kernel.in_frame(scene, scene.start.east_m, scene.start.north_m)
+        x, y = in_frame(scene, scene.start.east_m, scene.start.north_m)
         heading = self.side * (scene.start.course_rad - scene.course_rad)
 
         def ramps(heading_rad):
@@ -94,7 +99,7 @@ class Look:
         length_m = self.present.transition.length_m - scene.arc_m + beyond_m
         arc = np.linspace(0.0, length_m, max(2, math.ceil(length_m / 10.0) + 1))
         east, north, course = line_at(self.present, scene.arc_m + arc, self.state)
-        seen = np.array([kernel.in_frame(scene, *place) for place in zip(east, north, strict=True)]).T
+        seen = np.array([in_frame(scene, *place) for place in zip(east, north, strict=True)]).T
         stay = roll_out.costs_of(*seen[:, None], self.side * (course - scene.course_rad)[None], arc[None])
         return costs + 1.0, stay[0]
 
@@ -121,7 +126,7 @@ def test_the_compiled_look_ahead_costs_what_the_plain_one_does(
 
 
 def test_lines_that_were_kept_cost_the_same(paper_aircraft, paper_requirement):
-    table, kept = a_table(paper_aircraft, paper_requirement), kernel.nothing_kept()
+    table, kept = a_table(paper_aircraft, paper_requirement), nothing_kept()
     look = Look(paper_aircraft, table)
     first, again = look.compiled(kept=kept), look.compiled(kept=kept)
     np.testing.assert_array_equal(first[0], again[0])
@@ -165,8 +170,8 @@ def test_a_future_may_be_sampled_and_futures_are_weighed(paper_aircraft, paper_r
 
 def test_wind_makes_a_line_faster_or_slower_only():
     heading, arc = np.full(11, 0.5 * math.pi), np.linspace(0.0, 100.0, 11)
-    assert times_s(heading, arc, kernel.Air(10.0, 0.0, 0.0))[-1] == pytest.approx(10.0)
-    assert times_s(heading, arc, kernel.Air(10.0, 3.0, 0.0))[-1] == pytest.approx(100.0 / 13.0)
+    assert times_s(heading, arc, Air(10.0, 0.0, 0.0))[-1] == pytest.approx(10.0)
+    assert times_s(heading, arc, Air(10.0, 3.0, 0.0))[-1] == pytest.approx(100.0 / 13.0)
 
 
 def test_the_radius_grows_with_the_wind(paper_aircraft, paper_requirement):

@@ -1,0 +1,321 @@
+"""A run of a study in one compiled loop: target, payload, filter, decisions, path following and airframe.
+
+It calls the same compiled functions as the classes that fly, in the same order: :class:`estimators.track.Track`,
+:class:`app.study.pilots.PlanPilot` and :class:`app.study.airframe.KinematicAircraft`. What is rare is left to them:
+the loop pauses where the track may have to begin anew, and where a decision is not its own or is to be timed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from app.study._airframe_kernel import Airframe, Body, stepped
+from estimators._imm_kernel import Seen, combine, predict, update
+from estimators.compiled import compiled
+from mission.core.path import FloatArray
+from mission.geometry._line_kernel import Circling, circle_after, following_per_m
+from mission.predictive._decision_kernel import Looker, decide
+from mission.viewpoint._viewpoint_kernel import Known
+
+IntArray = npt.NDArray[np.int64]
+
+STEP_S = 0.1
+
+# Why the loop pauses.
+ENDED, DECIDE, REJECTED = range(3)
+# What comes next in a step.
+SEE, CHOOSE, FLY = range(3)
+
+# Numbers of a flight.
+NEXT_S, COMMAND_PER_M, FILTER_S, SEEN_S, DEPARTURE_S = range(5)
+CIRCLES = 5  # east, north, signed radius: of the present plan and of the coming one
+NUMBERS = CIRCLES + 6
+# Its counts.
+STEP, STAGE, PRESENT, COMING, CHANGES, DECISIONS, REJECTIONS = range(7)
+SAMPLES = 7  # of the lines of both plans
+COUNTS = SAMPLES + 2
+_LINE_MAX = 16_384  # samples of a line
+
+
+class Target(NamedTuple):
+    """sampled (steps, 5): east, north, velocity east, velocity north, course. noise (steps, 3): standard normal."""
+
+    sampled: FloatArray
+    noise: FloatArray
+
+
+class Payload(NamedTuple):
+    """Errors of laser and gimbal, and what the filter is told of them; perfect: the truth is known."""
+
+    perfect: bool
+    height_m: float
+    range_sigma_m: float
+    angle_sigma_rad: float
+    yaw_bias_rad: float
+    told_range_sigma_m: float
+    told_yaw_sigma_rad: float
+    told_pitch_sigma_rad: float
+    told_position_sigma_m: float
+
+
+class Filtering(NamedTuple):
+    """The settings of the track that matter here."""
+
+    gate_nis: float
+    soft_nis: float
+    density_m2_s3: float
+    drift_per_s: tuple[float, float, float]
+    reacquire_after: int
+    lost_after_s: float
+    lost_sigma_m: float
+
+
+class Steering(NamedTuple):
+    """own_decisions: decide here, pausing at one in timed_every. follows: a plan, else a commanded curvature."""
+
+    own_decisions: bool
+    timed_every: int
+    follows: bool
+    period_s: float
+    latency_s: float
+    unseen_max_s: float
+
+
+class Flight(NamedTuple):
+    """The state of a run, arrays that change. body is of :class:`Body`; models, ahead: filter states.
+
+    lines (2, k): both plans' lines (5, n), flat. changed_s (steps,): when plans were departed to. rejected
+    (reacquire_after, 10): the last sightings beyond the gate since the last one within, and their times. log
+    (steps, 6): time, aircraft and target (east, north), course of the target.
+    """
+
+    body: FloatArray
+    numbers: FloatArray
+    counts: IntArray
+    models: FloatArray
+    ahead: FloatArray
+    lines: FloatArray
+    changed_s: FloatArray
+    rejected: FloatArray
+    log: FloatArray
+
+
+def new_flight(body: Body, circle: Circling, models: FloatArray, steps: int, reacquire_after: int) -> Flight:
+    """Return a flight that begins on a circle."""
+    numbers, counts = np.zeros(NUMBERS), np.zeros(COUNTS, np.int64)
+    numbers[COMMAND_PER_M] = np.nan
+    numbers[CIRCLES : CIRCLES + 3] = circle
+    return Flight(
+        np.array(body),
+        numbers,
+        counts,
+        models,
+        models.copy(),
+        np.zeros((2, 5 * _LINE_MAX)),
+        np.empty(steps),
+        np.zeros((reacquire_after, 10)),
+        np.empty((steps, 6)),
+    )
+
+
+@compiled
+def body_of(f: Flight) -> Body:
+    """Return where the aircraft is."""
+    b = f.body
+    return Body(b[0], b[1], b[2], b[3], b[4], b[5], b[6])
+
+
+@compiled
+def plan_of(f: Flight, which: int) -> tuple[FloatArray, Circling]:
+    """Return line and circle of a plan."""
+    n, c = f.counts[SAMPLES + which], CIRCLES + 3 * which
+    return f.lines[which, : 5 * n].reshape(5, n), Circling(f.numbers[c], f.numbers[c + 1], f.numbers[c + 2])
+
+
+@compiled
+def take_plan(f: Flight, departure_s: float, line: FloatArray, circle: Circling) -> None:
+    """Take a plan as the coming one."""
+    which, n = 1 - f.counts[PRESENT], line.shape[1]
+    if n > _LINE_MAX:
+        raise ValueError("a line of a plan is longer than a study can fly")
+    f.counts[COMING], f.counts[SAMPLES + which], f.numbers[DEPARTURE_S] = 1, n, departure_s
+    c = CIRCLES + 3 * which
+    f.numbers[c], f.numbers[c + 1], f.numbers[c + 2] = circle.east_m, circle.north_m, circle.radius_m
+    f.lines[which, : 5 * n].reshape(5, n)[:] = line
+
+
+@compiled
+def sighted(body: Body, target: FloatArray, noise: FloatArray, p: Payload) -> tuple[float, float, float]:
+    """Return what laser and gimbal measure: slant range, and yaw and pitch of the line of sight."""
+    east_m, north_m = target[0] - body.east_m, target[1] - body.north_m
+    horizontal_m = math.hypot(east_m, north_m)
+    return (
+        math.hypot(horizontal_m, p.height_m) + p.range_sigma_m * noise[0],
+        math.atan2(east_m, north_m) + p.yaw_bias_rad + p.angle_sigma_rad * noise[1],
+        -math.atan2(p.height_m, horizontal_m) + p.angle_sigma_rad * noise[2],
+    )
+
+
+@compiled
+def seen_from(body: Body, target: FloatArray, noise: FloatArray, p: Payload) -> Seen:
+    """Return the sighting that the pairing makes of it: all is measured at one time."""
+    slant_m, yaw_rad, pitch_rad = sighted(body, target, noise, p)
+    along_m = p.told_position_sigma_m / slant_m
+    across_m = p.told_position_sigma_m / (slant_m * max(math.cos(pitch_rad), 0.01))
+    return Seen(
+        False,
+        slant_m,
+        yaw_rad,
+        -pitch_rad,
+        p.told_range_sigma_m**2 + p.told_position_sigma_m**2,
+        p.told_yaw_sigma_rad**2 + across_m**2,
+        p.told_pitch_sigma_rad**2 + along_m**2,
+        body.east_m,
+        body.north_m,
+        p.height_m,
+    )
+
+
+@compiled
+def _carry_on(f: Flight, filtering: Filtering, time_s: float) -> None:
+    """Fill in the filter's state ahead, at a time: in steps of a second at most."""
+    f.ahead[:] = f.models
+    at_s, spare = f.numbers[FILTER_S], f.models
+    while time_s - at_s > 1.0:
+        spare = f.ahead.copy()
+        predict(spare, 1.0, filtering.density_m2_s3, filtering.drift_per_s, f.ahead)
+        at_s += 1.0
+    step_s = round((time_s - at_s) * 1e6) / 1e6
+    if step_s > 0.0:
+        spare = f.ahead.copy() if at_s > f.numbers[FILTER_S] else f.models
+        predict(spare, step_s, filtering.density_m2_s3, filtering.drift_per_s, f.ahead)
+
+
+@compiled
+def _see(f: Flight, body: Body, target: Target, payload: Payload, filtering: Filtering) -> bool:
+    """Take in a sighting. False where it lies beyond the gate, and perhaps the track is to begin anew."""
+    step = f.counts[STEP]
+    seen = seen_from(body, target.sampled[step], target.noise[step], payload)
+    if step == 0:
+        return True  # the filter was started by it
+    unseen_s, nis = body.time_s - f.numbers[SEEN_S], np.inf
+    if unseen_s <= filtering.lost_after_s:
+        _carry_on(f, filtering, body.time_s)
+        nis = update(f.ahead, seen, filtering.gate_nis, filtering.soft_nis)
+    if nis <= filtering.gate_nis:
+        f.models[:] = f.ahead
+        f.numbers[FILTER_S] = f.numbers[SEEN_S] = body.time_s
+        f.counts[REJECTIONS] = 0
+        return True
+    for i in range(len(f.rejected) - 1):
+        f.rejected[i] = f.rejected[i + 1]
+    last = f.rejected[-1]
+    last[0], last[1], last[2], last[3] = body.time_s, seen.slant_range_m, seen.bearing_rad, seen.depression_rad
+    last[4], last[5], last[6] = seen.range_variance_m2, seen.bearing_variance_rad2, seen.depression_variance_rad2
+    last[7], last[8], last[9] = body.east_m, body.north_m, payload.height_m
+    f.counts[REJECTIONS] += 1
+    return bool(f.counts[REJECTIONS] < filtering.reacquire_after and unseen_s <= filtering.lost_after_s)
+
+
+@compiled
+def known_at(f: Flight, time_s: float, target: Target, payload: Payload, filtering: Filtering) -> tuple[Known, bool]:
+    """Return the estimate at a time, and whether the track is not lost."""
+    mean, covariance = np.empty(4), np.zeros((4, 4))
+    if payload.perfect:
+        mean[:] = target.sampled[f.counts[STEP], :4]
+        return Known(time_s, mean[0], mean[1], mean[2], mean[3], covariance), True
+    if time_s > f.numbers[FILTER_S]:
+        _carry_on(f, filtering, time_s)
+        combine(f.ahead, mean, covariance)
+    else:
+        combine(f.models, mean, covariance)
+    sigma_m = math.sqrt(covariance[0, 0] + covariance[1, 1])
+    good = time_s - f.numbers[SEEN_S] <= filtering.lost_after_s and sigma_m <= filtering.lost_sigma_m
+    return Known(time_s, mean[0], mean[1], mean[2], mean[3], covariance), good
+
+
+@compiled
+def choose(
+    f: Flight,
+    target: Target,
+    payload: Payload,
+    filtering: Filtering,
+    steering: Steering,
+    frame: Airframe,
+    looker: Looker,
+) -> None:
+    """Decide as the predictive planner does, and take the plan if there is one."""
+    body = body_of(f)
+    known, good = known_at(f, body.time_s, target, payload, filtering)
+    seen_s = body.time_s if payload.perfect else f.numbers[SEEN_S]
+    if not good or body.time_s - seen_s > steering.unseen_max_s:
+        return
+    present, circle = plan_of(f, f.counts[PRESENT])
+    departure_s, radius_m, line = decide(
+        body.time_s,
+        body.east_m,
+        body.north_m,
+        body.course_rad,
+        body.speed_m_s,
+        body.curvature_per_m,
+        known,
+        present,
+        circle,
+        frame.wind_east_m_s,
+        frame.wind_north_m_s,
+        steering.latency_s,
+        looker,
+    )
+    if line.shape[1] > 0:
+        take_plan(f, departure_s, line, circle_after(line, radius_m))
+
+
+@compiled
+def advance(
+    f: Flight,
+    target: Target,
+    payload: Payload,
+    filtering: Filtering,
+    steering: Steering,
+    frame: Airframe,
+    looker: Looker,
+) -> int:
+    """Fly on until there is a reason to pause, and return it."""
+    steps = len(f.log)
+    while f.counts[STEP] < steps:
+        step, body = f.counts[STEP], body_of(f)
+        if f.counts[STAGE] == SEE:
+            truth, row = target.sampled[step], f.log[step]
+            row[0], row[1], row[2] = body.time_s, body.east_m, body.north_m
+            row[3], row[4], row[5] = truth[0], truth[1], truth[4]
+            f.counts[STAGE] = CHOOSE
+            if not payload.perfect and not _see(f, body, target, payload, filtering):
+                return REJECTED
+        if f.counts[STAGE] == CHOOSE:
+            f.counts[STAGE] = FLY
+            if f.counts[COMING] == 0 and body.time_s >= f.numbers[NEXT_S] - 1e-6:
+                f.numbers[NEXT_S] = body.time_s + steering.period_s
+                f.counts[DECISIONS] += 1
+                if not steering.own_decisions or (f.counts[DECISIONS] - 1) % steering.timed_every == 0:
+                    return DECIDE
+                choose(f, target, payload, filtering, steering, frame, looker)
+        if f.counts[COMING] > 0 and body.time_s >= f.numbers[DEPARTURE_S] - 1e-6:
+            f.counts[PRESENT], f.counts[COMING] = 1 - f.counts[PRESENT], 0
+            f.changed_s[f.counts[CHANGES]] = body.time_s
+            f.counts[CHANGES] += 1
+        if steering.follows:
+            line, circle = plan_of(f, f.counts[PRESENT])
+            command_per_m = following_per_m(line, circle, body.east_m, body.north_m, body.course_rad)
+        else:
+            command_per_m = f.numbers[COMMAND_PER_M]
+            command_per_m = body.curvature_per_m if math.isnan(command_per_m) else command_per_m
+        body = stepped(body, frame, command_per_m, STEP_S)
+        b = f.body
+        b[0], b[1], b[2], b[3] = body.time_s, body.east_m, body.north_m, body.course_rad
+        b[4], b[5], b[6] = body.speed_m_s, body.curvature_per_m, body.bank_rad
+        f.counts[STEP], f.counts[STAGE] = step + 1, SEE
+    return ENDED

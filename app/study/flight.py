@@ -1,0 +1,244 @@
+"""Runs of a study in the compiled loop, and what the loop leaves to others: other planners, a track that begins anew.
+
+What it cannot fly is flown step by step: other filters, and payloads that measure late or beside the aircraft.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from app.study import _flight_kernel as kernel
+from app.study._flight_kernel import (
+    COMMAND_PER_M,
+    DECIDE,
+    ENDED,
+    FILTER_S,
+    PRESENT,
+    REJECTIONS,
+    SEEN_S,
+    STEP,
+    Filtering,
+    Flight,
+    Payload,
+    Steering,
+    Target,
+)
+from app.study.airframe import KinematicAircraft
+from app.study.pilots import DECISION_PERIOD_S, LAW_PERIOD_S, TIMED_EVERY, GuidanceLaw, StopWatch
+from app.study.sensors import PayloadErrors
+from estimators.biases import Biases
+from estimators.estimate import TargetEstimate, TrackQuality
+from estimators.imm import TargetImm, drift_per_s, starting_models
+from estimators.settings import TrackerSettings
+from estimators.sighting import Sighting
+from estimators.track import Track
+from mission.core.circle import Circle
+from mission.core.path import Path
+from mission.core.plan import AircraftState, Plan, Planner
+from mission.core.requirement import Wind
+from mission.geometry._line_kernel import Circling, Craft
+from mission.geometry.progress import line_of
+from mission.predictive._cost_kernel import Table
+from mission.predictive._decision_kernel import Looker, Motions, Prices
+from mission.predictive._moves_kernel import nothing_kept
+from mission.predictive.cost import WatchCost
+from mission.predictive.planner import PredictivePlanner, PredictiveSettings
+from mission.viewpoint._viewpoint_kernel import Wish, fresh_memory
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class SampledTarget(Protocol):
+    """A target whose whole motion is known beforehand."""
+
+    def sampled(self, time_s: FloatArray) -> FloatArray:
+        """Return (n, 5) at times (n,): east, north, velocity east, velocity north, course."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flown:
+    """log (n, 6): time, aircraft, target (east, north), target's course. changed_s: when plans were departed to."""
+
+    log: FloatArray
+    changed_s: list[float]
+    decision_s: list[float]
+
+
+def can_fly(settings: TrackerSettings) -> bool:
+    """Tell whether the loop flies such a payload: measured at once, at the aircraft's place, with its own filter."""
+    placed = any(settings.lever_arm_body_m) or any(settings.mount_roll_pitch_yaw_rad)
+    return settings.filter == "imm" and settings.latency_s == 0.0 and not placed and settings.quality_min <= 0.9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensed:
+    """The payload of a run: its errors, what the tracker is told of them, and the noise. perfect knows the truth."""
+
+    errors: PayloadErrors
+    told: TrackerSettings
+    height_m: float
+    rng: np.random.Generator
+    perfect: bool = False
+
+
+class CompiledFlight:
+    """One run. Steer it by :meth:`with_planner` or :meth:`with_law`."""
+
+    def __init__(
+        self,
+        target: SampledTarget,
+        start: KinematicAircraft,
+        circle: Circle,
+        sensed: Sensed,
+        wind: Wind,
+        duration_s: float,
+    ) -> None:
+        steps = round(duration_s / kernel.STEP_S)
+        # As the aircraft's clock counts.
+        time_s = np.add.accumulate(np.append(start.state.time_s, np.full(steps - 1, kernel.STEP_S)))
+        noise = np.zeros((steps, 3)) if sensed.perfect else sensed.rng.normal(size=(steps, 3))
+        self._target = Target(np.ascontiguousarray(target.sampled(time_s)), noise)
+        told, self._prior = sensed.told, Biases.prior(sensed.told)
+        self._payload = Payload(
+            sensed.perfect,
+            sensed.height_m,
+            sensed.errors.range_sigma_m,
+            sensed.errors.angle_sigma_rad,
+            sensed.errors.yaw_bias_rad,
+            told.range_sigma_m,
+            told.yaw_sigma_rad,
+            told.pitch_sigma_rad,
+            told.position_sigma_m,
+        )
+        self._filtering = Filtering(
+            told.gate_nis,
+            told.soft_nis,
+            told.acceleration_density_m2_s3,
+            drift_per_s(self._prior),
+            told.reacquire_after,
+            told.lost_after_s,
+            told.lost_sigma_m,
+        )
+        self._told, self._wind = told, wind
+        self._frame = start.frame(kernel.STEP_S)
+        first = kernel.seen_from(start.body, self._target.sampled[0], self._target.noise[0], self._payload)
+        models = starting_models(told, _sighting(start.state.time_s, *first[1:]), self._prior)
+        circling = Circling(circle.east_m, circle.north_m, circle.radius_m if circle.clockwise else -circle.radius_m)
+        self._flight: Flight = kernel.new_flight(start.body, circling, models, steps, told.reacquire_after)
+        self._watch = StopWatch(1)
+
+    def with_predictive(self, planner: PredictivePlanner, latency_s: float) -> Flown:
+        """Fly the predictive planner, with no fences, in the loop alone."""
+        looker, *_ = planner.lookers
+        steering = Steering(True, TIMED_EVERY, True, DECISION_PERIOD_S, latency_s, PredictiveSettings().lost_after_s)
+        inputs = self._target, self._payload, self._filtering, steering, self._frame, looker
+        return self._flown(steering, looker, lambda: kernel.choose(self._flight, *inputs))
+
+    def with_planner(self, planner: Planner, latency_s: float) -> Flown:
+        """Fly any planner."""
+
+        def decide() -> None:
+            plan = planner.decide(self._aircraft, self._estimate(), self._present, self._wind, latency_s).plan
+            if plan is not None:
+                kernel.take_plan(self._flight, plan.departure_s, *line_of(plan))
+
+        return self._flown(Steering(False, 1, True, DECISION_PERIOD_S, latency_s, math.inf), _blind(), decide)
+
+    def with_law(self, law: GuidanceLaw) -> Flown:
+        """Fly a guidance law."""
+
+        def steer() -> None:
+            self._flight.numbers[COMMAND_PER_M] = law(self._aircraft, self._estimate())
+
+        return self._flown(Steering(False, 1, False, LAW_PERIOD_S, 0.0, math.inf), _blind(), steer)
+
+    def _flown(self, steering: Steering, looker: Looker, decide: Callable[[], None]) -> Flown:
+        inputs = self._target, self._payload, self._filtering, steering, self._frame, looker
+        while (pause := kernel.advance(self._flight, *inputs)) != ENDED:
+            if pause == DECIDE:
+                self._watch(decide)
+            else:
+                self._reconsider()
+        changes = self._flight.changed_s[: self._flight.counts[kernel.CHANGES]]
+        return Flown(self._flight.log, changes.tolist(), self._watch.taken_s)
+
+    @property
+    def _aircraft(self) -> AircraftState:
+        return AircraftState(*self._flight.body[:6].tolist())
+
+    @property
+    def _present(self) -> Plan:
+        line, circle = kernel.plan_of(self._flight, self._flight.counts[PRESENT])
+        path = Path(*line.copy()) if line.size else None
+        return Plan(Circle(circle.east_m, circle.north_m, abs(circle.radius_m), circle.radius_m > 0.0), path)
+
+    def _estimate(self) -> TargetEstimate:
+        time_s = float(self._flight.body[0])
+        if self._payload.perfect:
+            east, north, velocity_e, velocity_n, _ = self._target.sampled[self._flight.counts[STEP]].tolist()
+            unerring = np.zeros((4, 4))
+            return TargetEstimate(time_s, east, north, velocity_e, velocity_n, unerring, TrackQuality.GOOD, time_s)
+        estimate = self._track().estimate(time_s)
+        assert estimate is not None
+        return estimate
+
+    def _track(self) -> Track:
+        """Return the track as it stands."""
+        numbers, track = self._flight.numbers, Track(self._told)
+        last = TargetImm.resumed(self._told, self._prior, float(numbers[FILTER_S]), self._flight.models.copy())
+        rejected = self._flight.rejected
+        before = min(int(self._flight.counts[REJECTIONS]), len(rejected)) - 1  # the newest
+        rows = rejected[len(rejected) - 1 - max(before, 0) : len(rejected) - 1].tolist()
+        track.resume(last, float(numbers[SEEN_S]), [_sighting(*row) for row in rows])
+        return track
+
+    def _reconsider(self) -> None:
+        """Let the track decide what a sighting beyond the gate means, and whether to begin anew."""
+        flight, track = self._flight, self._track()
+        if not track.add(_sighting(*flight.rejected[-1])).accepted:
+            return
+        last, seen_s = track.last
+        assert isinstance(last, TargetImm)
+        flight.models[:] = last.state
+        flight.numbers[FILTER_S], flight.numbers[SEEN_S] = last.time_s, seen_s
+        flight.counts[REJECTIONS] = 0
+        self._prior = last.biases()
+
+
+def _blind() -> Looker:
+    """Return a looker that is never asked: with it the loop is compiled once for all planners."""
+    nothing = np.zeros((1, 1, 2, 2), np.float32)
+    return Looker(
+        Craft(1.0, 1.0, 1.0, 1.0),
+        1.0,
+        Wish(False, 0.0, math.nan),
+        WatchCost(0.0, 1.0).terms,
+        Table(nothing, nothing, 1.0, 1.0, 1.0),
+        Motions(True, 0.0, 1.0, 1, 1),
+        Prices(0.0, 0.0),
+        fresh_memory(1.0),
+        nothing_kept(),
+    )
+
+
+def _sighting(
+    time_s: float,
+    slant_m: float,
+    bearing_rad: float,
+    depression_rad: float,
+    range_variance: float,
+    bearing_variance: float,
+    depression_variance: float,
+    east_m: float,
+    north_m: float,
+    height_m: float,
+) -> Sighting:
+    sigmas = (math.sqrt(range_variance), math.sqrt(bearing_variance), math.sqrt(depression_variance))
+    return Sighting(time_s, slant_m, bearing_rad, depression_rad, *sigmas, east_m, north_m, height_m)

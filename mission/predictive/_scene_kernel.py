@@ -1,0 +1,119 @@
+"""What one decision looks at: the inner loops."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from estimators.compiled import compiled
+from mission.core.path import FloatArray
+from mission.core.requirement import GRAVITY_M_S2
+from mission.geometry._line_kernel import (
+    OFF_TRACK_M,
+    OFF_TRACK_RAD,
+    Circling,
+    Craft,
+    LinePoint,
+    arc_point,
+    nearest_arc_m,
+    point_at,
+    remainder,
+)
+from mission.predictive._rollout_kernel import Air, Doubt
+from mission.viewpoint._viewpoint_kernel import Known, Wish, velocity_sigma_m_s, viewpoint
+
+
+class Scene(NamedTuple):
+    """What one decision looks at: where the present plan will have led by the departure, and the target from there.
+
+    The frame has its origin at the target and its y axis along the watch course; mirror is -1 where left and right
+    are swapped. velocity and air are in the frame, start is in the plane. arc_m counts along the present plan as
+    :mod:`mission.geometry.progress` does.
+    """
+
+    departure_s: float
+    arc_m: float
+    start: LinePoint
+    frame_east_m: float
+    frame_north_m: float
+    course_rad: float
+    mirror: float
+    velocity_x_m_s: float
+    velocity_y_m_s: float
+    air: Air
+    doubt: Doubt
+    radius_m: float
+
+
+@compiled
+def scene_of(
+    time_s: float,
+    east_m: float,
+    north_m: float,
+    course_rad: float,
+    speed_m_s: float,
+    curvature_per_m: float,
+    target: Known,
+    line: FloatArray,
+    circle: Circling,
+    wind_east_m_s: float,
+    wind_north_m_s: float,
+    latency_s: float,
+    target_speed_max_m_s: float,
+    craft: Craft,
+    wish: Wish,
+    memory: FloatArray,
+) -> Scene:
+    """Return what an aircraft at a place, on the plan of ``line`` and ``circle``, decides about."""
+    wind_m_s = math.hypot(wind_east_m_s, wind_north_m_s)
+    fastest_m_s = craft.airspeed_m_s + wind_m_s
+    # The tightest circle over the ground whose bank stays within the limit where the wind is astern.
+    radius_m = max(craft.radius_m, fastest_m_s * fastest_m_s / (GRAVITY_M_S2 * math.tan(craft.bank_max_rad)))
+    arc_m = nearest_arc_m(line, circle, east_m, north_m, course_rad)
+    start = point_at(line, circle, arc_m, east_m, north_m)
+    off_m = math.hypot(east_m - start.east_m, north_m - start.north_m)
+    if off_m > OFF_TRACK_M or abs(remainder(course_rad - start.course_rad)) > OFF_TRACK_RAD:
+        tight_per_m = min(max(curvature_per_m, -1.0 / radius_m), 1.0 / radius_m)
+        start = arc_point(LinePoint(east_m, north_m, course_rad, tight_per_m), 0.0, speed_m_s * latency_s)
+    else:
+        arc_m += speed_m_s * latency_s
+        start = point_at(line, circle, arc_m, east_m, north_m)
+    departure_s = time_s + latency_s
+    view = viewpoint(start.east_m, start.north_m, target, wish, memory)
+    # An estimate overshoots when the target turns: it is not believed to be faster than the target can be, unless it
+    # is sure of it.
+    sigma_m_s = velocity_sigma_m_s(target)
+    target_m_s = math.hypot(target.velocity_east_m_s, target.velocity_north_m_s)
+    share = min(1.0, max(target_speed_max_m_s, target_m_s - 2.0 * sigma_m_s) / max(target_m_s, 1e-6))
+    east_m_s, north_m_s = share * target.velocity_east_m_s, share * target.velocity_north_m_s
+    lead_s = departure_s - target.time_s
+    sin_c, cos_c = math.sin(view.course_rad), math.cos(view.course_rad)
+    mirror = view.side
+    return Scene(
+        departure_s,
+        arc_m,
+        start,
+        target.east_m + east_m_s * lead_s,
+        target.north_m + north_m_s * lead_s,
+        view.course_rad,
+        mirror,
+        mirror * (east_m_s * cos_c - north_m_s * sin_c),
+        east_m_s * sin_c + north_m_s * cos_c,
+        Air(
+            craft.airspeed_m_s,
+            mirror * (wind_east_m_s * cos_c - wind_north_m_s * sin_c),
+            wind_east_m_s * sin_c + wind_north_m_s * cos_c,
+        ),
+        Doubt(
+            math.sqrt(max(target.covariance[0, 0], target.covariance[1, 1], 0.0)), sigma_m_s, view.course_sigma_rad
+        ),
+        radius_m,
+    )
+
+
+@compiled
+def in_frame(scene: Scene, east_m: float, north_m: float) -> tuple[float, float]:
+    """Return a place of the plane as (x, y)."""
+    sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)
+    east_m, north_m = east_m - scene.frame_east_m, north_m - scene.frame_north_m
+    return scene.mirror * (east_m * cos_c - north_m * sin_c), east_m * sin_c + north_m * cos_c

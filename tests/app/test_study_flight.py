@@ -1,0 +1,113 @@
+"""The compiled loop of the studies against the same run flown step by step by the classes that fly."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.study import flight as compiled_flight
+from app.study import run as study_run
+from app.study.flight import can_fly
+from app.study.run import run
+from app.study.settings import PlannerName, StudySettings
+from app.study.target import TargetTruth
+from estimators.settings import TrackerSettings
+from mission.predictive.planner import table_configuration
+from mission.predictive.value_iteration import compute
+
+SETTINGS = StudySettings(runs=8, duration_s=400.0)
+
+
+def a_table(settings):
+    configuration = table_configuration(settings.aircraft(), settings.requirement(), settings.wind_speed_m_s)
+    return compute(replace(configuration, cells=10, improvements=(2, 1)))
+
+
+def step_by_step(monkeypatch, settings, planner, number, table):
+    """Fly the run as other filters and payloads are flown."""
+    with monkeypatch.context() as patched:
+        patched.setattr(study_run, "can_fly", lambda settings: False)
+        return run(settings, planner, number, table, keep_track=True)
+
+
+def assert_same(one, other):
+    assert one.moves_per_hour == other.moves_per_hour
+    for name in ("east_m", "north_m", "target_east_m", "observation_rad"):
+        np.testing.assert_allclose(getattr(one.track, name), getattr(other.track, name), atol=1e-6)
+    for name in ("time_in_band", "time_on_side", "time_on_side_5s", "quick_changes_per_hour"):
+        assert getattr(one, name) == getattr(other, name)
+    assert one.min_range_m == pytest.approx(other.min_range_m, abs=1e-6)
+    np.testing.assert_array_equal(one.observation_histogram, other.observation_histogram)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        SETTINGS,
+        replace(SETTINGS, side="right", lag_s=0.5, latency_s=1.0),
+        replace(SETTINGS, side="either", perfect_sensors=True),
+        replace(SETTINGS, side="120-200"),
+        replace(SETTINGS, wind_speed_m_s=3.0, wind_from_deg=200.0),
+    ],
+    ids=["left", "right", "either", "sector", "wind"],
+)
+def test_the_compiled_loop_flies_what_the_classes_fly(monkeypatch, settings):
+    table = a_table(settings)
+    moves = 0.0
+    for number in range(2):
+        flown = run(settings, PlannerName.PREDICTIVE, number, table, keep_track=True)
+        assert_same(flown, step_by_step(monkeypatch, settings, PlannerName.PREDICTIVE, number, table))
+        moves += flown.moves_per_hour
+    assert moves > 0.0
+
+
+@pytest.mark.parametrize("planner", [PlannerName.PAPER, PlannerName.LVFG, PlannerName.PARK])
+def test_other_planners_fly_in_it_too(monkeypatch, planner):
+    flown = run(SETTINGS, planner, 1, None, keep_track=True)
+    assert_same(flown, step_by_step(monkeypatch, SETTINGS, planner, 1, None))
+
+
+class Jumping:
+    """A target that is suddenly somewhere else, as after a wrong lock of the gimbal."""
+
+    def __init__(self, jumps_m):
+        self._jumps_m = jumps_m
+
+    def sampled(self, time_s):
+        east_m = np.zeros_like(time_s)
+        for from_s, to_s, by_m in self._jumps_m:
+            east_m[(time_s > from_s) & (time_s < to_s)] += by_m
+        return np.stack([east_m + 2.0 * time_s, 0.0 * time_s, 2.0 + 0.0 * time_s, 0.0 * time_s, east_m], axis=1)
+
+    def at(self, time_s):
+        return TargetTruth(*self.sampled(np.array([time_s]))[0].tolist())
+
+
+@pytest.mark.parametrize("jumps_m", [[(20.0, 99.0, 120.0)], [(20.0, 20.35, 90.0), (30.0, 33.0, -80.0)]])
+def test_a_track_that_begins_anew_does_so_in_the_compiled_loop(monkeypatch, jumps_m):
+    settings = replace(SETTINGS, duration_s=60.0)
+    made = study_run.scene
+    monkeypatch.setattr(study_run, "scene", lambda *of: replace(made(*of), target=Jumping(jumps_m), duration_s=60.0))
+    reconsidered = []
+    reconsider = compiled_flight.CompiledFlight._reconsider
+    monkeypatch.setattr(
+        compiled_flight.CompiledFlight, "_reconsider", lambda self: (reconsidered.append(1), reconsider(self))
+    )
+    flown = run(settings, PlannerName.LVFG, 1, None, keep_track=True)
+    assert reconsidered
+    assert_same(flown, step_by_step(monkeypatch, settings, PlannerName.LVFG, 1, None))
+
+
+def test_what_the_loop_cannot_fly_is_flown_step_by_step():
+    assert can_fly(TrackerSettings())
+    for other in (
+        TrackerSettings(filter="ekf"),
+        TrackerSettings(latency_s=0.2),
+        TrackerSettings(lever_arm_body_m=(0.0, 0.0, 1.0)),
+        TrackerSettings(mount_roll_pitch_yaw_rad=(0.0, math.pi, 0.0)),
+    ):
+        assert not can_fly(other)
+    settings = replace(SETTINGS, duration_s=30.0, sensors=SETTINGS.sensors.model_copy(update={"filter": "ekf"}))
+    flown = run(settings, PlannerName.LVFG, 1, None)
+    assert 100.0 < flown.min_range_m < 500.0
