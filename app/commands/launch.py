@@ -67,6 +67,9 @@ def launch(
     target: Annotated[
         str | None, typer.Option(help="Simulated target: a built-in motion, a .gpx or a .csv track.")
     ] = None,
+    target_speed: Annotated[
+        float | None, typer.Option(help="Highest speed to expect of the target, m/s.", show_default=False)
+    ] = None,
     duration: Annotated[float, typer.Option(min=1.0, help="Watch this long, s of the vehicle's time.")] = _DURATION_S,
     speed: Annotated[float | None, typer.Option(help="Simulated time over wall time.")] = None,
     seed: Annotated[int | None, typer.Option(help="Of the simulation's noise.")] = None,
@@ -139,7 +142,7 @@ def launch(
                 "autopilot": autopilot,
                 "home": latitude_longitude_deg("--home", home),
             },
-            "requirement": {"side": side},
+            "requirement": {"side": side, "target_speed_max_m_s": target_speed},
             "terrain": {"folder": None if terrain is None else str(terrain)},
             "planner": {"name": planner, "guidance": guidance},
         },

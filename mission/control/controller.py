@@ -73,6 +73,8 @@ _OFF_TRACK_S, _ORBITS = 6.0, 2.0
 _RADIUS_TOLERANCE = 0.03
 # A stronger wind, as a share of the airspeed, is not flown in: one that is reported all the same is not believed.
 _WIND_MAX_SHARE = 0.9
+# A target unseen for less than this is no news: lasers miss for some seconds all the time.
+_NEWS_AFTER_S = 8.0
 # The latency expected is the longest of so many uploads but one: one that hung says nothing of the next.
 _LATENCY_UPLOADS, _LATENCY_MARGIN_S = 5, 0.1
 
@@ -85,6 +87,14 @@ class Phase(StrEnum):
     HOLDING = "holding"  # by an operator's wish
     YIELDED = "yielded"
     ENDED = "ended"
+
+
+class _Sight(StrEnum):
+    """What was last told of the target."""
+
+    SEEN = "seen"
+    UNSEEN = "unseen"
+    LOST = "lost"
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +200,7 @@ class StandoffController:
     _number: int = 0
     _flown_radius: FlownRadius = field(default_factory=FlownRadius)
     _commanded: Circle | None = None  # as the autopilot was told to fly the present circle
-    _quality: TrackQuality | None = None
+    _sight: _Sight | None = None
     _on_line_s: float = math.inf  # when the aircraft was last seen on its transition; inf: it flies none
 
     def __post_init__(self) -> None:
@@ -302,14 +312,29 @@ class StandoffController:
         return told + self._decide() if due else ()
 
     def _track_commands(self) -> tuple[Command, ...]:
-        quality = self.estimate.quality if self.estimate else None
-        if quality is self._quality:
+        """Tell when the target goes out of sight for longer than lasers usually miss it, is lost, or is back."""
+        estimate = self.estimate
+        if estimate is None:
             return ()
-        self._quality = quality
-        if self.estimate is None:
+        unseen_s = self.time_s - estimate.last_sighting_s
+        sight = _Sight.SEEN
+        if estimate.quality is TrackQuality.LOST:
+            sight = _Sight.LOST
+        elif unseen_s > _NEWS_AFTER_S:
+            sight = _Sight.UNSEEN
+        before, self._sight = self._sight, sight
+        if sight is before:
             return ()
-        reason = f": {self.estimate.reason}" if self.estimate.reason else ""
-        return (Announce(self.time_s, "track", f"target track {self.estimate.quality}{reason}"),)
+        match sight:
+            case _Sight.SEEN:
+                text = "the target is in sight" + (" again" if before is not None else "")
+            case _Sight.UNSEEN:
+                text = f"the target has not been seen for {unseen_s:.0f} s; its track goes on by its last motion"
+            case _Sight.LOST:
+                text = (
+                    f"the target is lost: {estimate.reason or f'not seen for {unseen_s:.0f} s'}; holding the circle"
+                )
+        return (Announce(self.time_s, "track", text),)
 
     # -- deciding ------------------------------------------------------------------------------------------
 
@@ -341,10 +366,16 @@ class StandoffController:
         decided = DecisionRecord(self.time_s, decision.plan is not None, decision.reason, decision.values)
         if decision.plan is not None:
             prepare = self._prepared(decision.plan, self.present, decision.reason)
-            return (decided, Announce(self.time_s, "decision", decision.reason), prepare)
+            text = f"{decision.reason}; there in {self._arrival_s(decision.plan) - self.time_s:.0f} s"
+            return (decided, Announce(self.time_s, "decision", text), prepare)
         if broken is not None:
             return (decided, Announce(self.time_s, "decision", decision.reason))
         return (decided, *self._corrected_radius(self.present))
+
+    def _arrival_s(self, plan: Plan) -> float:
+        """Return about when a plan's circle is reached."""
+        length_m = plan.transition.length_m if plan.transition is not None else 0.0
+        return plan.departure_s + length_m / self.settings.aircraft.airspeed_m_s
 
     def cleared(self, plan: Plan) -> Plan | str:
         """Return the plan with its heights, or in words which fence it breaks or what ground is in its way."""
@@ -459,7 +490,7 @@ class StandoffController:
         self.present, self._commanded = swap.plan, swap.commanded
         self._swap = self._not_taken = None
         self._on_line_s = time_s
-        return (Announce(time_s, "swap", f"flying plan {swap.number}"),)
+        return ()
 
     def _can_still_join(self, plan: Plan, late_s: float) -> bool:
         """Tell whether the aircraft, which has flown on, is still so near to the plan's line that it can take it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
+_SAME_PLACE_M = 3.0
 
 
 def compass_word(bearing_rad: float) -> str:
@@ -14,4 +15,6 @@ def compass_word(bearing_rad: float) -> str:
 
 def describe_move(east_m: float, north_m: float) -> str:
     """Return a shift in words: ``212 m east``."""
+    if math.hypot(east_m, north_m) < _SAME_PLACE_M:
+        return "on to the same circle"
     return f"{math.hypot(east_m, north_m):.0f} m {compass_word(math.atan2(east_m, north_m))}"

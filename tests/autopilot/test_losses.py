@@ -36,15 +36,15 @@ def test_the_payload_fails_and_comes_back(vehicle_of, launch, kind):
     vehicle = vehicle_of("px4")
     application = launch(vehicle.url)
     application.wait_for(WATCHED)
-    application.wait_for("target track good")
+    application.wait_for("the target is in sight")
     vehicle.do(lambda: vehicle.simulation.mute_payload(kind))
-    application.wait_for("target track coasting")
-    application.wait_for("target track lost")
+    application.wait_for("the target has not been seen for")
+    application.wait_for("the target is lost")
     lost_s = vehicle.simulation.time_s
     assert_circles(vehicle, 30.0)
     vehicle.do(vehicle.simulation.unmute_payload)
     vehicle.wait(15.0)
-    assert application.said.rindex("target track good") > application.said.rindex("target track lost")
+    assert application.said.rindex("the target is in sight") > application.said.rindex("the target is lost")
     assert application.end()["outcome"] == "interrupted"
     assert not [kind for time_s, kind in vehicle.commanded if lost_s < time_s < lost_s + 30.0]
 

@@ -1,0 +1,39 @@
+"""The commands that the documents show can be given as they stand there."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from app.cli import COMMANDS, load_command
+
+ROOT = Path(__file__).resolve().parents[2]
+_COMMAND = re.compile(r"\bsidelong ([a-z]+)((?:[ ]+[^\s`|#]+)*)")
+
+
+def shown() -> list[tuple[str, str]]:
+    """Return (command, arguments) of every command line in the documents."""
+    found = []
+    for document in ("README.md", "CONTRIBUTING.md", "SECURITY.md"):
+        text = (ROOT / document).read_text(encoding="utf-8").replace("\\\n", " ")
+        code = re.findall(r"```sh\n(.*?)```", text, re.DOTALL) + re.findall(r"`((?:SIDE[A-Z_=\w]+ )?[^`\n]*)`", text)
+        for line in (line for block in code for line in re.split(r"\n|&&|;|   +", block)):
+            found += [(name, rest.strip()) for name, rest in _COMMAND.findall(line)]
+    return sorted(set(found))
+
+
+@pytest.mark.parametrize(("name", "arguments"), shown(), ids=lambda part: part or "-")
+def test_a_command_of_the_documents_is_understood(name, arguments):
+    assert name in COMMANDS
+    words = shlex.split(arguments.replace("...", "0,0,1,1").replace("RUN\\|LOG", "run"))
+    words = ["1,2,3,4" if word == "S,W,N,E" else word for word in words]
+    context = load_command(name).make_context(name, words)
+    assert context.command.name == name
+
+
+def test_the_readme_lists_every_command():
+    listed = re.findall(r"^\| `([a-z]+)", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(COMMANDS) <= set(listed)
