@@ -50,7 +50,7 @@ def test_the_height_follows_the_ground_between_sightings(kind) -> None:
         on_ground.predict(time_s)
         on_ground.update(seen(time_s, (3.0 * time_s, 0.0, 0.3 * time_s), 0.8), math.inf)
     on_ground.predict(30.0)
-    state = inner._state[1, MEAN:COVARIANCE] if kind is TargetImm else inner._kf.x
+    state = inner.state[1, MEAN:COVARIANCE] if kind is TargetImm else inner._kf.x
     assert state[EAST] == pytest.approx(90.0, abs=8.0)
     assert state[HEIGHT] == pytest.approx(0.1 * state[EAST] - 0.05 * state[NORTH], abs=1.0)
 
