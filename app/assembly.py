@@ -37,6 +37,7 @@ from mission.upload.fences import FenceError, Fences, Outline
 
 if TYPE_CHECKING:
     from estimators.terrain.ground import Ground
+    from mission.predictive._sight_kernel import Sight
 
 # Lasers miss for a second or two all the time; that is nothing to tell anybody.
 _COASTING_AFTER_S = 3.0
@@ -109,7 +110,10 @@ def controller_of(
             cleared = controller.cleared(plan)
             return cleared if isinstance(cleared, str) else None
 
-        return PredictivePlanner(aircraft, wanted, calm, settings, windy, check)
+        def sight(*target: float) -> Sight:
+            return controller.sight(*target)
+
+        return PredictivePlanner(aircraft, wanted, calm, settings, windy, check, sight)
 
     controller = StandoffController(
         StandoffSettings(
@@ -197,6 +201,7 @@ def settle(controller: StandoffController, config: Config, plane: LocalPlane, ho
         return
     # What is compiled takes a second to load: only who has elevation data waits for it.
     from mission.terrain.heights import FlightHeights, HeightRules  # noqa: PLC0415
+    from mission.terrain.sight import SightField  # noqa: PLC0415
 
     aircraft = config.aircraft
     rules = HeightRules(
@@ -209,7 +214,14 @@ def settle(controller: StandoffController, config: Config, plane: LocalPlane, ho
         config.fences.margin_m,
         math.inf if config.fences.ceiling_m is None else config.fences.ceiling_m,
     )
-    controller.level = FlightHeights(ground, rules).levelled
+    heights = FlightHeights(ground, rules)
+    field = SightField(ground, config.requirement.range_max_m + 4.0 * aircraft.radius_m)
+
+    def sight(east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float) -> Sight:
+        height_m = heights.expected_m(controller.flown_height_m, (east_m, north_m))
+        return field.sight(east_m, north_m, velocity_east_m_s, velocity_north_m_s, height_m)
+
+    controller.level, controller.sight = heights.levelled, sight
     controller.tracker.stand_on(ground, config.sensors.angles_alone)
 
 

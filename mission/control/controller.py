@@ -62,6 +62,7 @@ from mission.core.plan import AircraftState, Decision, Plan, Planner, settled_m
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 from mission.geometry.approach import approach
 from mission.geometry.progress import nearest_arc_m, off_track, point_at
+from mission.predictive._sight_kernel import NOTHING_HIDDEN, Sight, SightAt
 
 # A plan that got ready after its time still departs, up to so much later, while the aircraft is near its line: a
 # transition parts slowly from the line before it. Later than that the aircraft banks the wrong way for it.
@@ -162,12 +163,16 @@ def _one_height(plan: Plan, _flown_m: float | None, _target_m: tuple[float, floa
     return plan
 
 
+def _all_in_sight(*_target: float) -> Sight:
+    return NOTHING_HIDDEN
+
+
 @dataclass
 class StandoffController:
     """The mission's whole state. ``check`` names the fence that a plan would break, or returns None.
 
     ``level`` gives a plan its heights, from the present height and the target's place as far as they are known, or
-    tells why there are none.
+    tells why there are none. ``sight`` tells what the ground hides about a target of this place and velocity.
     ``make_planner`` builds the planner for a requirement, at once and of what is at hand; it is called again, within
     a step, when the side changes.
     """
@@ -177,6 +182,7 @@ class StandoffController:
     make_planner: PlannerFactory
     check: FenceCheck = _no_fence
     level: Levelling = _one_height
+    sight: SightAt = _all_in_sight
     phase: Phase = Phase.WAITING
     time_s: float = -math.inf
     decision: Decision | None = None
@@ -382,10 +388,15 @@ class StandoffController:
         target = self.estimate
         levelled = self.level(
             plan,
-            None if self._height_m is None else settled_m(self._height_m, self.present),
+            self.flown_height_m,
             None if target is None else (target.east_m, target.north_m),
         )
         return levelled if isinstance(levelled, str) else self.check(levelled) or levelled
+
+    @property
+    def flown_height_m(self) -> float | None:
+        """The aircraft's height above home, that of its plan where it is about there; None before it is known."""
+        return None if self._height_m is None else settled_m(self._height_m, self.present)
 
     def cleared_first(self, plan: Plan) -> Plan | str:
         """Return the same of the first circle, which is gone to from anywhere and before anything is seen."""

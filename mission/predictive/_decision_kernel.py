@@ -14,6 +14,7 @@ from mission.predictive._cost_kernel import CostTerms, IntArray, Table
 from mission.predictive._moves_kernel import MOVES, STAY_LENGTHS, STEP_S, Kept, lines_from, move_line, ramp_on
 from mission.predictive._rollout_kernel import Futures, line_cost, lines_costs, times_s
 from mission.predictive._scene_kernel import Scene, in_frame, scene_of
+from mission.predictive._sight_kernel import Sight, View, add_sight, sight_cost
 from mission.viewpoint._viewpoint_kernel import Known, Wish
 
 UNCERTAIN_M = 10.0
@@ -53,6 +54,14 @@ class Looker(NamedTuple):
     prices: Prices
     memory: FloatArray
     kept: Kept
+
+
+@compiled
+def target_velocity(scene: Scene) -> tuple[float, float]:
+    """Return the target's velocity towards east and north."""
+    sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)
+    across_m_s, along_m_s = scene.mirror * scene.velocity_x_m_s, scene.velocity_y_m_s
+    return across_m_s * cos_c + along_m_s * sin_c, along_m_s * cos_c - across_m_s * sin_c
 
 
 @compiled
@@ -148,6 +157,7 @@ def look_ahead(
     circle: Circling,
     futures: Futures,
     looker: Looker,
+    sight: Sight,
     costs: FloatArray,
 ) -> float:
     """Fill in what each move costs (MOVES,), its price included, and return what going on as planned costs.
@@ -170,11 +180,15 @@ def look_ahead(
     start_per_m = scene.mirror * scene.start.curvature_per_m
     lines = lines_from(0.0, scene, start_per_m, ramp, beyond_m, craft, heading_rad, rate_per_s, kept)
     lines_costs(lines, x_m, y_m, heading_rad, futures, scene.doubt, terms, table, costs)
+    view = View(scene.course_rad, scene.mirror, scene.velocity_x_m_s, scene.velocity_y_m_s)
+    lap_s = 2.0 * math.pi * radius_m / air.airspeed_m_s
+    add_sight(lines, x_m, y_m, heading_rad, sight, view, radius_m, lap_s, rate_per_s, costs)
     left_m = line[ARC, line.shape[1] - 1] - scene.arc_m if line.shape[1] > 0 else 0.0
     if left_m > NEARLY_FLOWN_S * air.airspeed_m_s:
         ahead, time_s = flown_on(scene, line, circle, east_m, north_m, left_m + beyond_m)
         costs += prices.change
-        return line_cost(ahead[0], ahead[1], ahead[2], time_s, futures, scene.doubt, terms, table)
+        hidden = sight_cost(ahead[0], ahead[1], ahead[2], time_s, sight, view, radius_m, lap_s, rate_per_s)
+        return hidden + line_cost(ahead[0], ahead[1], ahead[2], time_s, futures, scene.doubt, terms, table)
     for i in range(MOVES):
         # "Back to the circle" is staying, and so is hardly leaving it: the table is not that fine.
         costs[i] = np.inf if lines.end_m[i] < MIN_MOVE * radius_m else costs[i] + prices.leave
@@ -183,6 +197,7 @@ def look_ahead(
     )
     stay_costs = np.empty(STAY_LENGTHS.size)
     lines_costs(stays, x_m, y_m, heading_rad, futures, scene.doubt, terms, table, stay_costs)
+    add_sight(stays, x_m, y_m, heading_rad, sight, view, radius_m, lap_s, rate_per_s, stay_costs)
     return float(stay_costs.min())
 
 
@@ -202,7 +217,10 @@ def decide(
     latency_s: float,
     looker: Looker,
 ) -> tuple[float, float, FloatArray]:
-    """Return (departure, radius, line (5, n)) of the best move where it is cheaper than staying, else n = 0."""
+    """Return (departure, radius, line (5, n)) of the best move where it is cheaper than staying, else n = 0.
+
+    The ground hides nothing.
+    """
     scene = scene_of(
         time_s,
         east_m,
@@ -223,7 +241,8 @@ def decide(
     )
     costs = np.empty(MOVES)
     futures = going_straight(scene, looker.motions)
-    stay_cost = look_ahead(scene, east_m, north_m, line, circle, futures, looker, costs)
+    flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
+    stay_cost = look_ahead(scene, east_m, north_m, line, circle, futures, looker, flat, costs)
     best = int(np.argmin(costs))
     if costs[best] < stay_cost:
         return scene.departure_s, scene.radius_m, move_line(scene, looker.craft, best)

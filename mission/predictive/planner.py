@@ -28,6 +28,7 @@ from mission.predictive import _decision_kernel as kernel
 from mission.predictive._decision_kernel import Looker, Prices
 from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
 from mission.predictive._scene_kernel import Scene, scene_of
+from mission.predictive._sight_kernel import NOTHING_HIDDEN, SightAt
 from mission.predictive.cost import WatchCost
 from mission.predictive.forecast import Outlook, describe_breach, describe_range
 from mission.predictive.value_table import TableConfiguration, ValueTable
@@ -88,7 +89,7 @@ class PredictivePlanner:
 
     table is that of :func:`table_configuration`; windy are more of them, for other winds. The one nearest to the
     present wind is used. check tells which fence a plan would break, or None: the best plan that breaks none is
-    taken.
+    taken. sight tells what the ground hides about a target of this place and velocity (east, north, m and m/s).
     """
 
     def __init__(
@@ -99,10 +100,11 @@ class PredictivePlanner:
         settings: PredictiveSettings | None = None,
         windy: Sequence[ValueTable] = (),
         check: Callable[[Plan], str | None] = lambda _plan: None,
+        sight: SightAt = lambda *_target: NOTHING_HIDDEN,
     ) -> None:
         self._aircraft, self._requirement, self._tables = aircraft, requirement, (table, *windy)
         self._settings = settings or PredictiveSettings()
-        self._check = check
+        self._check, self._sight = check, sight
         policy, kept = SidePolicy(requirement, aircraft.radius_m), nothing_kept()
         self.lookers = [
             Looker(
@@ -158,7 +160,10 @@ class PredictivePlanner:
     ) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
         costs, futures = np.empty(MOVES), kernel.going_straight(scene, looker.motions)
-        stay_cost = kernel.look_ahead(scene, aircraft.east_m, aircraft.north_m, line, circle, futures, looker, costs)
+        sight = self._sight(scene.frame_east_m, scene.frame_north_m, *kernel.target_velocity(scene))
+        stay_cost = kernel.look_ahead(
+            scene, aircraft.east_m, aircraft.north_m, line, circle, futures, looker, sight, costs
+        )
         now_s = aircraft.time_s
         length_m = 4.0 * math.pi * scene.radius_m
         places, time_s = kernel.flown_on(scene, line, circle, aircraft.east_m, aircraft.north_m, length_m)

@@ -104,6 +104,15 @@ class FlightHeights:
         """Return the height so far along a plan, above home."""
         return self._rules.height_m if plan.heights is None else plan.heights.at_m(arc_m)
 
+    def expected_m(self, flown_m: float | None, target_m: tuple[float, float]) -> float:
+        """Return the height at which the next circle about a target (east, north) will be flown, clearance apart."""
+        rules = self._rules
+        if rules.above == "home":
+            return rules.height_m
+        watched_m = height_and_slope(self._grid, *target_m)[0]
+        wanted_m = watched_m + (1.0 - _HEIGHT_SLACK) * rules.height_m
+        return wanted_m if flown_m is None else flown_m if math.isnan(watched_m) else max(flown_m, wanted_m)
+
     def clearance_m(self, east_m: float, north_m: float, height_m: float) -> float:
         """Return how far a height is above the ground about a place."""
         return height_m - highest_at(self._highest, self._grid, east_m, north_m)

@@ -16,6 +16,7 @@ from mission.predictive import _decision_kernel as kernel
 from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
 from mission.predictive._rollout_kernel import Air, Futures, line_cost, times_s
 from mission.predictive._scene_kernel import in_frame, scene_of
+from mission.predictive._sight_kernel import NOTHING_HIDDEN
 from mission.predictive.planner import table_configuration
 from mission.predictive.value_table import completed
 from mission.viewpoint._viewpoint_kernel import Known, Wish, fresh_memory
@@ -71,6 +72,7 @@ class Look:
                 *(self.craft, 5.0, WISH, c.cost.terms, self.table.arrays, motions, kernel.Prices(0.5, 1.0)),
                 *(fresh_memory(self.side), kept or nothing_kept()),
             ),
+            NOTHING_HIDDEN,
             costs,
         )
         return costs, stay

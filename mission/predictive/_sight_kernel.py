@@ -1,0 +1,177 @@
+"""What the ground hides along the lines of the roll-out.
+
+About each place where the target will be stands a raster of heights: from there and higher it is seen. A place hidden
+costs as much as some seconds off side; the circle at a line's end counts for a lap, because the value table knows
+nothing of the ground.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from estimators.compiled import compiled
+from mission.core.path import FloatArray
+from mission.predictive._rollout_kernel import Lines
+
+_LAP_SAMPLES = 16
+_TWO_PI = 2.0 * math.pi
+
+
+class Sight(NamedTuple):
+    """needed_m (targets, azimuths, rings): the height from which the target is seen, above home.
+
+    The first is where the target is at the departure, each next one where it is step_s later. Azimuths are clockwise
+    from north, rings lie ring_m apart, the first at ring_m. height_m: of the aircraft; within soft_m of the needed
+    height it is doubtful. weight: of a second hidden. No targets: nothing is hidden.
+    """
+
+    needed_m: npt.NDArray[np.float32]
+    ring_m: float
+    step_s: float
+    height_m: float
+    soft_m: float
+    weight: float
+
+
+SightAt = Callable[[float, float, float, float], Sight]
+NOTHING_HIDDEN = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
+
+
+class View(NamedTuple):
+    """How the frame of the lines lies in the plane, and how the target moves in it."""
+
+    course_rad: float
+    mirror: float
+    velocity_x_m_s: float
+    velocity_y_m_s: float
+
+
+@compiled
+def hidden_rate(s: Sight, v: View, x_m: float, y_m: float, time_s: float) -> float:
+    """Return the cost per second at a place of the frame."""
+    targets, azimuths, rings = s.needed_m.shape
+    off_x_m, off_y_m = x_m - v.velocity_x_m_s * time_s, y_m - v.velocity_y_m_s * time_s
+    target = min(int(time_s / s.step_s + 0.5), targets - 1)
+    azimuth = (math.atan2(v.mirror * off_x_m, off_y_m) + v.course_rad) * (azimuths / _TWO_PI) + 0.5
+    azimuth -= azimuths * math.floor(azimuth / azimuths)
+    ring = math.sqrt(off_x_m * off_x_m + off_y_m * off_y_m) / s.ring_m - 0.5
+    ring = min(max(ring, 0.0), rings - 1.0)
+    above_m = s.height_m - s.needed_m[target, min(int(azimuth), azimuths - 1), int(ring)]
+    share = 0.5 - 0.5 * above_m / s.soft_m
+    return float(s.weight * min(max(share, 0.0), 1.0))
+
+
+@compiled
+def _lap_cost(
+    s: Sight,
+    v: View,
+    x_m: float,
+    y_m: float,
+    heading_rad: float,
+    time_s: float,
+    weight: float,
+    radius_m: float,
+    lap_s: float,
+    rate_per_s: float,
+) -> float:
+    """Return the cost of the clockwise circle from a place on it, for a lap."""
+    centre_x_m, centre_y_m = x_m + radius_m * math.cos(heading_rad), y_m - radius_m * math.sin(heading_rad)
+    step_s = lap_s / _LAP_SAMPLES
+    total = 0.0
+    for k in range(_LAP_SAMPLES):
+        since_s = (k + 0.5) * step_s
+        turned_rad = heading_rad + _TWO_PI * since_s / lap_s
+        on_x_m = centre_x_m - radius_m * math.cos(turned_rad)
+        on_y_m = centre_y_m + radius_m * math.sin(turned_rad)
+        discount = math.exp(-rate_per_s * since_s)
+        total += hidden_rate(s, v, on_x_m, on_y_m, time_s + since_s) * discount * step_s
+    return weight * total
+
+
+@compiled
+def add_sight(
+    lines: Lines,
+    x_m: float,
+    y_m: float,
+    heading_rad: float,
+    s: Sight,
+    v: View,
+    radius_m: float,
+    lap_s: float,
+    rate_per_s: float,
+    costs: FloatArray,
+) -> None:
+    """Add to the cost (lines,) of each line what is hidden along it and on the circle after it."""
+    if s.needed_m.shape[0] == 0:
+        return
+    n = len(lines.x_m)
+    sin_h, cos_h = math.sin(heading_rad), math.cos(heading_rad)
+    x, y, rates, sums = np.empty(n), np.empty(n), np.empty(n), np.zeros(n)
+    for k in range(n):
+        x[k] = x_m + lines.x_m[k] * cos_h + lines.y_m[k] * sin_h
+        y[k] = y_m - lines.x_m[k] * sin_h + lines.y_m[k] * cos_h
+        rates[k] = hidden_rate(s, v, x[k], y[k], lines.time_s[k]) * lines.weight[k]
+    for h in range(len(lines.trunk_first) - 1):
+        for k in range(lines.trunk_first[h] + 1, lines.trunk_first[h + 1]):
+            sums[k] = sums[k - 1] + 0.5 * (rates[k - 1] + rates[k]) * (lines.time_s[k] - lines.time_s[k - 1])
+    for i in range(len(lines.trunk)):
+        before = lines.trunk_first[lines.trunk[i]] + lines.on_trunk[i] - 1
+        total = sums[before]
+        last = lines.own_first[i + 1] - 1
+        for k in range(lines.own_first[i], last + 1):
+            total += 0.5 * (rates[before] + rates[k]) * (lines.time_s[k] - lines.time_s[before])
+            before = k
+        costs[i] += total + _lap_cost(
+            s,
+            v,
+            x[last],
+            y[last],
+            heading_rad + lines.turned_rad[last],
+            lines.time_s[last],
+            lines.weight[last],
+            radius_m,
+            lap_s,
+            rate_per_s,
+        )
+
+
+@compiled
+def sight_cost(
+    x_m: FloatArray,
+    y_m: FloatArray,
+    heading_rad: FloatArray,
+    time_s: FloatArray,
+    s: Sight,
+    v: View,
+    radius_m: float,
+    lap_s: float,
+    rate_per_s: float,
+) -> float:
+    """Return what is hidden along one line (k,) and on the circle after it, as :func:`add_sight` has it."""
+    if s.needed_m.shape[0] == 0:
+        return 0.0
+    total, before = 0.0, 0.0
+    n = len(x_m)
+    for k in range(n):
+        rate = hidden_rate(s, v, x_m[k], y_m[k], time_s[k]) * math.exp(-rate_per_s * time_s[k])
+        if k > 0:
+            total += 0.5 * (before + rate) * (time_s[k] - time_s[k - 1])
+        before = rate
+    end_s = time_s[n - 1]
+    return total + _lap_cost(
+        s,
+        v,
+        x_m[n - 1],
+        y_m[n - 1],
+        heading_rad[n - 1],
+        end_s,
+        math.exp(-rate_per_s * end_s),
+        radius_m,
+        lap_s,
+        rate_per_s,
+    )

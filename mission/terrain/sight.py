@@ -1,0 +1,55 @@
+"""From where a target that moves over the ground is seen, and will be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from estimators.terrain.ground import Ground
+from mission.predictive._sight_kernel import NOTHING_HIDDEN, Sight
+
+_AZIMUTHS, _RING_M = 72, 20.0
+_TARGETS, _STEP_S = 5, 10.0
+_APART_M = 15.0  # places nearer to one another share their raster
+_KEPT = 64
+_TARGET_M = 1.0  # of it stands above the ground
+# Elevation data miss the last metres of a crest, and trees: lower than this above the horizon counts more and more.
+_SOFT_M = 10.0
+_WEIGHT = 3.0  # seconds off side for a second hidden
+
+
+class SightField:
+    """Rasters about where the target is and will be, kept while it stays near. reach_m: the farthest asked for."""
+
+    def __init__(self, ground: Ground, reach_m: float) -> None:
+        self._ground = ground
+        self._rings = math.ceil(reach_m / _RING_M)
+        self._kept: dict[tuple[int, int], npt.NDArray[np.float32]] = {}
+
+    def sight(
+        self, east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float, height_m: float
+    ) -> Sight:
+        """Return what is seen of a target from ``height_m`` above home: all, where its ground is not known."""
+        if math.isnan(self._ground.height_m(east_m, north_m)):
+            return NOTHING_HIDDEN
+        needed_m = [
+            self._needed_m(east_m + velocity_east_m_s * time_s, north_m + velocity_north_m_s * time_s)
+            for time_s in np.arange(_TARGETS) * _STEP_S
+        ]
+        return Sight(np.stack(needed_m), _RING_M, _STEP_S, height_m, _SOFT_M, _WEIGHT)
+
+    def _needed_m(self, east_m: float, north_m: float) -> npt.NDArray[np.float32]:
+        key = round(east_m / _APART_M), round(north_m / _APART_M)
+        found = self._kept.pop(key, None)
+        if found is None:
+            place_m = key[0] * _APART_M, key[1] * _APART_M
+            height_m = self._ground.height_m(*place_m) + _TARGET_M
+            found = self._ground.horizon_m(*place_m, height_m, _AZIMUTHS, self._rings, _RING_M)
+            if math.isnan(height_m):
+                found[:] = -math.inf
+            while len(self._kept) >= _KEPT:
+                del self._kept[next(iter(self._kept))]
+        self._kept[key] = found
+        return found
