@@ -11,7 +11,8 @@ from mission.core.circle import Circle
 from mission.core.plan import AircraftState, Plan
 from mission.core.requirement import Aircraft, Requirement, Side, Wind
 from mission.predictive._sight_kernel import NOTHING_HIDDEN, View, hidden_rate, sight_cost
-from mission.predictive.planner import PredictivePlanner
+from mission.predictive.planner import PredictivePlanner, table_configuration
+from mission.predictive.value_iteration import compute
 from mission.terrain.sight import SightField
 
 HEIGHT_M = 100.0
@@ -81,7 +82,7 @@ def test_rasters_are_kept_while_the_target_is_near() -> None:
 def test_the_planner_moves_to_where_it_sees() -> None:
     """A target standing still behind a wall, seen from the south-west: it goes there, and without the wall stays."""
     aircraft, requirement = Aircraft(15.0, 50.0), Requirement(100.0, 500.0, Side.LEFT, 3.0)
-    planner = PredictivePlanner.for_(aircraft, requirement)
+    planner = PredictivePlanner(aircraft, requirement, compute(table_configuration(aircraft, requirement)))
     ground = walled()
     field = SightField(ground, 700.0)
     circle = Circle(-300.0, 0.0, 50.0, clockwise=True)
