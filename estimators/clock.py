@@ -60,6 +60,7 @@ class VehicleClock:
         self._own: _Line | None = None
         self._other: _Line | None = None
         self._in_question = False
+        self._misses = 0  # stamps in a row that fit neither line
         self._ticks_s: deque[float] = deque(maxlen=_TICKS)
         self.shift_s = 0.0
         self.restarted = False
@@ -109,8 +110,13 @@ class VehicleClock:
         other = self._other
         gone_s = max(0.0, own.last_s - other.other_s) if other is not None else 0.0
         if other is None or not other.last_s - LATE_S <= stamp_s <= other.last_s + gone_s + AHEAD_S:
+            self._misses += 1
+            if self._in_question and other is not None and other.count >= _STAMPS_MIN > self._misses:
+                return Stamp.REFUSED  # it fits neither line
             other = self._other = _Line(stamp_s, stamp_s, other_s=own.last_s)
+            self._misses = 0
         else:
+            self._misses = 0
             if not self._in_question:  # the own line has been heard since
                 other.turns = other.turns + 1 if gone_s < _TURN_MAX_S else 0
                 other.first_s, other.count = stamp_s, 0

@@ -45,7 +45,7 @@ BRIDGED_S = 3.0
 _FAULT_VALID_S = 10.0
 _TOLD_AGAIN_S = 30.0
 _SOURCES_MAX = 32
-_SAME_PLACE_M = 15.0
+_SAME_PLACE_M, _DISPLACED_MIN = 15.0, 3
 
 _SPEED_MAX_M_S, _CLIMB_MAX_M_S = 150.0, 60.0
 _HEIGHT_MIN_M, _HEIGHT_MAX_M = -500.0, 12_000.0
@@ -73,6 +73,7 @@ class Plausibility:
         self.position = PositionCheck()
         self._wind_max_m_s = wind_max_m_s
         self._bank_rad = 0.0
+        self._displaced = 0  # positions in a row that are ahead in time, and elsewhere
         self._faults: dict[str, tuple[float, float, str]] = {}  # by source: since, latest, what
         self._sources: dict[tuple[type, Source], SourceClock] = {}
         self._told_s: dict[str, float] = {}
@@ -138,9 +139,12 @@ class Plausibility:
     def _on_time(self, stamp_s: float, place: PositionReading | None) -> bool:
         """Tell whether a stamp is of the vehicle's clock; place is where the aircraft is said to be then."""
         clock = self.clock
-        doubtful = 0.0 < stamp_s - clock.now_s <= SILENCE_MAX_S and (place is None or self._is_where_it_was(place))
-        stamp = clock.take(stamp_s, PROOF_S if doubtful else None)
+        ahead = 0.0 < stamp_s - clock.now_s <= SILENCE_MAX_S
+        if ahead and place is not None:
+            self._displaced = 0 if self._is_where_it_was(place) else self._displaced + 1
+        stamp = clock.take(stamp_s, PROOF_S if ahead and self._displaced < _DISPLACED_MIN else None)
         if stamp is Stamp.GOOD:
+            self._displaced = 0
             return True
         if clock.two_lines_s is not None:
             self._yield_to_two(f"its clocks take turns, {clock.two_lines_s:.0f} s apart")
@@ -170,7 +174,8 @@ class Plausibility:
 
     def _navigation(self, event: NavigationReported) -> Event:
         if not event.fault:
-            self._faults.pop(event.source, None)
+            if self._faults.pop(event.source, None) is not None and not self._faults:
+                self.position = PositionCheck()  # what was told meanwhile may have drifted: begin anew
         else:
             since_s, _, _ = self._faults.get(event.source, (event.time_s, 0.0, ""))
             self._faults[event.source] = (since_s, event.time_s, event.fault)

@@ -1,0 +1,149 @@
+"""Flights with faults drawn at random, each beside the same flight without, judged by what must hold in all."""
+
+from __future__ import annotations
+
+import gc
+import math
+import multiprocessing
+import statistics
+import time
+import traceback
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from functools import cache
+
+from tests.faults.flight import FLAVOURS, ClosedLoop, Flown, Scenario
+from tests.faults.flight_faults import EXPECTED_YIELDS, Fault, drawn, yielding
+
+OWN_ERROR_MAX_M, TARGET_ERROR_MAX_M, CLOCK_ERROR_MAX_S = 60.0, 60.0, 3.0
+RANGE_MIN_M, RANGE_MAX_M, RANGE_TOLERANCE_M = 100.0, 500.0, 5.0
+TARGET_SPEED_M_S = 6.0  # a target that turns round while it is not seen: twice its own
+YIELD_WITHIN_S = 8.0
+STEP_MAX_S = 0.05
+_SCENARIOS = 12  # a fault meets one of so many; each is flown once without faults to compare
+
+
+@dataclass(slots=True)
+class Verdict:
+    """One faulted flight. lost_on_side: how much less it was on the side than without faults, in points."""
+
+    seed: int
+    flavour: str
+    names: tuple[str, ...]
+    what: str
+    broken: list[str] = field(default_factory=list)
+    lost_on_side: float = 0.0
+    slowest_step_s: float = 0.0
+
+
+def judged(flown: Flown, ending: str | None, ending_s: float) -> list[str]:
+    """Return what a flight broke, in words."""
+    broken = []
+    for decided in flown.decided:
+        if not decided.own_error_m <= OWN_ERROR_MAX_M:
+            broken.append(f"decided at {decided.time_s:.1f} s on a place {decided.own_error_m:.0f} m off")
+        if not decided.target_error_m <= TARGET_ERROR_MAX_M + TARGET_SPEED_M_S * decided.unseen_s:
+            broken.append(f"decided at {decided.time_s:.1f} s on a target {decided.target_error_m:.0f} m off")
+        if abs(decided.clock_error_s) > CLOCK_ERROR_MAX_S:
+            broken.append(f"decided at {decided.time_s:.1f} s on a clock {decided.clock_error_s:+.0f} s off")
+    nearest_m, farthest_m = min(flown.range_m), max(flown.range_m)
+    if nearest_m < RANGE_MIN_M - RANGE_TOLERANCE_M:
+        broken.append(f"came within {nearest_m:.0f} m")
+    if farthest_m > RANGE_MAX_M + RANGE_TOLERANCE_M:
+        broken.append(f"went {farthest_m:.0f} m away")
+    if flown.outside_fence_m > 0.0:
+        broken.append(f"left the fence by {flown.outside_fence_m:.0f} m")
+    if flown.ended is not None:
+        broken.append(f"ended: {flown.ended}")
+    return broken[:4] + _judged_yield(flown, ending, ending_s)
+
+
+def _judged_yield(flown: Flown, ending: str | None, ending_s: float) -> list[str]:
+    if ending is None:
+        return [f"yielded: {flown.yielded[1]}"] if flown.yielded is not None else []
+    if flown.yielded is None:
+        return [f"did not yield to: {ending}"]
+    yielded_s, reason = flown.yielded
+    if yielded_s < ending_s or yielded_s > ending_s + YIELD_WITHIN_S or EXPECTED_YIELDS[ending] not in reason:
+        return [f"yielded {yielded_s - ending_s:+.1f} s from the {ending}: {reason}"]
+    return []
+
+
+@cache
+def clean(scenario: Scenario) -> Flown:
+    """Return the flight without faults."""
+    return ClosedLoop(scenario).fly()
+
+
+def flight(
+    seed: int,
+    flavour: str,
+    faults: Sequence[Fault] | None = None,
+    *,
+    ending: tuple[str | None, float] = (None, math.inf),
+    duration_s: float = 240.0,
+) -> Verdict:
+    """Fly one faulted flight and judge it; faults and ending: these instead of drawn ones."""
+    scenario = Scenario(seed % _SCENARIOS, flavour, duration_s)
+    if faults is None:
+        faults, ending = drawn(seed, duration_s)
+    faults, (ending_by, ending_s) = [*faults, *yielding(*ending)], ending
+    what = "; ".join(f"{one.name} at {one.begin_s:.0f} s {one.what}".rstrip() for one in faults)
+    verdict = Verdict(seed, flavour, tuple(one.name for one in faults), what)
+    loop = ClosedLoop(scenario, faults, time.thread_time)
+    gc.collect()
+    gc.freeze()  # what was loaded before is not searched again and again for garbage: 0.1 s each time
+    loop.pilot_takes_over_s = ending_s if ending_by == "pilot" else loop.pilot_takes_over_s
+    try:
+        flown = loop.fly()
+    except Exception:  # whatever it is, it is what is looked for
+        verdict.broken.append(traceback.format_exc(limit=-3))
+        return verdict
+    beside = clean(scenario)
+    verdict.broken = judged(flown, ending_by, ending_s)
+    both = min(len(flown.on_side), len(beside.on_side))
+    verdict.lost_on_side = 100.0 * (statistics.mean(beside.on_side[:both]) - statistics.mean(flown.on_side[:both]))
+    verdict.slowest_step_s = flown.slowest_step_s
+    return verdict
+
+
+def _flight(order: tuple[int, str]) -> Verdict:
+    return flight(*order)
+
+
+def campaign(flights: int, first_seed: int, processes: int) -> Iterable[Verdict]:
+    """Yield the verdicts of so many flights, half of them of each flavour."""
+    flavours = list(FLAVOURS)
+    orders = [(first_seed + number, flavours[number % len(flavours)]) for number in range(flights)]
+    if processes == 1:
+        yield from map(_flight, orders)
+        return
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield from pool.map(_flight, orders, chunksize=4)
+
+
+def table(verdicts: Iterable[Verdict]) -> str:
+    """Return the campaign's result, one line a fault, then what broke."""
+    verdicts = list(verdicts)
+    flights, broken = Counter(), Counter()
+    lost: dict[str, list[float]] = defaultdict(list)
+    for verdict in verdicts:
+        for name in (*verdict.names, f"all of {verdict.flavour}"):
+            flights[name] += 1
+            broken[name] += bool(verdict.broken)
+            lost[name].append(verdict.lost_on_side)
+    lines = [f"{'fault':20}{'flights':>9}{'broken':>8}{'less on side, points':>22}"]
+    lines += [
+        f"{name:20}{count:9}{broken[name]:8}{statistics.mean(lost[name]):22.2f}"
+        for name, count in sorted(flights.items())
+    ]
+    lines += [
+        f"{verdict.flavour} {verdict.seed} ({verdict.what}): {'; '.join(verdict.broken)}"
+        for verdict in verdicts
+        if verdict.broken
+    ]
+    slow = sum(verdict.slowest_step_s > STEP_MAX_S for verdict in verdicts)
+    lines.append(f"{slow} flights with a step over {STEP_MAX_S * 1000.0:.0f} ms of processor time")
+    return "\n".join(lines)

@@ -1,0 +1,249 @@
+"""What goes wrong between a vehicle and us, drawn from a seed: each fault for a while of a flight."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.link.message import Message
+
+Arriving = Iterator[tuple[float, Message]]
+Change = Callable[[Message, float, np.random.Generator], Arriving]
+"""What becomes of a message so long after the fault began: copies, each with its delay."""
+
+EXPECTED_YIELDS = {"reboot": "started anew", "second vehicle": "two vehicles", "pilot": "flight mode"}
+VEHICLE = ("GLOBAL_POSITION_INT", "ATTITUDE")
+PAYLOAD = ("DISTANCE_SENSOR", "GIMBAL_DEVICE_ATTITUDE_STATUS")
+_STATUS = ("GPS_RAW_INT", "EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
+_M_PER_E7 = 0.0111319
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    name: str
+    begin_s: float
+    end_s: float
+    change: Change
+    what: str = ""
+
+
+def with_fields(message: Message, **fields: object) -> Message:
+    return message._replace(fields=message.fields | fields)
+
+
+def later(message: Message, seconds: float) -> Message:
+    """Return the message with another stamp, as 32 bits of milliseconds hold it."""
+    stamp_ms = (message.fields["time_boot_ms"] + round(seconds * 1000.0)) % 2**32
+    return with_fields(message, time_boot_ms=stamp_ms)
+
+
+def moved(message: Message, east_m: float, north_m: float) -> Message:
+    fields = message.fields
+    lon = round(fields["lon"] + east_m / _M_PER_E7 / math.cos(math.radians(fields["lat"] * 1e-7)))
+    return with_fields(message, lat=round(fields["lat"] + north_m / _M_PER_E7), lon=lon)
+
+
+def only(names: tuple[str, ...], by: Callable[[Message, float, np.random.Generator], Message | None]) -> Change:
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Arriving:
+        one = by(message, since_s, rng) if message.name in names else message
+        if one is not None:
+            yield 0.0, one
+
+    return change
+
+
+def _way(rng: np.random.Generator) -> tuple[float, float]:
+    course_rad = rng.uniform(-math.pi, math.pi)
+    return math.sin(course_rad), math.cos(course_rad)
+
+
+def _hours(rng: np.random.Generator) -> float:
+    """Return anything from a second to an hour, either way, each order of magnitude alike."""
+    return float(rng.choice((-1.0, 1.0)) * 10.0 ** rng.uniform(0.0, math.log10(3600.0)))
+
+
+def gps_jump(rng: np.random.Generator, begin_s: float) -> Fault:
+    jump_m, (east, north) = 10.0 ** rng.uniform(2.0, 4.0), _way(rng)
+    length_s = float(rng.uniform(1.0, 10.0))
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
+        return moved(message, jump_m * east, jump_m * north)
+
+    what = f"{jump_m:.0f} m for {length_s:.1f} s"
+    return Fault("gps jump", begin_s, begin_s + length_s, only(("GLOBAL_POSITION_INT",), change), what)
+
+
+def gps_lost(rng: np.random.Generator, begin_s: float) -> Fault:
+    length_s, (east, north) = float(rng.uniform(5.0, 20.0)), _way(rng)
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
+        if message.name == "GPS_RAW_INT":
+            return with_fields(message, fix_type=1)
+        if message.name in _STATUS:
+            return with_fields(message, flags=167)
+        return moved(message, 6.0 * since_s * east, 6.0 * since_s * north)
+
+    names = ("GLOBAL_POSITION_INT", *_STATUS)
+    return Fault("gps lost", begin_s, begin_s + length_s, only(names, change), f"for {length_s:.1f} s")
+
+
+def payload_clock(rng: np.random.Generator, begin_s: float) -> Fault:
+    off_s = _hours(rng)
+    names = PAYLOAD if rng.random() < 0.6 else (str(rng.choice(PAYLOAD)),)
+    change = only(names, lambda message, _since_s, _rng: later(message, off_s))
+    return Fault("payload clock", begin_s, math.inf, change, f"{off_s:+.1f} s of {', '.join(names)}")
+
+
+def payload_stamps(rng: np.random.Generator, begin_s: float) -> Fault:
+    share = rng.uniform(0.01, 0.3)
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
+        if rng.random() >= share:
+            return message
+        return with_fields(message, time_boot_ms=int(rng.integers(0, 2**32)))
+
+    return Fault("payload stamps", begin_s, math.inf, only(PAYLOAD, change), f"{share:.0%} at random")
+
+
+def payload_restart(rng: np.random.Generator, begin_s: float) -> Fault:
+    silent_s = float(rng.uniform(2.0, 8.0))
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message | None:
+        return with_fields(message, time_boot_ms=round(since_s * 1000.0)) if since_s > silent_s else None
+
+    return Fault("payload restart", begin_s, math.inf, only(PAYLOAD, change))
+
+
+def vehicle_clock(rng: np.random.Generator, begin_s: float) -> Fault:
+    off_s = _hours(rng) + float(rng.choice((-6.0, 6.0)))
+    length_s = 0.1 if rng.random() < 0.4 else float(rng.uniform(0.5, 10.0))
+    change = only(VEHICLE, lambda message, _since_s, _rng: later(message, off_s))
+    return Fault("vehicle clock", begin_s, begin_s + length_s, change, f"{off_s:+.1f} s for {length_s:.1f} s")
+
+
+def nonsense(rng: np.random.Generator, begin_s: float) -> Fault:
+    """Break fields of any message, each now and then."""
+    share = rng.uniform(0.005, 0.05)
+    numbers = (math.nan, None, math.inf, -math.inf, 1e30, -1e30, 0.0)
+    integers = (0, 1, -1, 2**31 - 1, -(2**31), 2**32 - 1, 65_535)
+    kept = ("autopilot", "type", "base_mode", "custom_mode", "id", "orientation", "flags", "gimbal_device_id")
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Arriving:
+        if rng.random() >= share:
+            yield 0.0, message
+            return
+        name = str(rng.choice([name for name in message.fields if name not in kept] or ["-"]))
+        value = message.fields.get(name)
+        if isinstance(value, list):
+            value = [numbers[rng.integers(len(numbers))], *value[1:]]
+        elif isinstance(value, float):
+            value = numbers[rng.integers(len(numbers))]
+        elif isinstance(value, int):
+            value = integers[rng.integers(len(integers))]
+        yield 0.0, with_fields(message, **{name: value}) if name in message.fields else message
+
+    return Fault("nonsense", begin_s, math.inf, change, f"{share:.1%} of the messages")
+
+
+def strangers(rng: np.random.Generator, begin_s: float) -> Fault:
+    """Let other components and systems say what is not theirs to say."""
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Arriving:
+        yield 0.0, message
+        if rng.random() >= 0.05:
+            return
+        component, system = int(rng.integers(2, 250)), int(rng.choice((1, 2, 7, 255)))
+        if message.name == "GLOBAL_POSITION_INT":
+            yield 0.0, moved(message, 900.0, 0.0)._replace(component_id=component)
+            yield 0.0, later(moved(message, 0.0, 5000.0), 500.0)._replace(system_id=2)
+            fix = {"tracking_status": 1, "lat": message.fields["lat"] + 400_000, "lon": message.fields["lon"]}
+            stranger = 1 if rng.random() < 0.5 else 99
+            yield 0.0, Message("CAMERA_TRACKING_GEO_STATUS", 1, stranger, fix | {"h_acc": 1.0}, 0.0)
+        elif message.name == "HEARTBEAT":
+            yield 0.0, with_fields(message, custom_mode=5)._replace(component_id=component)
+            yield 0.0, with_fields(message, custom_mode=5)._replace(system_id=2)
+        else:
+            yield 0.0, message._replace(system_id=7 if system == 1 else system)
+        wind = {"direction": 90.0, "speed": 14.0, "speed_z": 0.0}
+        yield 0.0, Message("WIND", 1, component, wind, 0.0)
+        yield 0.0, Message("WIND", 1, 1, wind | {"speed": 300.0}, 0.0)
+
+    return Fault("strangers", begin_s, math.inf, change)
+
+
+def poor_link(rng: np.random.Generator, begin_s: float) -> Fault:
+    loss, double, delay_s, jitter_s = (float(rng.uniform(0.0, most)) for most in (0.3, 0.2, 1.2, 0.6))
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Arriving:
+        for _ in range(1 + (rng.random() < double)):
+            if rng.random() >= loss:
+                yield delay_s + jitter_s * rng.random(), message
+
+    what = f"loss {loss:.0%}, doubled {double:.0%}, delay {delay_s:.1f} to {delay_s + jitter_s:.1f} s"
+    return Fault("poor link", begin_s, math.inf, change, what)
+
+
+def silence(rng: np.random.Generator, begin_s: float) -> Fault:
+    length_s = float(rng.uniform(2.5, 30.0))
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Arriving:
+        yield from ()
+
+    return Fault("silence", begin_s, begin_s + length_s, change, f"{length_s:.0f} s")
+
+
+def reboot(rng: np.random.Generator, begin_s: float) -> Fault:
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Arriving:
+        if since_s > 2.0 or message.name in PAYLOAD:
+            stamped = message.name in VEHICLE
+            yield 0.0, with_fields(message, time_boot_ms=round((since_s - 1.5) * 1000.0)) if stamped else message
+
+    return Fault("reboot", begin_s, math.inf, change)
+
+
+def second_vehicle(rng: np.random.Generator, begin_s: float) -> Fault:
+    off_s, far_m, (east, north) = _hours(rng) * 0.5, float(rng.uniform(100.0, 5000.0)), _way(rng)
+    off_s += math.copysign(10.0, off_s)
+    behind_s = float(rng.uniform(0.0, 0.09))
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Arriving:
+        yield 0.0, message
+        if message.name in VEHICLE:
+            other = later(message, off_s)
+            yield behind_s, moved(other, far_m * east, far_m * north) if "lat" in other.fields else other
+
+    return Fault("second vehicle", begin_s, math.inf, change, f"{off_s:+.0f} s, {far_m:.0f} m")
+
+
+HARMLESS = (
+    gps_jump,
+    gps_lost,
+    payload_clock,
+    payload_stamps,
+    payload_restart,
+    vehicle_clock,
+    nonsense,
+    strangers,
+    poor_link,
+    silence,
+)
+
+
+def yielding(ending: str | None, ending_s: float) -> list[Fault]:
+    """Return the faults by which a flight ends as it is to."""
+    makers = {"reboot": reboot, "second vehicle": second_vehicle}
+    return [makers[ending](np.random.default_rng(round(ending_s)), ending_s)] if ending in makers else []
+
+
+def drawn(seed: int, duration_s: float) -> tuple[list[Fault], tuple[str | None, float]]:
+    """Return the faults of a flight, and who else is to fly from when on, in some of them."""
+    rng = np.random.default_rng((seed, 5))
+    number = int(rng.choice((1, 2, 3), p=(0.5, 0.3, 0.2)))
+    makers = [HARMLESS[at] for at in rng.choice(len(HARMLESS), number, replace=False)]
+    faults = [make(rng, float(rng.uniform(20.0, 0.6 * duration_s))) for make in makers]
+    if rng.random() < 0.15:
+        return faults, (str(rng.choice(list(EXPECTED_YIELDS))), float(rng.uniform(0.75, 0.85)) * duration_s)
+    return faults, (None, math.inf)
