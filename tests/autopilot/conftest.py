@@ -26,11 +26,11 @@ from sitl.simulation import Simulation
 SIDELONG = Path(sys.executable).with_name("sidelong")
 SPEED = 10.0
 RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
-PATIENCE_S = 90.0
+LIFE_S = int(os.environ.get("LIFE_S", "300"))  # of the application, at most
+PATIENCE_S = 0.3 * LIFE_S
 WIND_UP_S = 60.0  # the application's own bound
 # Runs a program that the kernel ends after so many seconds, should its test not have lived to do it.
 MORTAL = "import os, signal, sys; signal.alarm(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
-LIFE_S = 300
 OURS = 245  # the application's MAVLink system
 WRITING = {"MISSION_COUNT", "MISSION_WRITE_PARTIAL_LIST", "MISSION_ITEM_INT"}
 COMMANDING = WRITING | {"COMMAND_LONG", "COMMAND_INT", "MISSION_SET_CURRENT", "SET_MODE"}

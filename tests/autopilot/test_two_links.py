@@ -1,6 +1,6 @@
 """Two links to one vehicle, cut in turn: the flight goes on as if there were one good link.
 
-CUTS=50 LINK_SPEED=1 LINK_LOSS=0.1 LINK_DELAY_MS=300 python -m pytest tests/autopilot/test_two_links.py -s
+CUTS=50 LIFE_S=900 LINK_SPEED=1 LINK_LOSS=0.1 LINK_DELAY_MS=300 python -m pytest tests/autopilot/test_two_links.py -s
 cuts more, in real time, with both links bad.
 """
 
