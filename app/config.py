@@ -168,6 +168,8 @@ class LinkSection(_Section):
     """Key of MAVLink signing, a file only you can read (sidelong sign makes one); none: nothing is signed."""
     heartbeat_timeout_s: float = Field(10.0, ge=1, le=600)
     """How long to wait for the autopilot's first heartbeat, s."""
+    few_messages: bool | None = None
+    """Ask for as few messages as the mission can live on; none: on a serial line of 57,600 baud or less."""
     set_parameters: bool = False
     """Set the autopilot's parameters that stand in the way, and set them back at the end."""
 

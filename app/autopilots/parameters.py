@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import struct
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from app.errors import InputError
+from app.link.modes import AUTOPILOT_PX4
 from app.link.vehicle import Vehicle
+
+_ANSWER_S = 0.8  # since the last answer; then those that are missing are asked for again
+_IDLE_ROUNDS = 2
+_REAL32 = 9  # MAV_PARAM_TYPE
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,9 +29,37 @@ class RequiredParameter:
 
 
 async def read_parameters(vehicle: Vehicle, names: Iterable[str]) -> dict[str, float]:
-    """Return the values of those the autopilot has."""
-    values = {name: await vehicle.link.parameter(name) for name in names}
-    return {name: value for name, value in values.items() if value is not None}
+    """Return the values of those the autopilot has, all asked for at once and again where no answer came.
+
+    An autopilot says nothing about a name that it does not know; on a link that loses much, that is not told from an
+    answer that was lost in each round.
+    """
+    wanted = list(names)
+    values: dict[str, float | None] = {}
+    bytewise = int(vehicle.latest["HEARTBEAT"].fields["autopilot"]) == AUTOPILOT_PX4
+    with vehicle.hearing("PARAM_VALUE") as answers:
+        idle_rounds = 0
+        while idle_rounds < _IDLE_ROUNDS and (missing := [name for name in wanted if name not in values]):
+            before = len(values)
+            for name in missing:
+                await vehicle.tell("PARAM_REQUEST_READ", {"param_id": name, "param_index": -1})
+            with contextlib.suppress(TimeoutError):
+                while len(values) < len(wanted):
+                    answer = await asyncio.wait_for(answers.get(), _ANSWER_S)
+                    if answer.fields["param_id"] in wanted:
+                        values[answer.fields["param_id"]] = _value(answer.fields, bytewise)
+            idle_rounds = idle_rounds + 1 if len(values) == before else 0
+    # Some of PX4's whole numbers look like no number on the way; the slow way reads them.
+    found = {name: await vehicle.link.parameter(name) if value is None else value for name, value in values.items()}
+    return {name: found[name] for name in wanted if found.get(name) is not None}  # type: ignore[misc]  # none is None
+
+
+def _value(fields: Mapping[str, Any], bytewise: bool) -> float | None:
+    """Return a PARAM_VALUE's number: PX4 puts the bytes of an integer where the float should be."""
+    value = fields["param_value"]
+    if value is None or not bytewise or int(fields["param_type"]) == _REAL32:
+        return value if value is None else float(value)
+    return float(struct.unpack("<i", struct.pack("<f", value))[0])
 
 
 def required_airspeed(values: Mapping[str, float], name: str, airspeed_m_s: float) -> tuple[RequiredParameter, ...]:

@@ -15,7 +15,8 @@ from app.autopilots.queries import home_of, mode_of
 from app.commands.output import JsonOption, checked_output, console, write_json
 from app.config import Config, load_config
 from app.flight.flight import connected
-from app.flight.preflight import Check, ask_for_streams, checks, listen
+from app.flight.preflight import Check, checks, listen
+from app.flight.streams import ask_for_streams
 from app.shutdown import run
 
 

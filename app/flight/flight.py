@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,8 +22,9 @@ from app.flight.cot import CotOutput
 from app.flight.display import FlightDisplay
 from app.flight.loop import ControlLoop, Display
 from app.flight.point_gimbal import GimbalPointer
-from app.flight.preflight import ask_for_streams, autopilot_of, checks, listen
+from app.flight.preflight import autopilot_of, checks, listen
 from app.flight.recording import Recording
+from app.flight.streams import ask_for_streams, is_slow
 from app.link.discovery import SETTLING_S
 from app.link.mavsdk_link import FrameListener, MavsdkLink
 from app.link.senders import SenderCheck
@@ -125,8 +126,15 @@ class Flight:
     async def fly(self, stopped: asyncio.Event) -> str:
         """Check, take off if need be, watch for the duration or until ``stopped`` is set; return the outcome."""
         self._vehicle.listeners.append(self._telemetry.event)  # the clock and the plane, from the start
-        await ask_for_streams(self._vehicle)
-        home, required_parameters = await self._check()
+        link = self._config.link
+        few = is_slow(link.connections) if link.few_messages is None else link.few_messages
+        # Beside one another: over a slow link each waits for its answers.
+        values, _, _ = await asyncio.gather(
+            read_parameters(self._vehicle, self._autopilot.relevant_parameters),
+            ask_for_streams(self._vehicle, few),
+            home_of(self._vehicle),
+        )
+        home, required_parameters = await self._check(values)
         self._vehicle.listeners.remove(self._telemetry.event)
         self._vehicle.listeners.remove(self._senders.message)  # from here on the control step looks
         wanted = required_parameters if self._config.link.set_parameters else ()
@@ -187,9 +195,8 @@ class Flight:
     def _arm_period_s(self) -> float:
         return 1.0 if self._config.link.connections else 1.0 / self._config.simulation.speed
 
-    async def _check(self) -> tuple[Home, tuple[RequiredParameter, ...]]:
+    async def _check(self, values: Mapping[str, float]) -> tuple[Home, tuple[RequiredParameter, ...]]:
         self._display.note("checking the vehicle and its sensors")
-        values = await read_parameters(self._vehicle, self._autopilot.relevant_parameters)
         limits = self._autopilot.limits(values)
         required_parameters = self._autopilot.required_parameters(values, self._config.aircraft.airspeed_m_s)
         deadline_s, wall_s = self._telemetry.now_s + _READY_WITHIN_S, time.monotonic() + _READY_WALL_S

@@ -25,23 +25,6 @@ from mission.exchange.dialect import Home
 _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
 _HOME_OFF_MAX_M = 60.0  # geoid models differ by a metre, a GPS height by some, terrain data by twenty
-_STREAMS_HZ = {
-    24: 2.0,
-    30: 20.0,
-    33: 10.0,
-    42: 5.0,
-    87: 2.0,
-    168: 1.0,
-    193: 2.0,
-    230: 2.0,
-    231: 1.0,
-    360: 2.0,
-    436: 20.0,
-}
-"""GPS_RAW_INT, ATTITUDE, GLOBAL_POSITION_INT, MISSION_CURRENT, POSITION_TARGET_GLOBAL_INT, WIND, EKF_STATUS_REPORT,
-ESTIMATOR_STATUS, WIND_COV, ORBIT_EXECUTION_STATUS, CURRENT_MODE."""
-
-
 _SENSORS = {
     0x1: "gyroscope",
     0x2: "accelerometer",
@@ -98,12 +81,6 @@ def autopilot_of(vehicle: Vehicle) -> Autopilot:
             f"{' and '.join(one.name for one in AUTOPILOTS)} are supported."
         )
     return autopilot
-
-
-async def ask_for_streams(vehicle: Vehicle) -> None:
-    """Ask for the messages that the mission lives on; default rates are 1 Hz on ArduPlane."""
-    for message_id, rate_hz in _STREAMS_HZ.items():
-        await vehicle.set_rate(message_id, rate_hz)
 
 
 async def listen(vehicle: Vehicle, wall_s: float) -> tuple[SourceRate, ...]:

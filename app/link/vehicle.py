@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,8 @@ from mission.exchange.vehicle_command import describe_result
 _ANSWER_S = 1.0
 _TRIES = 4
 _IN_PROGRESS = 5
+_SET_MESSAGE_INTERVAL = 511
+_RATE_ROUNDS, _RATE_ANSWER_S = 3, 0.6
 _ACCEPTED = 0
 
 Listener = Callable[[Message], object]
@@ -73,6 +76,21 @@ class Vehicle:
             return None
         finally:
             self._waiting.remove(entry)
+
+    @contextlib.contextmanager
+    def hearing(self, *names: str) -> Iterator[asyncio.Queue[Message]]:
+        """Collect the autopilot's messages of these names meanwhile."""
+        queue: asyncio.Queue[Message] = asyncio.Queue()
+
+        def hear(message: Message) -> None:
+            if message.name in names and message.component_id == AUTOPILOT_COMPONENT:
+                queue.put_nowait(message)
+
+        self.listeners.append(hear)
+        try:
+            yield queue
+        finally:
+            self.listeners.remove(hear)
 
     def is_for_us(self, message: Message) -> bool:
         """Tell whether a message of the autopilot answers us: others' answers may pass here too.
@@ -136,6 +154,22 @@ class Vehicle:
                 return Answer(int(message.fields["result"]))
         return Answer(None)
 
-    async def set_rate(self, message_id: int, rate_hz: float) -> None:
-        """Ask for a message at ``rate_hz``; an autopilot that does not offer it is left alone."""
-        await self.command(511, message_id, 1e6 / rate_hz)
+    async def set_rates(self, rates_hz: Mapping[int, float]) -> None:
+        """Ask for messages at these rates, 0 for none, all at once; what is not offered is left alone.
+
+        An answer does not tell which of them it is for: where one is missing, all are asked for again, twice at most.
+        """
+        for _ in range(_RATE_ROUNDS):
+            with self.hearing("COMMAND_ACK") as answers:
+                for message_id, rate_hz in rates_hz.items():
+                    values = {"param1": float(message_id), "param2": 1e6 / rate_hz if rate_hz else -1.0}
+                    rest = {f"param{i}": 0.0 for i in range(3, 8)}
+                    body = {"command": _SET_MESSAGE_INTERVAL, "confirmation": 0} | values | rest
+                    await self.tell("COMMAND_LONG", body)
+                missing = len(rates_hz)
+                with contextlib.suppress(TimeoutError):
+                    while missing:
+                        answer = await asyncio.wait_for(answers.get(), _RATE_ANSWER_S)
+                        missing -= self.is_for_us(answer) and answer.fields["command"] == _SET_MESSAGE_INTERVAL
+            if not missing:
+                return

@@ -1,0 +1,143 @@
+"""Parameters and message rates asked for all at once, over a link that loses: on the simulated vehicles."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+from collections import Counter
+
+import pytest
+from pymavlink.dialects.v20 import all as mavlink
+
+from app.autopilots.parameters import read_parameters
+from app.autopilots.registry import AUTOPILOTS
+from app.flight.streams import ask_for_streams, is_slow
+from app.link.message import Message
+from app.link.vehicle import Vehicle
+from sitl.settings import Flavour, Settings
+from sitl.simulation import Simulation
+
+OURS = (245, 190)
+NAMES = {Flavour(one.name.lower()): list(one.relevant_parameters) for one in AUTOPILOTS}
+
+
+class LossyLink:
+    """A ``Link`` into a simulation, as far as asking needs it: messages and their losses, without sockets."""
+
+    system_id, own_id = 1, OURS
+
+    def __init__(self, simulation: Simulation, loss: float) -> None:
+        self._simulation, self._loss = simulation, loss
+        self._rng = random.Random(4)
+        self._mav, self._parser = mavlink.MAVLink(None, *OURS), mavlink.MAVLink(None)
+        self.sent: Counter[str] = Counter()
+        self.slow_reads = 0
+        simulation.connect("ground")
+        self.queue: asyncio.Queue = asyncio.Queue()
+
+    async def messages(self):
+        while True:
+            yield await self.queue.get()
+
+    async def send(self, name, fields):
+        self.sent[name] += 1
+        definition = getattr(mavlink, f"MAVLink_{name.lower()}_message")
+        text = {key: value.encode() if isinstance(value, str) else value for key, value in fields.items()}
+        frame = definition(**text).pack(self._mav)
+        if self._rng.random() >= self._loss:
+            self._simulation.receive("ground", frame)
+        self.run(0.02)
+
+    def run(self, seconds):
+        self._simulation.advance(self._simulation.time_s + seconds)
+        for _, data in self._simulation.take():
+            for message in self._parser.parse_buffer(data) or ():
+                if self._rng.random() >= self._loss:
+                    fields = json.loads(json.dumps(message.to_dict()).replace("NaN", "null"))  # as MAVSDK has it
+                    fields.pop("mavpackettype")
+                    self.queue.put_nowait(Message(message.get_type(), 1, message.get_srcComponent(), fields, 0.0))
+
+    async def parameter(self, name, timeout_s=4.0):
+        self.slow_reads += 1
+        return self._simulation.vehicle.parameters[name]
+
+
+def asked(flavour, loss, ask):
+    """Return what ``ask`` returns for a vehicle of the flavour, the simulation and the link."""
+
+    async def main():
+        simulation = Simulation(Settings(flavour=flavour))
+        link = LossyLink(simulation, loss)
+        vehicle = Vehicle(link)
+        pump = asyncio.create_task(vehicle.run())
+        link.run(3.0)
+        while "HEARTBEAT" not in vehicle.latest:
+            await asyncio.sleep(0)
+        try:
+            return await ask(vehicle), simulation, link
+        finally:
+            pump.cancel()
+
+    return asyncio.run(main())
+
+
+@pytest.mark.parametrize("flavour", list(Flavour))
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_all_parameters_are_read_at_once_and_those_that_are_lost_again(flavour, loss, monkeypatch):
+    monkeypatch.setattr("app.autopilots.parameters._ANSWER_S", 0.01)
+    monkeypatch.setattr("app.autopilots.parameters._IDLE_ROUNDS", 20)
+    names = NAMES[flavour]
+    values, simulation, link = asked(flavour, loss, lambda vehicle: read_parameters(vehicle, [*names, "NO_SUCH"]))
+    assert values == {name: simulation.vehicle.parameters[name] for name in names}
+    if not loss:
+        assert link.sent["PARAM_REQUEST_READ"] <= len(names) + 21
+
+
+def test_a_whole_number_that_looks_like_no_number_is_read_another_way(monkeypatch):
+    monkeypatch.setattr("app.autopilots.parameters._ANSWER_S", 0.01)
+
+    async def ask(vehicle):
+        vehicle.link._simulation.vehicle.parameters.set("NAV_DLL_ACT", -1)
+        return await read_parameters(vehicle, ["NAV_DLL_ACT", "FW_R_LIM"])
+
+    values, _, link = asked(Flavour.PX4, 0.0, ask)
+    assert values == {"NAV_DLL_ACT": -1.0, "FW_R_LIM": 50.0}
+    assert link.slow_reads == 1
+
+
+@pytest.mark.parametrize("flavour", list(Flavour))
+def test_few_messages_are_some_two_kilobytes_a_second(flavour, monkeypatch):
+    monkeypatch.setattr("app.link.vehicle._RATE_ANSWER_S", 0.01)
+
+    def bytes_s(few):
+        _, simulation, link = asked(flavour, 0.0, lambda vehicle: ask_for_streams(vehicle, few))
+        simulation.take()
+        simulation.advance(simulation.time_s + 20.0)
+        assert link.sent["COMMAND_LONG"] < 80
+        return sum(len(data) for _, data in simulation.take()) / 20.0
+
+    assert bytes_s(few=True) < 2600.0
+    assert bytes_s(few=True) < 0.8 * bytes_s(few=False)
+
+
+def test_rates_are_asked_for_again_where_answers_are_lost(monkeypatch):
+    monkeypatch.setattr("app.link.vehicle._RATE_ANSWER_S", 0.01)
+    _, simulation, _ = asked(Flavour.ARDUPLANE, 0.2, ask_for_streams)
+    (station,) = simulation.vehicle.radio.stations.values()
+    assert station.interval_s[mavlink.MAVLINK_MSG_ID_ATTITUDE] == pytest.approx(0.05)
+    assert station.interval_s[mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("urls", "slow"),
+    [
+        (["serial:///dev/ttyUSB0:57600"], True),
+        (["serial_flowcontrol:///dev/ttyUSB0:38400"], True),
+        (["serial:///dev/ttyACM0:115200"], False),
+        (["udpin://0.0.0.0:14540"], False),
+        (["udpin://0.0.0.0:14540", "serial:///dev/ttyUSB0:57600"], True),
+    ],
+)
+def test_a_slow_serial_line_is_known_by_its_url(urls, slow):
+    assert is_slow(urls) is slow
