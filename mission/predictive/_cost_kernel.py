@@ -67,29 +67,6 @@ def cost_rates(
 
 
 @compiled
-def looked_up(values: Float32, cell_m: float, x_m: float, y_m: float, heading_rad: float) -> float:
-    """Interpolate in (headings, n, n); beyond the grid as on its edge."""
-    headings, n, _ = values.shape
-    x = min(max(x_m / cell_m + 0.5 * (n - 1), 0.0), n - 1.001)
-    y = min(max(y_m / cell_m + 0.5 * (n - 1), 0.0), n - 1.001)
-    heading = heading_rad * (headings / _TWO_PI)
-    heading -= headings * math.floor(heading / headings)
-    i, j, k = int(x), int(y), int(heading)
-    across, along, turn = x - i, y - j, heading - k
-    k = k if k < headings else k - headings
-    near = _in_plane(values[k], i, j, across, along)
-    far = _in_plane(values[k + 1 if k + 1 < headings else 0], i, j, across, along)
-    return float(near + turn * (far - near))
-
-
-@compiled
-def _in_plane(plane: Float32, i: int, j: int, across: float, along: float) -> float:
-    low = plane[i, j] + along * (plane[i, j + 1] - plane[i, j])
-    high = plane[i + 1, j] + along * (plane[i + 1, j + 1] - plane[i + 1, j])
-    return float(low + across * (high - low))
-
-
-@compiled
 def table_value(
     values: Float32,
     cell_m: float,
@@ -98,13 +75,31 @@ def table_value(
     heading_rad: float,
     classes: IntArray,
     share: FloatArray,
+    one: int,
+    k: int,
 ) -> float:
-    """Return what the classes (4,) say together."""
+    """Return what the classes[one, k] (4,) say together at a place; beyond the grid as on its edge."""
+    _, headings, n, _ = values.shape
+    x = min(max(x_m / cell_m + 0.5 * (n - 1), 0.0), n - 1.001)
+    y = min(max(y_m / cell_m + 0.5 * (n - 1), 0.0), n - 1.001)
+    heading = heading_rad * (headings / _TWO_PI)
+    heading -= headings * math.floor(heading / headings)
+    i, j, near = int(x), int(y), int(heading)
+    across, along, turn = x - i, y - j, heading - near
+    near = near if near < headings else near - headings
+    far = near + 1 if near + 1 < headings else 0
     total = 0.0
     for c in range(4):
-        if share[c] > 0.0:
-            total += share[c] * looked_up(values[classes[c]], cell_m, x_m, y_m, heading_rad)
-    return total
+        weight = share[one, k, c]
+        if weight > 0.0:
+            v = classes[one, k, c]
+            low = values[v, near, i, j] + along * (values[v, near, i, j + 1] - values[v, near, i, j])
+            high = values[v, near, i + 1, j] + along * (values[v, near, i + 1, j + 1] - values[v, near, i + 1, j])
+            here = low + across * (high - low)
+            low = values[v, far, i, j] + along * (values[v, far, i, j + 1] - values[v, far, i, j])
+            high = values[v, far, i + 1, j] + along * (values[v, far, i + 1, j + 1] - values[v, far, i + 1, j])
+            total += weight * (here + turn * (low + across * (high - low) - here))
+    return float(total)
 
 
 @compiled
@@ -118,6 +113,6 @@ def table_values(
     share: FloatArray,
     found: FloatArray,
 ) -> None:
-    """Fill in :func:`table_value` for many places (n,)."""
+    """Fill in :func:`table_value` for many places (n,); classes, share (1, 1, 4)."""
     for i in range(len(x_m)):
-        found[i] = table_value(values, cell_m, x_m[i], y_m[i], heading_rad[i], classes, share)
+        found[i] = table_value(values, cell_m, x_m[i], y_m[i], heading_rad[i], classes, share, 0, 0)

@@ -18,7 +18,7 @@ import numpy as np
 from estimators.compiled import compiled
 from mission.core.path import FloatArray
 from mission.geometry._line_kernel import ground_speed_m_s, moved_m, trapezoid, turned_rad, with_last_ramp
-from mission.predictive._cost_kernel import CostTerms, Float32, IntArray, Table, cost_rate, table_value
+from mission.predictive._cost_kernel import CostTerms, IntArray, Table, cost_rate, table_value
 
 # The target turns at random, so what it does at a certain moment of the roll-out matters only in the mean: every
 # third sample is enough.
@@ -78,46 +78,6 @@ class Lines(NamedTuple):
     trunk: IntArray
     on_trunk: IntArray
     end_m: FloatArray
-
-
-@compiled
-def _value_there(
-    values: Float32,
-    cell_m: float,
-    x_m: float,
-    y_m: float,
-    heading_rad: float,
-    time_s: float,
-    one: int,
-    f: Futures,
-    after_turn: bool,
-) -> float:
-    """Return the table's word on a place of the departure's frame at a time, in one future."""
-    k = _sample(f, time_s)
-    east_m, north_m = _off_target(f, one, k, x_m, y_m, time_s)
-    sin_c, cos_c = f.course[one, k, 0], f.course[one, k, 1]
-    share = f.turn_share[one, k] if after_turn else f.share[one, k]
-    return table_value(
-        values,
-        cell_m,
-        east_m * cos_c - north_m * sin_c,
-        east_m * sin_c + north_m * cos_c,
-        heading_rad - f.course[one, k, 2],
-        f.classes[one, k],
-        share,
-    )
-
-
-@compiled
-def _sample(f: Futures, time_s: float) -> int:
-    return int(min(time_s / f.step_s, f.place.shape[1] - 1.0))
-
-
-@compiled
-def _off_target(f: Futures, one: int, k: int, x_m: float, y_m: float, time_s: float) -> tuple[float, float]:
-    since_s = time_s - k * f.step_s
-    place = f.place[one, k]
-    return x_m - (place[0] + place[2] * since_s), y_m - (place[1] + place[3] * since_s)
 
 
 # -- lines -----------------------------------------------------------------------------------------------------------
@@ -232,41 +192,52 @@ def _extend(
 
 
 @compiled
-def _rates(
+def _relate(
     x_m: FloatArray,
     y_m: FloatArray,
     time_s: FloatArray,
-    weight: FloatArray,
     one: int,
-    f: Futures,
+    step_s: float,
+    place: FloatArray,
+    turn: FloatArray,
+    across: FloatArray,
+    along: FloatArray,
+) -> None:
+    """Fill in places relative to the target of one future, in a frame that turns: turn (f, k, 2...) as Futures."""
+    n, last = len(x_m), place.shape[1] - 1
+    if last == 0:
+        sin_t, cos_t = turn[one, 0, 0], turn[one, 0, 1]
+        x0, y0, vx, vy = place[one, 0, 0], place[one, 0, 1], place[one, 0, 2], place[one, 0, 3]
+        for i in range(n):
+            off_x, off_y = x_m[i] - x0 - vx * time_s[i], y_m[i] - y0 - vy * time_s[i]
+            across[i] = off_x * cos_t - off_y * sin_t
+        for i in range(n):
+            off_x, off_y = x_m[i] - x0 - vx * time_s[i], y_m[i] - y0 - vy * time_s[i]
+            along[i] = off_x * sin_t + off_y * cos_t
+    else:
+        for i in range(n):
+            k = min(int(time_s[i] / step_s), last)
+            since_s = time_s[i] - k * step_s
+            off_x = x_m[i] - (place[one, k, 0] + place[one, k, 2] * since_s)
+            off_y = y_m[i] - (place[one, k, 1] + place[one, k, 3] * since_s)
+            sin_t, cos_t = turn[one, k, 0], turn[one, k, 1]
+            across[i], along[i] = off_x * cos_t - off_y * sin_t, off_x * sin_t + off_y * cos_t
+
+
+@compiled
+def _rates(
+    across: FloatArray,
+    along: FloatArray,
+    time_s: FloatArray,
+    weight: FloatArray,
     d: Doubt,
     c: CostTerms,
     found: FloatArray,
 ) -> None:
-    """Fill in the discounted rate of the running cost at samples of the departure's frame, in one future."""
-    n = len(x_m)
-    across, along = np.empty(n), np.empty(n)
-    if f.place.shape[1] == 1:
-        sin_w, cos_w = f.facing[one, 0, 0], f.facing[one, 0, 1]
-        x0, y0, vx, vy = f.place[one, 0, 0], f.place[one, 0, 1], f.place[one, 0, 2], f.place[one, 0, 3]
-        for i in range(n):
-            off_x, off_y = x_m[i] - x0 - vx * time_s[i], y_m[i] - y0 - vy * time_s[i]
-            across[i] = off_x * cos_w - off_y * sin_w
-        for i in range(n):
-            off_x, off_y = x_m[i] - x0 - vx * time_s[i], y_m[i] - y0 - vy * time_s[i]
-            along[i] = off_x * sin_w + off_y * cos_w
-    else:
-        for i in range(n):
-            k = _sample(f, time_s[i])
-            off_x, off_y = _off_target(f, one, k, x_m[i], y_m[i], time_s[i])
-            sin_w, cos_w = f.facing[one, k, 0], f.facing[one, k, 1]
-            across[i], along[i] = off_x * cos_w - off_y * sin_w, off_x * sin_w + off_y * cos_w
-    place2, velocity2, course2 = (
-        d.position_m * d.position_m,
-        d.velocity_m_s * d.velocity_m_s,
-        d.course_rad * d.course_rad,
-    )
-    for i in range(n):
+    """Fill in the discounted rate of the running cost at places of the watch frame."""
+    place2, velocity2 = d.position_m * d.position_m, d.velocity_m_s * d.velocity_m_s
+    course2 = d.course_rad * d.course_rad
+    for i in range(len(across)):
         sigma2 = place2 + velocity2 * time_s[i] * time_s[i]
         blur_m = 1.0 + math.sqrt(sigma2 + course2 * along[i] * along[i])
         found[i] = cost_rate(across[i], along[i], math.sqrt(sigma2), blur_m, c) * weight[i]
@@ -285,66 +256,60 @@ def lines_costs(
     costs: FloatArray,
 ) -> None:
     """Fill in the expected cost (lines,) of flying each line from a place and heading of the departure's frame."""
-    n = len(lines.x_m)
+    # Parts of tuples are taken out once: in a loop each access would count its references.
+    own_x, own_y, turned, time_s, weight = lines.x_m, lines.y_m, lines.turned_rad, lines.time_s, lines.weight
+    trunk_first, own_first, trunk, on_trunk = lines.trunk_first, lines.own_first, lines.trunk, lines.on_trunk
+    classes, share, turn_share, course = f.classes, f.share, f.turn_share, f.course
+    values, after_turn, cell_m, hazard_per_s = table.values, table.after_turn, table.cell_m, 1.0 / table.mean_leg_s
+    n, last_k = len(own_x), f.place.shape[1] - 1
     sin_h, cos_h = math.sin(heading_rad), math.cos(heading_rad)
-    x, y, rates = np.empty(n), np.empty(n), np.empty(n)
+    x, y = np.empty(n), np.empty(n)
     for s in range(n):
-        x[s] = x_m + lines.x_m[s] * cos_h + lines.y_m[s] * sin_h
+        x[s] = x_m + own_x[s] * cos_h + own_y[s] * sin_h
     for s in range(n):
-        y[s] = y_m - lines.x_m[s] * sin_h + lines.y_m[s] * cos_h
+        y[s] = y_m - own_x[s] * sin_h + own_y[s] * cos_h
+    across, along, rates = np.empty(n), np.empty(n), np.empty(n)
     sums, turns, turn_rates = np.empty(n), np.empty(n), np.empty(n)
-    costs[: len(lines.trunk)] = 0.0
+    costs[: len(trunk)] = 0.0
     for one in range(len(f.weight)):
-        _rates(x, y, lines.time_s, lines.weight, one, f, d, c, rates)
-        for h in range(len(lines.trunk_first) - 1):
-            first = lines.trunk_first[h]
-            for s in range(first, lines.trunk_first[h + 1]):
+        _relate(x, y, time_s, one, f.step_s, f.place, f.facing, across, along)
+        _rates(across, along, time_s, weight, d, c, rates)
+        _relate(x, y, time_s, one, f.step_s, f.place, course, across, along)
+        for h in range(len(trunk_first) - 1):
+            first = trunk_first[h]
+            for s in range(first, trunk_first[h + 1]):
                 sums[s] = turns[s] = 0.0
                 if s > first:
-                    step_s = lines.time_s[s] - lines.time_s[s - 1]
-                    sums[s] = sums[s - 1] + 0.5 * (rates[s - 1] + rates[s]) * step_s
+                    sums[s] = sums[s - 1] + 0.5 * (rates[s - 1] + rates[s]) * (time_s[s] - time_s[s - 1])
                 if (s - first) % TURN_STRIDE == 0:
-                    turn_rates[s] = _turn_rate(lines, s, x[s], y[s], heading_rad, one, f, table)
+                    k = min(int(time_s[s] / f.step_s), last_k)
+                    heading = heading_rad + turned[s] - course[one, k, 2]
+                    after = table_value(after_turn, cell_m, across[s], along[s], heading, classes, turn_share, one, k)
+                    turn_rates[s] = hazard_per_s * weight[s] * after
                     if s > first:
-                        held_s = lines.time_s[s] - lines.time_s[s - TURN_STRIDE]
+                        held_s = time_s[s] - time_s[s - TURN_STRIDE]
                         turns[s] = turns[s - TURN_STRIDE] + turn_rates[s - TURN_STRIDE] * held_s
-        for i in range(len(lines.trunk)):
-            first, on_trunk = lines.trunk_first[lines.trunk[i]], lines.on_trunk[i]
-            before = first + on_trunk - 1
-            turned = first + (on_trunk - 1) // TURN_STRIDE * TURN_STRIDE
-            total = sums[before] + turns[turned]
-            turn_rate, turn_s = turn_rates[turned], lines.time_s[turned]
-            last = lines.own_first[i + 1] - 1
-            for s in range(lines.own_first[i], last + 1):
-                total += 0.5 * (rates[before] + rates[s]) * (lines.time_s[s] - lines.time_s[before])
+        for i in range(len(trunk)):
+            first = trunk_first[trunk[i]]
+            before = first + on_trunk[i] - 1
+            leaving = first + (on_trunk[i] - 1) // TURN_STRIDE * TURN_STRIDE
+            total = sums[before] + turns[leaving]
+            turn_rate, turn_s = turn_rates[leaving], time_s[leaving]
+            last = own_first[i + 1] - 1
+            for s in range(own_first[i], last + 1):
+                total += 0.5 * (rates[before] + rates[s]) * (time_s[s] - time_s[before])
                 before = s
-                if (on_trunk + s - lines.own_first[i]) % TURN_STRIDE == 0 and s < last:
-                    total += turn_rate * (lines.time_s[s] - turn_s)
-                    turn_rate, turn_s = _turn_rate(lines, s, x[s], y[s], heading_rad, one, f, table), lines.time_s[s]
-            end_s = lines.time_s[last]
-            total += turn_rate * (end_s - turn_s)
-            total += lines.weight[last] * _value_there(
-                table.values,
-                table.cell_m,
-                x[last],
-                y[last],
-                heading_rad + lines.turned_rad[last],
-                end_s,
-                one,
-                f,
-                False,
-            )
-            costs[i] += f.weight[one] * total
-
-
-@compiled
-def _turn_rate(
-    lines: Lines, s: int, x_m: float, y_m: float, heading_rad: float, one: int, f: Futures, table: Table
-) -> float:
-    """Return what a turn of the target at sample s costs, for each second in which it may happen."""
-    heading_rad = heading_rad + lines.turned_rad[s]
-    after = _value_there(table.after_turn, table.cell_m, x_m, y_m, heading_rad, lines.time_s[s], one, f, True)
-    return float(lines.weight[s] / table.mean_leg_s * after)
+                if (on_trunk[i] + s - own_first[i]) % TURN_STRIDE == 0 and s < last:
+                    k = min(int(time_s[s] / f.step_s), last_k)
+                    heading = heading_rad + turned[s] - course[one, k, 2]
+                    after = table_value(after_turn, cell_m, across[s], along[s], heading, classes, turn_share, one, k)
+                    total += turn_rate * (time_s[s] - turn_s)
+                    turn_rate, turn_s = hazard_per_s * weight[s] * after, time_s[s]
+            total += turn_rate * (time_s[last] - turn_s)
+            k = min(int(time_s[last] / f.step_s), last_k)
+            heading = heading_rad + turned[last] - course[one, k, 2]
+            end = table_value(values, cell_m, across[last], along[last], heading, classes, share, one, k)
+            costs[i] += f.weight[one] * (total + weight[last] * end)
 
 
 @compiled
@@ -359,27 +324,29 @@ def line_cost(
     table: Table,
 ) -> float:
     """Return the expected cost of one line (k,) in the departure's frame, as :func:`lines_costs` has it."""
-    n = len(x_m)
-    hazard_per_s = 1.0 / table.mean_leg_s
-    weight, rates = np.empty(n), np.empty(n)
+    n, last_k = len(x_m), f.place.shape[1] - 1
+    classes, share, turn_share, course = f.classes, f.share, f.turn_share, f.course
+    values, after_turn, cell_m, hazard_per_s = table.values, table.after_turn, table.cell_m, 1.0 / table.mean_leg_s
+    across, along, weight, rates = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for s in range(n):
         weight[s] = math.exp(-(table.discount_per_s + hazard_per_s) * time_s[s])
     total = 0.0
     for one in range(len(f.weight)):
-        _rates(x_m, y_m, time_s, weight, one, f, d, c, rates)
+        _relate(x_m, y_m, time_s, one, f.step_s, f.place, f.facing, across, along)
+        _rates(across, along, time_s, weight, d, c, rates)
+        _relate(x_m, y_m, time_s, one, f.step_s, f.place, course, across, along)
         cost = 0.0
         for s in range(1, n):
             cost += 0.5 * (rates[s - 1] + rates[s]) * (time_s[s] - time_s[s - 1])
-        for s in range(0, n - 1, TURN_STRIDE):
-            held_s = time_s[min(s + TURN_STRIDE, n - 1)] - time_s[s]
-            after = _value_there(
-                table.after_turn, table.cell_m, x_m[s], y_m[s], heading_rad[s], time_s[s], one, f, True
-            )
-            cost += hazard_per_s * weight[s] * after * held_s
-        cost += weight[n - 1] * _value_there(
-            table.values, table.cell_m, x_m[n - 1], y_m[n - 1], heading_rad[n - 1], time_s[n - 1], one, f, False
-        )
-        total += f.weight[one] * cost
+        for s in range(0, n, TURN_STRIDE):
+            k = min(int(time_s[s] / f.step_s), last_k)
+            heading = heading_rad[s] - course[one, k, 2]
+            after = table_value(after_turn, cell_m, across[s], along[s], heading, classes, turn_share, one, k)
+            cost += hazard_per_s * weight[s] * after * (time_s[min(s + TURN_STRIDE, n - 1)] - time_s[s])
+        k = min(int(time_s[n - 1] / f.step_s), last_k)
+        heading = heading_rad[n - 1] - course[one, k, 2]
+        end = table_value(values, cell_m, across[n - 1], along[n - 1], heading, classes, share, one, k)
+        total += f.weight[one] * (cost + weight[n - 1] * end)
     return total
 
 

@@ -166,7 +166,8 @@ class MotionTable:
         every = np.broadcast_arrays(*place)
         found = np.empty(every[0].shape)
         x, y, heading = (a.astype(np.float64).ravel() for a in every)
-        table_values(values, self.table.cell_m, x, y, heading, self.classes, share, found.ravel())
+        classes, shares = self.classes[None, None], share[None, None]
+        table_values(values, self.table.cell_m, x, y, heading, classes, shares, found.ravel())
         return found
 
 
