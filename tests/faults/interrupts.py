@@ -39,7 +39,8 @@ class Interruption:
     @staticmethod
     def drawn(seed: str) -> Interruption:
         rng = random.Random(seed)
-        return Interruption(rng.choice(SIGNALS), rng.uniform(0.2, 14.0))
+        after = rng.choice((None, "connecting", "checking", "arming", "taking off", "watched from now on"))
+        return Interruption(rng.choice(SIGNALS), rng.uniform(0.2, 4.0), after)
 
 
 def left_of(interruption: Interruption, out: Path) -> tuple[str, list[str]]:
