@@ -301,12 +301,13 @@ def _sentence(error: ValidationError) -> str:
     if problem["type"] == "extra_forbidden":
         return f"unknown key {where}; known there: {', '.join(_known_keys(problem['loc']))}."
     if problem["type"] == "value_error":
-        return f"{where}: {problem['ctx']['error']}."
+        return f"{where}: {_cut(str(problem['ctx']['error']))}."
     message = problem["msg"][0].lower() + problem["msg"][1:]
-    found = repr(problem["input"])
-    if len(found) > _SHOWN_CHARACTERS:
-        found = found[:_SHOWN_CHARACTERS] + "..."
-    return f"{where} = {found}: {message}{_nearest(problem)}."
+    return f"{where} = {_cut(repr(problem['input']), _SHOWN_CHARACTERS)}: {message}{_nearest(problem)}."
+
+
+def _cut(text: str, longest: int = 400) -> str:
+    return text if len(text) <= longest else text[:longest] + "..."
 
 
 def _nearest(problem: ErrorDetails) -> str:

@@ -51,6 +51,7 @@ def test_the_command_line_wins_over_the_file_and_none_says_nothing(tmp_path):
         ("# long\n" * 50_000, ["longer than 256 KiB"]),
         (bytes(range(256)), ["UTF-8", "sidelong init"]),
         (f"[aircraft]\nradius_m = '{'b' * 9000}'\n", ["aircraft.radius_m", "bbb..."]),
+        (f"[requirement]\nside = '{'9' * 9000}-1'\n", ["requirement.side", "999..."]),
     ],
 )
 def test_a_wrong_file_is_one_sentence_that_names_the_field(tmp_path, text, named):

@@ -9,7 +9,7 @@ import resource
 import signal
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -101,8 +101,18 @@ def _quiet() -> Iterator[None]:
             os.environ["OPENBLAS_NUM_THREADS"] = before
 
 
-def run(inputs: int, campaign: int, processes: int = 2, names: Sequence[str] = (), batch: int = 100) -> list[Count]:
-    """Give each reader (or those of ``names``) so many damaged files; return what became of them."""
+def run(
+    inputs: int,
+    campaign: int,
+    processes: int = 2,
+    names: Sequence[str] = (),
+    batch: int = 100,
+    progress: Callable[[float, int], object] = lambda _share, _wrong: None,
+) -> list[Count]:
+    """Give each reader (or those of ``names``) so many damaged files; return what became of them.
+
+    progress hears of the share that is done, and of how many were wrong.
+    """
     with tempfile.TemporaryDirectory() as folder:
         value_table(TABLE, directory=Path(folder))
         table = next(Path(folder).iterdir()).read_bytes()
@@ -114,9 +124,10 @@ def run(inputs: int, campaign: int, processes: int = 2, names: Sequence[str] = (
             for first in range(0, inputs, batch)
             for name in totals
         ]
-        for done in work:
+        for number, done in enumerate(work, 1):
             count = done.result()
             totals[count.reader].add(count)
+            progress(number / len(work), sum(total.wrong for total in totals.values()))
         for _ in range(processes):
             pool.submit(_end)
     return list(totals.values())
