@@ -27,6 +27,7 @@ class FaultyLink(Generic[T]):
         self._rng = rng
         self._waiting: list[tuple[float, int, T]] = []
         self._count = 0
+        self._latest_s = -float("inf")
 
     def put(self, datagram: T, now_s: float) -> None:
         lost, doubled = self._rng.random(2)
@@ -35,7 +36,10 @@ class FaultyLink(Generic[T]):
         for _ in range(2 if doubled < self._faults.duplicate else 1):
             self._count += 1
             jitter_s = self._faults.jitter_s * self._rng.random() if self._faults.jitter_s else 0.0
-            heapq.heappush(self._waiting, (now_s + self._faults.delay_s + jitter_s, self._count, datagram))
+            due_s = now_s + self._faults.delay_s + jitter_s
+            if not jitter_s:  # in order, even where the delay has become shorter
+                due_s = self._latest_s = max(due_s, self._latest_s)
+            heapq.heappush(self._waiting, (due_s, self._count, datagram))
 
     def take(self, now_s: float) -> list[T]:
         taken = []

@@ -3,8 +3,9 @@
 Rules
 -----
 1. Nothing is commanded before ``ControlAcquired`` and nothing after ``Yield`` or ``End``.
-2. At most one plan is under way to the autopilot. It is Prepared (the autopilot holds it, still flying the line
-   before), then Departed at its planned time; one that got ready too late to be joined is dropped and decided anew.
+2. At most one plan is under way to the autopilot. It is uploaded (the autopilot holds it, still flying the line
+   before), then activated at its planned time; one that got ready too late to be joined is dropped and decided anew.
+   Until it is known whether an activated plan is flown, nothing is decided; that it is may be known late.
 3. A plan that breaks a fence is not sent; the present circle goes on.
 4. What is sent is the wanted circle with the radius that makes the autopilot fly it; when the measured ratio of
    flown to commanded radius changes, the present circle is sent again.

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from mission.core.plan import AircraftState, Plan
 from mission.exchange.layout import MissionLayout
-from mission.exchange.outbox import ACCEPTED, Outbox
+from mission.exchange.outbox import Outbox
 from mission.exchange.raw_item import at_place
 from mission.exchange.reports import MissionCountReported, PositionTargetReported
 from mission.geometry.progress import nearest_arc_m, off_track, point_at
@@ -109,7 +109,7 @@ class Activation:
         """Take the answer to the question: what is reported from now on is newer than the last request."""
         if self.unanswered and not self._settled:
             self._settled = True
-            self._outbox.send_mission("MISSION_ACK", type=ACCEPTED)
+            self._outbox.end_reading()
 
     def track(self, aircraft: AircraftState) -> None:
         """Take where the aircraft is: it flies the one plan or the other, or neither."""

@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-import numpy as np
-
 from mission.core.circle import Circle
 from mission.core.events import ActivatePlan, PlanStatus, UploadPlan
 from mission.core.plan import AircraftState, Plan
@@ -15,12 +13,13 @@ from mission.core.requirement import Wind
 from mission.exchange.activation import Activation, Answer
 from mission.exchange.dialect import AutopilotDialect
 from mission.exchange.layout import MissionLayout
+from mission.exchange.line_progress import first_ahead, flown_after
+from mission.exchange.mission_ownership import MissionOwnership
 from mission.exchange.mission_read import MissionRead
 from mission.exchange.mission_write import MissionWrite, WriteResult
-from mission.exchange.outbox import ExternalControl, Outbox
-from mission.exchange.ownership import MissionIdentity, Suspicion
+from mission.exchange.outbox import Outbox
 from mission.exchange.plan_backend import BackendSettings
-from mission.exchange.raw_item import RawItem, same_item
+from mission.exchange.raw_item import RawItem
 from mission.exchange.reports import (
     MissionCountReported,
     MissionCurrentReported,
@@ -31,12 +30,9 @@ from mission.exchange.reports import (
 from mission.geometry.wind import STILL_AIR
 from mission.upload.items import NAV_LOITER_UNLIM, NAV_WAYPOINT, UnflyableError, plan_items
 
-_SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
 _DURATION_WEIGHT = 0.5
 _LATE_MAX_S = 5.0
 _FIRST_UPLOAD_S, _UPLOAD_S, _USELESS_S, _READ_S = 30.0, 8.0, 2.0, 5.0
-_FROZEN_S = 0.25
-_AUDIT_S = 3.0  # between two looks at the item that is flown
 _NEGLIGIBLE_S = 0.3
 _REPEAT_AHEAD_S, _REPEAT_ROUND_TRIPS = 1.0, 1.5  # a repeated request may arrive so late
 
@@ -66,7 +62,6 @@ class MissionItemBackend:
         self._outbox, self._dialect, self._settings = outbox, dialect, settings
         self._layout: MissionLayout | None = None
         self._onboard: tuple[RawItem | None, ...] = ()  # None where a failed upload leaves doubt
-        self._mission_id = 0
         self._write: MissionWrite | None = None
         self._writing: MissionLayout | None = None
         self._began_s = 0.0
@@ -76,13 +71,11 @@ class MissionItemBackend:
         self._left: MissionLayout | None = None  # the line before, until an item of the present one was reported
         self._upload_took_s = 0.0
         self._round_trip_s = 0.0
-        self._identity = MissionIdentity()
-        self._suspicion, self._contents = Suspicion(), Suspicion()
+        self._ownership = MissionOwnership(outbox, dialect.quirks)
         self._current: MissionCurrentReported | None = None
         self._target: PositionTargetReported | None = None
         self._aircraft: AircraftState | None = None
-        self._in_control = self._closed = False
-        self._audit_s = math.inf
+        self._closed = False
         self._waits = False  # for the next tick, whose link time is that of now
         self.load_result: WriteResult | None = None
 
@@ -99,19 +92,13 @@ class MissionItemBackend:
     @property
     def next_timer_s(self) -> float:
         """When ``expire`` is to be called, on the link's clock; -inf: at once, inf: never."""
-        if self._frozen:
-            return self._outbox.link_s + _FROZEN_S
+        if self._ownership.frozen:
+            return self._ownership.next_timer_s
         if self._waits:
             return -math.inf
         activation = self._change.activation if self._change is not None else None
         parts = [part.next_timer_s for part in (self._write, self._read, activation) if part is not None]
-        audits = self._in_control and self._dialect.quirks.stores_items_one_by_one
-        return min([*parts, self._audit_s if audits else math.inf])
-
-    @property
-    def _frozen(self) -> bool:
-        """Whether somebody else may be at work: not one message more until that is known."""
-        return self._suspicion.active or self._contents.active
+        return min([*parts, self._ownership.next_timer_s])
 
     # -- the first mission ---------------------------------------------------------------------------------
 
@@ -149,8 +136,8 @@ class MissionItemBackend:
         min_items = self._dialect.min_items
         kept = max(last + 1, min_items)
         self._layout = MissionLayout(items[:kept], head, max(first, head), last + 1, min_items).filled()
-        self._onboard, self._mission_id = items, read.mission_id
-        self._identity.ours.add((self._current.total, self._current.mission_id))
+        self._onboard = items
+        self._ownership.adopted(self._current)
         item = items[last]
         east_m, north_m = self._settings.plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
         return Circle(east_m, north_m, abs(item.param3), item.param3 > 0.0)
@@ -175,9 +162,7 @@ class MissionItemBackend:
 
     def take_control(self) -> None:
         """Begin to look out for somebody else who commands the vehicle: it is ours now."""
-        self._in_control = True
-        self._suspicion.forget()
-        self._audit_s = self._outbox.link_s + _AUDIT_S
+        self._ownership.begin()
 
     # -- plans ---------------------------------------------------------------------------------------------
 
@@ -215,8 +200,8 @@ class MissionItemBackend:
     def expire(self) -> None:
         """Do what is due."""
         self._waits = False
-        if self._frozen:
-            self._audit()
+        self._audit()
+        if self._ownership.frozen:
             return
         if self._read is not None:
             self._read.expire()
@@ -231,7 +216,6 @@ class MissionItemBackend:
             change.activation.expire(self._first_ahead(change))
             if change.activation.unanswered and not was_unanswered:
                 self._tell(change.command.number, "unconfirmed", "the autopilot has not confirmed the switch")
-        self._audit()
 
     def _lay_out(self, change: _Change) -> None:
         """Find places for the plan's items beside the line that is flown, and write them there."""
@@ -266,14 +250,7 @@ class MissionItemBackend:
         path = plan.transition
         if path is None or late_s <= 0.0 or (late_s >= _LATE_MAX_S and not repeated):
             return layout.first
-        flown_m = late_s * self._settings.airspeed_m_s + _SWITCH_M
-        for seq in range(layout.first, layout.end - 1):
-            item = layout.items[seq]
-            east_m, north_m = self._settings.plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
-            nearest = int(np.argmin(np.hypot(path.east_m - east_m, path.north_m - north_m)))
-            if path.arc_m[nearest] > flown_m:
-                return seq
-        return layout.end - 1
+        return first_ahead(layout, path, self._settings.plane, late_s * self._settings.airspeed_m_s)
 
     # -- writing -------------------------------------------------------------------------------------------
 
@@ -288,7 +265,7 @@ class MissionItemBackend:
             if self._dialect.quirks.stores_items_one_by_one:
                 changed = range(differing[0], differing[-1] + 1)
         self._began_s, self._writing = self._outbox.time_s, layout
-        self._identity.writing = self._total(items)
+        self._ownership.writing(len(items))
         deadline_s = self._outbox.link_s + bound_s
         self._write = MissionWrite(
             self._outbox,
@@ -297,7 +274,7 @@ class MissionItemBackend:
             changed,
             deadline_s,
             self._marked,
-            self._mission_id,
+            self._ownership.mission_ids,
             self._round_trip_s,
         )
 
@@ -308,18 +285,15 @@ class MissionItemBackend:
         self._write = self._writing = None
         if write.round_trip_s is not None:
             self._round_trip_s = write.round_trip_s
-            self._suspicion.round_trip_s = self._contents.round_trip_s = write.round_trip_s
+            self._ownership.measured(write.round_trip_s)
         if write.result is WriteResult.ACCEPTED:
             self._upload_took_s += _DURATION_WEIGHT * (self._outbox.time_s - self._began_s - self._upload_took_s)
-            self._mission_id = write.mission_id
-            self._identity.written(self._total(write.items), write.mission_id)
         elif len(write.items) == len(self._onboard):
             doubtful = zip(write.items, self._onboard, strict=True)
             self._onboard = tuple(b if a == b else None for a, b in doubtful)
-            self._identity.written(self._total(write.items), 0)
         else:
             self._onboard = ()
-            self._identity.written(self._total(write.items), 0)
+        self._ownership.written(len(write.items), write.mission_id)
         self._written(layout, write.result, write.items)
 
     def _written(self, layout: MissionLayout, result: WriteResult, items: tuple[RawItem, ...]) -> None:
@@ -351,17 +325,7 @@ class MissionItemBackend:
         assert layout is not None
         if self._layout is None:
             return layout.head
-        index = min(max(self._current.seq if self._current else layout.first, layout.first), layout.end - 1)
-        if self._aircraft is None or index == layout.end - 1:
-            return index
-        item = layout.items[index]
-        east_m, north_m = self._settings.plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
-        off_m = math.hypot(east_m - self._aircraft.east_m, north_m - self._aircraft.north_m)
-        reach_m = _SWITCH_M + self._aircraft.ground_speed_m_s * self._upload_took_s
-        return index + (off_m < reach_m)
-
-    def _total(self, items: tuple[RawItem, ...]) -> int:
-        return len(items) - self._dialect.quirks.home_at_zero
+        return flown_after(layout, self.flown_index, self._aircraft, self._settings.plane, self._upload_took_s)
 
     # -- what is reported ----------------------------------------------------------------------------------
 
@@ -377,7 +341,8 @@ class MissionItemBackend:
         """Take what the autopilot reports."""
         if self._read is not None:
             self._read.receive(report)
-        if self._write is not None and not self._frozen:
+        frozen = self._ownership.frozen
+        if self._write is not None and not frozen:
             self._write.receive(report)
             self._judge_write()
         change = self._change
@@ -391,8 +356,9 @@ class MissionItemBackend:
                     self._judge_activation(change)
             case MissionCountReported() if change is not None and change.activation is not None:
                 change.activation.counted(report)
-            case MissionItemReported() if self._write is None:
-                self._on_item(report)
+            case MissionItemReported() if self._write is None and self._layout is not None:
+                self._ownership.item(report, self._layout)
+        self._waits = self._waits or (frozen and not self._ownership.frozen)
 
     def _on_current(self, report: MissionCurrentReported) -> None:
         self._current = report
@@ -400,21 +366,14 @@ class MissionItemBackend:
         if change is not None and change.activation is not None:
             change.activation.current(report.seq)
             self._judge_activation(change)
-        if not self._in_control or self._layout is None:
+        if self._layout is None:
             return
         if report.seq not in self._layout:
             self._taken_after_all(report.seq)
         if report.seq in self._layout:
             self._left = None
         activating = self._change.layout if self._change is not None and self._change.activation else None
-        known = any(layout is not None and report.seq in layout for layout in (self._layout, self._left, activating))
-        if not self._identity.is_ours(report.total, report.mission_id):
-            self._suspect(self._suspicion, "another station has changed the mission")
-        elif not known:
-            self._suspect(self._suspicion, f"another station has chosen item {report.seq} of the mission")
-        elif self._suspicion.active:
-            self._suspicion.fits()
-            self._waits = True
+        self._ownership.current(report, (self._layout, self._left, activating))
 
     def _judge_activation(self, change: _Change) -> None:
         activation = change.activation
@@ -447,34 +406,13 @@ class MissionItemBackend:
     def _fly(self, change: _Change, index: int) -> None:
         assert change.layout is not None
         self._left, self._layout, self._not_taken = self._layout, change.layout.since(index), None
-        self._suspicion.forget()
+        self._ownership.switched()
         self._tell(change.command.number, "departed")
 
-    def _suspect(self, suspicion: Suspicion, reason: str) -> None:
-        if suspicion.is_confirmed_by(self._outbox.link_s):
-            self._outbox.report(ExternalControl(self._outbox.time_s, reason))
-
-    # -- looking at the item that is flown -----------------------------------------------------------------
-
     def _audit(self) -> None:
-        """Ask for the item that is flown: another station may have written it without changing the list's length."""
-        if not self._dialect.quirks.stores_items_one_by_one or self._outbox.link_s < self._audit_s:
-            return
-        self._audit_s = self._outbox.link_s + (_AUDIT_S if not self._contents.active else 0.2 * _AUDIT_S)
-        index = self.flown_index
-        if self._write is None and self._layout is not None and index is not None and index in self._layout:
-            self._outbox.send_mission("MISSION_REQUEST_INT", seq=index)
-
-    def _on_item(self, report: MissionItemReported) -> None:
-        if not self._in_control or self._layout is None or report.seq not in self._layout:
-            return
-        if same_item(self._layout.items[report.seq], report.item):
-            if self._contents.active:
-                self._contents.fits()
-                self._waits = True
-        else:
-            self._audit_s = min(self._audit_s, self._outbox.link_s + 0.2 * _AUDIT_S)
-            self._suspect(self._contents, "another station has changed the mission")
+        index, layout = self.flown_index, self._layout
+        can_ask = self._write is None and layout is not None and index is not None and index in layout
+        self._ownership.audit(index if can_ask else None)
 
     # -- telling -------------------------------------------------------------------------------------------
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from mission.exchange.dialect import ProtocolQuirks
-from mission.exchange.outbox import ACCEPTED, DENIED, ERROR, Outbox
+from mission.exchange.outbox import DENIED, ERROR, Outbox
 from mission.exchange.raw_item import RawItem
 from mission.exchange.reports import MissionAcknowledged, MissionCountReported, MissionItemReported, VehicleReport
 
@@ -71,7 +71,7 @@ class MissionRead:
             self._ask()
             return
         self.done, self.items = True, tuple(self._read[seq] for seq in range(self._count))
-        self._outbox.send_mission("MISSION_ACK", type=ACCEPTED)
+        self._outbox.end_reading()
 
     def _ask(self) -> None:
         self._due_s = self._outbox.link_s + self._again_s

@@ -8,7 +8,7 @@ is read back where items are stored one by one; elsewhere the acknowledgement na
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from enum import StrEnum
 
 from mission.exchange.dialect import ProtocolQuirks
@@ -42,7 +42,8 @@ class MissionWrite:
     """Makes the vehicle hold ``items``, of which those outside ``changed`` are on board already.
 
     ``changed`` as long as ``items`` replaces the whole list, however long that was. marked tells which item is to be
-    flown on taking the list over. deadline_s is of the link's clock. ``result`` is None while it goes on; ACCEPTED:
+    flown on taking the list over. deadline_s is of the link's clock. mission_ids_before: of uploads
+    before, whose acknowledgements may still come. ``result`` is None while it goes on; ACCEPTED:
     verified. After TIMEOUT and DENIED what is on board at ``changed`` is not known.
     """
 
@@ -54,12 +55,12 @@ class MissionWrite:
         changed: range,
         deadline_s: float,
         marked: Callable[[], int],
-        mission_id_before: int = 0,
+        mission_ids_before: Collection[int] = (),
         round_trip_s: float = 0.0,
     ) -> None:
         self._outbox, self._quirks, self._marked = outbox, quirks, marked
         self.items, self.changed = tuple(items), changed
-        self._deadline_s, self._mission_id_before = deadline_s, mission_id_before
+        self._deadline_s, self._mission_ids_before = deadline_s, mission_ids_before
         self._again_s = max(_AGAIN_S, _AGAIN_ROUND_TRIPS * round_trip_s)
         self._at_once = round_trip_s > _LONG_ROUND_TRIP_S
         self._overtaken = False
@@ -162,7 +163,7 @@ class MissionWrite:
             self.result = WriteResult.DENIED
         elif self._quirks.stores_items_one_by_one:
             self._verify()
-        elif report.mission_id not in (0, self._mission_id_before):
+        elif report.mission_id and report.mission_id not in self._mission_ids_before:
             self.mission_id, self.result = report.mission_id, WriteResult.ACCEPTED
         elif report.mission_id == 0 and self._awaited == self.changed[-1]:
             self.result = WriteResult.ACCEPTED

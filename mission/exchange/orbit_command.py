@@ -20,7 +20,6 @@ from mission.exchange.vehicle_command import CommandExchange, describe_result
 _PERIOD_S = 1.0  # of the vehicle's time
 _SAME_E7 = 200  # two metres
 _REMEMBERED, _REMEMBERED_S = 4, 10.0  # at least so many orders, and all of so long, of the link's clock
-_FROZEN_S = 0.25
 
 
 class OrbitCommandBackend:
@@ -57,7 +56,7 @@ class OrbitCommandBackend:
     def next_timer_s(self) -> float:
         """When ``expire`` is to be called, on the link's clock; -inf: at once, inf: never."""
         if self._suspicion.active:
-            return self._outbox.link_s + _FROZEN_S
+            return math.inf
         if self._waits:
             return -math.inf
         return self._command.next_timer_s if self._command is not None else math.inf

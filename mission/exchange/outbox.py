@@ -75,6 +75,11 @@ class Outbox:
         """Send a message of the mission protocol."""
         self.send(name, **fields, mission_type=MISSION)
 
+    def end_reading(self) -> None:
+        """Tell that the list was read: twice, for a PX4 that misses it takes no other mission for seconds."""
+        for _ in range(2):
+            self.send_mission("MISSION_ACK", type=ACCEPTED)
+
     def send_item(self, seq: int, item: RawItem, current: bool) -> None:
         """Send MISSION_ITEM_INT."""
         self.send_mission("MISSION_ITEM_INT", seq=seq, current=int(current), **asdict(item))

@@ -146,7 +146,7 @@ def test_the_mission_is_read_as_it_is_on_board(transfer, flavour, loss):
 
 def test_late_answers_to_the_upload_before_say_nothing(transfer):
     outbox = Outbox(0.0, 0.0)
-    late = MissionWrite(outbox, QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0, mission_id_before=77)
+    late = MissionWrite(outbox, QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0, mission_ids_before={77})
     late.receive(MissionAcknowledged(0.0, 0.1, 0, 77))
     late.receive(MissionItemRequested(0.0, 0.2, 0))
     late.receive(MissionAcknowledged(0.0, 0.3, 0, 77))

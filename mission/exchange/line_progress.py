@@ -1,0 +1,41 @@
+"""Which items of a line lie behind an aircraft, so that it is never sent back to one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from estimators.frames import LocalPlane
+from mission.core.path import Path
+from mission.core.plan import AircraftState
+from mission.exchange.layout import MissionLayout
+from mission.exchange.raw_item import RawItem
+
+SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
+
+
+def first_ahead(layout: MissionLayout, path: Path, plane: LocalPlane, flown_m: float) -> int:
+    """Return the first item of the line that is more than ``flown_m`` along its path, at the latest its circle."""
+    for seq in range(layout.first, layout.end - 1):
+        east_m, north_m = _place(layout.items[seq], plane)
+        nearest = int(np.argmin(np.hypot(path.east_m - east_m, path.north_m - north_m)))
+        if path.arc_m[nearest] > flown_m + SWITCH_M:
+            return seq
+    return layout.end - 1
+
+
+def flown_after(
+    layout: MissionLayout, seq: int | None, aircraft: AircraftState | None, plane: LocalPlane, duration_s: float
+) -> int:
+    """Return the item that is flown after a while, ``seq`` being flown now: a waypoint may be passed meanwhile."""
+    index = min(max(seq if seq is not None else layout.first, layout.first), layout.end - 1)
+    if aircraft is None or index == layout.end - 1:
+        return index
+    east_m, north_m = _place(layout.items[index], plane)
+    off_m = math.hypot(east_m - aircraft.east_m, north_m - aircraft.north_m)
+    return index + (off_m < SWITCH_M + aircraft.ground_speed_m_s * duration_s)
+
+
+def _place(item: RawItem, plane: LocalPlane) -> tuple[float, float]:
+    return plane.east_north_m(item.x * 1e-7, item.y * 1e-7)

@@ -1,0 +1,105 @@
+"""Whether the mission that is flown is ours, by what is reported of it and by looking at the item that is flown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from mission.exchange.dialect import ProtocolQuirks
+from mission.exchange.layout import MissionLayout
+from mission.exchange.outbox import ExternalControl, Outbox
+from mission.exchange.ownership import MissionIdentity, Suspicion
+from mission.exchange.raw_item import same_item
+from mission.exchange.reports import MissionCurrentReported, MissionItemReported
+
+_AUDIT_S, _AUDIT_AGAIN_S = 3.0, 0.6  # between two looks at the item that is flown
+_CHANGED = "another station has changed the mission"
+
+
+class MissionOwnership:
+    """Reports ``ExternalControl`` when somebody else commands the mission; ``begin`` comes first.
+
+    ``frozen`` while that may be so: not one message more until it is known.
+    """
+
+    def __init__(self, outbox: Outbox, quirks: ProtocolQuirks) -> None:
+        self._outbox, self._quirks = outbox, quirks
+        self._reports, self._contents = Suspicion(), Suspicion()
+        self._identity = MissionIdentity()
+        self._begun = False
+        self._audit_s = math.inf
+
+    @property
+    def frozen(self) -> bool:
+        """Whether the latest report does not fit to what was commanded from here."""
+        return self._reports.active or self._contents.active
+
+    @property
+    def next_timer_s(self) -> float:
+        """When ``audit`` is to be called, on the link's clock; inf: never."""
+        return self._audit_s
+
+    @property
+    def mission_ids(self) -> frozenset[int]:
+        """The ids of the missions that have been ours."""
+        return frozenset(mission_id for _, mission_id in self._identity.ours)
+
+    def begin(self) -> None:
+        """Look out from now on."""
+        self._begun = True
+        self._reports.forget()
+        if self._quirks.stores_items_one_by_one:
+            self._audit_s = self._outbox.link_s + _AUDIT_S
+
+    def measured(self, round_trip_s: float) -> None:
+        """Take a round trip of the link."""
+        self._reports.round_trip_s = self._contents.round_trip_s = round_trip_s
+
+    def adopted(self, report: MissionCurrentReported) -> None:
+        """Take the mission that is flown for ours."""
+        self._identity.ours.add((report.total, report.mission_id))
+
+    def writing(self, items: int) -> None:
+        """Begin to write a mission of so many items."""
+        self._identity.writing = items - self._quirks.home_at_zero
+
+    def written(self, items: int, mission_id: int) -> None:
+        """Have written a mission, or perhaps written it."""
+        self._identity.written(items - self._quirks.home_at_zero, mission_id)
+
+    def switched(self) -> None:
+        """Have switched to another line: what comes late belongs to the one before."""
+        self._reports.forget()
+
+    def current(self, report: MissionCurrentReported, lines: Iterable[MissionLayout | None]) -> None:
+        """Take a MISSION_CURRENT; lines are those that may be flown."""
+        if not self._begun:
+            return
+        if not self._identity.is_ours(report.total, report.mission_id):
+            self._suspect(self._reports, _CHANGED)
+        elif not any(line is not None and report.seq in line for line in lines):
+            self._suspect(self._reports, f"another station has chosen item {report.seq} of the mission")
+        else:
+            self._reports.fits()
+
+    def item(self, report: MissionItemReported, layout: MissionLayout) -> None:
+        """Take an item that is on board."""
+        if not self._begun or report.seq not in layout:
+            return
+        if same_item(layout.items[report.seq], report.item):
+            self._contents.fits()
+        else:
+            self._audit_s = min(self._audit_s, self._outbox.link_s + _AUDIT_AGAIN_S)
+            self._suspect(self._contents, _CHANGED)
+
+    def audit(self, seq: int | None) -> None:
+        """Ask for the item that is flown: another station may have written it without changing the list's length."""
+        if self._outbox.link_s < self._audit_s:
+            return
+        self._audit_s = self._outbox.link_s + (_AUDIT_AGAIN_S if self._contents.active else _AUDIT_S)
+        if seq is not None:
+            self._outbox.send_mission("MISSION_REQUEST_INT", seq=seq)
+
+    def _suspect(self, suspicion: Suspicion, reason: str) -> None:
+        if suspicion.is_confirmed_by(self._outbox.link_s):
+            self._outbox.report(ExternalControl(self._outbox.time_s, reason))

@@ -1,0 +1,84 @@
+"""Plan changes over bad links: how many are told as they are flown, and flights over UDP repeated to the last bit.
+
+python -m pytest tests/bench/test_exchange.py -s; CHANGES=200 and FLIGHTS=20 set how many. More of the rules of
+tests/exchange/test_rules.py: EXAMPLES=500 STEPS=20 python -m pytest tests/exchange/test_rules.py.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from app.flight.simulated import free_udp_port
+from mission.core.events import ActivatePlan, PlanStatus, Yield
+from sitl.link import LinkFaults
+
+CHANGES, FLIGHTS = int(os.environ.get("CHANGES", "50")), int(os.environ.get("FLIGHTS", "4"))
+SIDELONG = Path(sys.executable).with_name("sidelong")
+HARNESS = Path(__file__).parents[1] / "exchange" / "conftest.py"
+
+
+@pytest.fixture(scope="module")
+def harness():
+    """Return the flights of tests/exchange, on one clock that waits for nobody."""
+    spec = importlib.util.spec_from_file_location("exchange_harness", HARNESS)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+@pytest.mark.parametrize(
+    ("loss", "duplicate", "delay_s"), [(0.0, 0.0, 0.01), (0.05, 0.05, 0.1), (0.05, 0.0, 1.0), (0.2, 0.0, 0.025)]
+)
+def test_plan_changes_are_told_as_they_are_flown(harness, flavour, loss, duplicate, delay_s):
+    activated, told, late, yields, uploads, seed = 0, Counter(), 0, 0, Counter(), 0
+    while activated < CHANGES:
+        seed += 1
+        flight = harness.Flight(flavour, seed=seed, faults=LinkFaults(loss, duplicate, delay_s))
+        assert flight.run(300.0, lambda flight=flight: flight.has_control)
+        flight.run(400.0)
+        flight.spoil(LinkFaults())
+        flight.run(15.0)
+        numbers = {one.number for one in flight.found(ActivatePlan)}
+        statuses = flight.found(PlanStatus)
+        activated += len(numbers)
+        told.update(one.stage for one in statuses if one.number in numbers)
+        uploads.update(one.stage for one in statuses if one.number not in numbers or one.stage == "ready")
+        yields += len(flight.found(Yield))
+        failed = {one.number for one in statuses if one.stage == "failed"} & numbers
+        late += len(failed & {one.number for one in statuses if one.stage == "departed"})
+    print(
+        f"\n{flavour:9} loss {loss:4.0%} delay {delay_s:5.3f} s each way: {activated} plans activated, "
+        f"{told['departed']} told as flown ({told['unconfirmed']} asked about, {late} late), "
+        f"{uploads['ready']} uploads of {uploads['ready'] + uploads['failed']}, {yields} yields"
+    )
+    assert told["departed"] == activated
+    assert yields == 0
+
+
+@pytest.mark.parametrize("seed", range(1, FLIGHTS + 1))
+def test_a_flight_over_a_bad_link_is_repeated_to_the_last_bit(tmp_path, seed):
+    flavour, guidance = ("arduplane", "px4")[seed % 2], ("mission", "mission", "command")[seed % 3]
+    port = free_udp_port()
+    options = ["--autopilot", flavour, "--to", f"127.0.0.1:{port}", "--seed", seed, "--speed", 4, "--target-speed", 4]
+    faults = ["--loss", 0.05, "--delay-ms", 100, "--duplicate", 0.05]
+    vehicle = subprocess.Popen([sys.executable, "-m", "sitl", *map(str, options + faults)], stdout=subprocess.DEVNULL)
+    try:
+        command = [SIDELONG, "launch", "--connect", f"udpin://127.0.0.1:{port}", "--duration", "200", "--quiet"]
+        command += ["--guidance", guidance, "--out", tmp_path / "runs"]
+        flown = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    finally:
+        vehicle.terminate()
+        vehicle.wait(10.0)
+    assert flown.returncode == 0, flown.stdout + flown.stderr
+    (run,) = (tmp_path / "runs").iterdir()
+    done = subprocess.run([SIDELONG, "replay", run, "--verify"], capture_output=True, text=True, check=False)
+    print(f"\n{flavour} {guidance} seed {seed}: {done.stdout.splitlines()[0] if done.stdout else done.stderr}")
+    assert done.returncode == 0, done.stdout + done.stderr
