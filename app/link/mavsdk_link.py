@@ -114,6 +114,8 @@ class MavsdkLink:
             answer = mavlink.MAVLink_command_ack_message(0, 0, 0, 0, *own)
             heard = answer.pack(mavlink.MAVLink(None, srcSystem=found_id, srcComponent=1))
             instance._mavsdk.pass_received_raw_bytes(heard)
+        if meter.vehicle_signs:
+            on_trouble("the vehicle signs what it says: without --signing-key it may not hear us")
         return cls(instance, system, found_id, own, raw or meter, ours)
 
     def reports(self) -> tuple[LinkReport, ...]:

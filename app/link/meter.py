@@ -11,6 +11,7 @@ from app.link.frames import Frame
 from app.link.message import Message
 from app.link.quality import LinkQuality, LinkReport, Measured
 
+_AUTOPILOT = 1
 _TIMESYNC = "TIMESYNC"
 _ASKED_MAX = 32
 
@@ -26,6 +27,7 @@ class LinkMeter:
         self._quality = LinkQuality(time.monotonic())
         self._asked_s: dict[int, float] = {}
         self._lock = threading.Lock()
+        self.vehicle_signs = False
 
     def frame(self, data: bytes) -> None:
         """Take a frame that was received or sent, from any thread."""
@@ -34,6 +36,7 @@ class LinkMeter:
             if frame.source == self._own:
                 self._quality.sent(len(data), now_s)
             else:
+                self.vehicle_signs |= frame.signed and frame.component_id == _AUTOPILOT
                 self._quality.frame(frame.source, frame.sequence, len(data), now_s)
 
     def message(self, message: Message) -> None:

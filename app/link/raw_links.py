@@ -82,7 +82,6 @@ class RawLinks:
             for index, (url, transport) in enumerate(transports)
         ]
         self._merger = LinkMerger(len(self._links))
-        self._outward = FrameSplitter()
         self._packer = dialect.MAVLink(None, srcSystem=own[0], srcComponent=own[1])
         self._rates: dict[bytes, Frame] = {}
         self._deliver: Callable[[bytes], object] = lambda _data: None
@@ -132,7 +131,7 @@ class RawLinks:
 
     def send(self, data: bytes) -> None:
         """Send frames: on the link in use, and on all of them what each has to hear."""
-        for frame in self._outward.split(data):
+        for frame in FrameSplitter().split(data):  # whole frames, from several threads
             if not frame.is_v2:
                 continue  # it could not be signed; MAVSDK sends none
             self._on_frame(frame.data)
