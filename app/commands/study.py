@@ -17,7 +17,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from app.commands.output import JsonOption, checked_output, console, write_json
+from app.commands.output import JsonOption, checked_output, console, latitude_longitude_deg, write_json
 from app.config import load_config
 from app.errors import InputError
 from app.study import export as exporting
@@ -29,6 +29,8 @@ from app.study.report import study_json, study_table, study_title, sweep_json, s
 from app.study.settings import PlannerName, StudySettings
 from app.study.store import ResultStore
 from app.study.study import Study, table_of
+from app.terrain.elevation_data import elevation_data
+from estimators.frames import LocalPlane
 
 _LEGS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
 _FIGURES = (".png", ".pdf", ".svg")
@@ -79,6 +81,15 @@ def study(
     fleet: Annotated[
         int, typer.Option(min=1, max=6, help="Aircraft on each target, by the default planner with shared roles.")
     ] = 1,
+    terrain: Annotated[
+        Path | None,
+        typer.Option(
+            help="Fly the default planner over this elevation data, and as if it were flat.", show_default=False
+        ),
+    ] = None,
+    home: Annotated[
+        str | None, typer.Option(metavar="LAT,LON", help="Where, with --terrain.", show_default=False)
+    ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; by default one for each core.")] = None,
     scheduler: Annotated[
         str | None, typer.Option(help="Fly on the workers of this Dask scheduler: tcp://HOST:PORT.")
@@ -107,6 +118,8 @@ def study(
     --planner predictive --store sweep.db --report sweep.html --export sweep.parquet
 
     Several aircraft: sidelong study --fleet 2 --runs 50
+
+    Over hills: sidelong study --terrain dem --home 36.59,-84.24 --runs 50
 
     Cluster: dask scheduler; dask worker tcp://HOST:8786 --nthreads 1 --nworkers -1 (on each machine);
     sidelong study --runs 10000 --scheduler tcp://HOST:8786 --store study.db
@@ -144,6 +157,9 @@ def study(
     if targets is not None:
         found = _recorded(found, targets, runs, math.inf if duration is None else duration)
     found = _only(found, run)
+    if terrain is not None:
+        _fly_over_hills(found[0].settings, len(found), terrain, home, jobs, json)
+        return
     if fleet > 1:
         _fly_fleet(replace(found[0].settings, fleet=fleet), len(found), jobs, json)
         return
@@ -180,6 +196,27 @@ def study(
                 _written("--report", report, lambda: page.write_page(whole, words, report))
     finally:
         kept.close()
+
+
+def _fly_over_hills(
+    settings: StudySettings, designs: int, terrain: Path, home: str | None, jobs: int | None, json: Path | None
+) -> None:
+    if designs > 1:
+        raise InputError("--terrain flies one design; leave out --sweep.")
+    if settings.requirement().either_side or settings.requirement().sector is not None:
+        raise InputError("--terrain watches from one side; set requirement.side to left or right.")
+    home_deg = latitude_longitude_deg("--home", home)
+    if home_deg is None:
+        raise InputError("--terrain needs a place within the elevation data; give --home LAT,LON.")
+    from app.study import hills  # noqa: PLC0415  # what is compiled takes a second to load
+
+    ground = elevation_data(terrain).ground(LocalPlane(*home_deg), home_deg)
+    with _progress(2 * len(settings.numbers)) as (advance, computing):
+        flown = hills.fly_study(hills.HillSettings(settings, ground), table_of(settings, computing), jobs, advance)
+    if str(json) != "-":
+        console.print(f"{len(settings.numbers)} runs at {settings.height_m:g} m within 8 km of {home}")
+        console.print(hills.hill_table(flown))
+    write_json(json, hills.hill_json(flown))
 
 
 def _fly_fleet(settings: StudySettings, designs: int, jobs: int | None, json: Path | None) -> None:

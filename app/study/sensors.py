@@ -74,8 +74,9 @@ class PayloadSensing:
         height_m: float = 100.0,
     ) -> None:
         """tracker: None tells it the errors as they are, but for the bias."""
-        self._rng, self._errors, self._height_m = rng, errors, height_m
-        self._tracker = Tracker(
+        self._rng, self._errors, self.height_m = rng, errors, height_m
+        self.target_height_m, self.sees = 0.0, True  # over hills both change
+        self.tracker = Tracker(
             tracker
             or TrackerSettings(
                 range_sigma_m=errors.range_sigma_m,
@@ -89,24 +90,27 @@ class PayloadSensing:
         time_s = aircraft.time_s
         velocity_east = aircraft.ground_speed_m_s * math.sin(aircraft.course_rad)
         velocity_north = aircraft.ground_speed_m_s * math.cos(aircraft.course_rad)
-        self._tracker.add(
+        self.tracker.add(
             PositionReading(
-                time_s, aircraft.east_m, aircraft.north_m, self._height_m, velocity_east, velocity_north, 0.0
+                time_s, aircraft.east_m, aircraft.north_m, self.height_m, velocity_east, velocity_north, 0.0
             )
         )
-        self._tracker.add(AttitudeReading(time_s, bank_rad, 0.0, aircraft.course_rad))
+        self.tracker.add(AttitudeReading(time_s, bank_rad, 0.0, aircraft.course_rad))
         east_m, north_m = target.east_m - aircraft.east_m, target.north_m - aircraft.north_m
         horizontal_m = math.hypot(east_m, north_m)
         range_noise, yaw_noise, pitch_noise = self._rng.normal(size=3)
+        if not self.sees:
+            return
+        drop_m = self.height_m - self.target_height_m
         yaw_rad = math.atan2(east_m, north_m) + self._errors.yaw_bias_rad + self._errors.angle_sigma_rad * yaw_noise
-        pitch_rad = -math.atan2(self._height_m, horizontal_m) + self._errors.angle_sigma_rad * pitch_noise
-        self._tracker.add(GimbalReading(time_s, _quaternion(yaw_rad, pitch_rad), "earth", _GIMBAL))
-        slant_m = math.hypot(horizontal_m, self._height_m) + self._errors.range_sigma_m * range_noise
-        self._tracker.add(RangeReading(time_s, slant_m, _LASER, quality=0.9))
+        pitch_rad = -math.atan2(drop_m, horizontal_m) + self._errors.angle_sigma_rad * pitch_noise
+        self.tracker.add(GimbalReading(time_s, _quaternion(yaw_rad, pitch_rad), "earth", _GIMBAL))
+        slant_m = math.hypot(horizontal_m, drop_m) + self._errors.range_sigma_m * range_noise
+        self.tracker.add(RangeReading(time_s, slant_m, _LASER, quality=0.9))
 
     def estimate(self, time_s: float) -> TargetEstimate | None:
         """See :class:`Sensing`."""
-        return self._tracker.estimate(time_s)
+        return self.tracker.estimate(time_s)
 
 
 def _quaternion(yaw_rad: float, pitch_rad: float) -> tuple[float, float, float, float]:

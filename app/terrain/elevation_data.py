@@ -72,7 +72,7 @@ class ElevationData:
         return heights
 
     def ground(
-        self, plane: LocalPlane, home_deg: tuple[float, float], sigma_m: float, reach_m: float = _REACH_M
+        self, plane: LocalPlane, home_deg: tuple[float, float], sigma_m: float = 4.0, reach_m: float = _REACH_M
     ) -> Ground:
         """Return the ground about home (latitude, longitude) in the plane; heights are above that at home."""
         latitude_deg, longitude_deg = home_deg
