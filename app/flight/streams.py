@@ -24,7 +24,9 @@ _RATES_HZ = {
 """GPS_RAW_INT, ATTITUDE, GLOBAL_POSITION_INT, MISSION_CURRENT, POSITION_TARGET_GLOBAL_INT, WIND, EKF_STATUS_REPORT,
 ESTIMATOR_STATUS, WIND_COV, ORBIT_EXECUTION_STATUS, CURRENT_MODE."""
 _FEW_HZ = _RATES_HZ | {24: 1.0, 30: 8.0, 33: 5.0, 42: 3.0, 87: 1.0, 168: 0.5, 193: 1.0, 230: 1.0, 231: 0.5, 436: 4.0}
-_UNUSED = (2, 27, 29, 31, 32, 36, 62, 65, 74, 83, 105, 116, 125, 129, 137, 141, 147, 163, 241, 245, 331, 380, 410)
+_UNUSED_HZ = dict.fromkeys(
+    (2, 27, 29, 31, 32, 36, 62, 65, 74, 83, 105, 116, 125, 129, 137, 141, 147, 163, 241, 245, 331, 380, 410), 0.0
+)
 """What autopilots send unasked and nothing here reads: raw sensors, servos, RC, VFR_HUD, quaternions, targets."""
 
 
@@ -39,4 +41,8 @@ async def ask_for_streams(vehicle: Vehicle, few: bool = False) -> None:
 
     few: at the least rates that it can live on, and nothing else: a ground station on the same link sees less, too.
     """
-    await vehicle.set_rates(_FEW_HZ | dict.fromkeys(_UNUSED, 0.0) if few else _RATES_HZ)
+    if few:
+        await vehicle.set_rates(_UNUSED_HZ, rounds=1)
+    await vehicle.set_rates(_FEW_HZ if few else _RATES_HZ)
+    if few:
+        await vehicle.set_rates(_UNUSED_HZ, rounds=1)  # some may have been lost

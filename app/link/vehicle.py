@@ -154,19 +154,20 @@ class Vehicle:
                 return Answer(int(message.fields["result"]))
         return Answer(None)
 
-    async def set_rates(self, rates_hz: Mapping[int, float]) -> None:
+    async def set_rates(self, rates_hz: Mapping[int, float], rounds: int = _RATE_ROUNDS) -> None:
         """Ask for messages at these rates, 0 for none, all at once; what is not offered is left alone.
 
-        An answer does not tell which of them it is for: where one is missing, all are asked for again, twice at most.
+        An answer does not tell which of them it is for: where one is missing, all are asked for again; after the last
+        round none is waited for.
         """
-        for _ in range(_RATE_ROUNDS):
+        for round_ in range(rounds):
             with self.hearing("COMMAND_ACK") as answers:
                 for message_id, rate_hz in rates_hz.items():
                     values = {"param1": float(message_id), "param2": 1e6 / rate_hz if rate_hz else -1.0}
                     rest = {f"param{i}": 0.0 for i in range(3, 8)}
                     body = {"command": _SET_MESSAGE_INTERVAL, "confirmation": 0} | values | rest
                     await self.tell("COMMAND_LONG", body)
-                missing = len(rates_hz)
+                missing = len(rates_hz) if round_ < rounds - 1 else 0
                 with contextlib.suppress(TimeoutError):
                     while missing:
                         answer = await asyncio.wait_for(answers.get(), _RATE_ANSWER_S)

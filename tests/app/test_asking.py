@@ -114,7 +114,7 @@ def test_few_messages_are_some_two_kilobytes_a_second(flavour, monkeypatch):
         _, simulation, link = asked(flavour, 0.0, lambda vehicle: ask_for_streams(vehicle, few))
         simulation.take()
         simulation.advance(simulation.time_s + 20.0)
-        assert link.sent["COMMAND_LONG"] < 80
+        assert link.sent["COMMAND_LONG"] < 90
         return sum(len(data) for _, data in simulation.take()) / 20.0
 
     assert bytes_s(few=True) < 2600.0
