@@ -43,6 +43,7 @@ from mission.core.events import (
 
 BRIDGED_S = 3.0
 _FAULT_VALID_S = 10.0
+_DRIFT_M_S = 10.0  # of a position told while GPS or EKF complain
 _TOLD_AGAIN_S = 30.0
 _SOURCES_MAX = 32
 _SAME_PLACE_M, _DISPLACED_MIN = 15.0, 3
@@ -174,8 +175,9 @@ class Plausibility:
 
     def _navigation(self, event: NavigationReported) -> Event:
         if not event.fault:
-            if self._faults.pop(event.source, None) is not None and not self._faults:
-                self.position = PositionCheck()  # what was told meanwhile may have drifted: begin anew
+            over = self._faults.pop(event.source, None)
+            if over is not None and not self._faults:
+                self.position.allow(_DRIFT_M_S * (event.time_s - over[0]))
         else:
             since_s, _, _ = self._faults.get(event.source, (event.time_s, 0.0, ""))
             self._faults[event.source] = (since_s, event.time_s, event.fault)

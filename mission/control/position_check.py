@@ -41,6 +41,11 @@ class PositionCheck:
         self._elsewhere: PositionReading | None = None
         self._elsewhere_since_s, self._elsewhere_count = 0.0, 0
         self._turns = 0
+        self._drifted_m = 0.0
+
+    def allow(self, drifted_m: float) -> None:
+        """Let the next reading lie so much farther off: what was told lately may have drifted."""
+        self._drifted_m = drifted_m
 
     def take(
         self, reading: PositionReading, bank_rad: float, *, possible: bool, sound: bool
@@ -69,7 +74,7 @@ class PositionCheck:
         return reckoned
 
     def _believe(self, reading: PositionReading) -> PositionReading:
-        self.believed, self.astray_s = reading, None
+        self.believed, self.astray_s, self._drifted_m = reading, None, 0.0
         self._readings += 1
         return reading
 
@@ -91,7 +96,7 @@ class PositionCheck:
 
     def _follows(self, last: PositionReading, reading: PositionReading) -> bool:
         reckoned_for_s = 0.0 if self.astray_s is None else last.time_s - self.astray_s
-        return _reachable(last, reading, reckoned_for_s)
+        return _reachable(last, reading, reckoned_for_s + self._drifted_m / _DRIFT_M_S)
 
 
 def _reachable(last: PositionReading, reading: PositionReading, reckoned_for_s: float) -> bool:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import cache
 
 from tests.faults.flight import FLAVOURS, ClosedLoop, Flown, Scenario
-from tests.faults.flight_faults import EXPECTED_YIELDS, Fault, drawn, yielding
+from tests.faults.flight_faults import BLINDING, EXPECTED_YIELDS, Fault, drawn, yielding
 
 OWN_ERROR_MAX_M, TARGET_ERROR_MAX_M, CLOCK_ERROR_MAX_S = 60.0, 60.0, 3.0
 RANGE_MIN_M, RANGE_MAX_M, RANGE_TOLERANCE_M = 100.0, 500.0, 5.0
@@ -38,8 +38,8 @@ class Verdict:
     slowest_step_s: float = 0.0
 
 
-def judged(flown: Flown, ending: str | None, ending_s: float) -> list[str]:
-    """Return what a flight broke, in words."""
+def judged(flown: Flown, blind_s: float, ending: str | None, ending_s: float) -> list[str]:
+    """Return what a flight broke, in words; blind_s: how long nothing could be decided."""
     broken = []
     for decided in flown.decided:
         if not decided.own_error_m <= OWN_ERROR_MAX_M:
@@ -49,9 +49,11 @@ def judged(flown: Flown, ending: str | None, ending_s: float) -> list[str]:
         if abs(decided.clock_error_s) > CLOCK_ERROR_MAX_S:
             broken.append(f"decided at {decided.time_s:.1f} s on a clock {decided.clock_error_s:+.0f} s off")
     nearest_m, farthest_m = min(flown.range_m), max(flown.range_m)
-    if nearest_m < RANGE_MIN_M - RANGE_TOLERANCE_M:
+    # Nobody can follow a target that moves on while nothing is known.
+    tolerance_m = RANGE_TOLERANCE_M + 0.5 * TARGET_SPEED_M_S * blind_s
+    if nearest_m < RANGE_MIN_M - tolerance_m:
         broken.append(f"came within {nearest_m:.0f} m")
-    if farthest_m > RANGE_MAX_M + RANGE_TOLERANCE_M:
+    if farthest_m > RANGE_MAX_M + tolerance_m:
         broken.append(f"went {farthest_m:.0f} m away")
     if flown.outside_fence_m > 0.0:
         broken.append(f"left the fence by {flown.outside_fence_m:.0f} m")
@@ -92,6 +94,7 @@ def flight(
     faults, (ending_by, ending_s) = [*faults, *yielding(*ending)], ending
     what = "; ".join(f"{one.name} at {one.begin_s:.0f} s {one.what}".rstrip() for one in faults)
     verdict = Verdict(seed, flavour, tuple(one.name for one in faults), what)
+    beside = clean(scenario)
     loop = ClosedLoop(scenario, faults, time.thread_time)
     gc.collect()
     gc.freeze()  # what was loaded before is not searched again and again for garbage: 0.1 s each time
@@ -101,8 +104,8 @@ def flight(
     except Exception:  # whatever it is, it is what is looked for
         verdict.broken.append(traceback.format_exc(limit=-3))
         return verdict
-    beside = clean(scenario)
-    verdict.broken = judged(flown, ending_by, ending_s)
+    blind_s = sum(one.end_s - one.begin_s for one in faults if one.name in BLINDING)
+    verdict.broken = judged(flown, blind_s, ending_by, ending_s)
     both = min(len(flown.on_side), len(beside.on_side))
     verdict.lost_on_side = 100.0 * (statistics.mean(beside.on_side[:both]) - statistics.mean(flown.on_side[:both]))
     verdict.slowest_step_s = flown.slowest_step_s

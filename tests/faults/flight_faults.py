@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,8 @@ Change = Callable[[Message, float, np.random.Generator], Arriving]
 """What becomes of a message so long after the fault began: copies, each with its delay."""
 
 EXPECTED_YIELDS = {"reboot": "started anew", "second vehicle": "two vehicles", "pilot": "flight mode"}
+BLINDING = frozenset({"silence", "gps lost", "vehicle clock"})
+"""Faults that leave nothing to decide on."""
 VEHICLE = ("GLOBAL_POSITION_INT", "ATTITUDE")
 PAYLOAD = ("DISTANCE_SENSOR", "GIMBAL_DEVICE_ATTITUDE_STATUS")
 _STATUS = ("GPS_RAW_INT", "EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
@@ -244,6 +246,15 @@ def drawn(seed: int, duration_s: float) -> tuple[list[Fault], tuple[str | None, 
     number = int(rng.choice((1, 2, 3), p=(0.5, 0.3, 0.2)))
     makers = [HARMLESS[at] for at in rng.choice(len(HARMLESS), number, replace=False)]
     faults = [make(rng, float(rng.uniform(20.0, 0.6 * duration_s))) for make in makers]
+    # A place that comes right after a reported fault of the GPS is taken for the end of its drift: a jump that begins
+    # just then cannot be told from that.
+    lost = next((one for one in faults if one.name == "gps lost"), None)
+    faults = [
+        replace(one, begin_s=one.begin_s + 40.0, end_s=one.end_s + 40.0)
+        if lost and one.name == "gps jump" and abs(one.begin_s - lost.begin_s) < 40.0
+        else one
+        for one in faults
+    ]
     if rng.random() < 0.15:
         return faults, (str(rng.choice(list(EXPECTED_YIELDS))), float(rng.uniform(0.75, 0.85)) * duration_s)
     return faults, (None, math.inf)
