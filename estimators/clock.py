@@ -1,14 +1,15 @@
 """Whose clock says what: the vehicle's own, told by its stamps alone, and those of its payload against it.
 
-A stamp fits a line of stamps when it is at most ``LATE_S`` behind its latest and ``AHEAD_S`` ahead of it. The
-vehicle's clock follows one line. Stamps elsewhere begin another, which is followed once it has gone on for long
-enough while nothing more of the first was heard: a link that was silent, or an autopilot that has started anew. Two
-lines that take turns, again and again, are two vehicles with one system id.
+A stamp fits a line of stamps when it is at most ``LATE_S`` behind its latest and ``AHEAD_S`` ahead of it (on a slow
+link three of its steps). The vehicle's clock follows one line. Stamps elsewhere begin another, which is followed once
+it has gone on for long enough while nothing more of the first was heard: a link that was silent, or an autopilot that
+has started anew. Two lines that take turns, again and again, are two vehicles with one system id.
 """
 
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum, auto
@@ -97,7 +98,7 @@ class VehicleClock:
         if own is None:
             self._own = _Line(stamp_s, stamp_s)
             return Stamp.GOOD
-        if own.last_s - LATE_S <= stamp_s <= own.last_s + AHEAD_S:
+        if own.last_s - LATE_S <= stamp_s <= own.last_s + self._ahead_s(stamp_s - own.last_s):
             if stamp_s > own.last_s:
                 self._ticks_s.append(stamp_s - own.last_s)
                 own.last_s = stamp_s
@@ -105,6 +106,12 @@ class VehicleClock:
             self._in_question = False
             return Stamp.GOOD
         return self._taken_elsewhere(own, stamp_s, confirmed_after_s)
+
+    def _ahead_s(self, step_s: float) -> float:
+        """Return how far a step may go; only a step beyond the ordinary asks how long they are here."""
+        if step_s <= AHEAD_S or not self._ticks_s:
+            return AHEAD_S
+        return min(max(AHEAD_S, 3.0 * statistics.median(self._ticks_s)), LATE_S)
 
     def _taken_elsewhere(self, own: _Line, stamp_s: float, confirmed_after_s: float | None) -> Stamp:
         other = self._other

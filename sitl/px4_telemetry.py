@@ -43,6 +43,7 @@ DEFAULT_INTERVAL_S = {
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 2.0,
     mavlink.MAVLINK_MSG_ID_CURRENT_MODE: 2.0,
     mavlink.MAVLINK_MSG_ID_WIND_COV: 2.0,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
     mavlink.MAVLINK_MSG_ID_PING: 10.0,
 }
 
@@ -85,6 +86,7 @@ class Px4Telemetry(Telemetry):
             mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: self._ranges,
             mavlink.MAVLINK_MSG_ID_CURRENT_MODE: self._current_mode,
             mavlink.MAVLINK_MSG_ID_WIND_COV: self._wind,
+            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._estimator_status,
             mavlink.MAVLINK_MSG_ID_PING: self._ping,
         }
 
@@ -174,6 +176,10 @@ class Px4Telemetry(Telemetry):
             0.0,
             0.0,
         )
+
+    def _estimator_status(self) -> Any:
+        flags = 831 if self._px4.ready else 167  # position known absolutely, or only attitude
+        return mavlink.MAVLink_estimator_status_message(self._px4.boot_us, flags, *(0.01,) * 6, 0.5, 0.8)
 
     def _ping(self) -> Any:
         self._pings += 1

@@ -27,7 +27,7 @@ def vehicles(port: int, *options: tuple[object, ...]) -> Iterator[None]:
 
 def sidelong(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [str(SIDELONG), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120.0, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=280.0, check=False)
 
 
 def test_of_two_vehicles_one_has_to_be_named(free_port, tmp_path):

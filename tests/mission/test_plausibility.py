@@ -190,6 +190,16 @@ def test_the_clock_goes_on_after_a_silence(flown):
     assert flown.door.doubt is None
 
 
+def test_a_slow_link_may_lose_a_message_or_two():
+    flown = Flown()
+    lost = {107.0, 112.0, 113.0, 121.0}
+    for second in range(100, 130):
+        if float(second) not in lost:
+            flown.give(attitude(float(second)), position(float(second)), laser(second - 0.2))
+    assert len(flown.of(PositionReading)) == len(flown.of(RangeReading)) == 26
+    assert not flown.told
+
+
 def test_a_long_silence_takes_longer_to_believe(flown):
     flown.fly(1100.0, 1115.0)
     assert flown.of(PositionReading)[-1].time_s < 111.0
