@@ -25,12 +25,14 @@ from app.flight.point_gimbal import GimbalPointer
 from app.flight.preflight import autopilot_of, checks, listen
 from app.flight.recording import Recording
 from app.flight.streams import ask_for_streams, is_slow
+from app.flight.terrain_server import TerrainServer
 from app.link.discovery import SETTLING_S
 from app.link.mavsdk_link import FrameListener, MavsdkLink
 from app.link.senders import SenderCheck
 from app.link.telemetry import Telemetry
 from app.link.vehicle import Vehicle
 from app.shutdown import ends_within
+from app.terrain.elevation_data import elevation_data
 from mission.control.controller import Phase, Snapshot, StandoffController
 from mission.core.events import Announce, ControlAcquired
 from mission.exchange.dialect import Home
@@ -158,6 +160,9 @@ class Flight:
             pointer = GimbalPointer(self._vehicle, plane, home.altitude_m, self._display.note)
             shared.callback(pointer.stop)
             observers.append(pointer)
+        if self._config.terrain.folder is not None:
+            data = elevation_data(Path(self._config.terrain.folder))
+            shared.callback(TerrainServer(self._vehicle, data).stop)
         observed = _Observed(observers, self._collector)
         loop = ControlLoop(self._vehicle, self._telemetry, core, self._recording, observed, self._acquired)
         self._display.begin(plane, loop.put)

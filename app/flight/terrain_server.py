@@ -1,0 +1,39 @@
+"""Answers the autopilot's questions about the ground, where we have elevation data."""
+
+from __future__ import annotations
+
+import asyncio
+
+from app.link.link import LinkError
+from app.link.message import Message
+from app.link.vehicle import Vehicle
+from app.terrain.elevation_data import ElevationData
+from app.terrain.terrain_data import answers
+
+
+class TerrainServer:
+    """Hears TERRAIN_REQUEST and sends TERRAIN_DATA, one request at a time: the autopilot repeats what it misses."""
+
+    def __init__(self, vehicle: Vehicle, data: ElevationData) -> None:
+        self._vehicle, self._data = vehicle, data
+        self._answering: asyncio.Task[None] | None = None
+        vehicle.listeners.append(self._heard)
+
+    def stop(self) -> None:
+        """Answer no more."""
+        self._vehicle.listeners.remove(self._heard)
+        if self._answering is not None:
+            self._answering.cancel()
+
+    def _heard(self, message: Message) -> None:
+        if message.name == "TERRAIN_REQUEST" and (self._answering is None or self._answering.done()):
+            self._answering = asyncio.create_task(self._answer(message))
+
+    async def _answer(self, request: Message) -> None:
+        # Reading tiles is for a thread: the loop waits for no disk.
+        found = await asyncio.to_thread(lambda: list(answers(request.fields, self._data)))
+        for fields in found:
+            try:
+                await self._vehicle.link.send("TERRAIN_DATA", fields)
+            except LinkError:
+                return

@@ -1,0 +1,59 @@
+"""MAVLink's terrain protocol, the answering side: an autopilot asks for heights, our tiles tell them.
+
+TERRAIN_REQUEST names the south-west corner of a block of 8 x 7 squares, each of 4 x 4 posts grid_spacing metres
+apart, and a mask of the squares that are wanted; each is answered by one TERRAIN_DATA. Squares count from the corner
+to the east, then to the north; the posts of a square likewise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from app.terrain.elevation_data import ElevationData
+from app.terrain.tile import Posts
+
+_ACROSS, _UP, _POSTS = 8, 7, 4
+# ArduPilot's own conversion, in which both sides have to name the same places.
+_METRES_PER_DEG = 111_318.84502145034
+_SPACING_MIN_M, _SPACING_MAX_M = 5, 1000
+
+
+def answers(request: Mapping[str, Any], data: ElevationData) -> Iterator[dict[str, Any]]:
+    """Yield the fields of the TERRAIN_DATA that answer a TERRAIN_REQUEST; squares with a void are not answered.
+
+    A request that names no place on earth, or no spacing to speak of, is not answered at all.
+    """
+    latitude_deg, longitude_deg = float(request["lat"]) * 1e-7, float(request["lon"]) * 1e-7
+    spacing_m, mask = int(request["grid_spacing"]), int(request["mask"])
+    if not (
+        abs(latitude_deg) < 89.0 and abs(longitude_deg) <= 180.0 and _SPACING_MIN_M <= spacing_m <= _SPACING_MAX_M
+    ):
+        return
+    step_deg = spacing_m / _METRES_PER_DEG
+    posts = Posts(
+        latitude_deg,
+        longitude_deg,
+        step_deg,
+        step_deg / math.cos(math.radians(latitude_deg)),
+        _UP * _POSTS,
+        _ACROSS * _POSTS,
+    )
+    heights = data.read(posts)
+    for bit in range(_UP * _ACROSS):
+        if not mask >> bit & 1:
+            continue
+        row, column = _POSTS * (bit // _ACROSS), _POSTS * (bit % _ACROSS)
+        square = heights[row : row + _POSTS, column : column + _POSTS]
+        if np.isnan(square).any():
+            continue
+        yield {
+            "lat": int(request["lat"]),
+            "lon": int(request["lon"]),
+            "grid_spacing": spacing_m,
+            "gridbit": bit,
+            "data": np.rint(square).astype(int).ravel().tolist(),
+        }

@@ -1,0 +1,78 @@
+"""The answering side of MAVLink's terrain protocol, checked against where its definition puts each post."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from app.flight.terrain_server import TerrainServer
+from app.link.message import Message
+from app.link.vehicle import Vehicle
+from app.terrain.elevation_data import ElevationData
+from app.terrain.terrain_data import answers
+
+CORNER_E7 = 365_500_000, -842_800_000
+EVERY = (1 << 56) - 1
+
+
+def request(mask: int = EVERY, spacing_m: int = 100, corner_e7: tuple[int, int] = CORNER_E7) -> dict:
+    return {"lat": corner_e7[0], "lon": corner_e7[1], "grid_spacing": spacing_m, "mask": mask}
+
+
+def test_each_post_has_the_height_of_its_place(hills_folder: Path) -> None:
+    data = ElevationData(hills_folder)
+    told = list(answers(request(), data))
+    assert [one["gridbit"] for one in told] == list(range(56))
+    rng = np.random.default_rng(1)
+    for bit, post in zip(rng.integers(0, 56, 60).tolist(), rng.integers(0, 16, 60).tolist(), strict=True):
+        north_m = 100.0 * (4 * (bit // 8) + post // 4)
+        east_m = 100.0 * (4 * (bit % 8) + post % 4)
+        latitude_deg, longitude_deg = CORNER_E7[0] * 1e-7, CORNER_E7[1] * 1e-7
+        there_m = data.height_above_sea_m(
+            latitude_deg + math.degrees(north_m / 6_378_100.0),
+            longitude_deg + math.degrees(east_m / (6_378_100.0 * math.cos(math.radians(latitude_deg)))),
+        )
+        assert told[bit]["data"][post] == pytest.approx(there_m, abs=1.5)
+
+
+def test_only_what_is_asked_for_and_known_is_told(hills_folder: Path) -> None:
+    data = ElevationData(hills_folder)
+    assert [one["gridbit"] for one in answers(request(1 << 5 | 1 << 40), data)] == [5, 40]
+    assert list(answers(request(corner_e7=(361_000_000, -849_000_000)), data)) == []  # void
+    assert list(answers(request(corner_e7=(474_000_000, 85_000_000)), data)) == []  # no tile
+    for damaged in (request(spacing_m=0), request(spacing_m=60_000), request(corner_e7=(910_000_000, 0))):
+        assert list(answers(damaged, data)) == []
+
+
+def test_a_vehicle_that_asks_is_answered(hills_folder: Path) -> None:
+    class Link:
+        system_id = 1
+
+        def __init__(self) -> None:
+            self.sent: list[bytes] = []
+
+        async def send(self, name: str, fields: dict) -> None:
+            assert name == "TERRAIN_DATA"
+            self.sent.append(mavlink.MAVLink_terrain_data_message(**fields).pack(mavlink.MAVLink(None, 245, 190)))
+
+    async def asked() -> Link:
+        link = Link()
+        vehicle = Vehicle(link)  # type: ignore[arg-type]
+        server = TerrainServer(vehicle, ElevationData(hills_folder))
+        vehicle.take(Message("TERRAIN_REQUEST", 1, 1, request(0b1011), 0.0))
+        while len(link.sent) < 3:
+            await asyncio.sleep(0.01)
+        server.stop()
+        vehicle.take(Message("TERRAIN_REQUEST", 1, 1, request(), 0.0))
+        await asyncio.sleep(0.05)
+        return link
+
+    link = asyncio.run(asyncio.wait_for(asked(), 20.0))
+    decoded = [mavlink.MAVLink(None).parse_buffer(frame)[0] for frame in link.sent]
+    assert [one.gridbit for one in decoded] == [0, 1, 3]
+    assert all(200 < height_m < 1100 for one in decoded for height_m in one.data)
