@@ -57,6 +57,7 @@ def tracker_settings(sensors: SensorsSection, lost_after_s: float) -> TrackerSet
 
     return TrackerSettings(
         filter=sensors.filter,
+        target_kind=sensors.target_kind,
         range_sigma_m=sensors.range_sigma_m,
         yaw_sigma_rad=radians(sensors.angle_sigma_deg),
         pitch_sigma_rad=radians(sensors.angle_sigma_deg),

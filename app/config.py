@@ -151,6 +151,8 @@ class SensorsSection(_Section):
     """The same of the laser's constant error; 0: none is estimated, m."""
     filter: Literal["imm", "ekf", "ukf"] = "imm"
     """Motion model of the target filter."""
+    target_kind: Literal["unknown", "walker", "cyclist", "car", "boat", "animal"] = "unknown"
+    """What moves, where it is known: how much the filter lets its motion wander."""
     angles_alone: bool = True
     """Where [terrain] tells the ground and the laser is silent, go on by the line of sight and the ground."""
 

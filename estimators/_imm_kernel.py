@@ -25,8 +25,6 @@ PROBABILITY, MEAN, COVARIANCE, SIZE = 0, 1, 1 + N, 1 + N + N * N
 
 HEIGHT_DENSITY_M2_S = 0.02  # the ground under a target that drives up and down gentle hills
 SHUFFLE_SIGMA_M_S = 0.05
-SHUFFLE_DENSITY_M2_S = 1e-4
-MANOEUVRE_DENSITY_M2_S3 = 1.5
 TURN_SIGMA_RAD_S = 0.25
 TURN_DRIFT_RAD2_S3 = 1e-4
 
@@ -47,6 +45,14 @@ _CURVED_BEYOND = 0.015
 _TWO_PI = 2.0 * math.pi
 # The state's numbers that a sighting measures.
 _SEEN = (EAST, NORTH, HEIGHT, YAW, PITCH, RANGE)
+
+
+class Densities(NamedTuple):
+    """Of the noise: white acceleration of what holds its course, of what manoeuvres, and the place of what stands."""
+
+    cruise_m2_s3: float
+    manoeuvre_m2_s3: float
+    shuffle_m2_s: float
 
 
 class Seen(NamedTuple):
@@ -77,7 +83,7 @@ def switch_probability(step_s: float, before: int, after: int) -> float:
 def predict(
     state: FloatArray,
     step_s: float,
-    cruise_density_m2_s3: float,
+    densities: Densities,
     drift_per_s: tuple[float, float, float],
     found: FloatArray,
 ) -> None:
@@ -112,12 +118,12 @@ def predict(
             p[YAW + bias, YAW + bias] += drift_per_s[bias] * step_s
         p[TURN, TURN] += TURN_DRIFT_RAD2_S3 * step_s if model == TURNING else TURN_SIGMA_RAD_S**2
         if model == STANDING:
-            p[EAST, EAST] += SHUFFLE_DENSITY_M2_S * step_s
-            p[NORTH, NORTH] += SHUFFLE_DENSITY_M2_S * step_s
+            p[EAST, EAST] += densities.shuffle_m2_s * step_s
+            p[NORTH, NORTH] += densities.shuffle_m2_s * step_s
             p[VELOCITY_E, VELOCITY_E] += SHUFFLE_SIGMA_M_S**2
             p[VELOCITY_N, VELOCITY_N] += SHUFFLE_SIGMA_M_S**2
         else:
-            density = MANOEUVRE_DENSITY_M2_S3 if model == MANOEUVRING else cruise_density_m2_s3
+            density = densities.manoeuvre_m2_s3 if model == MANOEUVRING else densities.cruise_m2_s3
             for axis in range(2):
                 place, velocity = EAST + axis, VELOCITY_E + axis
                 p[place, place] += density * step_s * step_s * step_s / 3.0

@@ -22,6 +22,7 @@ import numpy as np
 from estimators import _imm_kernel as kernel
 from estimators._imm_kernel import COVARIANCE, MEAN, MODELS, PROBABILITY, RANGE, TURN, TURN_SIGMA_RAD_S, YAW, N, Seen
 from estimators.biases import Biases
+from estimators.motion import DENSITIES
 from estimators.settings import TrackerSettings
 from estimators.sighting import AnySighting, Fix
 from estimators.target_filter import BIASES, HEIGHT, FloatArray, bias_drift, measured_linearly, starting_state
@@ -44,7 +45,7 @@ class TargetImm:
         return filtered
 
     def _set_up(self, settings: TrackerSettings, biases: Biases) -> None:
-        self._density_m2_s3 = settings.acceleration_density_m2_s3
+        self._densities = DENSITIES[settings.target_kind]
         self._soft_nis = settings.soft_nis
         self._prior = biases
         self._drift_per_s = drift_per_s(biases)
@@ -55,7 +56,7 @@ class TargetImm:
         self.time_s = time_s
         if step_s > 0.0:
             ahead = np.empty_like(self.state)
-            kernel.predict(self.state, step_s, self._density_m2_s3, self._drift_per_s, ahead)
+            kernel.predict(self.state, step_s, self._densities, self._drift_per_s, ahead)
             self.state = ahead
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:

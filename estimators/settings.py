@@ -8,6 +8,8 @@ from typing import Literal
 
 from estimators.readings import Source
 
+TargetKind = Literal["unknown", "walker", "cyclist", "car", "boat", "animal"]
+
 
 @dataclass(frozen=True, slots=True)
 class SourceChoice:
@@ -36,6 +38,8 @@ class TrackerSettings:
     """Sigmas are one standard deviation. A calibration sigma of 0 switches its estimation off."""
 
     filter: Literal["imm", "ekf", "ukf"] = "imm"
+    target_kind: TargetKind = "unknown"
+    """What moves: how much its motions are let wander."""
 
     range_sigma_m: float = 0.8
     """Slant range, where the sensor tells no sigma of its own."""
@@ -79,4 +83,4 @@ class TrackerSettings:
     target_speed_sigma_m_s: float = 5.0
     """Each axis, before the first sightings."""
     acceleration_density_m2_s3: float = 0.03
-    """White acceleration of a target that holds its course."""
+    """White acceleration of a target in the filters of a single motion."""

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from app.study._airframe_kernel import Airframe, Body, stepped
-from estimators._imm_kernel import Seen, combine, predict, update
+from estimators._imm_kernel import Densities, Seen, combine, predict, update
 from estimators.compiled import compiled
 from mission.core.path import FloatArray
 from mission.geometry._line_kernel import Circling, circle_after, following_per_m
@@ -67,7 +67,7 @@ class Filtering(NamedTuple):
 
     gate_nis: float
     soft_nis: float
-    density_m2_s3: float
+    densities: Densities
     drift_per_s: tuple[float, float, float]
     reacquire_after: int
     lost_after_s: float
@@ -187,12 +187,12 @@ def _carry_on(f: Flight, filtering: Filtering, time_s: float) -> None:
     at_s, spare = f.numbers[FILTER_S], f.models
     while time_s - at_s > 1.0:
         spare = f.ahead.copy()
-        predict(spare, 1.0, filtering.density_m2_s3, filtering.drift_per_s, f.ahead)
+        predict(spare, 1.0, filtering.densities, filtering.drift_per_s, f.ahead)
         at_s += 1.0
     step_s = round((time_s - at_s) * 1e6) / 1e6
     if step_s > 0.0:
         spare = f.ahead.copy() if at_s > f.numbers[FILTER_S] else f.models
-        predict(spare, step_s, filtering.density_m2_s3, filtering.drift_per_s, f.ahead)
+        predict(spare, step_s, filtering.densities, filtering.drift_per_s, f.ahead)
 
 
 @compiled

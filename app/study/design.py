@@ -23,7 +23,7 @@ SHAPING = {
     "planner": ("lost_after_s",),
     "sensors": (
         *("range_sigma_m", "angle_sigma_deg", "yaw_bias_sigma_deg", "pitch_bias_sigma_deg", "range_bias_sigma_m"),
-        "filter",
+        *("filter", "target_kind"),
     ),
     "simulation": ("wind_speed_m_s", "wind_from_deg"),
     "study": ("latency_s", "lag_s"),

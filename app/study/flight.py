@@ -35,6 +35,7 @@ from app.study.sensors import PayloadErrors
 from estimators.biases import Biases
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.imm import TargetImm, drift_per_s, starting_models
+from estimators.motion import DENSITIES
 from estimators.settings import TrackerSettings
 from estimators.sighting import Sighting
 from estimators.track import Track
@@ -120,7 +121,7 @@ class CompiledFlight:
         self._filtering = Filtering(
             told.gate_nis,
             told.soft_nis,
-            told.acceleration_density_m2_s3,
+            DENSITIES[told.target_kind],
             drift_per_s(self._prior),
             told.reacquire_after,
             told.lost_after_s,

@@ -26,6 +26,7 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter, IMMEstimator
 
 from estimators.biases import Biases
+from estimators.motion import DENSITIES
 from estimators.settings import TrackerSettings
 from estimators.sighting import Sighting
 from estimators.target_filter import starting_state
@@ -459,7 +460,8 @@ class StockModel(ExtendedKalmanFilter):
         transitions, by_rate = model_transitions(self.dim_x, STEP_S, *map(float, self.x[[-1, 2, 3]]))
         if self.model == TURNING:
             transitions[TURNING, :4, -1] = by_rate
-        self.F, self.Q = transitions[self.model], model_noises(self.dim_x, STEP_S, DENSITY, ())[self.model]
+        self.F = transitions[self.model]
+        self.Q = model_noises(self.dim_x, STEP_S, DENSITIES["unknown"], ())[self.model]
         super().predict()
 
     def update(self, sighting):

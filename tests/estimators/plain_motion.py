@@ -11,15 +11,14 @@ import numpy as np
 from estimators._imm_kernel import (
     CRUISING,
     GENERATOR,
-    MANOEUVRE_DENSITY_M2_S3,
     MANOEUVRING,
     MODELS,
-    SHUFFLE_DENSITY_M2_S,
     SHUFFLE_SIGMA_M_S,
     STANDING,
     TURN_DRIFT_RAD2_S3,
     TURN_SIGMA_RAD_S,
     TURNING,
+    Densities,
 )
 from estimators.motion import add_white_acceleration, cruise, cruise_noise
 from estimators.target_filter import EAST, NORTH, VELOCITY_E, VELOCITY_N, FloatArray
@@ -70,16 +69,16 @@ def turn(rate_rad_s: float, velocity_east_m_s: float, velocity_north_m_s: float,
 
 
 @lru_cache(maxsize=256)
-def model_noises(size: int, step_s: float, cruise_density_m2_s3: float, bias_drift: tuple[float, ...]) -> FloatArray:
+def model_noises(size: int, step_s: float, densities: Densities, bias_drift: tuple[float, ...]) -> FloatArray:
     """Return the process noise (models, n, n) of each motion; read only."""
     noises = np.stack([cruise_noise(size, step_s, 0.0, bias_drift)] * len(MODELS))
     for axis in (EAST, NORTH):
-        noises[STANDING, axis, axis] = SHUFFLE_DENSITY_M2_S * step_s
+        noises[STANDING, axis, axis] = densities.shuffle_m2_s * step_s
     for axis in (VELOCITY_E, VELOCITY_N):
         noises[STANDING, axis, axis] = SHUFFLE_SIGMA_M_S**2
-    add_white_acceleration(noises[CRUISING], cruise_density_m2_s3, step_s)
-    add_white_acceleration(noises[TURNING], cruise_density_m2_s3, step_s)
-    add_white_acceleration(noises[MANOEUVRING], MANOEUVRE_DENSITY_M2_S3, step_s)
+    add_white_acceleration(noises[CRUISING], densities.cruise_m2_s3, step_s)
+    add_white_acceleration(noises[TURNING], densities.cruise_m2_s3, step_s)
+    add_white_acceleration(noises[MANOEUVRING], densities.manoeuvre_m2_s3, step_s)
     # Who does not turn forgets the rate: a turn begins with nothing known of it.
     noises[:, TURN, TURN] = TURN_SIGMA_RAD_S**2
     noises[TURNING, TURN, TURN] = TURN_DRIFT_RAD2_S3 * step_s

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from estimators.biases import Biases
 from estimators.ekf import TargetEkf
 from estimators.imm import TargetImm
+from estimators.motion import DENSITIES
 from estimators.settings import TrackerSettings
 from estimators.target_filter import BIASES, EAST, HEIGHT, NORTH, PLACE, starting_state
 from estimators.ukf import TargetUkf
@@ -109,7 +110,7 @@ class Reference(ExtendedKalmanFilter):
         if self.model == TURNING:
             transitions[TURNING, :4, -1] = by_rate
         self.F = transitions[self.model]
-        self.P = self.F @ self.P @ self.F.T + model_noises(self.dim_x, 0.1, 0.03, ())[self.model]
+        self.P = self.F @ self.P @ self.F.T + model_noises(self.dim_x, 0.1, DENSITIES["unknown"], ())[self.model]
 
     def update(self, sighting):
         place = [float(self.x[i]) for i in (EAST, NORTH, HEIGHT)]

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from estimators.motion import cruise_noise
+from estimators.motion import DENSITIES, cruise_noise
 from tests.estimators.plain_motion import (
     MODELS,
     TURN,
@@ -57,7 +57,7 @@ def test_two_small_steps_spread_as_one_large():
 
 
 def test_noises_are_covariances():
-    for noise in model_noises(9, 0.1, 0.03, (1e-10, 1e-10, 1e-7)):
+    for noise in model_noises(9, 0.1, DENSITIES["unknown"], (1e-10, 1e-10, 1e-7)):
         assert noise == pytest.approx(noise.T)
         assert np.linalg.eigvalsh(noise).min() >= -1e-15
-    assert model_noises(9, 0.1, 0.03, (1e-10, 1e-10, 1e-7))[TURNING, TURN, TURN] > 0
+    assert model_noises(9, 0.1, DENSITIES["unknown"], (1e-10, 1e-10, 1e-7))[TURNING, TURN, TURN] > 0
