@@ -92,6 +92,8 @@ class RequirementSection(_Section):
     """Highest speed expected of the target, m/s."""
     threshold: float = Field(0.9, gt=0, le=2)
     """Factor C on range_max_m at which the paper's planner moves the circle."""
+    course_horizon_s: float = Field(20.0, ge=0, le=60)
+    """The predictive planner keeps to the side of the course made good over this long, s; 0: the present course."""
 
     @model_validator(mode="after")
     def _band_not_empty(self) -> RequirementSection:
@@ -103,7 +105,14 @@ class RequirementSection(_Section):
 
     def requirement(self) -> Requirement:
         """Return the planner's view of it."""
-        plain = Requirement(self.range_min_m, self.range_max_m, Side.LEFT, self.target_speed_max_m_s, self.threshold)
+        plain = Requirement(
+            self.range_min_m,
+            self.range_max_m,
+            Side.LEFT,
+            self.target_speed_max_m_s,
+            self.threshold,
+            course_horizon_s=self.course_horizon_s,
+        )
         return watching_from(plain, self.side)
 
 

@@ -268,6 +268,7 @@ def choose(
         frame.wind_east_m_s,
         frame.wind_north_m_s,
         steering.latency_s,
+        body.time_s - f.numbers[DEPARTURE_S],
         looker,
     )
     if line.shape[1] > 0:

@@ -19,7 +19,7 @@ Overrides = dict[str, dict[str, Any]]
 # What of the configuration shapes a run; the rest is about links, fences and real vehicles.
 SHAPING = {
     "aircraft": ("airspeed_m_s", "radius_m", "bank_max_deg", "roll_rate_max_deg_s", "height_m"),
-    "requirement": ("range_min_m", "range_max_m", "side", "target_speed_max_m_s", "threshold"),
+    "requirement": ("range_min_m", "range_max_m", "side", "target_speed_max_m_s", "threshold", "course_horizon_s"),
     "planner": ("lost_after_s",),
     "sensors": (
         *("range_sigma_m", "angle_sigma_deg", "yaw_bias_sigma_deg", "pitch_bias_sigma_deg", "range_bias_sigma_m"),
@@ -164,6 +164,7 @@ def _settings(base: StudySettings, given: Overrides, name: str) -> StudySettings
         range_max_m=wanted.range_max_m,
         side=wanted.side,
         threshold=wanted.threshold,
+        course_horizon_s=wanted.course_horizon_s,
         bank_max_deg=aircraft.bank_max_deg,
         roll_rate_max_deg_s=aircraft.roll_rate_max_deg_s,
         height_m=aircraft.height_m,

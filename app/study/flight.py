@@ -17,6 +17,7 @@ from app.study import _flight_kernel as kernel
 from app.study._flight_kernel import (
     COMMAND_PER_M,
     DECIDE,
+    DEPARTURE_S,
     ENDED,
     FILTER_S,
     PRESENT,
@@ -178,7 +179,11 @@ class CompiledFlight:
     def _present(self) -> Plan:
         line, circle = kernel.plan_of(self._flight, self._flight.counts[PRESENT])
         path = Path(*line.copy()) if line.size else None
-        return Plan(Circle(circle.east_m, circle.north_m, abs(circle.radius_m), circle.radius_m > 0.0), path)
+        return Plan(
+            Circle(circle.east_m, circle.north_m, abs(circle.radius_m), circle.radius_m > 0.0),
+            path,
+            float(self._flight.numbers[DEPARTURE_S]),
+        )
 
     def _estimate(self) -> TargetEstimate:
         time_s = float(self._flight.body[0])
@@ -223,7 +228,7 @@ def _blind() -> Looker:
         WatchCost(0.0, 1.0).terms,
         Table(nothing, nothing, 1.0, 1.0, 1.0),
         Motions(True, 0.0, 1.0, 1, 1),
-        Prices(0.0, 0.0),
+        Prices(0.0, 0.0, 0.0, 0.0),
         fresh_memory(1.0),
         nothing_kept(),
     )

@@ -58,6 +58,7 @@ class StudySettings:
     wind_from_deg: float = 270.0
     side: str = "left"
     threshold: float = 1.0  # the paper's C that keeps the band longest
+    course_horizon_s: float = 20.0
     bank_max_deg: float = 45.0
     roll_rate_max_deg_s: float = 30.0
     height_m: float = 100.0
@@ -101,6 +102,11 @@ class StudySettings:
     def requirement(self) -> Requirement:
         """Return what is asked for."""
         plain = Requirement(
-            self.range_min_m, self.range_max_m, Side.LEFT, self.target_speed_max_m_s, threshold=self.threshold
+            self.range_min_m,
+            self.range_max_m,
+            Side.LEFT,
+            self.target_speed_max_m_s,
+            threshold=self.threshold,
+            course_horizon_s=self.course_horizon_s,
         )
         return watching_from(plain, self.side)

@@ -50,6 +50,7 @@ class Requirement:
 
     either_side: ``side`` is only the one to begin with; the nearer one is taken. sector: watch from these bearings,
     whichever way the target moves; ``side`` then only tells which way round the circles are flown.
+    course_horizon_s: the side is that of the course made good over so many seconds; 0: of the present course.
     """
 
     range_min_m: float
@@ -59,6 +60,7 @@ class Requirement:
     threshold: float = 0.9  # C of the paper: a lap is refused when it would end beyond threshold * range_max_m
     either_side: bool = False
     sector: Sector | None = None
+    course_horizon_s: float = 20.0
 
 
 @dataclass(frozen=True, slots=True)

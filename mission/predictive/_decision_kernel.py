@@ -15,8 +15,12 @@ from mission.predictive._moves_kernel import MOVES, STAY_LENGTHS, STEP_S, Kept, 
 from mission.predictive._rollout_kernel import Futures, line_cost, lines_costs, times_s
 from mission.predictive._scene_kernel import Scene, in_frame, scene_of
 from mission.predictive._sight_kernel import Sight, View, add_sight, sight_cost
-from mission.viewpoint._viewpoint_kernel import Known, Wish
+from mission.viewpoint._viewpoint_kernel import MIN_WAY_M, STANDING, Known, Wish, made_good_sigma_rad, place_at
 
+FORETOLD_S = 110  # longer than any line: after it the watch course is the target's
+_SLOW_M_S = 0.5  # the course of so slow a target tells nothing
+# A plan that leads so far beyond the cost's band within so long is no longer one to be committed to.
+_THREAT_S, _THREAT_M = 10.0, 5.0
 UNCERTAIN_M = 10.0
 OTHER_WIND = 0.15  # of the airspeed
 MIN_MOVE = 0.4  # of the radius: the length of a transition
@@ -36,10 +40,12 @@ class Motions(NamedTuple):
 
 
 class Prices(NamedTuple):
-    """In seconds off side: of leaving the circle, and of changing a plan under way."""
+    """In seconds off side: of leaving the circle, of changing a plan under way, and of one younger than commit_s."""
 
     leave: float
     change: float
+    commit: float = 0.0
+    commit_s: float = 0.0
 
 
 class Looker(NamedTuple):
@@ -111,10 +117,11 @@ def fill_classes(
 @compiled
 def going_straight(scene: Scene, motions: Motions) -> Futures:
     """Return the one future in which the target keeps its velocity."""
-    place, facing, course = np.zeros((1, 1, 4)), np.zeros((1, 1, 2)), np.zeros((1, 1, 3))
+    place, facing, course = np.zeros((1, 1, 4)), np.zeros((1, 1, 3)), np.zeros((1, 1, 3))
     classes, share, turn_share = np.zeros((1, 1, 4), np.int64), np.zeros((1, 1, 4)), np.zeros((1, 1, 4))
     place[0, 0, 2], place[0, 0, 3] = scene.velocity_x_m_s, scene.velocity_y_m_s
     facing[0, 0, 1] = course[0, 0, 1] = 1.0
+    facing[0, 0, 2] = scene.doubt.course_rad
     fill_classes(
         motions,
         scene.velocity_x_m_s,
@@ -126,6 +133,60 @@ def going_straight(scene: Scene, motions: Motions) -> Futures:
         turn_share[0, 0],
     )
     return Futures(np.ones(1), STEP_S, place, facing, course, classes, share, turn_share)
+
+
+@compiled
+def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray) -> Futures:
+    """Return the one future in which the target keeps its velocity, and the course that it made good turns to it.
+
+    The running cost is that of the course made good; the table is asked in the frame of the velocity, in which it
+    was computed.
+    """
+    k = FORETOLD_S
+    place, facing, course = np.zeros((1, k, 4)), np.zeros((1, k, 3)), np.zeros((1, k, 3))
+    classes, share, turn_share = np.zeros((1, k, 4), np.int64), np.zeros((1, k, 4)), np.zeros((1, k, 4))
+    vx, vy, air, doubt = scene.velocity_x_m_s, scene.velocity_y_m_s, scene.air, scene.doubt
+    speed_m_s, course_rad = math.hypot(vx, vy), math.atan2(vx, vy)
+    moving = memory[STANDING] == 0.0 and speed_m_s > _SLOW_M_S
+    facing_rad = 0.0
+    for i in range(k):
+        since_s = i * STEP_S
+        x_m, y_m = vx * since_s, vy * since_s
+        back_s = since_s - wish.course_horizon_s
+        if back_s > 0.0:
+            before_x_m, before_y_m = vx * back_s, vy * back_s
+        else:
+            east_m, north_m = place_at(memory, scene.departure_s + back_s)
+            before_x_m, before_y_m = in_frame(scene, east_m, north_m)
+        way_x_m, way_y_m = x_m - before_x_m, y_m - before_y_m
+        way_m = math.hypot(way_x_m, way_y_m)
+        if way_m > MIN_WAY_M:
+            facing_rad = math.atan2(way_x_m, way_y_m)
+        place[0, i, 0], place[0, i, 1], place[0, i, 2], place[0, i, 3] = x_m, y_m, vx, vy
+        facing[0, i, 0], facing[0, i, 1] = math.sin(facing_rad), math.cos(facing_rad)
+        facing[0, i, 2] = made_good_sigma_rad(math.hypot(doubt.position_m, doubt.velocity_m_s * since_s), way_m)
+        table_rad = course_rad if moving else facing_rad
+        sin_t, cos_t = math.sin(table_rad), math.cos(table_rad)
+        course[0, i, 0], course[0, i, 1], course[0, i, 2] = sin_t, cos_t, table_rad
+        fill_classes(
+            motions,
+            vx * cos_t - vy * sin_t,
+            vx * sin_t + vy * cos_t,
+            air.wind_x_m_s * cos_t - air.wind_y_m_s * sin_t,
+            air.wind_x_m_s * sin_t + air.wind_y_m_s * cos_t,
+            classes[0, i],
+            share[0, i],
+            turn_share[0, i],
+        )
+    return Futures(np.ones(1), STEP_S, place, facing, course, classes, share, turn_share)
+
+
+@compiled
+def future(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray) -> Futures:
+    """Return what is foretold of the target."""
+    if wish.course_horizon_s > 0.0 and math.isnan(wish.fixed_course_rad):
+        return winding(scene, motions, wish, memory)
+    return going_straight(scene, motions)
 
 
 @compiled
@@ -202,6 +263,22 @@ def look_ahead(
 
 
 @compiled
+def commitment(
+    scene: Scene, east_m: float, north_m: float, line: FloatArray, circle: Circling, age_s: float, looker: Looker
+) -> float:
+    """Return what a new plan must gain beyond its price because the present one departed only age_s ago."""
+    if line.shape[1] == 0 or age_s >= looker.prices.commit_s:
+        return 0.0
+    ahead, time_s = flown_on(scene, line, circle, east_m, north_m, _THREAT_S * scene.air.airspeed_m_s)
+    for k in range(len(time_s)):
+        x_m, y_m = ahead[0, k] - scene.velocity_x_m_s * time_s[k], ahead[1, k] - scene.velocity_y_m_s * time_s[k]
+        range_m = math.hypot(x_m, y_m)
+        if range_m < looker.terms.near_m - _THREAT_M or range_m > looker.terms.far_m + _THREAT_M:
+            return 0.0
+    return looker.prices.commit
+
+
+@compiled
 def decide(
     time_s: float,
     east_m: float,
@@ -215,11 +292,12 @@ def decide(
     wind_east_m_s: float,
     wind_north_m_s: float,
     latency_s: float,
+    age_s: float,
     looker: Looker,
 ) -> tuple[float, float, FloatArray]:
     """Return (departure, radius, line (5, n)) of the best move where it is cheaper than staying, else n = 0.
 
-    The ground hides nothing.
+    age_s: since the departure to the present plan. The ground hides nothing.
     """
     scene = scene_of(
         time_s,
@@ -240,10 +318,10 @@ def decide(
         looker.memory,
     )
     costs = np.empty(MOVES)
-    futures = going_straight(scene, looker.motions)
+    futures = future(scene, looker.motions, looker.wish, looker.memory)
     flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
     stay_cost = look_ahead(scene, east_m, north_m, line, circle, futures, looker, flat, costs)
     best = int(np.argmin(costs))
-    if costs[best] < stay_cost:
+    if costs[best] < stay_cost - commitment(scene, east_m, north_m, line, circle, age_s, looker):
         return scene.departure_s, scene.radius_m, move_line(scene, looker.craft, best)
     return scene.departure_s, scene.radius_m, np.empty((5, 0))

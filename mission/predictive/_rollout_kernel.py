@@ -38,7 +38,8 @@ class Futures(NamedTuple):
     """What the target may do: f futures, sampled k times every step_s from the departure on, k >= 1.
 
     weight (f,) sums to 1. place (f, k, 4): x, y, and the velocity that carries on from there to the next sample (from
-    the last one for ever). facing (f, k, 2): sine and cosine of the watch course in the frame of the departure.
+    the last one for ever). facing (f, k, 3): sine and cosine of the watch course in the frame of the departure, and
+    one standard deviation of it.
     course (f, k, 3): sine, cosine and angle of the course that the table's frame follows. classes (f, k, 4): the
     table's classes for the velocities there; share, turn_share (f, k, 4): what each counts in V, and after a turn.
     """
@@ -230,16 +231,19 @@ def _rates(
     along: FloatArray,
     time_s: FloatArray,
     weight: FloatArray,
+    sigmas_rad: FloatArray,
+    step_s: float,
     d: Doubt,
     c: CostTerms,
     found: FloatArray,
 ) -> None:
-    """Fill in the discounted rate of the running cost at places of the watch frame."""
+    """Fill in the discounted rate of the running cost at places of the watch frame, whose course has sigmas (k,)."""
+    last = len(sigmas_rad) - 1
     place2, velocity2 = d.position_m * d.position_m, d.velocity_m_s * d.velocity_m_s
-    course2 = d.course_rad * d.course_rad
     for i in range(len(across)):
         sigma2 = place2 + velocity2 * time_s[i] * time_s[i]
-        blur_m = 1.0 + math.sqrt(sigma2 + course2 * along[i] * along[i])
+        beside_m = sigmas_rad[min(int(time_s[i] / step_s), last)] * along[i]
+        blur_m = 1.0 + math.sqrt(sigma2 + beside_m * beside_m)
         found[i] = cost_rate(across[i], along[i], math.sqrt(sigma2), blur_m, c) * weight[i]
 
 
@@ -273,7 +277,7 @@ def lines_costs(
     costs[: len(trunk)] = 0.0
     for one in range(len(f.weight)):
         _relate(x, y, time_s, one, f.step_s, f.place, f.facing, across, along)
-        _rates(across, along, time_s, weight, d, c, rates)
+        _rates(across, along, time_s, weight, f.facing[one, :, 2], f.step_s, d, c, rates)
         _relate(x, y, time_s, one, f.step_s, f.place, course, across, along)
         for h in range(len(trunk_first) - 1):
             first = trunk_first[h]
@@ -333,7 +337,7 @@ def line_cost(
     total = 0.0
     for one in range(len(f.weight)):
         _relate(x_m, y_m, time_s, one, f.step_s, f.place, f.facing, across, along)
-        _rates(across, along, time_s, weight, d, c, rates)
+        _rates(across, along, time_s, weight, f.facing[one, :, 2], f.step_s, d, c, rates)
         _relate(x_m, y_m, time_s, one, f.step_s, f.place, course, across, along)
         cost = 0.0
         for s in range(1, n):

@@ -6,7 +6,9 @@ Rules
 2. All moves are rolled out from there against the estimate; the cheapest departs if it beats going on as planned by
    more than a change costs.
 3. A move that breaks a fence gives way to the next cheapest.
-4. A target unseen for lost_after_s is not moved after: the circle is held.
+4. Uploads are not free and contradict each other when they come too often: what leaving the circle costs is the price
+   that the table was computed with, and a plan just begun is left only for the band or a large gain.
+5. A target unseen for lost_after_s is not moved after: the circle is held.
 """
 
 from __future__ import annotations
@@ -46,9 +48,14 @@ _MIN_TARGET_SPEED_M_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class PredictiveSettings:
-    """change_cost: what a change of a plan under way must gain, in seconds off side. Uploads are not free."""
+    """change_cost: what a change of a plan under way must gain, in seconds off side. Uploads are not free.
 
-    change_cost: float = 1.0
+    Within commit_s of a departure it must gain commit_cost more, unless the plan leads out of the band.
+    """
+
+    change_cost: float = 4.0
+    commit_s: float = 10.0
+    commit_cost: float = 40.0
     lost_after_s: float = 60.0
 
 
@@ -105,7 +112,8 @@ class PredictivePlanner:
         self._aircraft, self._requirement, self._tables = aircraft, requirement, (table, *windy)
         self._settings = settings or PredictiveSettings()
         self._check, self._sight = check, sight
-        policy, kept = SidePolicy(requirement, aircraft.radius_m), nothing_kept()
+        policy, kept = SidePolicy(requirement, aircraft.radius_m, requirement.course_horizon_s), nothing_kept()
+        own = self._settings
         self.lookers = [
             Looker(
                 craft_of(aircraft),
@@ -114,7 +122,7 @@ class PredictivePlanner:
                 one.configuration.cost.terms,
                 one.arrays,
                 one.motions,
-                Prices(one.configuration.leave_cost, self._settings.change_cost),
+                Prices(one.configuration.leave_cost, own.change_cost, own.commit_cost, own.commit_s),
                 policy.memory,
                 kept,
             )
@@ -159,7 +167,7 @@ class PredictivePlanner:
         self, scene: Scene, aircraft: AircraftState, present: Plan, line: FloatArray, circle: Circling, looker: Looker
     ) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
-        costs, futures = np.empty(MOVES), kernel.going_straight(scene, looker.motions)
+        costs, futures = np.empty(MOVES), kernel.future(scene, looker.motions, looker.wish, looker.memory)
         sight = self._sight(scene.frame_east_m, scene.frame_north_m, *kernel.target_velocity(scene))
         stay_cost = kernel.look_ahead(
             scene, aircraft.east_m, aircraft.north_m, line, circle, futures, looker, sight, costs
@@ -172,7 +180,9 @@ class PredictivePlanner:
         breach = describe_breach(ahead, side, self._requirement, scene.departure_s - now_s)
         order = np.argsort(costs, kind="stable")
         broken: str | None = None
-        for move in order[: min(np.count_nonzero(costs < stay_cost), _MAX_TRIES)].tolist():
+        age_s = now_s - present.departure_s
+        bar = stay_cost - kernel.commitment(scene, aircraft.east_m, aircraft.north_m, line, circle, age_s, looker)
+        for move in order[: min(np.count_nonzero(costs < bar), _MAX_TRIES)].tolist():
             path = Path(*move_line(scene, looker.craft, move))
             plan = Plan(end_circle(path, scene.radius_m), path, scene.departure_s)
             rejection = self._check(plan)
@@ -186,6 +196,9 @@ class PredictivePlanner:
             broken = broken or rejection
         if broken is not None:
             reason = f"staying: {broken}"
+        elif bar <= costs[order[0]] < stay_cost:
+            gain_s = stay_cost - costs[order[0]]
+            reason = f"staying: the plan is {age_s:.0f} s old, and another would gain only {gain_s:.0f} s on the side"
         elif breach is not None:
             reason = f"staying until a better moment: {breach}"
         else:

@@ -70,7 +70,7 @@ class TableConfiguration:
     habits: TargetHabits = field(default_factory=TargetHabits)
     wind_speed_m_s: float = 0.0
     discount_per_s: float = 0.005
-    leave_cost: float = 0.5
+    leave_cost: float = 4.0
     cells: int = 28
     improvements: tuple[int, int] = (8, 5)
 

@@ -18,7 +18,7 @@ _SECTOR_WORDS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
 class Viewpoint:
     """The frame to watch from: the course whose ``side`` counts, and how well it is known.
 
-    course_sigma_rad is 0 for a course that is not the estimate's own: held through a stop, or a sector's.
+    course_sigma_rad is 0 for a present course that is held through a stop, and for a sector's.
     """
 
     course_rad: float
@@ -29,11 +29,14 @@ class Viewpoint:
 class SidePolicy:
     """Applies a requirement's wish to the target as it moves. With either side it remembers the present one."""
 
-    def __init__(self, requirement: Requirement, hysteresis_m: float) -> None:
-        """hysteresis_m: how far across the target's line the aircraft must be before the other side is taken."""
+    def __init__(self, requirement: Requirement, hysteresis_m: float, course_horizon_s: float = 0.0) -> None:
+        """hysteresis_m: how far across the target's line the aircraft must be before the other side is taken.
+
+        course_horizon_s: the sides are those of the course made good over so long; 0: of the present course.
+        """
         sector, side = requirement.sector, requirement.side
         fixed_rad = math.nan if sector is None else sector.middle_rad - side.normal_turn_rad
-        self.wish = kernel.Wish(requirement.either_side, hysteresis_m, fixed_rad)
+        self.wish = kernel.Wish(requirement.either_side, hysteresis_m, fixed_rad, course_horizon_s)
         self.memory = kernel.fresh_memory(1.0 if side is Side.LEFT else -1.0)
 
     def viewpoint(self, east_m: float, north_m: float, target: TargetEstimate) -> Viewpoint:

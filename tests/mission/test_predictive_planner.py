@@ -307,3 +307,38 @@ def test_the_table_of_a_requirement(paper_aircraft, paper_requirement):
     assert [c.wind_speed_m_s for c in table_configurations(paper_aircraft, paper_requirement)] == [0.0, 2.5]
     standing = table_configuration(paper_aircraft, replace(paper_requirement, target_speed_max_m_s=0.0))
     assert standing.target_speed_max_m_s > 0.0
+
+
+def begun(planner):
+    """Fly until the planner has just departed; return the flight, with the target at 4.5 m/s to the north."""
+    flight = Flight(planner, BESIDE, 0.0)
+    while flight.present.transition is None:
+        flight.fly(straight((0.0, 4.5)), 1.0)
+    return flight
+
+
+def test_a_plan_just_begun_is_left_for_a_large_gain_only_and_says_so(paper_aircraft, paper_requirement, paper_table):
+    """The target turns a little right after the departure."""
+    left = {}
+    for commit_cost in (0.0, 40.0):
+        planner = PredictivePlanner(
+            paper_aircraft, paper_requirement, paper_table, PredictiveSettings(0.0, commit_cost=commit_cost)
+        )
+        flight = begun(planner)
+        departed_s = flight.aircraft.time_s
+        flight.fly(turning_back((0.0, 4.5), departed_s, 0.5), 60.0)
+        changed = [plan.departure_s - departed_s for _, _, plan in flight.plans[1:]]
+        left[commit_cost] = changed or [60.0]
+        if commit_cost:
+            assert any("s old, and another would gain only" in reason for reason in flight.reasons)
+    assert left[0.0][0] < 10.0 <= left[40.0][0]
+
+
+def test_a_plan_that_leads_out_of_the_band_is_left_at_once(paper_aircraft, paper_requirement, paper_table):
+    planner = PredictivePlanner(paper_aircraft, paper_requirement, paper_table)
+    flight = begun(planner)
+    place = flight.aircraft.east_m + 105.0, flight.aircraft.north_m
+    target = seen(flight.aircraft.time_s, place, (-3.0, 0.0))
+    decision = planner.decide(flight.aircraft, target, flight.present, CALM, LATENCY_S)
+    assert flight.aircraft.time_s - flight.present.departure_s < 10.0
+    assert decision.plan is not None

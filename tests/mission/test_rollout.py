@@ -164,7 +164,7 @@ def test_a_future_may_be_sampled_and_futures_are_weighed(paper_aircraft, paper_r
     turned = Futures(*straight[:2], *(a.copy() for a in straight[2:]))
     vx, vy = straight.place[0, 0, 2:]
     turned.place[0, 0, 2:] = vx * cos_t + vy * sin_t, vy * cos_t - vx * sin_t
-    turned.facing[0, 0], turned.course[0, 0] = (sin_t, cos_t), (sin_t, cos_t, 0.7)
+    turned.facing[0, 0, :2], turned.course[0, 0] = (sin_t, cos_t), (sin_t, cos_t, 0.7)
     assert line_cost(
         x * cos_t + y * sin_t, y * cos_t - x * sin_t, heading + 0.7, time_s, turned, doubt, terms, table.arrays
     ) == pytest.approx(line_cost(x, y, heading, time_s, straight, doubt, terms, table.arrays), rel=1e-9)
@@ -182,3 +182,26 @@ def test_the_radius_grows_with_the_wind(paper_aircraft, paper_requirement):
     scene = Look(steep, table, Wind(4.0, 0.0)).scene
     assert scene.radius_m == pytest.approx(min_radius_m(10.0, Wind(4.0, 0.0), steep.bank_max_rad))
     assert sharpness_per_m2(steep, 10.0) > sharpness_per_m2(paper_aircraft, 10.0)
+
+
+def test_the_watch_course_turns_to_the_velocity_over_its_horizon(paper_aircraft, paper_requirement):
+    """A target that drove north turned east: what is watched turns after it, the table is asked as it drives."""
+    motions = a_table(paper_aircraft, paper_requirement).motions
+    for side in (1.0, -1.0):
+        memory, wish = fresh_memory(side), Wish(False, 50.0, math.nan, 20.0)
+        present = Plan(Circle(-220.0 * side, 90.0, 60.0, clockwise=side > 0.0))
+        for time_s in range(61):
+            velocity = (0.0, 4.0) if time_s < 60 else (4.0, 0.0)
+            target = Known(float(time_s), 0.0, 4.0 * time_s, *velocity, np.diag([0.25, 0.09, 0.04, 0.04]))
+            scene = scene_of(
+                *(float(time_s), -280.0 * side, 90.0, 0.0, 10.0, side / 60.0, target, *line_of(present), 0.0, 0.0),
+                *(0.0, 5.0, craft_of(paper_aircraft), wish, memory),
+            )
+        future = kernel.future(scene, motions, wish, memory)
+        seen = scene.course_rad + side * np.arctan2(future.facing[0, :, 0], future.facing[0, :, 1])
+        ahead_s = np.arange(kernel.FORETOLD_S)
+        wanted = np.arctan2(4.0 * np.minimum(ahead_s, 20.0), 4.0 * np.maximum(20.0 - ahead_s, 0.0))
+        np.testing.assert_allclose(seen, wanted, atol=1e-9)
+        np.testing.assert_allclose(side * future.course[0, :, 2] + scene.course_rad, math.pi / 2)
+        np.testing.assert_allclose(future.facing[0, 20, 2], math.hypot(0.5, 0.2 * 20.0) / 80.0)
+        np.testing.assert_allclose(future.place[0, 10, :2], (side * 40.0, 0.0), atol=1e-9)

@@ -67,3 +67,35 @@ def test_other_words_are_refused_by_name(words):
 
 def test_a_sector_knows_its_middle():
     assert Sector(0.0, math.pi / 2).middle_rad == pytest.approx(math.pi / 4)
+
+
+def at(time_s, east_m, north_m):
+    return TargetEstimate(
+        time_s, east_m, north_m, 0.0, 0.0, np.diag([4.0, 1.0, 0.01, 0.01]), TrackQuality.GOOD, time_s
+    )
+
+
+def test_the_course_made_good_turns_over_its_horizon_and_is_held_when_the_target_stands():
+    policy = SidePolicy(LEFT, 50.0, 20.0)
+    began = policy.viewpoint(0.0, 300.0, at(0.0, 0.0, 0.0)).course_rad
+    assert began == pytest.approx(math.pi / 2)  # of an aircraft to the north
+    views = {}
+    for k in range(1, 181):
+        # North for 60 s at 3 m/s, then east for 60 s, then it stands.
+        place = 3.0 * max(0, min(k, 120) - 60), 3.0 * min(k, 60)
+        views[k] = policy.viewpoint(0.0, 300.0, at(float(k), *place))
+    assert views[3].course_rad == began  # 9 m are too short a way
+    assert views[4].course_rad == pytest.approx(0.0)
+    assert views[60].course_sigma_rad == pytest.approx(2.0 / 60.0)
+    assert views[65].course_rad == pytest.approx(math.atan2(15.0, 45.0))
+    assert views[80].course_rad == pytest.approx(math.pi / 2)
+    assert views[180].course_rad == pytest.approx(math.pi / 2)
+    assert views[180].course_sigma_rad == pytest.approx(2.0 / 10.0)
+
+
+def test_places_between_sightings_are_interpolated():
+    policy = SidePolicy(LEFT, 50.0, 20.0)
+    policy.viewpoint(0.0, 300.0, at(0.0, 0.0, 0.0))
+    policy.viewpoint(0.0, 300.0, at(40.0, 0.0, 120.0))
+    view = policy.viewpoint(0.0, 300.0, at(41.0, 60.0, 120.0))
+    assert view.course_rad == pytest.approx(math.atan2(60.0, 120.0 - 63.0))
