@@ -21,7 +21,7 @@ _SPREADS: tuple[tuple[str, Callable[[PlannerResult], FloatArray], int, Callable[
     ("time in band, %", lambda p: 100.0 * p.time_in_band, 5, np.min, 2),
     ("time on side, %", lambda p: 100.0 * p.time_on_side, 5, np.min, 1),
     ("by the course of 5 s, %", lambda p: 100.0 * p.time_on_side_5s, 5, np.min, 1),
-    ("least, m", lambda p: p.min_range_m, 5, np.min, 0),
+    ("least range, m", lambda p: p.min_range_m, 5, np.min, 0),
     ("greatest range, m", lambda p: p.max_range_m, 95, np.max, 0),
 )
 
