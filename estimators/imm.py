@@ -14,7 +14,6 @@ and some hundred metres from the aircraft.
 
 from __future__ import annotations
 
-import copy
 from typing import Self
 
 import numpy as np
@@ -119,7 +118,9 @@ class TargetImm:
 
     def copy(self) -> Self:
         """Return a filter that goes on by itself from the same state."""
-        return copy.copy(self)
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        return other
 
 
 def starting_models(settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> FloatArray:

@@ -278,7 +278,7 @@ class StandoffController:
             self._counts.upload_failures,
             self._latency_s,
             self._mode,
-            replace(self._sensor_status),
+            self._sensor_status.copy(),
         )
 
     def _read(self, reading: Reading) -> None:

@@ -27,6 +27,19 @@ class SensorStatus:
     rejected: int = 0
     connected: bool = True
 
+    def copy(self) -> SensorStatus:
+        """Return what it is now."""
+        return SensorStatus(
+            self.bank_rad,
+            self.height_m,
+            self.range_s,
+            self.gimbal_s,
+            self.nis,
+            self.sightings,
+            self.rejected,
+            self.connected,
+        )
+
     def note(self, reading: Reading, outcomes: Iterable[SightingOutcome], tracker: Tracker) -> None:
         """Take a reading that ``tracker`` has taken, with what it returned."""
         match reading:

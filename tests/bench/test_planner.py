@@ -2,6 +2,7 @@
 
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,20 +26,22 @@ SETTINGS = StudySettings((PlannerName.PREDICTIVE,), runs=4)
 
 @pytest.fixture(scope="module")
 def timed_table():
+    configuration = table_configuration(SETTINGS.aircraft(), SETTINGS.requirement())
+    compute(replace(configuration, cells=4, improvements=(1, 1)))  # loads, or compiles
     begun_s = time.process_time()
-    table = compute(table_configuration(SETTINGS.aircraft(), SETTINGS.requirement()))
+    table = compute(configuration)
     return table, time.process_time() - begun_s
 
 
-def test_the_value_table_takes_seconds(timed_table):
+def test_the_value_table_takes_a_second(timed_table):
     print(f"\nvalue table: {timed_table[1]:.1f} s of the processor")
-    assert timed_table[1] < 15.0
+    assert timed_table[1] < 3.0
 
 
-def test_decisions_take_milliseconds(timed_table):
+def test_decisions_take_microseconds(timed_table):
     taken_ms = 1e3 * run_study(SETTINGS, timed_table[0], jobs=1).planners[PlannerName.PREDICTIVE].decision_s
     p50_ms, p99_ms = np.percentile(taken_ms, (50, 99))
-    print(f"\ndecision: {p50_ms:.2f} ms, p99 {p99_ms:.2f} ms of the processor")
+    print(f"\ndecision: {p50_ms:.3f} ms, p99 {p99_ms:.3f} ms of the processor")
     assert p99_ms < 0.25
 
 

@@ -1,0 +1,65 @@
+"""How fast a study flies: python -m pytest -s tests/bench/test_engine.py.
+
+SIDELONG_OLD names another checkout, which is measured beside this one: turn about, in processes of their own, the
+best of each, so that what else runs on the machine slows both alike.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+ROUNDS = 3
+MEASURE = """
+import json, time
+import numpy as np
+from app.study.run import run
+from app.study.settings import PlannerName, StudySettings
+from app.value_cache import value_table
+try:
+    from mission.predictive.planner import table_configuration
+except ImportError:
+    from mission.predictive_planner import table_configuration
+settings = StudySettings(runs=20, seed=1)
+table = value_table(table_configuration(settings.aircraft(), settings.requirement()))
+run(settings, PlannerName.PREDICTIVE, 0, table)
+taken_s, decisions_s, figures = [], [], []
+for number in range(4):
+    begun_s = time.thread_time()
+    flown = run(settings, PlannerName.PREDICTIVE, number, table)
+    taken_s.append(time.thread_time() - begun_s)
+    decisions_s += flown.decision_s.tolist()
+    names = "time_in_band", "time_on_side", "min_range_m", "max_range_m", "moves_per_hour"
+    figures.append([getattr(flown, name) for name in names])
+print(json.dumps([settings.duration_s / min(taken_s), *np.percentile(decisions_s, (50, 99)).tolist(), figures]))
+"""
+
+
+def measured(checkout):
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURE],
+        cwd=checkout,
+        env=os.environ | {"PYTHONPATH": str(checkout)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return json.loads(done.stdout)
+
+
+def test_a_study_flies_ten_thousand_times_as_fast_as_the_clock():
+    checkouts = {"this": ROOT}
+    if "SIDELONG_OLD" in os.environ:
+        checkouts["old"] = Path(os.environ["SIDELONG_OLD"])
+    found = {name: [] for name in checkouts}
+    for _ in range(ROUNDS):
+        for name, checkout in checkouts.items():
+            found[name].append(measured(checkout))
+    for name, results in found.items():
+        times, p50_s, p99_s, _ = max(results)
+        print(f"\n{name}: {times:,.0f} x real time, decision {1e6 * p50_s:.0f} us, p99 {1e6 * p99_s:.0f} us")
+        for figures in results[0][3]:
+            print("   band {:.4f}, side {:.4f}, {:.1f} to {:.1f} m, {:.0f} moves/h".format(*figures))
+    assert max(found["this"])[0] >= 10_000.0
