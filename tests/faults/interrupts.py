@@ -34,7 +34,7 @@ class Interruption:
     signal: signal.Signals
     after_s: float
     after: str | None = None
-    speed: float = 20.0
+    speed: float = 10.0
 
     @staticmethod
     def drawn(seed: str) -> Interruption:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -15,7 +17,7 @@ import pytest
 from tests.faults.interrupts import Interruption, left_of
 
 pytestmark = pytest.mark.udp
-SHORT = ("launch", "--planner", "paper", "--speed", "20", "--duration", "20", "--target", "straight")
+SHORT = ("launch", "--planner", "paper", "--speed", "10", "--duration", "10", "--target", "straight")
 
 
 @pytest.mark.parametrize(
@@ -85,14 +87,26 @@ def flown(out: Path, stdout: int, **options: object) -> subprocess.CompletedProc
     )
 
 
-def test_output_that_nobody_takes_does_not_reach_the_flight(tmp_path):
+def test_neither_a_full_terminal_nor_a_folder_that_vanishes_reaches_the_flight(tmp_path):
     out = tmp_path / "e6[" / "x]"  # what the terminal's library would take for markup
+    command = [sys.executable, "-m", "app", *SHORT, "--out", str(out)]
     with Path("/dev/full").open("w") as full:
-        done = flown(out, full.fileno())
-    assert done.returncode == 0
-    (run,) = out.iterdir()
-    assert done.stderr == f"sidelong: the terminal could not be written (No space left on device); see {run}.\n"
-    assert json.loads((run / "summary.json").read_text())["outcome"] == "completed"
+        process = subprocess.Popen(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    try:
+        while not list(out.glob("*/journal.jsonl")):
+            assert process.poll() is None
+            time.sleep(0.05)
+        (run,) = out.iterdir()
+        shutil.rmtree(run)
+        _, complaint = process.communicate(timeout=100.0)
+    finally:
+        process.kill()
+    assert process.returncode == 0, complaint
+    assert complaint.splitlines() == [
+        f"sidelong: {run}/summary.json cannot be written (No such file or directory); the figures above are all "
+        "there is.",
+        f"sidelong: the terminal could not be written (No space left on device); see {run}.",
+    ]
 
 
 def test_a_reader_that_goes_away_does_not_reach_the_flight(tmp_path):
