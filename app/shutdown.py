@@ -10,6 +10,7 @@ import asyncio
 import atexit
 import contextlib
 import os
+import signal
 import sys
 import threading
 import time
@@ -57,6 +58,8 @@ def ends_within(seconds: float, what: str) -> Iterator[None]:
 
 def exit_process(code: int) -> NoReturn:
     """End the process: in the ordinary way, or at once where that would wait for a thread that is stuck."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # it ends; a signal now would only change the exit code
     deadline_s = time.monotonic() + _THREADS_END_S
     threads = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
     for thread in threads:

@@ -197,6 +197,8 @@ class MavsdkLink:
     async def _bounded(self, call: Awaitable[Any], timeout_s: float) -> Any:
         """Await a MAVSDK call that blocks a thread. Raises TimeoutError; the call itself then goes on unheeded."""
         if self._closed:
+            if asyncio.iscoroutine(call):
+                call.close()  # or Python complains on the terminal that nobody awaited it
             raise LinkError("the link is closed")
         pending = asyncio.ensure_future(call)
         self._pending.add(pending)

@@ -45,3 +45,17 @@ shutdown.exit_process(0)
 def test_it_ends(code, exit_code, out, complaint):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30.0, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (exit_code, out, complaint)
+
+
+LATE_SIGNAL = """
+import atexit, os, signal
+from app import shutdown
+signal.signal(signal.SIGTERM, signal.default_int_handler)
+atexit.register(lambda: os.kill(os.getpid(), signal.SIGTERM))
+shutdown.exit_process(3)
+"""
+
+
+def test_a_signal_at_the_very_end_changes_no_exit_code():
+    done = subprocess.run([sys.executable, "-c", LATE_SIGNAL], capture_output=True, timeout=30.0, check=False)
+    assert (done.returncode, done.stderr) == (3, b"")

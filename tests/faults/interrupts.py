@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,7 +30,7 @@ _ENDS_WITHIN_S = 90.0
 
 @dataclass(frozen=True, slots=True)
 class Interruption:
-    """after_s: of wall time since the start, or since a line with the text ``after``."""
+    """after_s: of wall time since the program's first line of code, or since a line with the text ``after``."""
 
     signal: signal.Signals
     after_s: float
@@ -46,7 +47,19 @@ class Interruption:
 def left_of(interruption: Interruption, out: Path) -> tuple[str, list[str]]:
     """Interrupt a flight into ``out``; return its last sentence, and what is wrong with what it left."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "app", *_LAUNCH, "--speed", str(interruption.speed), "--out", str(out)],
+        # Hanging up counts, whatever the tests run under.
+        [
+            "env",
+            "--default-signal=HUP",
+            sys.executable,
+            "-m",
+            "app",
+            *_LAUNCH,
+            "--speed",
+            str(interruption.speed),
+            "--out",
+            str(out),
+        ],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -58,6 +71,9 @@ def left_of(interruption: Interruption, out: Path) -> tuple[str, list[str]]:
             said.append(line)
             if interruption.after in line:
                 break
+    else:
+        while process.poll() is None and not _heeds_signals(process.pid):
+            time.sleep(0.01)
     timer = threading.Timer(interruption.after_s, process.send_signal, (interruption.signal,))
     timer.start()
     try:
@@ -69,6 +85,11 @@ def left_of(interruption: Interruption, out: Path) -> tuple[str, list[str]]:
         process.kill()
     wrong = list(_wrongs(process.returncode, "".join(said) + rest, complaint.strip(), list(out.glob("2*"))))
     return f"{process.returncode} {complaint.strip()}", wrong
+
+
+def _heeds_signals(pid: int) -> bool:
+    caught = re.search(r"SigCgt:\s*([0-9a-f]+)", Path(f"/proc/{pid}/status").read_text())
+    return caught is not None and bool(int(caught[1], 16) >> (signal.SIGHUP - 1) & 1)
 
 
 def _wrongs(code: int, said: str, complaint: str, runs: list[Path]) -> list[str]:
