@@ -14,6 +14,7 @@ from mission.exchange.raw_item import RawItem
 from mission.exchange.reports import MissionAcknowledged, MissionCountReported, MissionItemReported, VehicleReport
 
 _AGAIN_S, _AGAIN_ROUND_TRIPS = 0.25, 2.0
+_SLOWER, _SLOWEST = 1.25, 2.0
 
 
 class MissionRead:
@@ -25,6 +26,7 @@ class MissionRead:
         self._count: int | None = None
         self._read: dict[int, RawItem] = {}
         self._due_s = math.inf
+        self._asked_s, self._repeats = outbox.link_s, 0
         self.done = False
         self.items: tuple[RawItem, ...] | None = None
         self.mission_id = 0
@@ -41,13 +43,14 @@ class MissionRead:
             return
         match report:
             case MissionCountReported() if self._count is None:
-                self._again_s = max(_AGAIN_S, _AGAIN_ROUND_TRIPS * (report.link_s - self._due_s + self._again_s))
+                self._again_s = max(_AGAIN_S, _AGAIN_ROUND_TRIPS * (report.link_s - self._asked_s))
+                self._repeats = 0
                 self._count, self.mission_id = report.count, report.mission_id
                 self._go_on()
             case MissionItemReported() if self._count is not None and 0 <= report.seq < self._count:
                 if report.seq not in self._read:
                     self._read[report.seq] = report.item
-                    self._due_s = report.link_s + self._again_s
+                    self._due_s, self._repeats = report.link_s + self._again_s, 0
                     if len(self._read) == self._count or not self._all_at_once:
                         self._go_on()
             case MissionAcknowledged() if self._count is not None and report.result in (ERROR, DENIED):
@@ -63,6 +66,7 @@ class MissionRead:
         if self._outbox.link_s >= self._deadline_s:
             self.done = True
         elif self._outbox.link_s >= self._due_s:
+            self._repeats += 1
             self._ask()
 
     def _go_on(self) -> None:
@@ -74,7 +78,8 @@ class MissionRead:
         self._outbox.end_reading()
 
     def _ask(self) -> None:
-        self._due_s = self._outbox.link_s + self._again_s
+        # Where everything comes late, because a link or a processor is busy, repeating it would keep it busy.
+        self._due_s = self._outbox.link_s + self._again_s * min(_SLOWER**self._repeats, _SLOWEST)
         if self._count is None:
             self._outbox.send_mission("MISSION_REQUEST_LIST")
             return

@@ -20,6 +20,7 @@ from mission.exchange.reports import MissionAcknowledged, MissionItemReported, M
 # So long nothing is heard before everything unanswered is sent again; once the round trip is known, so many of them.
 _AGAIN_S, _MIN_AGAIN_S, _AGAIN_ROUND_TRIPS = 0.25, 0.1, 2.0
 _READ_S = 5.0  # after an upload that was not acknowledged
+_SLOWER, _SLOWEST = 1.25, 2.0
 _REFUSALS = 3
 _LONG_ROUND_TRIP_S = 0.2  # then the items are sent with the announcement, without waiting for the first request
 
@@ -68,8 +69,8 @@ class MissionWrite:
         self._refusals, self._refused = 0, False
         self._onboard: dict[int, RawItem] = {}
         self._read: MissionRead | None = None
-        self._said_s = 0.0
-        self._due_s = 0.0
+        self._said_s = self._due_s = 0.0
+        self._repeats = 0
         self.round_trip_s: float | None = None
         self.result: WriteResult | None = None
         self.mission_id = 0
@@ -110,6 +111,7 @@ class MissionWrite:
         elif self._outbox.link_s >= self._deadline_s:
             self._give_up()
         elif self._outbox.link_s >= self._due_s:
+            self._repeats += 1
             self._say()
 
     def cancel(self) -> None:
@@ -121,12 +123,12 @@ class MissionWrite:
     # -- writing -------------------------------------------------------------------------------------------
 
     def _announce(self) -> None:
-        self._phase, self._awaited = _Phase.ANNOUNCING, self.changed.start
+        self._phase, self._awaited, self._repeats = _Phase.ANNOUNCING, self.changed.start, 0
         self._say()
 
     def _requested(self, report: MissionItemRequested) -> None:
         repeated, self._awaited = report.seq == self._awaited, report.seq
-        self._due_s = report.link_s + self._again_s
+        self._due_s, self._repeats = report.link_s + self._again_s, 0
         if self._phase is _Phase.ANNOUNCING:
             self.round_trip_s = report.link_s - self._said_s
             self._again_s = max(_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS * self.round_trip_s)
@@ -171,7 +173,9 @@ class MissionWrite:
 
     def _say(self) -> None:
         outbox, changed = self._outbox, self.changed
-        self._said_s, self._due_s = outbox.link_s, outbox.link_s + self._again_s
+        self._said_s = outbox.link_s
+        # Where everything comes late, because a link or a processor is busy, repeating it would keep it busy.
+        self._due_s = outbox.link_s + self._again_s * min(_SLOWER**self._repeats, _SLOWEST)
         self._refused = False
         if self._phase is _Phase.ANNOUNCING:
             if len(changed) == len(self.items):
@@ -212,7 +216,7 @@ class MissionWrite:
     def _item(self, report: MissionItemReported) -> None:
         if report.seq in self.changed:
             self._onboard[report.seq] = report.item
-            self._due_s = report.link_s + self._again_s
+            self._due_s, self._repeats = report.link_s + self._again_s, 0
             self._judge()
 
     def _judge(self) -> None:
