@@ -20,7 +20,7 @@ from mission.control.controller import Snapshot
 from mission.core.events import Announce, ControlAcquired, DecisionRecord, End, LinkReported, PlanStatus, Yield
 from mission.exchange.mission_controller import DERIVED, InboundEvent, MissionController, Output
 from mission.exchange.outbox import SendMessage, TakeoverFailed
-from mission.exchange.reports import ShutdownRequested, TimerExpired
+from mission.exchange.reports import ExchangeEvent, ShutdownRequested, TimerExpired
 
 _LINK_SILENCE_S = 3.0
 _LINK_CHECK_S = 0.5
@@ -100,12 +100,14 @@ class ControlLoop:
             while not self._has_ended():
                 event = await self._queue.get()
                 self._log.event(event)
-                for output in self.controller.step(event):
+                outputs = self.controller.step(event)
+                for output in outputs:
                     self._handle(output)
                 if isinstance(event, ShutdownRequested):
                     self._end()
                 self._set_timer()
-                self._display.show(self.controller.snapshot())
+                if outputs or not isinstance(event, ExchangeEvent):
+                    self._display.show(self.controller.snapshot())
         finally:
             if self._timer is not None:
                 self._timer.cancel()

@@ -42,6 +42,7 @@ class VehicleReports:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
+        self._mode = ""
         self._decoders: dict[str, Callable[[Fields, float, float], VehicleReport | ModeReported | None]] = {
             "MISSION_CURRENT": _mission_current,
             "MISSION_COUNT": _mission_count,
@@ -72,6 +73,9 @@ class VehicleReports:
             return None
         base_mode = int(heartbeat.fields["base_mode"])
         mode = mode_name(int(heartbeat.fields["autopilot"]), base_mode, int(fields["custom_mode"]))
+        if mode == self._mode:
+            return None  # it comes often, so that a change is heard at once
+        self._mode = mode
         return ModeReported(time_s, mode, bool(base_mode & ARMED_FLAG))
 
 
