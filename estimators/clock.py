@@ -174,7 +174,7 @@ class SourceClock:
             self._sampled_s = clock.now_s
             self._samples.append(ahead_s)
             self._estimate(clock.tick_s)
-        early_s = _EARLY_MAX_S + clock.tick_s
+        early_s = AHEAD_S + clock.tick_s  # the vehicle's own last words may be lost
         if -LATE_S <= ahead_s - self.ahead_s <= early_s:
             return stamp_s - self.ahead_s
         return stamp_s if -_DELAY_MAX_S <= ahead_s <= early_s else None

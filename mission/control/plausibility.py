@@ -46,6 +46,7 @@ _FAULT_VALID_S = 10.0
 _DRIFT_M_S = 10.0  # of a position told while GPS or EKF complain
 _TOLD_AGAIN_S = 30.0
 _SOURCES_MAX = 32
+_FLYING_M_S = 5.0
 _SAME_PLACE_M, _DISPLACED_MIN = 15.0, 3
 
 _SPEED_MAX_M_S, _CLIMB_MAX_M_S = 150.0, 60.0
@@ -164,6 +165,8 @@ class Plausibility:
         last = self.position.believed
         if last is None:
             return False
+        if math.hypot(last.velocity_east_m_s, last.velocity_north_m_s) < _FLYING_M_S:
+            return False  # at rest no place tells the time
         moved_m = math.hypot(place.east_m - last.east_m, place.north_m - last.north_m)
         speed_m_s = math.hypot(place.velocity_east_m_s, place.velocity_north_m_s)
         return moved_m < _SAME_PLACE_M + speed_m_s * self.clock.questioned_for_s
