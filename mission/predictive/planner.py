@@ -129,6 +129,16 @@ class PredictivePlanner:
             for one in self._tables
         ]
 
+    @classmethod
+    def for_(cls, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
+        """Return a planner with the value table for still air, which takes a second or so to compute.
+
+        aircraft, requirement: what is flown and what is asked for, as they are given to every planner.
+        """
+        from mission.predictive.value_iteration import compute  # noqa: PLC0415  # what is compiled loads slowly
+
+        return cls(aircraft, requirement, compute(table_configuration(aircraft, requirement)))
+
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
