@@ -97,12 +97,15 @@ def test_a_part_is_written_and_the_rest_is_left_alone(transfer, raw_items, loss)
 
 @pytest.mark.parametrize("loss", [0.0, 0.2])
 def test_px4_takes_a_list_whole_and_says_which(transfer, raw_items, loss):
-    faults = LinkFaults(loss, 0.1 if loss else 0.0, DELAY_S)
-    done, items, took_s = transfer("px4", faults, 3, WHOLE, write(NEW, range(COUNT)))
-    assert [one.result for one in done] == [ACCEPTED, ACCEPTED]
-    assert all(map(same_item, raw_items(items), NEW))
-    assert done[1].mission_id not in (0, done[0].mission_id) or loss
-    assert took_s < (0.3 if loss == 0.0 else 6.0)  # of the link's clock
+    took_s = []
+    for seed in range(9 if loss else 1):  # one draw of losses tells little: now and then one takes ten seconds
+        faults = LinkFaults(loss, 0.1 if loss else 0.0, DELAY_S)
+        done, items, seconds = transfer("px4", faults, seed, WHOLE, write(NEW, range(COUNT)))
+        assert [one.result for one in done] == [ACCEPTED, ACCEPTED]
+        assert all(map(same_item, raw_items(items), NEW))
+        assert done[1].mission_id not in (0, done[0].mission_id) or loss
+        took_s.append(seconds)
+    assert sorted(took_s)[len(took_s) // 2] < (0.3 if loss == 0.0 else 4.0)  # of the link's clock
 
 
 def test_cut_at_any_moment_each_item_is_the_old_or_the_new_one_and_a_second_try_ends_it(transfer, raw_items):
