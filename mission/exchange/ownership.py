@@ -62,10 +62,17 @@ class MissionIdentity:
 
     def is_ours(self, total: int, mission_id: int) -> bool:
         """Tell whether a report is of a mission of ours; learn its id where one is expected."""
-        if (total, mission_id) in self.ours or total == self.writing:
+        if (total, mission_id) in self.ours or self._is_under_way(total, mission_id):
             return True
         if total != self.expected:
             return False
         self.ours.add((total, mission_id))
         self.expected = None
         return True
+
+    def _is_under_way(self, total: int, mission_id: int) -> bool:
+        """Tell whether a report is of what is being written: a list without id grows item by item as they arrive."""
+        if self.writing is None:
+            return False
+        shortest = min((own_total for own_total, _ in self.ours), default=self.writing)
+        return total == self.writing or (not mission_id and shortest < total < self.writing)
