@@ -81,6 +81,7 @@ class MissionRead:
         # Where everything comes late, because a link or a processor is busy, repeating it would keep it busy.
         self._due_s = self._outbox.link_s + self._again_s * min(_SLOWER**self._repeats, _SLOWEST)
         if self._count is None:
+            self._asked_s = self._outbox.link_s  # of the last time: a round trip is not as long as what was lost
             self._outbox.send_mission("MISSION_REQUEST_LIST")
             return
         missing = [seq for seq in range(self._count) if seq not in self._read]
