@@ -9,6 +9,7 @@ import io
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 
+from app.flight.recording import beginning
 from app.link.link import Link
 from app.records.appender import Appender
 
@@ -24,7 +25,9 @@ async def link_log(
     link: Link, path: Path, now_s: Callable[[], float], on_trouble: Callable[[str], None]
 ) -> AsyncIterator[None]:
     """Write the links' measures to ``path`` meanwhile. now_s is the vehicle's clock."""
-    with Appender(path, on_trouble, _line(COLUMNS)) as file:
+    with beginning(path.parent):
+        file = Appender(path, on_trouble, _line(COLUMNS))
+    with file:
 
         async def write() -> None:
             while True:

@@ -42,11 +42,12 @@ def journalled_config(journal: JournalReader) -> Config:
 
 
 @contextlib.contextmanager
-def _told(folder: RunFolder) -> Iterator[None]:
+def beginning(folder: Path) -> Iterator[None]:
+    """Turn what keeps a record from being begun into InputError: nothing has been commanded yet."""
     try:
         yield
     except OSError as error:
-        raise InputError(f"{folder.path} takes no records ({error.strerror}); give another --out.") from error
+        raise InputError(f"{folder} takes no records ({error.strerror}); give another --out.") from error
 
 
 class Recording:
@@ -57,7 +58,7 @@ class Recording:
 
     def __init__(self, folder: RunFolder, config: Config, on_trouble: Callable[[str], None]) -> None:
         self._folder, self._config, self._on_trouble = folder, config, on_trouble
-        with _told(folder):
+        with beginning(folder.path):
             self._tlog = TlogWriter(folder.tlog, on_trouble)
         self._journal: JournalWriter | None = None
 
@@ -91,7 +92,7 @@ class Recording:
             autopilot=autopilot,
             home_altitude_m=home_altitude_m,
         )
-        with _told(self._folder):
+        with beginning(self._folder.path):
             self._journal = JournalWriter(self._folder.journal, header, self._on_trouble)
 
     def event(self, event: InboundEvent | Output) -> None:
@@ -119,7 +120,7 @@ def write_mcap(folder: RunFolder, config: Config, on_trouble: Callable[[str], No
     journal = JournalReader(folder.journal, JOURNAL_TYPES)
     if journal.header.plane is None:
         raise InputError(f"{folder.path} holds no flight: the vehicle told no position.")
-    with _told(folder):
+    with beginning(folder.path):
         log = McapLog(path, journal.header.plane, tracker_of(config), on_trouble)
     for record in journal:
         if isinstance(record, Command):

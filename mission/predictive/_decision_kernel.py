@@ -20,7 +20,7 @@ from mission.viewpoint._viewpoint_kernel import MIN_WAY_M, STANDING, Known, Wish
 FORETOLD_S = 110  # longer than any line: after it the watch course is the target's
 _SLOW_M_S = 0.5  # the course of so slow a target tells nothing
 # A plan that leads so far beyond the cost's band within so long is no longer one to be committed to.
-_THREAT_S, _THREAT_M = 10.0, 5.0
+_THREAT_S, _THREAT_M = 14.0, 0.0
 UNCERTAIN_M = 10.0
 OTHER_WIND = 0.15  # of the airspeed
 MIN_MOVE = 0.4  # of the radius: the length of a transition

@@ -27,7 +27,7 @@ def items() -> tuple[Item, ...]:
 
 async def imported(autopilot: str, text: str, truth: Path):
     config = Config.model_validate({"simulation": {"autopilot": autopilot, "speed": 1.0}})
-    async with SimulatedVehicle(config, truth) as vehicle:
+    async with SimulatedVehicle(config, truth, pytest.fail) as vehicle:
         instance = Mavsdk(Configuration.create_manual(245, 190, True))
         try:
             await instance.add_any_connection(vehicle.url)

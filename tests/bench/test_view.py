@@ -114,7 +114,7 @@ async def _flown(parent: Path) -> tuple[list[float], list[float], list[float]]:
         display = Alternating(view)
         await stack.enter_async_context(_browser(view.url, parent / "profile"))
         stack.enter_context(_running(_listen(view.url, told_s)))
-        vehicle = await stack.enter_async_context(SimulatedVehicle(CONFIG, run.truth))
+        vehicle = await stack.enter_async_context(SimulatedVehicle(CONFIG, run.truth, pytest.fail))
         session = await stack.enter_async_context(connected([vehicle.url], 10.0, recording.frame))
         stack.enter_context(_running(_probe(lambda: with_s if display.on_page else without_s)))
         flight = Flight(session, CONFIG, controller_of(CONFIG), recording, display, FLOWN_S)
