@@ -21,6 +21,8 @@ _OUTSIDE, _OUTSIDE_PER_M = 20.0, 0.5
 _WALL_WIDTH_M, _WALL = 20.0, 2.0
 # The planner keeps this far inside the required band: the aircraft's own error and what it learns too late.
 _MARGIN_M = 15.0
+# In wind the ground passes at another speed than the plan's: so much more for each m/s, to twice as much in all.
+_MARGIN_IN_WIND_S = 3.0
 
 Values = npt.NDArray[np.floating]
 
@@ -34,9 +36,12 @@ class WatchCost:
     half_width_rad: float = math.pi / 2
 
     @staticmethod
-    def inside(range_min_m: float, range_max_m: float, half_width_rad: float = math.pi / 2) -> WatchCost:
-        """Return the cost of a required band, with the planner's margin."""
-        return WatchCost(range_min_m + _MARGIN_M, range_max_m - _MARGIN_M, half_width_rad)
+    def inside(
+        range_min_m: float, range_max_m: float, half_width_rad: float = math.pi / 2, wind_speed_m_s: float = 0.0
+    ) -> WatchCost:
+        """Return the cost of a required band, with the planner's margin, which is wider in wind."""
+        margin_m = _MARGIN_M + min(_MARGIN_IN_WIND_S * wind_speed_m_s, _MARGIN_M)
+        return WatchCost(range_min_m + margin_m, range_max_m - margin_m, half_width_rad)
 
     def rate(
         self, x_m: Values, y_m: Values, widened_m: npt.ArrayLike = 0.0, side_blur_m: npt.ArrayLike = 1.0
