@@ -54,7 +54,8 @@ class VehicleClock:
     """The vehicle's clock: ``now_s`` is its latest believed stamp, -inf before the first.
 
     shift_s: how far the latest change of lines moved the clock. restarted: whether that was an autopilot that has
-    started anew. two_lines_s: the distance of two lines that take turns, None where there is one.
+    started anew; returned: whether it was back to the line before. two_lines_s: the distance of two lines that take
+    turns, None where there is one.
     """
 
     def __init__(self) -> None:
@@ -64,7 +65,7 @@ class VehicleClock:
         self._misses = 0  # stamps in a row that fit neither line
         self._ticks_s: deque[float] = deque(maxlen=_TICKS)
         self.shift_s = 0.0
-        self.restarted = False
+        self.restarted = self.returned = False
         self.two_lines_s: float | None = None
 
     @property
@@ -141,6 +142,7 @@ class VehicleClock:
             return Stamp.REFUSED
         self.shift_s = other.last_s - own.last_s
         self.restarted = begun and self.shift_s < 0.0 and not other.was_followed
+        self.returned = other.was_followed
         own.was_followed, own.other_s, own.turns = True, other.last_s, 0
         self._own, self._other = other, own
         self._in_question = False

@@ -151,8 +151,11 @@ class Plausibility:
         if clock.two_lines_s is not None:
             self._yield_to_two(f"its clocks take turns, {clock.two_lines_s:.0f} s apart")
         if stamp is Stamp.NEW_LINE:
-            self.position = PositionCheck()
+            if clock.returned and self.position.believed is not None:
+                # No time has gone by that the clock left out: the place is still to be held to.
+                self.position.shift(clock.shift_s)
             if clock.restarted:
+                self.position = PositionCheck()
                 self._yield = YieldRequested(stamp_s, "the autopilot has started anew")
             return True
         off_s = clock.in_question_s

@@ -47,6 +47,14 @@ class PositionCheck:
         """Let the next reading lie so much farther off: what was told lately may have drifted."""
         self._drifted_m = drifted_m
 
+    def shift(self, seconds: float) -> None:
+        """Follow the vehicle's clock to another count."""
+        if self.believed is not None:
+            self.believed = replace(self.believed, time_s=self.believed.time_s + seconds)
+        if self.astray_s is not None:
+            self.astray_s += seconds
+            self._elsewhere_since_s += seconds
+
     def take(
         self, reading: PositionReading, bank_rad: float, *, possible: bool, sound: bool
     ) -> PositionReading | None:

@@ -182,6 +182,16 @@ def test_a_clock_that_is_wrong_for_seconds_is_told_and_not_followed(ahead_s):
     assert not flown.of(YieldRequested)
 
 
+def test_a_jump_that_meets_a_change_of_clock_is_still_a_jump(flown):
+    def wrong(event: Event) -> Event:
+        return away(1400.0)(later(2.7)(event) if isinstance(event, VEHICLE) else event)
+
+    flown.fly(110.0, 115.0, only(VEHICLE, later(2.7))).fly(115.0, 118.0, wrong).fly(118.0, 122.0, away(1400.0))
+    assert not [reading for reading in flown.of(PositionReading) if reading.east_m > 500.0]
+    flown.fly(122.0, 130.0)
+    assert flown.of(PositionReading)[-1] == position(129.9)
+
+
 def test_the_clock_goes_on_after_a_silence(flown):
     flown.fly(137.0, 140.0)
     assert flown.of(PositionReading)[-1].time_s == 139.9
