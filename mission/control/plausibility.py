@@ -154,6 +154,10 @@ class Plausibility:
             if clock.returned and self.position.believed is not None:
                 # No time has gone by that the clock left out: the place is still to be held to.
                 self.position.shift(clock.shift_s)
+                self._faults = {
+                    source: (since_s + clock.shift_s, latest_s + clock.shift_s, what)
+                    for source, (since_s, latest_s, what) in self._faults.items()
+                }
             if clock.restarted:
                 self.position = PositionCheck()
                 self._yield = YieldRequested(stamp_s, "the autopilot has started anew")
@@ -183,10 +187,11 @@ class Plausibility:
         if not event.fault:
             over = self._faults.pop(event.source, None)
             if over is not None and not self._faults:
-                self.position.allow(_DRIFT_M_S * (event.time_s - over[0]))
+                self.position.allow(_DRIFT_M_S * (self.clock.now_s - over[0]))
         else:
-            since_s, _, _ = self._faults.get(event.source, (event.time_s, 0.0, ""))
-            self._faults[event.source] = (since_s, event.time_s, event.fault)
+            now_s = self.clock.now_s  # it carries no time of its own
+            since_s, _, _ = self._faults.get(event.source, (now_s, 0.0, ""))
+            self._faults[event.source] = (since_s, now_s, event.fault)
         return event
 
     def _fault(self, now_s: float) -> tuple[float, str] | None:

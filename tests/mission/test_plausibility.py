@@ -281,6 +281,12 @@ def test_a_fault_that_is_reported_is_doubted_after_some_seconds_until_it_is_over
     assert flown.door.doubt is None
 
 
+def test_a_fault_lasts_by_the_clock_that_is_believed(flown):
+    for begin_s in range(110, 116):
+        flown.give(NavigationReported(begin_s + 42.7, "GPS", "no fix")).fly(begin_s, begin_s + 1)
+    assert flown.door.doubt == "no fix"
+
+
 # -- two vehicles ------------------------------------------------------------------------------------------
 
 
