@@ -63,7 +63,7 @@ class McapLog:
                 self._attitude = admitted if isinstance(admitted, AttitudeReading) else self._attitude
                 self._sightings(self._tracker.add(admitted))
             case PositionReading():
-                if self._door.doubt is None:
+                if self._door.place_is_known:
                     self._sightings(self._tracker.add(admitted))
                 self._aircraft(admitted)
                 estimate = self._tracker.estimate(admitted.time_s)

@@ -176,7 +176,7 @@ class HistoryBuilder:
                 self._in_hand = False
 
     def _position(self, reading: PositionReading) -> None:
-        if self._door.doubt is None:
+        if self._door.place_is_known:
             self._sightings += self._tracker.add(reading)
         if not self._positions or reading.time_s >= self._positions[-1].time_s + _AIRCRAFT_STEP_S:
             self._positions.append(reading)

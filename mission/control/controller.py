@@ -287,7 +287,7 @@ class StandoffController:
     # -- the aircraft's position is the tick ---------------------------------------------------------------
 
     def _position(self, reading: PositionReading) -> tuple[Command, ...]:
-        if self.door.doubt is None:
+        if self.door.place_is_known:
             self._read(reading)
         if reading.time_s <= self.time_s:
             return ()  # overtaken on the way: it has helped the tracker, the clock stays
@@ -315,6 +315,8 @@ class StandoffController:
             return told + self._drive_swap(self._swap)
         if self.door.doubt is not None:
             self.decision = Decision(self.time_s, None, f"holding the circle: {self.door.doubt}")
+            return told
+        if self.door.faulty:
             return told
         return told + self._decide() if due else ()
 
@@ -454,6 +456,8 @@ class StandoffController:
             self._swap = None
             return ()
         late_s = self.time_s - swap.plan.departure_s
+        if self.door.faulty and late_s <= _LATE_S:
+            return ()
         if self.door.doubt is not None or late_s > _LATE_S:
             self._swap = None
             why = self.door.doubt or f"its time was {late_s:.1f} s ago"

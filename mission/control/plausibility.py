@@ -7,7 +7,7 @@ Rules
    begins anew is an autopilot that has started anew: Yield.
 2. The aircraft's position is believed as far as flight allows (:mod:`mission.control.position_check`). What lies
    elsewhere is bridged by dead reckoning; after ``BRIDGED_S`` of that, or of a fault that GPS or EKF report, there is
-   ``doubt``: the circle is held, and nothing is decided.
+   ``doubt``: the circle is held, and nothing is decided. Nothing new is begun from the first complaint on.
 3. A payload's stamp is compared with the vehicle's clock. A source whose clock is constantly off is corrected, and it
    is told; a single stamp that fits neither clock is refused. A source that is refused falls silent for the tracker,
    so that another may take over. A stamp of 0 is none: the reading is taken as of now.
@@ -42,7 +42,7 @@ from mission.core.events import (
 )
 
 BRIDGED_S = 3.0
-_FAULT_VALID_S = 10.0
+_FAULT_VALID_S = 30.0  # a link may be silent between two reports
 _DRIFT_M_S = 10.0  # of a position told while GPS or EKF complain
 _TOLD_AGAIN_S = 30.0
 _SOURCES_MAX = 32
@@ -77,10 +77,21 @@ class Plausibility:
         self._bank_rad = 0.0
         self._displaced = 0  # positions in a row that are ahead in time, and elsewhere
         self._faults: dict[str, tuple[float, float, str]] = {}  # by source: since, latest, what
+        self._good_s: dict[str, float] = {}
         self._sources: dict[tuple[type, Source], SourceClock] = {}
         self._told_s: dict[str, float] = {}
         self._told: list[Announce] = []
         self._yield: YieldRequested | None = None
+
+    @property
+    def faulty(self) -> bool:
+        """Whether GPS or EKF complain now, be it but for a moment: no time to begin something new."""
+        return bool(self._faults) and self._fault(self.clock.now_s) is not None
+
+    @property
+    def place_is_known(self) -> bool:
+        """Whether the aircraft's position serves to tell by it where a target is."""
+        return self.doubt is None and not self.faulty
 
     def admit(self, event: Event) -> Admitted:
         """Return the event as it may be believed, None where it may not be, and what a person is told of it."""
@@ -185,9 +196,11 @@ class Plausibility:
 
     def _navigation(self, event: NavigationReported) -> Event:
         if not event.fault:
-            over = self._faults.pop(event.source, None)
+            over, good_s = self._faults.pop(event.source, None), self._good_s.get(event.source, -math.inf)
             if over is not None and not self._faults:
-                self.position.allow(_DRIFT_M_S * (self.clock.now_s - over[0]))
+                # It may have begun at any time since the last good word.
+                self.position.allow(_DRIFT_M_S * (self.clock.now_s - max(good_s, over[0] - _FAULT_VALID_S)))
+            self._good_s[event.source] = self.clock.now_s
         else:
             now_s = self.clock.now_s  # it carries no time of its own
             since_s, _, _ = self._faults.get(event.source, (now_s, 0.0, ""))

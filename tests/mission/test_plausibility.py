@@ -287,6 +287,15 @@ def test_a_fault_lasts_by_the_clock_that_is_believed(flown):
     assert flown.door.doubt == "no fix"
 
 
+def test_a_place_may_have_drifted_since_the_last_good_word(flown):
+    flown.give(NavigationReported(109.9, "EKF")).fly(119.0, 120.0, away(5.0))
+    flown.give(NavigationReported(120.0, "EKF", "no position")).fly(120.0, 121.0, away(70.0))
+    assert flown.door.faulty
+    flown.give(NavigationReported(121.0, "EKF")).fly(121.0, 122.0)
+    assert not flown.door.faulty
+    assert flown.of(PositionReading)[-1] == position(121.9)
+
+
 # -- two vehicles ------------------------------------------------------------------------------------------
 
 
