@@ -38,6 +38,8 @@ class Summary:
     outcome: str
     time_in_sight: float | None = None
     min_clearance_m: float | None = None
+    battery_percent: tuple[int, int] | None = None
+    """When watching began, and at the end."""
     links: tuple[dict[str, Any], ...] = ()
     """Each way to the vehicle, as ``LinkReport.as_json`` has it."""
 
@@ -65,6 +67,8 @@ class Summary:
             ("error of the estimate (RMS)", "-" if self.estimate_rmse_m is None else f"{self.estimate_rmse_m:.2f} m"),
         ):
             table.add_row(name, text)
+        if self.battery_percent is not None:
+            table.add_row("battery", "from {} to {} %".format(*self.battery_percent))
         for link in self.links:
             table.add_row(f"link {link['url']}", describe_link(link))
         return table

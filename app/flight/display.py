@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from app.flight.loop import Display
+from app.link.vehicle_status import VehicleStatus
 from estimators.frames import LocalPlane
 from mission.core.events import OperatorRequest
 
@@ -15,6 +16,10 @@ class FlightDisplay(Display, Protocol):
 
     def note(self, text: str) -> None:
         """Tell about the proceedings."""
+        ...
+
+    def connected(self, status: Callable[[], VehicleStatus]) -> None:
+        """Learn how to find out how the vehicle is; ``status`` is cheap."""
         ...
 
     def begin(self, plane: LocalPlane, request: Callable[[OperatorRequest], None]) -> None:

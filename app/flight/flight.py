@@ -7,7 +7,7 @@ import contextlib
 import math
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from app.analysis.summary import Summary, SummaryCollector, summarise
@@ -31,6 +31,7 @@ from app.link.mavsdk_link import FrameListener, MavsdkLink
 from app.link.senders import SenderCheck
 from app.link.telemetry import Telemetry
 from app.link.vehicle import Vehicle
+from app.link.vehicle_status import VehicleStatus, vehicle_status
 from app.shutdown import ends_within
 from app.terrain.elevation_data import elevation_data
 from mission.control.controller import Phase, Snapshot, StandoffController
@@ -124,10 +125,12 @@ class Flight:
         self._controller, self._senders = controller, session.senders
         self._collector = SummaryCollector(config.requirement.requirement())
         self._start_s = math.inf
+        self._battery_percent: int | None = None  # when watching began
 
     async def fly(self, stopped: asyncio.Event) -> str:
         """Check, take off if need be, watch for the duration or until ``stopped`` is set; return the outcome."""
         self._vehicle.listeners.append(self._telemetry.event)  # the clock and the plane, from the start
+        self._display.connected(self._status)
         link = self._config.link
         few = is_slow(link.connections) if link.few_messages is None else link.few_messages
         # Beside one another: over a slow link each waits for its answers.
@@ -184,8 +187,11 @@ class Flight:
             raise self._failure(loop.failed)
         return loop.outcome or ("interrupted" if stopped.is_set() else "completed")
 
+    def _status(self) -> VehicleStatus:
+        return vehicle_status(self._vehicle.latest, self._vehicle.link.recent())
+
     def _acquired(self, acquired: ControlAcquired) -> None:
-        self._start_s = acquired.time_s
+        self._start_s, self._battery_percent = acquired.time_s, self._status().battery_percent
         self._display.engage(self._start_s, self._duration_s)
         self._display.note("circling: the target is watched from now on")
 
@@ -227,7 +233,8 @@ class Flight:
     def summary(self, outcome: str, truth: Path | None) -> Summary:
         """Return the summary, judged by a truth file once that is whole."""
         tracker = self._controller.tracker
-        return summarise(
+        begin, end = self._battery_percent, self._status().battery_percent
+        judged = summarise(
             self._collector,
             self._controller.snapshot(),
             truth=read_truth(truth) if truth is not None and truth.exists() else None,
@@ -237,6 +244,7 @@ class Flight:
             rejected=tracker.rejected,
             outcome=outcome,
         )
+        return judged if begin is None or end is None else replace(judged, battery_percent=(begin, end))
 
 
 class _Observed:

@@ -15,6 +15,7 @@ from types import TracebackType
 from app.config import Config
 from app.errors import InputError
 from app.flight.display import FlightDisplay
+from app.link.vehicle_status import VehicleStatus
 from app.view.address import Address
 from app.view.feed import Feed, FeedError
 from app.view.state import Json, StateEncoder, setting
@@ -25,6 +26,7 @@ from mission.core.requirement import Side
 
 _UP_S = 5.0
 _SEND_EVERY_S = 0.125
+_STATUS_EVERY_S = 1.0
 _TRAIL_STEP_S = 0.5  # of the vehicle's time
 _UNSENT_MAX = 2000  # trail points and words kept while the page takes none
 
@@ -50,6 +52,9 @@ class ViewDisplay:
         self._sent_at_s = -math.inf
         self._heard_at_s = time.monotonic()
         self._start_s: float | None = None  # None: not engaged yet, and times mean nothing to a person
+        self._status: Callable[[], VehicleStatus] | None = None
+        self._vehicle: VehicleStatus | None = None
+        self._vehicle_at_s = -math.inf
         self._request: Callable[[OperatorRequest], None] | None = None
 
     # -- life ----------------------------------------------------------------------------------------------
@@ -90,6 +95,10 @@ class ViewDisplay:
             self.pump_if_due()
 
     # -- what the flight tells -----------------------------------------------------------------------------
+
+    def connected(self, status: Callable[[], VehicleStatus]) -> None:
+        self._inner.connected(status)
+        self._status = status
 
     def begin(self, plane: LocalPlane, request: Callable[[OperatorRequest], None]) -> None:
         self._inner.begin(plane, request)
@@ -147,9 +156,11 @@ class ViewDisplay:
         told: Json = {"start_s": self._start_s, "trail": list(self._trail), "said": list(self._said)}
         if self._setting is not None:
             told["setting"] = self._setting
+        if self._status is not None and time.monotonic() >= self._vehicle_at_s + _STATUS_EVERY_S:
+            self._vehicle, self._vehicle_at_s = self._status(), time.monotonic()
         if self._snapshot is not None:
             silent_s = time.monotonic() - self._heard_at_s
-            told["state"] = self._encoder.state(self._snapshot, silent_s)
+            told["state"] = self._encoder.state(self._snapshot, silent_s, self._vehicle)
         return told
 
     def _pressed(self, press: Json) -> None:

@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from app.link.plain_text import plain
+from app.link.vehicle_status import VehicleStatus
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TrackQuality
 from estimators.frames import LocalPlane
@@ -23,6 +24,7 @@ from mission.core.requirement import Requirement
 _REFRESH_HZ = 4.0
 _PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time
 _GAUGE_CELLS = 24
+_LOW_BATTERY_PERCENT, _POOR_LINK_PERCENT = 25, 80
 _OLD_S = 2.0  # a sensor silent for longer is marked
 _STYLES = {
     "decision": "cyan",
@@ -51,6 +53,7 @@ class PanelDisplay:
         self._live: Live | None = None
         self._snapshot: Snapshot | None = None
         self._plain_s = -math.inf
+        self._status: Callable[[], VehicleStatus] | None = None
 
     def __enter__(self) -> PanelDisplay:
         if self._console.is_terminal and not self._quiet:
@@ -67,6 +70,9 @@ class PanelDisplay:
         if self._live is not None:
             self._live.stop()
             self._live = None
+
+    def connected(self, status: Callable[[], VehicleStatus]) -> None:
+        self._status = status
 
     def begin(self, plane: LocalPlane, request: Callable[[OperatorRequest], None]) -> None:
         pass  # nothing is drawn to scale here, and there are no buttons
@@ -150,6 +156,8 @@ class PanelDisplay:
         )
         sensors.append(f"   bank {math.degrees(sensor_status.bank_rad):.0f}°   wind {shown.wind.speed_m_s:.1f} m/s")
         yield "sensors", sensors
+        if self._status is not None:
+            yield "vehicle", _vehicle(self._status())
         if shown.decision is not None:
             yield "decided", Text(plain(shown.decision.reason), style="cyan")
 
@@ -176,6 +184,17 @@ class PanelDisplay:
         if shown.coming is not None:
             words.append(f"leaving for the next in {max(shown.coming.departure_s - shown.time_s, 0.0):.0f} s")
         return ", ".join(words)
+
+
+def _vehicle(status: VehicleStatus) -> Text:
+    text, percent = Text(), status.battery_percent
+    if percent is not None:
+        text.append(f"battery {percent} %   ", "bold red" if percent < _LOW_BATTERY_PERCENT else "")
+    if status.gps is not None:
+        text.append(f"GPS {status.gps}   ", "" if status.gps_good else "bold red")
+    if status.link_percent is not None:
+        text.append(f"link {status.link_percent} %", "" if status.link_percent >= _POOR_LINK_PERCENT else "yellow")
+    return text
 
 
 def _range_m(shown: Snapshot) -> float | None:

@@ -6,9 +6,11 @@ What is not known is null: JSON has no NaN.
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 from app.config import Config
+from app.link.vehicle_status import VehicleStatus
 from estimators.ellipse import confidence_ellipse
 from estimators.frames import LocalPlane, wrap_rad
 from mission.control.controller import Snapshot
@@ -67,7 +69,7 @@ class StateEncoder:
         self._course_rad: float | None = None
         self._thinned: dict[int, tuple[Path, list[list[float]]]] = {}
 
-    def state(self, snapshot: Snapshot, silent_s: float) -> Json:
+    def state(self, snapshot: Snapshot, silent_s: float, vehicle: VehicleStatus | None = None) -> Json:
         """Return the state; silent_s is how long the vehicle has said nothing."""
         sensor_status, time_s = snapshot.sensor_status, snapshot.time_s
         return {
@@ -92,6 +94,7 @@ class StateEncoder:
             "uploads": snapshot.uploads,
             "upload_failures": snapshot.upload_failures,
             "latency_s": _number(snapshot.latency_s, 2),
+            "vehicle": None if vehicle is None else asdict(vehicle),
         }
 
     def _aircraft(self, snapshot: Snapshot) -> Json | None:

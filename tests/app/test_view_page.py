@@ -12,6 +12,7 @@ from axe_playwright_python.sync_playwright import Axe
 from rich.console import Console
 
 from app.config import Config
+from app.link.vehicle_status import VehicleStatus
 from app.view.address import Address
 from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay
@@ -43,6 +44,7 @@ def display_of(snapshots):
     with ViewDisplay(
         PanelDisplay(Console(), Config().requirement.requirement(), quiet=True), config, Address(port=0)
     ) as display:
+        display.connected(lambda: VehicleStatus(19, 10.9, "3D, 11 satellites", True, 97, 0.12))
         display.begin(PLANE, lambda _request: None)
         display.engage(START_S, None)
         for tick, (snapshot, said) in enumerate(snapshots):
@@ -179,6 +181,15 @@ def test_the_range_on_the_tile_is_that_of_the_flight(page, snapshots):
     range_m = math.hypot(last.aircraft.east_m - last.estimate.east_m, last.aircraft.north_m - last.estimate.north_m)
     shown = page.locator("#tiles div", has_text="range").locator("dd").inner_text()
     assert float(shown.removesuffix(" m")) == pytest.approx(range_m, abs=4.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "look"),
+    [("battery", "19 %, 10.9 V", "bad"), ("GPS", "3D, 11 satellites", ""), ("link", "97 %, 120 ms", "")],
+)
+def test_the_vehicle_s_state_is_on_tiles(page, name, text, look):
+    tile = page.locator("#tiles div", has=page.locator("dt", has_text=re.compile(f"^{name}$"))).locator("dd")
+    assert (tile.inner_text(), tile.get_attribute("class")) == (text, look)
 
 
 def test_a_button_asks_once_and_then_comes_back_as_a_request(page, display):

@@ -88,11 +88,14 @@ function tiles() {
     ["ground speed", aircraft ? `${aircraft.ground_speed_m_s.toFixed(1)} m/s` : "–", ""],
     ["height", known(aircraft?.height_m, (v) => `${Math.round(v)} m`), ""],
     ["wind", `${Math.hypot(...state.wind_m_s).toFixed(1)} m/s`, ""],
-    ["battery", known(vehicle?.battery_percent, (v) => `${v} %`), vehicle?.battery_percent < 25 ? "bad" : ""],
+    ["battery", known(vehicle?.battery_percent, (v) => `${v} %${volts(vehicle.battery_v)}`), vehicle?.battery_percent < 25 ? "bad" : ""],
     ["GPS", known(vehicle?.gps, (v) => v), vehicle?.gps_good === false ? "bad" : ""],
-    ["link", known(vehicle?.link_percent, (v) => `${v} %`), vehicle?.link_percent < 80 ? "warn" : ""],
+    ["link", known(vehicle?.link_percent, (v) => `${v} %${delay(vehicle.round_trip_s)}`), vehicle?.link_percent < 80 ? "warn" : ""],
   ];
 }
+
+const volts = (value) => (value === null ? "" : `, ${value.toFixed(1)} V`);
+const delay = (seconds) => (seconds === null ? "" : `, ${Math.round(seconds * 1000)} ms`);
 
 // The same for engineers.
 function innerTiles() {

@@ -1,0 +1,52 @@
+"""What the vehicle and its links say of themselves, for whoever watches over them. Nothing is decided by it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from app.link.message import Message
+from app.link.quality import LinkReport
+
+_FIXES = ("no GPS", "no fix", "2D", "3D", "DGPS", "RTK float", "RTK fixed", "static", "PPP")  # GPS_FIX_TYPE
+_GOOD_FROM, _MIN_SATELLITES = 3, 6
+_UNTOLD_SATELLITES, _UNTOLD_MV = 255, 65535
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleStatus:
+    """None: not told.
+
+    gps: the fix in words. link_percent: of the frames sent towards us, those that came over the link in use;
+    round_trip_s: of a question over it.
+    """
+
+    battery_percent: int | None = None
+    battery_v: float | None = None
+    gps: str | None = None
+    gps_good: bool | None = None
+    link_percent: int | None = None
+    round_trip_s: float | None = None
+
+
+def vehicle_status(latest: Mapping[str, Message], links: Sequence[LinkReport]) -> VehicleStatus:
+    """Return the status by the autopilot's latest messages and the links' present measures."""
+    power, fix = latest.get("SYS_STATUS"), latest.get("GPS_RAW_INT")
+    percent = mv = gps = good = None
+    if power is not None:
+        percent, mv = int(power.fields["battery_remaining"]), int(power.fields["voltage_battery"])
+    if fix is not None:
+        kind, satellites = int(fix.fields["fix_type"]), int(fix.fields["satellites_visible"])
+        told = satellites != _UNTOLD_SATELLITES
+        gps = _FIXES[kind] if kind < len(_FIXES) else f"fix type {kind}"
+        gps += f", {satellites} satellites" if told else ""
+        good = kind >= _GOOD_FROM and (not told or satellites >= _MIN_SATELLITES)
+    used = next((link.measured for link in links if link.in_use), None)
+    return VehicleStatus(
+        percent if percent is not None and percent >= 0 else None,
+        None if mv in (None, 0, _UNTOLD_MV) else mv * 1e-3,
+        gps,
+        good,
+        None if used is None or used.loss is None else round(100.0 * (1.0 - used.loss)),
+        None if used is None else used.round_trip_s,
+    )
