@@ -15,6 +15,8 @@ Rules
 7. A target lost for ``give_up_after_s`` ends the mission.
 8. Every event passes :mod:`mission.control.plausibility` first. While that doubts the aircraft's own position, the
    circle is held: nothing is decided, and no plan departs.
+9. In a fleet the joint estimate, the target and the side come with ``FleetAdvice`` while that is fresh; without it
+   the aircraft goes on by its own. A plan that comes too near to another aircraft counts as one that breaks a fence.
 
 The clock is the vehicle's: the latest time of a position reading.
 """
@@ -37,6 +39,7 @@ from estimators.readings import (
     Reading,
     TargetFixReading,
 )
+from estimators.sighting import SightingOutcome
 from estimators.tracker import Tracker
 from mission.control.flown_radius import FlownRadius
 from mission.control.plausibility import Plausibility
@@ -59,10 +62,12 @@ from mission.core.events import (
     Yield,
     YieldRequested,
 )
+from mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned, Role
 from mission.core.plan import AircraftState, Decision, Plan, Planner, settled_m
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 from mission.geometry.approach import approach
 from mission.geometry.progress import nearest_arc_m, off_track, point_at
+from mission.geometry.separation import Separation
 from mission.predictive._sight_kernel import NOTHING_HIDDEN, Sight, SightAt
 
 # A plan that got ready after its time still departs, up to so much later, while the aircraft is near its line: a
@@ -79,6 +84,8 @@ _WIND_MAX_SHARE = 0.9
 _NEWS_AFTER_S = 8.0
 # The latency expected is the longest of so many uploads but one: one that hung says nothing of the next.
 _LATENCY_UPLOADS, _LATENCY_MARGIN_S = 5, 0.1
+# What the fleet advised is followed for so long.
+_ADVICE_S = 5.0
 
 
 class Phase(StrEnum):
@@ -175,7 +182,7 @@ class StandoffController:
     ``level`` gives a plan its heights, from the present height and the target's place as far as they are known, or
     tells why there are none. ``sight`` tells what the ground hides about a target of this place and velocity.
     ``make_planner`` builds the planner for a requirement, at once and of what is at hand; it is called again, within
-    a step, when the side changes.
+    a step, when the side changes. ``sighted``: the sightings that the last step completed.
     """
 
     settings: StandoffSettings
@@ -190,6 +197,9 @@ class StandoffController:
     estimate: TargetEstimate | None = None
     present: Plan | None = None
     door: Plausibility = field(init=False)
+    separation: Separation = field(default_factory=Separation)
+    sighted: tuple[SightingOutcome, ...] = ()
+    _advice: FleetAdvice | None = None
     _requirement: Requirement = field(init=False)
     _planner: Planner = field(init=False)
     _aircraft: AircraftState | None = None
@@ -219,6 +229,7 @@ class StandoffController:
 
     def step(self, event: Event) -> tuple[Command, ...]:
         """Take one event; return what is to be done about it, in order."""
+        self.sighted = ()
         admitted, told = self.door.admit(event)
         if admitted is None:
             return told
@@ -252,6 +263,8 @@ class StandoffController:
                 return self._yield(event.time_s, event.reason)
             case OperatorRequest():
                 return self._operator(event)
+            case FleetAdvice() | NeighbourPlanned():
+                return self._advised(event)
             case AttitudeReading() | RangeReading() | GimbalReading() | TargetFixReading():
                 self._read(event)
         return ()
@@ -282,7 +295,8 @@ class StandoffController:
         )
 
     def _read(self, reading: Reading) -> None:
-        self._sensor_status.note(reading, self.tracker.add(reading), self.tracker)
+        self.sighted = self.tracker.add(reading)
+        self._sensor_status.note(reading, self.sighted, self.tracker)
 
     # -- the aircraft's position is the tick ---------------------------------------------------------------
 
@@ -309,7 +323,7 @@ class StandoffController:
         due = self.time_s >= self._next_decision_s
         if due:
             self._next_decision_s = self.time_s + self.settings.decision_period_s
-            self.estimate = self.tracker.estimate(self.time_s)
+            self.estimate = self._joint_estimate() or self.tracker.estimate(self.time_s)
             told = self._track_commands()
         if self._swap is not None:
             return told + self._drive_swap(self._swap)
@@ -394,7 +408,17 @@ class StandoffController:
             self.flown_height_m,
             None if target is None else (target.east_m, target.north_m),
         )
-        return levelled if isinstance(levelled, str) else self.check(levelled) or levelled
+        return levelled if isinstance(levelled, str) else self.check(levelled) or self._breach(levelled) or levelled
+
+    def _breach(self, plan: Plan) -> str | None:
+        return self.separation.breach(
+            plan,
+            self.present,
+            self._aircraft,
+            self.flown_height_m,
+            self._wind,
+            self.settings.aircraft.airspeed_m_s,
+        )
 
     @property
     def flown_height_m(self) -> float | None:
@@ -517,6 +541,35 @@ class StandoffController:
             return True  # a circle is flown to from anywhere
         line = point_at(plan, nearest_arc_m(plan, self._aircraft), self._aircraft)
         return not off_track(self._aircraft, line, _JOINABLE_M, _JOINABLE_RAD)
+
+    # -- the fleet -----------------------------------------------------------------------------------------
+
+    def _advised(self, told: FleetAdvice | NeighbourPlanned) -> tuple[Command, ...]:
+        if isinstance(told, NeighbourPlanned):
+            self.separation.planned(told)
+        else:
+            self._advice = told
+            self.separation.note(told.neighbours)
+        if isinstance(self._planner, CooperativePlanner):
+            self._planner.advise(told)
+        if isinstance(told, NeighbourPlanned) or self.phase not in (Phase.WATCHING, Phase.HOLDING):
+            return ()
+        if told.role is Role.LEAVE:
+            self.phase, self._swap = Phase.ENDED, None
+            return (End(told.time_s, "return", told.reason),)
+        if told.side is self._requirement.side:
+            return ()
+        self._requirement = replace(self._requirement, side=told.side)
+        if not isinstance(self._planner, CooperativePlanner):
+            self._planner = self.make_planner(self._requirement)
+        return (Announce(told.time_s, "decision", f"watching from the {told.side}: {told.reason}"),)
+
+    def _joint_estimate(self) -> TargetEstimate | None:
+        """Return the fleet's estimate of the target, while it is fresh and not lost."""
+        advice = self._advice
+        if advice is None or advice.estimate is None or self.time_s - advice.time_s > _ADVICE_S:
+            return None
+        return None if advice.estimate.quality is TrackQuality.LOST else advice.estimate
 
     # -- other hands ---------------------------------------------------------------------------------------
 

@@ -18,6 +18,7 @@ from estimators.readings import (
     TargetFixReading,
 )
 from mission.core.circle import Circle
+from mission.core.fleet import FleetAdvice, NeighbourPlanned
 from mission.core.plan import Plan
 from mission.core.requirement import Side, Wind
 
@@ -120,6 +121,8 @@ Event = (
     | LinkReported
     | YieldRequested
     | OperatorRequest
+    | FleetAdvice
+    | NeighbourPlanned
 )
 
 

@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from estimators.estimate import TargetEstimate
+from mission.core.fleet import Role
 from mission.core.plan import AircraftState, Decision, Plan, Planner
 from mission.core.requirement import Requirement, Side, Wind
-from mission.fleet.roles import Role, RoleAssignment, RoleCosts
+from mission.fleet.roles import RoleAssignment, RoleCosts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,14 +55,14 @@ class FleetPlanner:
         if requirement.either_side or requirement.sector is not None:
             raise ValueError("several aircraft share the sides of a target: side has to be left or right")
         wanted = {Role.WANTED: requirement, Role.OPPOSITE: opposite(requirement)}
-        self._planners = {(name, role): make_planner(name, wanted[role]) for name in names for role in Role}
+        self._planners = {(name, role): make_planner(name, wanted[role]) for name in names for role in wanted}
         self.assignment = assignment or RoleAssignment()
 
     def decide(self, members: Mapping[str, Member], target: TargetEstimate, wind: Wind) -> dict[str, FleetDecision]:
         """Decide for the aircraft that take part now; those left out lose their role to the others."""
         decisions: dict[tuple[str, Role], Decision] = {}
         for name, member in members.items():
-            for role in Role:
+            for role in (Role.WANTED, Role.OPPOSITE):
                 decisions[name, role] = self._planners[name, role].decide(
                     member.aircraft, target, member.present, wind, member.latency_s
                 )

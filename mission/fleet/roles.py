@@ -14,14 +14,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 
-
-class Role(StrEnum):
-    """Which side of the target an aircraft is to watch from."""
-
-    WANTED = "wanted"
-    OPPOSITE = "opposite"
+from mission.core.fleet import Role
 
 
 @dataclass(frozen=True, slots=True)

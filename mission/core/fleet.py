@@ -1,0 +1,78 @@
+"""What an aircraft of a fleet is told of the others: events of its control step, so that its journal replays alone.
+
+All places are in the local plane that the whole fleet shares, all heights above the same home, and all times on the
+clock of the vehicle that is told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol, runtime_checkable
+
+from estimators.estimate import TargetEstimate
+from mission.core.plan import AircraftState, Plan, Planner
+from mission.core.requirement import Side
+
+
+class Role(StrEnum):
+    """What an aircraft is to do: watch from one of the sides, or go home because another has taken over."""
+
+    WANTED = "wanted"
+    OPPOSITE = "opposite"
+    LEAVE = "leave"
+
+
+@dataclass(frozen=True, slots=True)
+class Neighbour:
+    """Another aircraft. ours: it follows the plans that ``NeighbourPlanned`` tells; a foreign one just flies on.
+
+    target: which one it watches; '' for a foreign aircraft.
+    """
+
+    name: str
+    state: AircraftState
+    height_m: float
+    ours: bool
+    target: str = ""
+    role: Role = Role.WANTED
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FleetAdvice:
+    """About once a second: which target to watch, from which side, and where the others are.
+
+    estimate: the joint one of that target, None before it was seen. height_m: of the layer to fly in. reason: why
+    this differs from the advice before, '' where it does not.
+    """
+
+    time_s: float
+    target: str
+    role: Role
+    side: Side
+    estimate: TargetEstimate | None
+    height_m: float
+    neighbours: tuple[Neighbour, ...]
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NeighbourPlanned:
+    """What another aircraft of the fleet flies, and the plan on its way to it; told whenever either changes.
+
+    present None: it is not known, or is no longer one of the fleet.
+    """
+
+    time_s: float
+    name: str
+    present: Plan | None
+    coming: Plan | None
+
+
+@runtime_checkable
+class CooperativePlanner(Planner, Protocol):
+    """A planner that counts on the others."""
+
+    def advise(self, told: FleetAdvice | NeighbourPlanned) -> None:
+        """Take what is told of the fleet; the next decision is made by it."""
+        ...

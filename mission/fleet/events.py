@@ -1,0 +1,144 @@
+"""What goes into the fleet's coordinator and what comes out of it: frozen values, as in :mod:`mission.core.events`.
+
+``time_s`` is on the named vehicle's own clock, ``mission_time_s`` on the one that the whole fleet shares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from estimators.sighting import AnySighting
+from mission.core.fleet import FleetAdvice, NeighbourPlanned
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Wind
+
+
+@dataclass(frozen=True, slots=True)
+class ClockReported:
+    """At ``time_s`` of the vehicle's clock it was ``mission_time_s``, to one standard deviation of ``sigma_s``.
+
+    From SYSTEM_TIME (UTC and boot time in one message) or TIMESYNC. Nothing of a vehicle is used before its first.
+    """
+
+    name: str
+    time_s: float
+    mission_time_s: float
+    sigma_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VehicleReported:
+    """How one aircraft flies: about once a second, and at once when a plan is sent, taken up or given up.
+
+    watching: it is ours, in the air and not held or yielded. detail: why not, in words. coming: on its way to it.
+    """
+
+    name: str
+    time_s: float
+    state: AircraftState
+    height_m: float
+    watching: bool
+    present: Plan | None
+    coming: Plan | None = None
+    latency_s: float = 0.5
+    wind: Wind = field(default_factory=Wind)
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SightingReported:
+    """What the vehicle's payload has seen, before any filter of its own has judged it."""
+
+    name: str
+    sighting: AnySighting
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryReported:
+    """Share of the charge that is left, 0..1; left_s: for so long, None where nobody knows."""
+
+    name: str
+    time_s: float
+    remaining: float
+    left_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleLost:
+    """The link, the autopilot or the pilot's hands: nothing more can be expected of this aircraft for now.
+
+    A later ``VehicleReported`` brings it back.
+    """
+
+    name: str
+    mission_time_s: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignAircraftReported:
+    """An aircraft that is not ours (ADSB_VEHICLE, GLOBAL_POSITION_INT of another system). height_m is above home."""
+
+    identity: str
+    mission_time_s: float
+    east_m: float
+    north_m: float
+    height_m: float
+    course_rad: float
+    speed_m_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class ReliefRequested:
+    """A person's wish, or the clock of the shifts: another is to take this aircraft's place."""
+
+    name: str
+    mission_time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Mission time goes on: sent at least once a second, so that silence is noticed too."""
+
+    mission_time_s: float
+
+
+FleetEvent = (
+    ClockReported
+    | VehicleReported
+    | SightingReported
+    | BatteryReported
+    | VehicleLost
+    | ForeignAircraftReported
+    | ReliefRequested
+    | Tick
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tell:
+    """Feed ``event`` into the named vehicle's control step, as an event of its own."""
+
+    name: str
+    event: FleetAdvice | NeighbourPlanned
+
+
+@dataclass(frozen=True, slots=True)
+class LaunchRequested:
+    """A reserve is wanted in the air."""
+
+    name: str
+    mission_time_s: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class FleetAnnounce:
+    """Tell the person in plain words. name: the aircraft that it is about, '' for all."""
+
+    mission_time_s: float
+    name: str
+    text: str
+
+
+FleetCommand = Tell | LaunchRequested | FleetAnnounce

@@ -1,0 +1,164 @@
+"""Whether a plan keeps apart from the other aircraft, checked along the whole of it and of what they fly.
+
+Height layers keep aircraft apart wherever they fly; then nothing else is asked. Where two heights are closer than the
+least distance, three things are: on the way, moment by moment, the distance less what the speeds may be wrong by; and
+on the circles that both end in, where nobody can tell the phase, that the circles themselves are far enough apart. A
+foreign aircraft flies straight on, for as long as that can be foretold.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mission.core.circle import Circle
+from mission.core.fleet import Neighbour, NeighbourPlanned
+from mission.core.path import FloatArray
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Wind
+from mission.geometry import _separation_kernel as kernel
+from mission.geometry.progress import line_of
+
+MIN_SEPARATION_M = 50.0
+_STEP_S = 1.0
+_FOREIGN_S = 30.0  # a foreign aircraft's straight line is believed for so long
+_SPEED_ERROR = 0.05  # share of the airspeed by which each aircraft may be ahead of its line's time, or behind it
+_LINE_ERROR_M = 10.0  # flown lines differ from planned ones
+_LONGEST_S = 180.0
+
+
+@dataclass(slots=True)
+class Separation:
+    """What is known of the others, all on the own clock. min_m: in three dimensions."""
+
+    min_m: float = MIN_SEPARATION_M
+    _others: dict[str, Neighbour] = field(default_factory=dict)
+    _plans: dict[str, NeighbourPlanned] = field(default_factory=dict)
+
+    def note(self, neighbours: tuple[Neighbour, ...]) -> None:
+        """Take where the others are; who is not among them is no longer there."""
+        self._others = {one.name: one for one in neighbours}
+
+    def planned(self, told: NeighbourPlanned) -> None:
+        """Take what another one flies."""
+        self._plans[told.name] = told
+
+    def breach(
+        self,
+        plan: Plan,
+        present: Plan | None,
+        aircraft: AircraftState | None,
+        height_m: float | None,
+        wind: Wind,
+        airspeed_m_s: float,
+    ) -> str | None:
+        """Tell in words whom a plan comes too near to, or None. height_m: the own one now."""
+        if not self._others or aircraft is None or height_m is None:
+            return None
+        heights = {height_m, *_heights_of(plan)}
+        own: FloatArray | None = None
+        for name, other in self._others.items():
+            told = self._plans.get(name) if other.ours else None
+            vertical_m = _gap_m(heights, {other.height_m, *_heights_of(*_flown(told))})
+            if vertical_m >= self.min_m:
+                continue
+            flat_m = math.sqrt(self.min_m**2 - vertical_m**2)
+            if own is None:
+                own = _places(aircraft, present or plan, plan, wind, airspeed_m_s, _duration_s(plan, airspeed_m_s))
+            apart_m = self._least_m(own, aircraft.time_s, other, told, wind, vertical_m, airspeed_m_s)
+            if apart_m < self.min_m:
+                return f"it would come within {apart_m:.0f} m of {name}"
+            if told is not None and told.present is not None:
+                ending = told.coming or told.present
+                if _circles_apart_m(plan.circle, ending.circle) - 2.0 * _LINE_ERROR_M < flat_m:
+                    return f"its circle is too near to that of {name}, at almost the same height"
+        return None
+
+    def _least_m(
+        self,
+        own: FloatArray,
+        now_s: float,
+        other: Neighbour,
+        told: NeighbourPlanned | None,
+        wind: Wind,
+        vertical_m: float,
+        airspeed_m_s: float,
+    ) -> float:
+        state = other.state
+        lag_s = now_s - state.time_s
+        n = own.shape[1]
+        if told is None or told.present is None:
+            n = min(n, 1 + int(_FOREIGN_S / _STEP_S))
+            gone_m = state.ground_speed_m_s * (lag_s + _STEP_S * np.arange(n))
+            theirs = np.stack(
+                [
+                    state.east_m + gone_m * math.sin(state.course_rad),
+                    state.north_m + gone_m * math.cos(state.course_rad),
+                ]
+            )
+        else:
+            speed_m_s = _airspeed_m_s(state, wind)
+            late = max(0, round(lag_s / _STEP_S))  # their places are counted from their own report
+            theirs = _places(state, told.present, told.coming, wind, speed_m_s, _STEP_S * (n - 1 + late))[:, late:]
+        growth_m_s = _SPEED_ERROR * (airspeed_m_s + state.ground_speed_m_s)
+        ours, theirs = np.ascontiguousarray(own[:, :n]), np.ascontiguousarray(theirs)
+        return kernel.min_distance_m(ours, theirs, _STEP_S, vertical_m, growth_m_s) - _LINE_ERROR_M
+
+
+def _places(
+    state: AircraftState, present: Plan, coming: Plan | None, wind: Wind, airspeed_m_s: float, duration_s: float
+) -> FloatArray:
+    line, circle = line_of(present)
+    other_line, other_circle = line_of(coming or present)
+    found = np.empty((2, 1 + round(duration_s / _STEP_S)))
+    kernel.flown_places(
+        state.time_s,
+        state.east_m,
+        state.north_m,
+        state.course_rad,
+        line,
+        circle,
+        other_line,
+        other_circle,
+        math.inf if coming is None else coming.departure_s,
+        max(airspeed_m_s, 1.01 * wind.speed_m_s),
+        wind.east_m_s,
+        wind.north_m_s,
+        _STEP_S,
+        found,
+    )
+    return found
+
+
+def _duration_s(plan: Plan, airspeed_m_s: float) -> float:
+    """Return how long a plan is followed: its transition and a lap."""
+    line_m = plan.transition.length_m if plan.transition is not None else 0.0
+    return min((line_m + 2.0 * math.pi * plan.circle.radius_m) / airspeed_m_s, _LONGEST_S)
+
+
+def _airspeed_m_s(state: AircraftState, wind: Wind) -> float:
+    east_m_s = state.ground_speed_m_s * math.sin(state.course_rad) - wind.east_m_s
+    north_m_s = state.ground_speed_m_s * math.cos(state.course_rad) - wind.north_m_s
+    return math.hypot(east_m_s, north_m_s)
+
+
+def _flown(told: NeighbourPlanned | None) -> tuple[Plan | None, ...]:
+    return () if told is None else (told.present, told.coming)
+
+
+def _heights_of(*plans: Plan | None) -> set[float]:
+    profiles = [plan.heights for plan in plans if plan is not None and plan.heights is not None]
+    return {height_m for profile in profiles for height_m in (profile.from_m, profile.to_m)}
+
+
+def _gap_m(a: set[float], b: set[float]) -> float:
+    """Return the least distance between two ranges of heights; 0 where they overlap."""
+    return max(min(a) - max(b), min(b) - max(a), 0.0)
+
+
+def _circles_apart_m(a: Circle, b: Circle) -> float:
+    """Return the least distance between points of two circles."""
+    centres_m = math.hypot(a.east_m - b.east_m, a.north_m - b.north_m)
+    return max(centres_m - a.radius_m - b.radius_m, abs(a.radius_m - b.radius_m) - centres_m)
