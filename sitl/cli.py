@@ -9,7 +9,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -39,29 +39,43 @@ from sitl.signing import KeyFileError, read_key
 from sitl.simulation import Simulation
 from sitl.track import TrackError
 from sitl.truth import TruthFile
+from sitl.world import MAX_VEHICLES, in_turn
 
 _DEFAULT_STATIONS = ("127.0.0.1:14540", "127.0.0.1:14550")
 
 
 def run(
-    autopilot: Annotated[Flavour, typer.Option(help="Which autopilot it behaves like.")] = Flavour.ARDUPLANE,
+    autopilot: Annotated[
+        str, typer.Option(help="Which autopilot it behaves like: arduplane or px4; several vehicles in turn: a,b.")
+    ] = Flavour.ARDUPLANE,
+    vehicles: Annotated[
+        int | None,
+        typer.Option(min=1, max=MAX_VEHICLES, help="How many, about one target [as many as autopilots are named]"),
+    ] = None,
     to: Annotated[
         list[str] | None,
-        typer.Option(metavar="HOST:PORT", help=f"Where to send to; repeatable [{' and '.join(_DEFAULT_STATIONS)}]"),
+        typer.Option(
+            metavar="[ID@]HOST:PORT",
+            help=f"Where to send to, all vehicles or that one; repeatable [{' and '.join(_DEFAULT_STATIONS)}; "
+            "each of several vehicles has a port of its own from 14540 on]",
+        ),
     ] = None,
     speed: Annotated[float, typer.Option(help="Simulated over wall time.")] = 1.0,
     duration: Annotated[
         float | None, typer.Option(metavar="S", help="Simulated seconds; endless if left out.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of all noise and of the target.")] = 0,
-    truth: Annotated[Path | None, typer.Option(metavar="FILE", help="Write what really happened as CSV.")] = None,
+    truth: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Write what really happened as CSV; once for each vehicle."),
+    ] = None,
     home: Annotated[str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Degrees and metres above sea.")] = None,
-    airspeed: Annotated[float, typer.Option(help="Cruise airspeed, m/s.")] = 15.0,
+    airspeed: Annotated[str, typer.Option(help="Cruise airspeed, m/s; of several vehicles in turn: A,B.")] = "15",
     wind_speed: Annotated[float, typer.Option(help="m/s")] = 0.0,
     wind_from_deg: Annotated[float, typer.Option(help="Where the wind comes from, degrees.")] = 0.0,
     system_id: Annotated[
         int | None,
-        typer.Option(min=1, max=250, help="Of the vehicle, or of the one that --payload-for is meant for [1]"),
+        typer.Option(min=1, max=250, help="Of the first vehicle, or of the one --payload-for is meant for [1]"),
     ] = None,
     target: Annotated[
         str, typer.Option(metavar="SPEC", help=f"Motion: {', '.join(MOTIONS)}, or a .gpx or .csv track.")
@@ -94,6 +108,10 @@ def run(
     loss: Annotated[float, typer.Option(help="Fraction of packets lost, each way.")] = 0.0,
     delay_ms: Annotated[float, typer.Option(help="Wall-clock delay, each way.")] = 0.0,
     duplicate: Annotated[float, typer.Option(help="Fraction of packets doubled, each way.")] = 0.0,
+    lose: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ID@S", help="Let a vehicle vanish after so many simulated seconds; repeatable."),
+    ] = None,
     require_signing: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Sign, and hear only what is signed with the key in this file."),
@@ -106,15 +124,23 @@ def run(
 
     Example: sidelong sitl --autopilot px4 --target walk --target-speed 4 --speed 10 --truth truth.csv
 
+    Several about one target: sidelong sitl --vehicles 2 --autopilot arduplane,px4
+
     A real vehicle's simulator gets the payload by: sidelong sitl --payload-for tcpout://127.0.0.1:5763
     or is started with it by: sidelong sitl --autopilot px4 --binary build/px4_sitl_default/bin/px4
     """
+    flavours = [_flavour(name) for name in autopilot.split(",")]
+    airspeeds_m_s = _numbers("--airspeed", airspeed, range(1, MAX_VEHICLES + 1), "A or A,B")
+    count = vehicles or max(len(flavours), len(airspeeds_m_s))
+    if max(len(flavours), len(airspeeds_m_s)) > count:
+        _refuse("--vehicles", f"is {count}: more autopilots or airspeeds are named")
+    if count > 1 and (payload_for is not None or binary is not None):
+        _refuse("--vehicles", "goes with the simulated vehicles alone, not with --payload-for or --binary")
     _check_ranges(
         {
             "--speed": (speed, 0.0, 1000.0, False),
             "--duration": (math.inf if duration is None else duration, 0.0, math.inf, False),
-            "--airspeed": (airspeed, 5.0, 60.0, True),
-            "--wind-speed": (wind_speed, 0.0, 0.9 * airspeed, True),
+            "--wind-speed": (wind_speed, 0.0, 0.9 * min(airspeeds_m_s), True),
             "--wind-from-deg": (wind_from_deg, -360.0, 360.0, True),
             "--target-speed": (0.0 if target_speed is None else target_speed, 0.0, 50.0, True),
             "--target-skip": (0.0 if target_skip is None else target_skip, 0.0, math.inf, True),
@@ -129,6 +155,8 @@ def run(
             "--duplicate": (duplicate, 0.0, 1.0, True),
         }
     )
+    for airspeed_m_s in airspeeds_m_s:
+        _check_ranges({"--airspeed": (airspeed_m_s, 5.0, 60.0, True)})
     sensors = PayloadSettings(
         range_sigma,
         range_outliers,
@@ -141,12 +169,12 @@ def run(
     )
     own_terrain = terrain if payload_for is None else None  # the home of another vehicle comes from its own words
     settings = Settings(
-        flavour=autopilot,
+        flavour=flavours[0],
         system_id=system_id or 1,
         seed=seed,
-        airspeed_m_s=airspeed,
+        airspeed_m_s=airspeeds_m_s[0],
         wind=Wind.blowing_from(wind_speed, math.radians(wind_from_deg)),
-        home=_home_on_ground(home, own_terrain, autopilot),
+        home=_home_on_ground(home, own_terrain, flavours[0]),
         target=TargetSettings(_motion(target), target_speed, _east_north(target_start), target_skip),
         payload=sensors if payload else None,
         signing_key=None if require_signing is None else _key(require_signing),
@@ -154,38 +182,47 @@ def run(
         boot_unix_s=time.time(),
         terrain=own_terrain,
     )
-    stations = [_address(text) for text in to or _DEFAULT_STATIONS]
+    ids = range(settings.system_id, settings.system_id + count)
+    if truth and len(truth) != count:
+        _refuse("--truth", f"is given {len(truth)} times for {count} vehicles")
+    stations = _stations(to, ids)
     with ExitStack() as stack:
         try:
-            simulation = Simulation(settings)
             alone = payload_for is None and binary is None
+            simulations = [Simulation(one) for one in in_turn(settings, flavours, airspeeds_m_s, count)]
             companion = None if alone else Companion(sensors, settings.target, seed, terrain, system_id)
         except TrackError as error:
             _refuse("--target", str(error))
         except HillsError as error:
             _refuse("--terrain", str(error))
-        if truth is not None:
+        for vehicle_id, lost_s in _lost(lose or [], ids):
+            simulations[ids.index(vehicle_id)].lost_s = lost_s
+        writers: list[Companion | Simulation] = [*simulations] if companion is None else [companion]
+        for writer, path in zip(writers, truth or [], strict=False):
             try:
-                file = TruthFile(stack.enter_context(truth.open("w", encoding="utf-8")), _warn)
+                file = TruthFile(stack.enter_context(path.open("w", encoding="utf-8")), _warn)
             except OSError as error:
-                _refuse("--truth", f"{truth} cannot be written: {error.strerror}")
-            (companion or simulation).on_truth = file.write
+                _refuse("--truth", f"{path} cannot be written: {error.strerror}")
+            writer.on_truth = file.write
         if companion is not None and binary is not None:
-            _run_binary(companion, autopilot, binary, speed, settings.home, settings.signing_key)
+            _run_binary(companion, flavours[0], binary, speed, settings.home, settings.signing_key)
             return
         if companion is not None and payload_for is not None:
             _accompany(companion, payload_for, _stop_signal(), settings.signing_key)
             return
-        where = ", ".join(f"{host}:{port}" for host, port in stations)
+
+        def tell_ready() -> None:
+            for simulation, addresses in zip(simulations, stations, strict=True):
+                where = ", ".join(f"{host}:{port}" for host, port in addresses)
+                own = simulation.settings
+                print(f"ready system {own.system_id} component 1 {own.flavour} -> {where}", flush=True)
+
         serve(
-            simulation,
-            stations,
+            list(zip(simulations, stations, strict=True)),
             speed=speed,
             duration_s=math.inf if duration is None else duration,
             faults=LinkFaults(loss, duplicate, delay_ms / 1000.0),
-            on_ready=lambda: print(
-                f"ready system {settings.system_id} component 1 {autopilot} -> {where}", flush=True
-            ),
+            on_ready=tell_ready,
             stopped=_stop_signal(while_input),
         )
 
@@ -258,6 +295,40 @@ def _motion(spec: str) -> str | Path:
     return _refuse("--target", f"is one of {', '.join(MOTIONS)} or a .gpx or .csv file, not {spec!r}")
 
 
+def _flavour(name: str) -> Flavour:
+    try:
+        return Flavour(name)
+    except ValueError:
+        return _refuse("--autopilot", f"is one of {', '.join(Flavour)}, not {name!r}")
+
+
+def _stations(to: list[str] | None, ids: Sequence[int]) -> list[list[Address]]:
+    """Return where each vehicle sends to."""
+    several = [f"{vehicle_id}@127.0.0.1:{14540 + number}" for number, vehicle_id in enumerate(ids)]
+    named = to or (_DEFAULT_STATIONS if len(ids) == 1 else [*several, _DEFAULT_STATIONS[1]])
+    stations: dict[int, list[Address]] = {vehicle_id: [] for vehicle_id in ids}
+    for text in named:
+        own, at, address = text.rpartition("@")
+        for vehicle_id in (_vehicle_id("--to", own, ids),) if at else ids:
+            stations[vehicle_id].append(_address(address))
+    return list(stations.values())
+
+
+def _lost(texts: list[str], ids: Sequence[int]) -> list[tuple[int, float]]:
+    found = []
+    for text in texts:
+        own, _, time_text = text.partition("@")
+        (time_s,) = _numbers("--lose", time_text, (1,), "ID@S")
+        found.append((_vehicle_id("--lose", own, ids), time_s))
+    return found
+
+
+def _vehicle_id(option: str, text: str, ids: Sequence[int]) -> int:
+    if not text.isdecimal() or int(text) not in ids:
+        _refuse(option, f"names the vehicle {text!r}; there are {', '.join(map(str, ids))}")
+    return int(text)
+
+
 def _key(path: Path) -> bytes:
     try:
         return read_key(path)
@@ -290,7 +361,7 @@ def _east_north(text: str) -> tuple[float, float]:
     return east_m, north_m
 
 
-def _numbers(option: str, text: str, counts: tuple[int, ...], form: str) -> list[float]:
+def _numbers(option: str, text: str, counts: Collection[int], form: str) -> list[float]:
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:

@@ -20,9 +20,53 @@ _DATAGRAM_MAX = 4096
 _LINK_STREAM = 2  # of the seed's children: 0 and 1 are the target's and the sensors'
 
 
+class _Port:
+    """One vehicle's socket, with the faults of its link."""
+
+    def __init__(self, simulation: Simulation, stations: Sequence[Address], faults: LinkFaults) -> None:
+        seed = np.random.SeedSequence(simulation.settings.seed, spawn_key=(_LINK_STREAM,))
+        out_rng, in_rng = (np.random.default_rng(child) for child in seed.spawn(2))
+        self.simulation = simulation
+        self._outward: FaultyLink[tuple[Address, bytes]] = FaultyLink(faults, out_rng)
+        self._inward: FaultyLink[tuple[Address, bytes]] = FaultyLink(faults, in_rng)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        loopback = all(host.startswith("127.") for host, _ in stations)
+        self.socket.bind(("127.0.0.1" if loopback else "", 0))
+        self.socket.setblocking(False)
+        for address in stations:
+            simulation.connect(address)
+
+    @property
+    def next_s(self) -> float:
+        """When a delayed packet is due."""
+        return min(self._inward.next_s, self._outward.next_s)
+
+    def advance(self, to_s: float, now_s: float) -> None:
+        self.simulation.advance(to_s)
+        for address, data in self._inward.take(now_s):
+            self.simulation.receive(address, data)
+        for datagram in self.simulation.take():
+            self._outward.put(datagram, now_s)  # type: ignore[arg-type]  # this shell's stations are UDP addresses
+        for address, data in self._outward.take(now_s):
+            try:
+                self.socket.sendto(data, address)
+            except (BlockingIOError, ConnectionError):
+                continue  # as lost as on the air
+
+    def receive(self) -> None:
+        now_s = time.monotonic()
+        while True:
+            try:
+                data, address = self.socket.recvfrom(_DATAGRAM_MAX)
+            except BlockingIOError:
+                return
+            except ConnectionError:
+                continue  # a station has gone; the next datagram may be another's
+            self._inward.put((address, data), now_s)
+
+
 def serve(
-    simulation: Simulation,
-    stations: Sequence[Address],
+    served: Sequence[tuple[Simulation, Sequence[Address]]],
     *,
     speed: float = 1.0,
     duration_s: float = float("inf"),
@@ -30,59 +74,32 @@ def serve(
     on_ready: Callable[[], None] = lambda: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Fly until ``stopped`` or for duration_s, sending to ``stations`` and to whoever speaks to the socket.
+    """Fly until ``stopped`` or for duration_s, all vehicles on one clock.
 
-    speed is simulated over wall time.
+    Each sends to its stations and to whoever speaks to its socket. speed is simulated over wall time.
     """
-    seed = np.random.SeedSequence(simulation.settings.seed, spawn_key=(_LINK_STREAM,))
-    out_rng, in_rng = (np.random.default_rng(child) for child in seed.spawn(2))
-    outward: FaultyLink[tuple[Address, bytes]] = FaultyLink(faults or LinkFaults(), out_rng)
-    inward: FaultyLink[tuple[Address, bytes]] = FaultyLink(faults or LinkFaults(), in_rng)
-    loopback = all(host.startswith("127.") for host, _ in stations)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.bind(("127.0.0.1" if loopback else "", 0))
-        udp.setblocking(False)
-        for address in stations:
-            simulation.connect(address)
+    ports: dict[socket.socket, _Port] = {}
+    try:
+        for simulation, stations in served:
+            port = _Port(simulation, stations, faults or LinkFaults())
+            ports[port.socket] = port
         on_ready()
-        begin_s = time.monotonic() - simulation.time_s / speed
-        while simulation.time_s < duration_s and not stopped():
+        clock = served[0][0]  # they all have the same time
+        begin_s = time.monotonic() - clock.time_s / speed
+        while clock.time_s < duration_s and not stopped():
             now_s = time.monotonic()
             goal_s = (now_s - begin_s) * speed
-            lag_s = goal_s - simulation.time_s - _LAG_MAX_S * speed
+            lag_s = goal_s - clock.time_s - _LAG_MAX_S * speed
             if lag_s > 0.0:
                 begin_s += lag_s / speed
                 goal_s -= lag_s
-            simulation.advance(min(goal_s, duration_s))
-            for address, data in inward.take(now_s):
-                simulation.receive(address, data)
-            _send(udp, simulation, outward, now_s)
-            next_step_s = begin_s + (simulation.time_s + STEP_S) / speed
-            next_s = min(max(next_step_s, now_s + _WAKE_MIN_S), inward.next_s, outward.next_s)
+            for port in ports.values():
+                port.advance(min(goal_s, duration_s), now_s)
+            next_step_s = begin_s + (clock.time_s + STEP_S) / speed
+            next_s = min(max(next_step_s, now_s + _WAKE_MIN_S), *(port.next_s for port in ports.values()))
             wake_s = max(0.0, next_s - time.monotonic())
-            if select.select([udp], [], [], wake_s)[0]:
-                _receive(udp, inward)
-
-
-def _receive(udp: socket.socket, inward: FaultyLink[tuple[Address, bytes]]) -> None:
-    now_s = time.monotonic()
-    while True:
-        try:
-            data, address = udp.recvfrom(_DATAGRAM_MAX)
-        except BlockingIOError:
-            return
-        except ConnectionError:
-            continue  # a station has gone; the next datagram may be another's
-        inward.put((address, data), now_s)
-
-
-def _send(
-    udp: socket.socket, simulation: Simulation, outward: FaultyLink[tuple[Address, bytes]], now_s: float
-) -> None:
-    for datagram in simulation.take():
-        outward.put(datagram, now_s)  # type: ignore[arg-type]  # this shell's stations are UDP addresses
-    for address, data in outward.take(now_s):
-        try:
-            udp.sendto(data, address)
-        except (BlockingIOError, ConnectionError):
-            continue  # as lost as on the air
+            for ready in select.select(list(ports), [], [], wake_s)[0]:
+                ports[ready].receive()
+    finally:
+        for udp in ports:
+            udp.close()

@@ -73,6 +73,7 @@ class Settings:
     flavour: Flavour = Flavour.ARDUPLANE
     system_id: int = 1
     seed: int = 0
+    target_seed: int | None = None  # of the target alone, where several vehicles watch one; none: seed
     airspeed_m_s: float = 15.0
     wind: Wind = field(default_factory=Wind)
     home: Home | None = None

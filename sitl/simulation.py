@@ -39,13 +39,16 @@ class Simulation:
     """
 
     def __init__(self, settings: Settings) -> None:
-        target_seed, sensor_seed = np.random.SeedSequence(settings.seed).spawn(2)
+        seed = settings.seed if settings.target_seed is None else settings.target_seed
+        target_seed, _ = np.random.SeedSequence(seed).spawn(2)
+        _, sensor_seed = np.random.SeedSequence(settings.seed).spawn(2)
         self.settings = settings
         self.vehicle: Autopilot = Px4(settings) if settings.flavour == Flavour.PX4 else ArduPlane(settings)
         self.motion = target_motion(settings.target, np.random.default_rng(target_seed))
         self.hills = Hills(settings.terrain, self.vehicle.plane)
         self.payload = Payload(settings.payload, sensor_seed) if settings.payload is not None else None
         self.muted: set[str] = set()  # payload messages withheld, by name
+        self.lost_s = math.inf  # from then on nothing is seen or heard of the vehicle
         self.on_truth: Callable[[TruthRow], None] = lambda _row: None
         self._latency_s = settings.payload.latency_s if settings.payload is not None else 0.0
         self._in_flight: deque[tuple[float, list[Any]]] = deque()
@@ -62,7 +65,7 @@ class Simulation:
 
     def receive(self, address: Hashable, data: bytes) -> None:
         """Take a datagram from a station, known or new."""
-        if self._steps < self._boot_step:
+        if self._steps < self._boot_step or self.time_s >= self.lost_s:
             return
         station = self.vehicle.radio.connect(address, self.vehicle.now_s)
         for message in station.parser.parse_buffer(data) or ():
@@ -103,6 +106,8 @@ class Simulation:
 
     def _step(self) -> None:
         self._steps += 1
+        if self.time_s >= self.lost_s:
+            return
         if self._steps % _EXPIRE_EVERY == 0:
             self.vehicle.radio.drop_silent(self.vehicle.now_s - _SILENT_S * self.settings.link_rate)
         since_boot = self._steps - self._boot_step

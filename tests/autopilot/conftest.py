@@ -121,7 +121,7 @@ class Vehicle:
 
     def _serve(self):
         stations = [("127.0.0.1", port) for port in self.ports]
-        serve(self.simulation, stations, speed=self._speed, faults=self._faults, stopped=self._stopped)
+        serve([(self.simulation, stations)], speed=self._speed, faults=self._faults, stopped=self._stopped)
 
     def _stopped(self):
         while not self._work.empty():

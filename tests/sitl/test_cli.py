@@ -38,6 +38,14 @@ def invoke():
         ("--payload-for", "somewhere"),
         ("--autopilot", "betaflight"),
         ("--system-id", "0"),
+        ("--vehicles", "0"),
+        ("--vehicles", "1", "--autopilot", "px4,arduplane"),
+        ("--vehicles", "2", "--payload-for", "udpin://127.0.0.1:1"),
+        ("--airspeed", "15,1"),
+        ("--to", "2@127.0.0.1:14540"),
+        ("--lose", "2@10"),
+        ("--lose", "1"),
+        ("--truth", "a.csv", "--truth", "b.csv"),
     ],
 )
 def test_a_wrong_option_is_named_in_one_sentence(invoke, arguments):

@@ -1,0 +1,38 @@
+"""Several vehicles about one target: who stands where, each with its own sensors' noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from sitl.geodesy import HomePlane
+from sitl.settings import Flavour, Home, Settings
+
+MAX_VEHICLES = 8
+_APART_M = 200.0  # more than the circles that are flown at home are wide
+
+
+def in_turn(
+    first: Settings, flavours: Sequence[Flavour], airspeeds_m_s: Sequence[float], count: int
+) -> list[Settings]:
+    """Return the settings of ``count`` vehicles: the first at its home, the others in a row east of it.
+
+    Flavours and airspeeds are gone through again and again. System ids follow one another; the target is the first
+    one's, and in the same place for all.
+    """
+    home = first.home_or_default
+    plane = HomePlane(home.latitude_deg, home.longitude_deg)
+    east_m, north_m = first.target.start_m
+    return [
+        replace(
+            first,
+            flavour=flavours[number % len(flavours)],
+            system_id=first.system_id + number,
+            seed=first.seed + number,
+            target_seed=first.seed,
+            airspeed_m_s=airspeeds_m_s[number % len(airspeeds_m_s)],
+            home=Home(*plane.latitude_longitude_deg(number * _APART_M, 0.0), home.altitude_m) if number else home,
+            target=replace(first.target, start_m=(east_m - number * _APART_M, north_m)),
+        )
+        for number in range(count)
+    ]
