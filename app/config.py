@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
@@ -21,6 +21,7 @@ from mission.viewpoint.side_policy import watching_from
 _SHOWN_CHARACTERS = 80  # of a wrong value
 
 LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
+Model = TypeVar("Model", bound=BaseModel)
 Polygon = Annotated[list[LatLon], Field(min_length=3, max_length=500)]
 
 
@@ -43,11 +44,13 @@ def _known_side(words: str) -> str:
     return words
 
 
-class _Section(BaseModel):
+class Section(BaseModel):
+    """A table of a file: no key but its own, no value that is not finite."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, allow_inf_nan=False)
 
 
-class AircraftSection(_Section):
+class AircraftSection(Section):
     """The aircraft as it is flown for this mission."""
 
     airspeed_m_s: float = Field(15.0, gt=3, le=80)
@@ -79,7 +82,7 @@ class AircraftSection(_Section):
         )
 
 
-class RequirementSection(_Section):
+class RequirementSection(Section):
     """What is asked for: the range band and the side."""
 
     range_min_m: float = Field(100.0, ge=20, le=5000)
@@ -116,7 +119,7 @@ class RequirementSection(_Section):
         return watching_from(plain, self.side)
 
 
-class PlannerSection(_Section):
+class PlannerSection(Section):
     """How the next circle is chosen."""
 
     name: Literal["predictive", "paper"] = "predictive"
@@ -135,7 +138,7 @@ class PlannerSection(_Section):
     """What to do then: hold the circle or fly home."""
 
 
-class SensorsSection(_Section):
+class SensorsSection(Section):
     """Laser and gimbal."""
 
     range_sigma_m: float = Field(0.8, gt=0, le=100)
@@ -166,7 +169,7 @@ class SensorsSection(_Section):
     """Where [terrain] tells the ground and the laser is silent, go on by the line of sight and the ground."""
 
 
-class LinkSection(_Section):
+class LinkSection(Section):
     """The link to the autopilot."""
 
     url: str | None = None
@@ -190,7 +193,7 @@ class LinkSection(_Section):
         return tuple(self.urls) or ((self.url,) if self.url is not None else ())
 
 
-class FencesSection(_Section):
+class FencesSection(Section):
     """Where the aircraft may fly: polygons of [latitude, longitude] in degrees, heights above home in m."""
 
     keep_in: Polygons = Field(default_factory=list)
@@ -211,7 +214,7 @@ class FencesSection(_Section):
         return self
 
 
-class TerrainSection(_Section):
+class TerrainSection(Section):
     """The ground. Without elevation data it is taken as flat and at the height of home."""
 
     folder: str | None = None
@@ -220,7 +223,7 @@ class TerrainSection(_Section):
     """Standard deviation of its heights against that at home, m."""
 
 
-class SimulationSection(_Section):
+class SimulationSection(Section):
     """The simulated vehicle that is flown when no link is given."""
 
     autopilot: Literal["arduplane", "px4"] = "arduplane"
@@ -239,7 +242,7 @@ class SimulationSection(_Section):
     """Where it stands, [latitude, longitude] in degrees; none: where the autopilot's own simulator does."""
 
 
-class Config(_Section):
+class Config(Section):
     """Everything a mission needs; every key may be left out."""
 
     aircraft: AircraftSection = AircraftSection()  # type: ignore[call-arg]  # every field has a default
@@ -299,20 +302,25 @@ def _validated(values: dict[str, Any], overrides: dict[str, dict[str, Any]], nam
         given = {key: value for key, value in keys.items() if value is not None}
         if given and isinstance(values.setdefault(section, {}), dict):
             values[section] |= given
+    return validated(Config, values, name)
+
+
+def validated(kind: type[Model], values: Any, name: str) -> Model:
+    """Return the model of plain values. Raises InputError that begins with ``name`` and names the field."""
     try:
-        return Config.model_validate(values)
+        return kind.model_validate(values)
     except ValidationError as error:
-        raise InputError(f"{name}: {_sentence(error)}") from error
+        raise InputError(f"{name}: {_sentence(error, kind)}") from error
 
 
-def _sentence(error: ValidationError) -> str:
+def _sentence(error: ValidationError, kind: type[BaseModel]) -> str:
     """Return the first problem as one sentence that names the field, what is wrong, and the nearest that is right."""
     problem = error.errors()[0]
     where = ".".join(f"{part!s:.40}" for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
-        return f"unknown key {where}; known there: {', '.join(_known_keys(problem['loc']))}."
+        return f"unknown key {where}; known there: {', '.join(_known_keys(kind, problem['loc']))}."
     if problem["type"] == "value_error":
-        return f"{where}: {_cut(str(problem['ctx']['error']))}."
+        return f"{where + ': ' if where else ''}{_cut(str(problem['ctx']['error']))}."
     message = problem["msg"][0].lower() + problem["msg"][1:]
     return f"{where} = {_cut(repr(problem['input']), _SHOWN_CHARACTERS)}: {message}{_nearest(problem)}."
 
@@ -334,8 +342,10 @@ def _nearest(problem: ErrorDetails) -> str:
     return ""
 
 
-def _known_keys(location: tuple[int | str, ...]) -> list[str]:
-    model: Any = Config
+def _known_keys(kind: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    model: Any = kind
     for part in location[:-1]:
-        model = model.model_fields[part].annotation
+        found = model.model_fields[part].annotation if isinstance(part, str) else model
+        of_many = get_args(found)  # a list of sections, or a section that may be missing
+        model = of_many[0] if of_many else found
     return list(model.model_fields)

@@ -1,0 +1,230 @@
+"""The fleet file: today's configuration with several ``[[aircraft]]`` in place of one ``[aircraft]``.
+
+What is not told of an aircraft itself (requirement, planner, fences, ...) holds for all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from app.config import AircraftSection, Config, Section, SensorsSection, check_flyable, validated
+from app.errors import InputError
+from app.text_file import read_toml
+from mission.core.requirement import Side
+
+MIN_LAYER_M = 30.0
+"""Least difference of two aircraft's heights."""
+LAYER_M = 60.0
+"""Difference of heights where none are given: two aircraft are 50 m apart then wherever they fly."""
+MAX_AIRCRAFT = 8
+
+_Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")]
+
+
+class FleetAircraftSection(AircraftSection):
+    """One aircraft: what [aircraft] has, its name, its link and what its sensors have of their own."""
+
+    name: _Name
+    """Letters, digits, - and _: its folder in the run folder is named by it."""
+    url: str | None = None
+    """Its MAVSDK URL; none: on the link of all, where one is given, else simulated."""
+    urls: list[str] = Field(default_factory=list)
+    """Several links to it, instead of url."""
+    system_id: int | None = Field(None, ge=1, le=255)
+    """Its MAVLink system id; needed on a link that it shares."""
+    autopilot: Literal["arduplane", "px4"] | None = None
+    """Which autopilot it behaves like where it is simulated; none: as [simulation] has it."""
+    sensors: SensorsSection = SensorsSection()  # type: ignore[call-arg]  # every field has a default
+    """What differs from [sensors] for its payload."""
+
+
+class TargetSection(Section):
+    """The target that all of them watch."""
+
+    name: _Name = "target"
+    """Letters, digits, - and _."""
+    side: str | None = None
+    """Side of its motion to watch from, left or right; none: as [requirement] has it."""
+    motion: str | None = None
+    """Its motion in simulation; none: as [simulation] has it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One aircraft of a fleet with a configuration as if it flew alone."""
+
+    name: str
+    config: Config
+
+
+class FleetFile(Config):
+    """Everything a mission of several aircraft needs."""
+
+    aircraft: list[FleetAircraftSection] = Field(min_length=1, max_length=MAX_AIRCRAFT)  # type: ignore[assignment]
+    target: list[TargetSection] = Field(default=[TargetSection()], min_length=1, max_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _target_described(cls, values: Any) -> Any:
+        """Let what is told of the target stand where one aircraft's configuration has it."""
+        targets = values.get("target") if isinstance(values, Mapping) else None
+        if not isinstance(targets, list) or len(targets) != 1 or not isinstance(targets[0], Mapping):
+            return values
+        merged = dict(values)
+        for key, section, name in (("side", "requirement", "side"), ("motion", "simulation", "target")):
+            if targets[0].get(key) is not None and isinstance(merged.get(section, {}), Mapping):
+                merged[section] = {**merged.get(section, {}), name: targets[0][key]}
+        return merged
+
+    @model_validator(mode="before")
+    @classmethod
+    def _layers_given(cls, values: Any) -> Any:
+        """Give the aircraft without a height of their own layers above one another."""
+        aircraft = values.get("aircraft") if isinstance(values, Mapping) else None
+        if not isinstance(aircraft, list) or any(
+            not isinstance(one, Mapping) or "height_m" in one for one in aircraft
+        ):
+            return values
+        lowest_m = AircraftSection.model_fields["height_m"].default
+        layered = [{**one, "height_m": lowest_m + k * LAYER_M} for k, one in enumerate(aircraft)]
+        return {**values, "aircraft": layered}
+
+    @model_validator(mode="after")
+    def _ground_known(self) -> Self:
+        above = {one.height_above for one in self.aircraft}
+        if len(above) > 1:
+            raise ValueError('aircraft.height_above is "home" for one and "ground" for another; give all the same')
+        if above == {"ground"} and self.terrain.folder is None:
+            raise ValueError(
+                'aircraft.height_above = "ground" needs elevation data; give terrain.folder, or "home" instead'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _told_apart(self) -> Self:
+        for what, told in (
+            ("name", [one.name for one in self.aircraft]),
+            ("system_id", [one.system_id for one in self.aircraft if not _own_links(one)]),
+            ("url", [url for one in self.aircraft for url in _own_links(one)]),
+        ):
+            twice = next((one for k, one in enumerate(told) if one is not None and one in told[:k]), None)
+            if twice is not None:
+                raise ValueError(f"aircraft.{what} = {twice!r} is given twice; give each aircraft its own")
+        return self
+
+    @model_validator(mode="after")
+    def _all_linked(self) -> Self:
+        linked = [bool(_own_links(one)) for one in self.aircraft]
+        if self.link.connections:
+            for one, own in zip(self.aircraft, linked, strict=True):
+                if not own and one.system_id is None:
+                    raise ValueError(f"aircraft {one.name!r} shares the link of all; give its system_id")
+        elif any(linked) and not all(linked):
+            raise ValueError(f"aircraft {self.aircraft[linked.index(False)].name!r} has no link; give its url")
+        return self
+
+    @model_validator(mode="after")
+    def _layers_apart(self) -> Self:
+        ordered = sorted(self.aircraft, key=lambda one: one.height_m)
+        for lower, upper in pairwise(ordered):
+            if upper.height_m - lower.height_m < MIN_LAYER_M:
+                raise ValueError(
+                    f"aircraft.height_m of {lower.name!r} and {upper.name!r} are "
+                    f"{upper.height_m - lower.height_m:g} m apart; make that {MIN_LAYER_M:g} m or more"
+                )
+        floor_m, ceiling_m = self.fences.floor_m, self.fences.ceiling_m
+        for one in ordered if ordered[0].height_above == "home" else ():
+            if floor_m is not None and one.height_m < floor_m:
+                raise ValueError(f"aircraft {one.name!r} at {one.height_m:g} m is below fences.floor_m = {floor_m:g}")
+            if ceiling_m is not None and one.height_m > ceiling_m:
+                raise ValueError(
+                    f"aircraft {one.name!r} at {one.height_m:g} m is above fences.ceiling_m = {ceiling_m:g}"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _sides_shared(self) -> Self:
+        requirement = self.requirement.requirement()
+        if len(self.aircraft) > 1 and (requirement.either_side or requirement.sector is not None):
+            raise ValueError(
+                f"requirement.side = {self.requirement.side!r}: several aircraft share the sides of a target; "
+                f"give {Side.LEFT} or {Side.RIGHT}"
+            )
+        return self
+
+    @property
+    def members(self) -> tuple[Member, ...]:
+        """The aircraft in their order, each with its whole configuration."""
+        return tuple(self._members())
+
+    def _members(self) -> Iterator[Member]:
+        for number, one in enumerate(self.aircraft):
+            own = {"url": None, "urls": list(_own_links(one)) or list(self.link.connections)}
+            kept = {name: getattr(one, name) for name in AircraftSection.model_fields}
+            simulated = {
+                "autopilot": one.autopilot or self.simulation.autopilot,
+                "seed": self.simulation.seed + number,
+            }
+            yield Member(
+                one.name,
+                Config(
+                    aircraft=AircraftSection(**kept),
+                    requirement=self.requirement,
+                    planner=self.planner,
+                    sensors=self.sensors.model_copy(update=one.sensors.model_dump(exclude_unset=True)),
+                    link=self.link.model_copy(update={**own, "system_id": one.system_id}),
+                    fences=self.fences,
+                    terrain=self.terrain,
+                    simulation=self.simulation.model_copy(update=simulated),
+                ),
+            )
+
+
+def _own_links(one: FleetAircraftSection) -> tuple[str, ...]:
+    return tuple(one.urls) or ((one.url,) if one.url is not None else ())
+
+
+def names_a_fleet(path: Path | None) -> bool:
+    """Tell whether a configuration file has ``[[aircraft]]``. Raises InputError for what is no TOML file."""
+    return path is not None and isinstance(read_toml(path).get("aircraft"), list)
+
+
+def load_fleet(
+    path: Path | None, overrides: dict[str, dict[str, Any]] | None = None, count: int | None = None
+) -> FleetFile:
+    """Return the fleet of a file with ``[[aircraft]]``, or ``count`` aircraft alike of any other configuration.
+
+    ``overrides`` by section and key go on top for all. The names of simulated autopilots may be several, separated by
+    commas: they are gone through in turn. Raises InputError naming the file and the field.
+    """
+    values: dict[str, Any] = read_toml(path) if path is not None else {}
+    name = "command line" if path is None else str(path)
+    aircraft = values.get("aircraft", {})
+    if isinstance(aircraft, dict):
+        base_m = aircraft.get("height_m", AircraftSection.model_fields["height_m"].default)
+        values["aircraft"] = aircraft = [
+            {**aircraft, "name": f"aircraft-{k + 1}", "height_m": base_m + k * LAYER_M} for k in range(count or 1)
+        ]
+    elif count is not None and count != len(aircraft):
+        raise InputError(f"{name}: it has {len(aircraft)} aircraft; leave out --fleet {count}.")
+    for section, keys in (overrides or {}).items():
+        given = {key: value for key, value in keys.items() if value is not None}
+        autopilots = str(given.pop("autopilot", "")).split(",") if section == "simulation" else [""]
+        for k, one in enumerate(aircraft if autopilots != [""] else ()):
+            if isinstance(one, dict):
+                one["autopilot"] = autopilots[k % len(autopilots)]
+        if given and isinstance(values.setdefault(section, {}), dict):
+            values[section] |= given
+    fleet = validated(FleetFile, values, name)
+    for member in fleet.members:
+        try:
+            check_flyable(member.config)
+        except InputError as error:
+            raise InputError(f"{name}: aircraft {member.name!r}: {error}") from error
+    return fleet

@@ -1,0 +1,124 @@
+"""The fleet file: what it gives each aircraft, and what it refuses in which words."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.config import load_config
+from app.errors import InputError
+from app.fleet_file import load_fleet, names_a_fleet
+
+TWO = """
+[requirement]
+side = "right"
+[sensors]
+range_sigma_m = 1.5
+[[aircraft]]
+name = "north"
+autopilot = "arduplane"
+radius_m = 60
+[[aircraft]]
+name = "south"
+autopilot = "px4"
+height_m = 200
+[aircraft.sensors]
+range_component = 9
+"""
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text):
+        path = tmp_path / "fleet.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_each_aircraft_has_a_configuration_as_if_it_flew_alone(written):
+    north, south = load_fleet(written(TWO)).members
+    assert (north.name, south.name) == ("north", "south")
+    assert (north.config.aircraft.radius_m, south.config.aircraft.radius_m) == (60.0, 50.0)
+    assert (north.config.aircraft.height_m, south.config.aircraft.height_m) == (100.0, 200.0)
+    assert (north.config.simulation.autopilot, south.config.simulation.autopilot) == ("arduplane", "px4")
+    assert north.config.requirement.side == south.config.requirement.side == "right"
+    assert (north.config.sensors.range_component, south.config.sensors.range_component) == (None, 9)
+    assert south.config.sensors.range_sigma_m == 1.5
+
+
+def test_aircraft_without_heights_get_layers(written):
+    members = load_fleet(written(TWO.replace("height_m = 200", ""))).members
+    assert [member.config.aircraft.height_m for member in members] == [100.0, 160.0]
+
+
+def test_a_configuration_of_one_becomes_a_fleet_by_number(written):
+    path = written("[aircraft]\nradius_m = 70\nheight_m = 80\n[simulation]\nautopilot = 'px4'\n")
+    assert not names_a_fleet(path)
+    fleet = load_fleet(path, {"simulation": {"autopilot": "arduplane,px4"}}, 3)
+    assert [member.config.aircraft.height_m for member in fleet.members] == [80.0, 140.0, 200.0]
+    assert [member.config.simulation.autopilot for member in fleet.members] == ["arduplane", "px4", "arduplane"]
+    assert {member.config.aircraft.radius_m for member in fleet.members} == {70.0}
+    assert len({member.config.simulation.seed for member in fleet.members}) == 3
+
+
+def test_a_file_with_one_aircraft_is_todays(written):
+    path = written('[[aircraft]]\nname = "one"\nradius_m = 70\n')
+    assert names_a_fleet(path)
+    (only,) = load_fleet(path).members
+    assert only.config == load_config(None, {"aircraft": {"radius_m": 70.0}})
+
+
+def test_links_are_each_aircrafts_own_or_shared(written):
+    own = TWO.replace('name = "north"', 'name = "north"\nurl = "udpin://0.0.0.0:14540"')
+    own = own.replace('name = "south"', 'name = "south"\nurl = "udpin://0.0.0.0:14541"')
+    assert [member.config.link.connections for member in load_fleet(written(own)).members] == [
+        ("udpin://0.0.0.0:14540",),
+        ("udpin://0.0.0.0:14541",),
+    ]
+    shared = TWO.replace('name = "north"', 'name = "north"\nsystem_id = 1')
+    shared = shared.replace('name = "south"', 'name = "south"\nsystem_id = 2')
+    members = load_fleet(written(shared + '[link]\nurl = "udpin://0.0.0.0:14550"\n')).members
+    assert [member.config.link.system_id for member in members] == [1, 2]
+    assert {member.config.link.connections for member in members} == {("udpin://0.0.0.0:14550",)}
+
+
+@pytest.mark.parametrize(
+    ("changed", "to", "said"),
+    [
+        ("height_m = 200", "height_m = 120", "20 m apart"),
+        ('name = "south"', 'name = "north"', "given twice"),
+        ('name = "south"', 'name = "so/uth"', "aircraft.1.name"),
+        ('name = "south"', "", "aircraft.1.name"),
+        ('name = "south"', 'name = "south"\nurl = "udpin://0.0.0.0:1"', "has no link"),
+        ("radius_m = 60", "radius = 60", "unknown key aircraft.0.radius; known there: "),
+        ("radius_m = 60", "radius_m = 6000", "nearest valid value is 2000"),
+        ("radius_m = 60", "radius_m = 15", "'north': infeasible"),
+        ("range_component", "range_kompo", "aircraft.1.sensors.range_kompo"),
+        ('side = "right"', 'side = "either"', "share the sides"),
+        ("height_m = 200", 'height_above = "ground"', "all the same"),
+        ("[requirement]", "[fences]\nceiling_m = 150\n[requirement]", "above fences.ceiling_m"),
+        ("[requirement]", '[link]\nurl = "udpin://0.0.0.0:1"\n[requirement]', "give its system_id"),
+        ("[requirement]", "[[target]]\n[[target]]\n[requirement]", "target"),
+        ("[requirement]", "target = 3\n[requirement]", "target"),
+    ],
+)
+def test_a_mistake_is_one_sentence_naming_file_and_field(written, changed, to, said):
+    assert changed in TWO
+    path = written(TWO.replace(changed, to))
+    with pytest.raises(InputError, match=r"^.*fleet\.toml: ") as refused:
+        load_fleet(path)
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_urls_are_unique(written):
+    text = TWO.replace('name = "north"', 'name = "north"\nurl = "udpin://0.0.0.0:1"')
+    text = text.replace('name = "south"', 'name = "south"\nurls = ["udpin://0.0.0.0:2", "udpin://0.0.0.0:1"]')
+    with pytest.raises(InputError, match="given twice"):
+        load_fleet(written(text))
+
+
+def test_another_number_than_the_files_is_refused(written):
+    with pytest.raises(InputError, match="leave out --fleet"):
+        load_fleet(written(TWO), None, 3)
