@@ -1,6 +1,6 @@
 """A million damaged files over every reader: python -m pytest tests/bench/test_faults.py -s
 
-Takes about half an hour on two idle cores. SIDELONG_FAULTS=COUNT,SEED: another number of them, other ones.
+Takes about twenty minutes of each of two cores. SIDELONG_FAULTS=COUNT,SEED: another number of them, other ones.
 """
 
 from __future__ import annotations
