@@ -112,7 +112,7 @@ def require_sightings(sightings: int, log: Log) -> None:
 def announcements(commands: Iterable[Command]) -> Iterator[Announce]:
     """Yield what the commands tell a person."""
     for command in commands:
-        if isinstance(command, Announce) and command.kind != "swap":
+        if isinstance(command, Announce) and command.kind != "plan":
             yield command
 
 

@@ -74,7 +74,7 @@ def _flight(flown: Flown, context: _Context) -> Flight:
     history, settings = flown.history, flown.config
     mission = None
     if history.circles:
-        departed = [swap.plan for swap in history.swaps if swap.departed_s is not None]
+        departed = [change.plan for change in history.plan_changes if change.departed_s is not None]
         last = departed[-1] if departed else Plan(history.circles[-1][1])
         tracking = _TRACKING[context.autopilot](settings.aircraft.airspeed_m_s)
         items = plan_items(last, history.plane, settings.aircraft.height_m, settings.planner.tolerance_m, tracking)

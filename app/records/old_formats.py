@@ -24,6 +24,8 @@ def upgraded(name: str, fields: dict[str, Any], written_format: int) -> tuple[st
     """Return a record's type name and fields as the present format spells them."""
     if written_format > OLDEST_FORMAT:
         return name, fields
+    if name == "Announce" and fields.get("kind") == "swap":
+        fields = fields | {"kind": "plan"}
     return _NAMES_IN_1.get(name, name), _with_units(fields)
 
 

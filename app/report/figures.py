@@ -235,15 +235,19 @@ def _consistency(history: History) -> Drawing | None:
 
 
 def _uploads(history: History) -> Drawing | None:
-    if not history.swaps:
+    if not history.plan_changes:
         return None
     made, (took, waited) = figure(3.8, 2)
     start_s = history.start_s
-    ready = [(s.prepared_s - start_s, s.ready_s - s.prepared_s) for s in history.swaps if s.ready_s is not None]
-    departed = [
-        (s.departed_s - start_s, s.departed_s - s.plan.departure_s) for s in history.swaps if s.departed_s is not None
+    ready = [
+        (s.prepared_s - start_s, s.ready_s - s.prepared_s) for s in history.plan_changes if s.ready_s is not None
     ]
-    failed = [s.prepared_s - start_s for s in history.swaps if s.failed]
+    departed = [
+        (s.departed_s - start_s, s.departed_s - s.plan.departure_s)
+        for s in history.plan_changes
+        if s.departed_s is not None
+    ]
+    failed = [s.prepared_s - start_s for s in history.plan_changes if s.failed]
     for axes, points in ((took, ready), (waited, departed)):
         at_s, value_s = np.array(points).reshape(-1, 2).T
         axes.vlines(at_s, 0.0, value_s, color=TARGET, linewidth=1.0)
@@ -261,8 +265,8 @@ def _uploads(history: History) -> Drawing | None:
     return Drawing(
         "uploads",
         "Uploads",
-        f"{len(history.swaps)} plans were sent{slowest_s}; {len(departed)} were flown, {len(failed)} failed. Below: "
-        "how much later than planned the aircraft was told to leave its circle.",
+        f"{len(history.plan_changes)} plans were sent{slowest_s}; {len(departed)} were flown, {len(failed)} failed. "
+        "Below: how much later than planned the aircraft was told to leave its circle.",
         made,
     )
 

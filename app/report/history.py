@@ -62,7 +62,7 @@ class AircraftTrack:
 
 
 @dataclass(frozen=True, slots=True)
-class Swap:
+class PlanChange:
     """How a plan fared: None for what did not happen. failed: why, '' if it did not."""
 
     number: int
@@ -103,7 +103,7 @@ class History:
     truth: Truth | None
     plane: LocalPlane
     circles: tuple[tuple[float, Circle], ...]
-    swaps: tuple[Swap, ...]
+    plan_changes: tuple[PlanChange, ...]
     sides: tuple[tuple[float, Side], ...]
     said: tuple[Announce, ...]
 
@@ -130,7 +130,7 @@ class HistoryBuilder:
         self._estimates: list[TargetEstimate] = []
         self._sightings: list[SightingOutcome] = []
         self._circles: list[tuple[float, Circle]] = []
-        self._swaps: dict[int, Swap] = {}
+        self._changes: dict[int, PlanChange] = {}
         self._sides: list[tuple[float, Side]] = []
         self._said: list[Announce] = []
         self._start_s: float | None = None
@@ -157,7 +157,7 @@ class HistoryBuilder:
                 self._circles.append((admitted.time_s, admitted.circle))
                 self._in_hand = True
             case PlanStatus():
-                self._swap(admitted)
+                self._plan_status(admitted)
             case OperatorRequest(side=Side() as side) if admitted.action == "side" and self._in_hand:
                 self._sides.append((admitted.time_s, side))
 
@@ -165,7 +165,9 @@ class HistoryBuilder:
         """Take a command."""
         match command:
             case UploadPlan():
-                self._swaps[command.number] = Swap(command.number, command.plan, command.reason, command.time_s)
+                self._changes[command.number] = PlanChange(
+                    command.number, command.plan, command.reason, command.time_s
+                )
             case Announce():
                 self._said.append(command)
             case Yield() | End():
@@ -186,18 +188,18 @@ class HistoryBuilder:
             if estimate is not None:
                 self._estimates.append(estimate)
 
-    def _swap(self, event: PlanStatus) -> None:
-        swap = self._swaps.get(event.number)
-        if swap is None:
+    def _plan_status(self, event: PlanStatus) -> None:
+        change = self._changes.get(event.number)
+        if change is None:
             return
         if event.stage == "ready":
-            swap = replace(swap, ready_s=event.time_s)
+            change = replace(change, ready_s=event.time_s)
         elif event.stage == "departed":
-            swap = replace(swap, departed_s=event.time_s)
-            self._circles.append((event.time_s, swap.plan.circle))
+            change = replace(change, departed_s=event.time_s)
+            self._circles.append((event.time_s, change.plan.circle))
         elif event.stage == "failed":
-            swap = replace(swap, failed=event.detail or "failed")
-        self._swaps[event.number] = swap
+            change = replace(change, failed=event.detail or "failed")
+        self._changes[event.number] = change
 
     def build(self, asked: FlightRequirements, plane: LocalPlane, truth: Truth | None) -> History:
         """Return the history so far; there must be at least two positions."""
@@ -218,7 +220,7 @@ class HistoryBuilder:
             truth,
             plane,
             tuple(self._circles),
-            tuple(self._swaps.values()),
+            tuple(self._changes.values()),
             ((-math.inf, asked.requirement.side), *self._sides),
             tuple(self._said),
         )

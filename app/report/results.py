@@ -35,9 +35,9 @@ def summary_of(history: History, outcome: str) -> Summary:
     errors = estimate_errors(history)
     return Summary(
         **asdict(score(moments, requirement, history.sides, source)),  # type: ignore[arg-type]  # one of its two words
-        moves=sum(swap.departed_s is not None for swap in history.swaps),
-        uploads=len(history.swaps),
-        upload_failures=sum(bool(swap.failed) for swap in history.swaps),
+        moves=sum(change.departed_s is not None for change in history.plan_changes),
+        uploads=len(history.plan_changes),
+        upload_failures=sum(bool(change.failed) for change in history.plan_changes),
         sightings=len(history.sightings),
         rejected=sum(not outcome.accepted for outcome in history.sightings),
         estimate_rmse_m=None if errors is None else float(np.sqrt(np.mean(np.square(errors.error_m)))),

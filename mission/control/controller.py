@@ -208,7 +208,7 @@ class StandoffController:
     _wind: Wind = field(default_factory=Wind)
     _mode: str = ""
     _engaged_mode: str = ""
-    _swap: _PlanChange | None = None
+    _change: _PlanChange | None = None
     _not_taken: _PlanChange | None = None  # the last departure that failed: should it be flown after all
     _counts: _Counts = field(default_factory=_Counts)
     _latency_s: float = field(init=False)
@@ -254,7 +254,7 @@ class StandoffController:
                 if self.door.two_vehicles is not None:
                     return self._yield(event.time_s, self.door.two_vehicles)
             case PlanStatus():
-                return self._swap_reported(event)
+                return self._plan_reported(event)
             case LinkReported():
                 self._sensor_status.connected = event.connected
                 text = "the link is back" if event.connected else "link lost: the aircraft goes on circling"
@@ -283,7 +283,7 @@ class StandoffController:
             self._aircraft,
             self.estimate,
             self.present,
-            self._swap.plan if self._swap else None,
+            self._change.plan if self._change else None,
             self.decision,
             self._wind,
             self._counts.moves,
@@ -325,8 +325,8 @@ class StandoffController:
             self._next_decision_s = self.time_s + self.settings.decision_period_s
             self.estimate = self._joint_estimate() or self.tracker.estimate(self.time_s)
             told = self._track_commands()
-        if self._swap is not None:
-            return told + self._drive_swap(self._swap)
+        if self._change is not None:
+            return told + self._drive(self._change)
         if self.door.doubt is not None:
             self.decision = Decision(self.time_s, None, f"holding the circle: {self.door.doubt}")
             return told
@@ -369,7 +369,7 @@ class StandoffController:
         if self._is_off_track(self._aircraft, self.present):
             reason = "the aircraft has left its line: going to the circle directly"
             plan = replace(self.present, transition=None, departure_s=self.time_s + self._latency_s)
-            return (Announce(self.time_s, "swap", reason), self._prepared(plan, self.present, reason))
+            return (Announce(self.time_s, "plan", reason), self._prepared(plan, self.present, reason))
         unseen_s = self.time_s - self.estimate.last_sighting_s
         if unseen_s > self.settings.give_up_after_s:
             self.phase = Phase.ENDED
@@ -443,7 +443,7 @@ class StandoffController:
         self._number += 1
         self._counts.uploads += 1
         commanded = self._flown_radius.commanded(plan.circle)
-        self._swap = _PlanChange(self._number, plan, commanded, self.time_s)
+        self._change = _PlanChange(self._number, plan, commanded, self.time_s)
         return UploadPlan(self.time_s, self._number, plan, commanded, present, self._wind, reason)
 
     def _corrected_radius(self, present: Plan) -> tuple[Command, ...]:
@@ -471,51 +471,51 @@ class StandoffController:
             return Decision(self.time_s, None, f"on the way to the target, {range_m:.0f} m to go")
         return Decision(self.time_s, plan, f"approaching: the target is {range_m:.0f} m away")
 
-    # -- swapping ------------------------------------------------------------------------------------------
+    # -- plan changes ----------------------------------------------------------------------------------------
 
-    def _drive_swap(self, swap: _PlanChange) -> tuple[Command, ...]:
-        if swap.stage != "ready" or self.time_s < swap.plan.departure_s:
+    def _drive(self, change: _PlanChange) -> tuple[Command, ...]:
+        if change.stage != "ready" or self.time_s < change.plan.departure_s:
             return ()
         if self.phase is not Phase.WATCHING:
-            self._swap = None
+            self._change = None
             return ()
-        late_s = self.time_s - swap.plan.departure_s
+        late_s = self.time_s - change.plan.departure_s
         if self.door.faulty and late_s <= _LATE_S:
             return ()
         if self.door.doubt is not None or late_s > _LATE_S:
-            self._swap = None
+            self._change = None
             why = self.door.doubt or f"its time was {late_s:.1f} s ago"
-            return (Announce(self.time_s, "swap", f"plan {swap.number} does not depart: {why}"),)
-        swap.stage = "departing"
-        return (ActivatePlan(self.time_s, swap.number),)
+            return (Announce(self.time_s, "plan", f"plan {change.number} does not depart: {why}"),)
+        change.stage = "departing"
+        return (ActivatePlan(self.time_s, change.number),)
 
-    def _swap_reported(self, event: PlanStatus) -> tuple[Command, ...]:
+    def _plan_reported(self, event: PlanStatus) -> tuple[Command, ...]:
         late = self._not_taken
         if event.stage == "departed" and late is not None and late.number == event.number:
             self._counts.upload_failures -= 1
             return self._departed(late, event.time_s)
-        swap = self._swap
-        if swap is None or swap.number != event.number:
+        change = self._change
+        if change is None or change.number != event.number:
             return ()
         if event.stage == "unconfirmed":
-            return (Announce(event.time_s, "swap", f"plan {event.number}: {event.detail} yet"),)
+            return (Announce(event.time_s, "plan", f"plan {event.number}: {event.detail} yet"),)
         if event.stage == "failed":
-            if swap.stage == "departing":
-                self._not_taken = swap
-            elif swap.stage == "preparing" and event.time_s - swap.since_s > self._latency_s:
-                self._note_latency(event.time_s - swap.since_s)
-            self._swap = None
+            if change.stage == "departing":
+                self._not_taken = change
+            elif change.stage == "preparing" and event.time_s - change.since_s > self._latency_s:
+                self._note_latency(event.time_s - change.since_s)
+            self._change = None
             self._counts.upload_failures += 1
-            return (Announce(event.time_s, "swap", f"plan {event.number} was not taken: {event.detail}"),)
+            return (Announce(event.time_s, "plan", f"plan {event.number} was not taken: {event.detail}"),)
         if event.stage == "ready":
-            self._note_latency(event.time_s - swap.since_s)
-            late_s = event.time_s - swap.plan.departure_s
-            if late_s > 0.0 and not self._can_still_join(swap.plan, late_s):
-                self._swap = None
-                return (Announce(event.time_s, "swap", f"plan {event.number} was ready {late_s:.1f} s too late"),)
-            swap.stage = "ready"
-            return self._drive_swap(swap)
-        return self._departed(swap, event.time_s)
+            self._note_latency(event.time_s - change.since_s)
+            late_s = event.time_s - change.plan.departure_s
+            if late_s > 0.0 and not self._can_still_join(change.plan, late_s):
+                self._change = None
+                return (Announce(event.time_s, "plan", f"plan {event.number} was ready {late_s:.1f} s too late"),)
+            change.stage = "ready"
+            return self._drive(change)
+        return self._departed(change, event.time_s)
 
     def _note_latency(self, took_s: float) -> None:
         """Expect what an upload took of the next one; of one that was given up too, which would have taken longer."""
@@ -523,12 +523,12 @@ class StandoffController:
         if len(self._took_s) > 1:
             self._latency_s = sorted(self._took_s)[-2] + _LATENCY_MARGIN_S
 
-    def _departed(self, swap: _PlanChange, time_s: float) -> tuple[Command, ...]:
+    def _departed(self, change: _PlanChange, time_s: float) -> tuple[Command, ...]:
         """Take over a plan that is flown: in good time, or one that was thought not to have been taken."""
         assert self.present is not None
-        self._counts.moves += swap.plan.circle != self.present.circle
-        self.present, self._commanded = swap.plan, swap.commanded
-        self._swap = self._not_taken = None
+        self._counts.moves += change.plan.circle != self.present.circle
+        self.present, self._commanded = change.plan, change.commanded
+        self._change = self._not_taken = None
         self._on_line_s = time_s
         return ()
 
@@ -582,7 +582,7 @@ class StandoffController:
     def _yield(self, time_s: float, reason: str) -> tuple[Command, ...]:
         if self.phase in (Phase.YIELDED, Phase.ENDED, Phase.WAITING):
             return ()
-        self.phase, self._swap = Phase.YIELDED, None
+        self.phase, self._change = Phase.YIELDED, None
         return (Yield(time_s, reason),)
 
     def _operator(self, event: OperatorRequest) -> tuple[Command, ...]:

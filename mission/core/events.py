@@ -166,7 +166,7 @@ class Announce:
     """Tell the person in plain words; ``kind`` lets a display colour or filter it."""
 
     time_s: float
-    kind: Literal["decision", "track", "link", "yield", "swap", "operator", "end", "position", "sensor", "takeover"]
+    kind: Literal["decision", "track", "link", "yield", "plan", "operator", "end", "position", "sensor", "takeover"]
     text: str
 
 

@@ -16,7 +16,8 @@ from mission.exchange.layout import MissionLayout
 from mission.exchange.line_progress import first_ahead, flown_after
 from mission.exchange.mission_ownership import MissionOwnership
 from mission.exchange.mission_read import MissionRead
-from mission.exchange.mission_write import MissionWrite, WriteResult
+from mission.exchange.mission_upload import MissionUpload
+from mission.exchange.mission_write import WriteResult
 from mission.exchange.outbox import Outbox
 from mission.exchange.plan_backend import BackendSettings
 from mission.exchange.raw_item import RawItem
@@ -30,7 +31,6 @@ from mission.exchange.reports import (
 from mission.geometry.wind import STILL_AIR
 from mission.upload.items import NAV_LOITER_UNLIM, NAV_WAYPOINT, UnflyableError, plan_items
 
-_DURATION_WEIGHT = 0.5
 _LATE_MAX_S = 5.0
 _FIRST_UPLOAD_S, _UPLOAD_S, _USELESS_S, _READ_S = 30.0, 8.0, 2.0, 5.0
 _NEGLIGIBLE_S = 0.3
@@ -61,17 +61,12 @@ class MissionItemBackend:
     def __init__(self, outbox: Outbox, dialect: AutopilotDialect, settings: BackendSettings) -> None:
         self._outbox, self._dialect, self._settings = outbox, dialect, settings
         self._layout: MissionLayout | None = None
-        self._onboard: tuple[RawItem | None, ...] = ()  # None where a failed upload leaves doubt
-        self._write: MissionWrite | None = None
-        self._writing: MissionLayout | None = None
-        self._began_s = 0.0
         self._read: MissionRead | None = None
         self._change: _Change | None = None
         self._not_taken: _Change | None = None  # the latest one: should it be flown after all, that is heard
         self._left: MissionLayout | None = None  # the line before, until an item of the present one was reported
-        self._upload_took_s = 0.0
-        self._round_trip_s = 0.0
         self._ownership = MissionOwnership(outbox, dialect.quirks)
+        self._upload = MissionUpload(outbox, dialect, settings.home, self._ownership)
         self._current: MissionCurrentReported | None = None
         self._target: PositionTargetReported | None = None
         self._aircraft: AircraftState | None = None
@@ -87,7 +82,7 @@ class MissionItemBackend:
     @property
     def idle(self) -> bool:
         """Whether nothing is under way that should end before the program does."""
-        return self._write is None and (self._change is None or self._change.stage is not _Stage.ACTIVATING)
+        return not self._upload.under_way and (self._change is None or self._change.stage is not _Stage.ACTIVATING)
 
     @property
     def next_timer_s(self) -> float:
@@ -97,7 +92,7 @@ class MissionItemBackend:
         if self._waits:
             return -math.inf
         activation = self._change.activation if self._change is not None else None
-        parts = [part.next_timer_s for part in (self._write, self._read, activation) if part is not None]
+        parts = [part.next_timer_s for part in (self._upload, self._read, activation) if part is not None]
         return min([*parts, self._ownership.next_timer_s])
 
     # -- the first mission ---------------------------------------------------------------------------------
@@ -109,7 +104,8 @@ class MissionItemBackend:
         items = (*head, *lead_in, *self.line(plan))
         layout = MissionLayout(items, len(head), first, len(items), self._dialect.min_items).filled()
         self.load_result = None
-        self._start_write(layout, _FIRST_UPLOAD_S)
+        self._upload.begin(layout, _FIRST_UPLOAD_S, lambda: layout.head)
+        self._judge_upload()
 
     def adopt(self) -> None:
         """Read the mission that is flown; ``adopted`` then tells what it is."""
@@ -136,7 +132,7 @@ class MissionItemBackend:
         min_items = self._dialect.min_items
         kept = max(last + 1, min_items)
         self._layout = MissionLayout(items[:kept], head, max(first, head), last + 1, min_items).filled()
-        self._onboard = items
+        self._upload.adopted(items)
         self._ownership.adopted(self._current)
         item = items[last]
         east_m, north_m = self._settings.plane.east_north_m(item.x * 1e-7, item.y * 1e-7)
@@ -169,7 +165,7 @@ class MissionItemBackend:
     def upload(self, command: UploadPlan) -> None:
         """Bring a plan to the autopilot without flying it yet."""
         change = self._change
-        busy = self._write is not None or (change is not None and change.stage is _Stage.ACTIVATING)
+        busy = self._upload.under_way or (change is not None and change.stage is _Stage.ACTIVATING)
         if busy or self._closed or self._layout is None:
             self._tell(command.number, "failed", "the plan before is not settled" if busy else "the flight ends")
             return
@@ -189,7 +185,7 @@ class MissionItemBackend:
         change.stage = _Stage.ACTIVATING
         plans = (change.command.plan, change.command.present)
         change.activation = Activation(
-            self._outbox, change.layout, self._layout, plans, self._round_trip_s, self._target
+            self._outbox, change.layout, self._layout, plans, self._upload.round_trip_s, self._target
         )
         self._waits = True
 
@@ -205,9 +201,8 @@ class MissionItemBackend:
             return
         if self._read is not None:
             self._read.expire()
-        if self._write is not None:
-            self._write.expire()
-            self._judge_write()
+        self._upload.expire()
+        self._judge_upload()
         change = self._change
         if change is not None and change.stage is _Stage.QUEUED:
             self._lay_out(change)
@@ -229,7 +224,7 @@ class MissionItemBackend:
         if self._current is not None:
             self._layout = self._layout.since(self._current.seq)
         change.layout, change.stage = self._layout.with_line(line), _Stage.WRITING
-        self._start_write(change.layout, self._bound_s(command))
+        self._begin_upload(change.layout, command)
 
     def _bound_s(self, command: UploadPlan) -> float:
         """Long after its departure a plan is of no use, and a better one waits until this upload has ended."""
@@ -241,7 +236,7 @@ class MissionItemBackend:
         assert change.activation is not None
         layout, plan = change.layout, change.command.plan
         late_s = self._outbox.time_s - plan.departure_s
-        on_the_way_s = self._outbox.vehicle_s(self._round_trip_s)
+        on_the_way_s = self._outbox.vehicle_s(self._upload.round_trip_s)
         repeated = change.activation.repeated
         if repeated:  # the one before may have been heard, and this one may be on its way for long
             late_s = max(late_s, 0.0) + _REPEAT_AHEAD_S + _REPEAT_ROUND_TRIPS * on_the_way_s
@@ -252,53 +247,17 @@ class MissionItemBackend:
             return layout.first
         return first_ahead(layout, path, self._settings.plane, late_s * self._settings.airspeed_m_s)
 
-    # -- writing -------------------------------------------------------------------------------------------
+    # -- uploading -----------------------------------------------------------------------------------------
 
-    def _start_write(self, layout: MissionLayout, bound_s: float) -> None:
-        items = layout.closed_by(self._dialect.tail(self._settings.home)).items
-        changed = range(len(items))
-        if len(self._onboard) == len(items):
-            differing = [seq for seq in changed if items[seq] != self._onboard[seq]]
-            if not differing:
-                self._written(layout, WriteResult.ACCEPTED, items)
-                return
-            if self._dialect.quirks.stores_items_one_by_one:
-                changed = range(differing[0], differing[-1] + 1)
-        self._began_s, self._writing = self._outbox.time_s, layout
-        self._ownership.writing(len(items))
-        deadline_s = self._outbox.link_s + bound_s
-        self._write = MissionWrite(
-            self._outbox,
-            self._dialect.quirks,
-            items,
-            changed,
-            deadline_s,
-            self._marked,
-            self._ownership.mission_ids,
-            self._round_trip_s,
-        )
+    def _begin_upload(self, layout: MissionLayout, command: UploadPlan) -> None:
+        self._upload.begin(layout, self._bound_s(command), self._marked)
+        self._judge_upload()
 
-    def _judge_write(self) -> None:
-        write, layout = self._write, self._writing
-        if write is None or write.result is None or layout is None:
+    def _judge_upload(self) -> None:
+        ended = self._upload.ended()
+        if ended is None:
             return
-        self._write = self._writing = None
-        if write.round_trip_s is not None:
-            self._round_trip_s = write.round_trip_s
-            self._ownership.measured(write.round_trip_s)
-        if write.result is WriteResult.ACCEPTED:
-            self._upload_took_s += _DURATION_WEIGHT * (self._outbox.time_s - self._began_s - self._upload_took_s)
-        elif len(write.items) == len(self._onboard):
-            doubtful = zip(write.items, self._onboard, strict=True)
-            self._onboard = tuple(b if a == b else None for a, b in doubtful)
-        else:
-            self._onboard = ()
-        self._ownership.written(len(write.items), write.mission_id)
-        self._written(layout, write.result, write.items)
-
-    def _written(self, layout: MissionLayout, result: WriteResult, items: tuple[RawItem, ...]) -> None:
-        if result is WriteResult.ACCEPTED:
-            self._onboard = items
+        layout, result = ended
         change = self._change
         if change is None:
             self.load_result = result
@@ -310,9 +269,9 @@ class MissionItemBackend:
         elif (
             result is WriteResult.TIMEOUT
             and not self._closed
-            and self._outbox.time_s + self._upload_took_s < change.command.plan.departure_s
+            and self._outbox.time_s + self._upload.took_s < change.command.plan.departure_s
         ):
-            self._start_write(layout, self._bound_s(change.command))
+            self._begin_upload(layout, change.command)
         else:
             self._fail(change, f"upload {result}")
 
@@ -321,11 +280,8 @@ class MissionItemBackend:
 
         That is the item flown then, so a waypoint which is passed meanwhile does not count any more.
         """
-        layout = self._layout or self._writing
-        assert layout is not None
-        if self._layout is None:
-            return layout.head
-        return flown_after(layout, self.flown_index, self._aircraft, self._settings.plane, self._upload_took_s)
+        assert self._layout is not None
+        return flown_after(self._layout, self.flown_index, self._aircraft, self._settings.plane, self._upload.took_s)
 
     # -- what is reported ----------------------------------------------------------------------------------
 
@@ -342,9 +298,9 @@ class MissionItemBackend:
         if self._read is not None:
             self._read.receive(report)
         frozen = self._ownership.frozen
-        if self._write is not None and not frozen:
-            self._write.receive(report)
-            self._judge_write()
+        if not frozen:
+            self._upload.receive(report)
+            self._judge_upload()
         change = self._change
         match report:
             case MissionCurrentReported():
@@ -356,7 +312,7 @@ class MissionItemBackend:
                     self._judge_activation(change)
             case MissionCountReported() if change is not None and change.activation is not None:
                 change.activation.counted(report)
-            case MissionItemReported() if self._write is None and self._layout is not None:
+            case MissionItemReported() if not self._upload.under_way and self._layout is not None:
                 self._ownership.item(report, self._layout)
         self._waits = self._waits or (frozen and not self._ownership.frozen)
 
@@ -393,13 +349,12 @@ class MissionItemBackend:
         if late is None or late.layout is None or seq not in late.layout:
             return
         change = self._change
-        if self._write is not None:
-            self._write.cancel()
+        self._upload.break_off()
         if change is not None:
             if change.layout is not None and change.activation is not None and seq in change.layout:
                 return
-            self._write = self._writing = self._change = None
-            self._onboard = ()
+            self._change = None
+            self._upload.forget()
             self._tell(change.command.number, "failed", "the plan before was taken after all")
         self._fly(late, seq)
 
@@ -411,7 +366,7 @@ class MissionItemBackend:
 
     def _audit(self) -> None:
         index, layout = self.flown_index, self._layout
-        can_ask = self._write is None and layout is not None and index is not None and index in layout
+        can_ask = not self._upload.under_way and layout is not None and index is not None and index in layout
         self._ownership.audit(index if can_ask else None)
 
     # -- telling -------------------------------------------------------------------------------------------

@@ -39,7 +39,7 @@ def test_the_terminal_is_not_at_the_mercy_of_what_is_announced():
     panel = PanelDisplay(Console(file=written, markup=False), load_config(None).requirement.requirement())
     with panel:
         panel.note("\x1b[2J")
-        panel.say(Announce(1.0, "swap", "plan 1 was not taken: \x1b[2J"))
+        panel.say(Announce(1.0, "plan", "plan 1 was not taken: \x1b[2J"))
     assert "\x1b" not in written.getvalue()
 
 

@@ -89,21 +89,21 @@ def test_the_same_flight_gives_the_same_page(page, run_folder):
 
 def test_decisions_are_told_in_words(page, flown):
     decisions = [one.text for one in flown.history.said if one.kind == "decision"]
-    assert len(decisions) >= len(flown.history.swaps) > 0
+    assert len(decisions) >= len(flown.history.plan_changes) > 0
     assert all(html.escape(text) in page for text in decisions)
 
 
 def test_uploads_have_their_times(flown):
-    assert flown.history.swaps
-    for swap in flown.history.swaps:
-        assert swap.ready_s == pytest.approx(swap.prepared_s + 0.4)
-        assert swap.departed_s == pytest.approx(swap.plan.departure_s, abs=0.15)
+    assert flown.history.plan_changes
+    for change in flown.history.plan_changes:
+        assert change.ready_s == pytest.approx(change.prepared_s + 0.4)
+        assert change.departed_s == pytest.approx(change.plan.departure_s, abs=0.15)
 
 
 def test_a_cut_off_run_is_judged_by_its_truth(flown):
     summary = flown.summary
     assert (summary.outcome, summary.source) == ("cut off", "truth")
-    assert summary.moves == len(flown.history.swaps)
+    assert summary.moves == len(flown.history.plan_changes)
     ranges_m = series.range_m(flown.history.moments).value
     assert summary.min_range_m == pytest.approx(ranges_m.min())
     assert summary.max_range_m == pytest.approx(ranges_m.max())

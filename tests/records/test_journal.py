@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from app.errors import InputError
 from app.records.journal import Header, JournalReader, JournalWriter, encode
 from estimators.frames import LocalPlane
-from mission.core.events import PlanStatus, UploadPlan
+from mission.core.events import Announce, PlanStatus, UploadPlan
 
 HEADER = Header("sidelong 0", {"aircraft": {"radius_m": 80.0}}, LocalPlane(47.4, 8.5), {"target": 3})
 
@@ -194,7 +194,10 @@ def test_a_journal_of_the_first_format_is_read_in_todays_words(tmp_path):
         b'"north_m":1.0,"radius_m":50.0,"clockwise":true},"transition":null,"departure_s":0.0},'
         b'"wind":{"east_m_s":0.0,"north_m_s":0.0},"reason":"why"}'
     )
-    path.write_bytes(b"".join(line + b',"crc32":"%08x"}\n' % zlib.crc32(line) for line in (header, swap, prepare)))
-    read = list(JournalReader(path, (PlanStatus, UploadPlan)))
+    said = b'{"event":"Announce","fields":{"time_s":2.0,"kind":"swap","text":"plan 2 was not taken"}'
+    lines = (header, swap, prepare, said)
+    path.write_bytes(b"".join(line + b',"crc32":"%08x"}\n' % zlib.crc32(line) for line in lines))
+    read = list(JournalReader(path, (PlanStatus, UploadPlan, Announce)))
     assert read[0] == PlanStatus(1.0, 2, "ready")
     assert read[1].plan.transition.curvature_per_m == [0.02]
+    assert read[2] == Announce(2.0, "plan", "plan 2 was not taken")

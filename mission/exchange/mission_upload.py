@@ -1,0 +1,119 @@
+"""What is on board of the mission, as far as it is known, and the upload that changes it: one at a time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from mission.exchange.dialect import AutopilotDialect, Home
+from mission.exchange.layout import MissionLayout
+from mission.exchange.mission_ownership import MissionOwnership
+from mission.exchange.mission_write import MissionWrite, WriteResult
+from mission.exchange.outbox import Outbox
+from mission.exchange.raw_item import RawItem
+from mission.exchange.reports import VehicleReport
+
+_DURATION_WEIGHT = 0.5
+
+
+class MissionUpload:
+    """Writes only the items that differ, where the autopilot stores them one by one.
+
+    took_s: what an upload takes, of the vehicle's clock; round_trip_s is of the link's.
+    """
+
+    def __init__(self, outbox: Outbox, dialect: AutopilotDialect, home: Home, ownership: MissionOwnership) -> None:
+        self._outbox, self._quirks, self._ownership = outbox, dialect.quirks, ownership
+        self._tail = dialect.tail(home)
+        self._onboard: tuple[RawItem | None, ...] = ()  # None where a failed upload leaves doubt
+        self._write: MissionWrite | None = None
+        self._layout: MissionLayout | None = None
+        self._result: WriteResult | None = None
+        self._began_s = 0.0
+        self.took_s = 0.0
+        self.round_trip_s = 0.0
+
+    @property
+    def under_way(self) -> bool:
+        """Whether something is being written."""
+        return self._write is not None
+
+    @property
+    def next_timer_s(self) -> float:
+        """When ``expire`` is to be called, on the link's clock; -inf: at once, inf: never."""
+        return self._write.next_timer_s if self._write is not None else math.inf
+
+    def adopted(self, items: tuple[RawItem, ...]) -> None:
+        """Take over what was read to be on board."""
+        self._onboard = items
+
+    def begin(self, layout: MissionLayout, bound_s: float, marked: Callable[[], int]) -> None:
+        """Bring a mission on board within ``bound_s``; marked tells which item is to be flown on taking it over."""
+        items = layout.closed_by(self._tail).items
+        self._layout, self._result = layout, None
+        changed = range(len(items))
+        if len(self._onboard) == len(items):
+            differing = [seq for seq in changed if items[seq] != self._onboard[seq]]
+            if not differing:
+                self._result = WriteResult.ACCEPTED
+                return
+            if self._quirks.stores_items_one_by_one:
+                changed = range(differing[0], differing[-1] + 1)
+        self._began_s = self._outbox.time_s
+        self._ownership.writing(len(items))
+        self._write = MissionWrite(
+            self._outbox,
+            self._quirks,
+            items,
+            changed,
+            self._outbox.link_s + bound_s,
+            marked,
+            self._ownership.mission_ids,
+            self.round_trip_s,
+        )
+
+    def receive(self, report: VehicleReport) -> None:
+        """Take a report."""
+        if self._write is not None:
+            self._write.receive(report)
+
+    def expire(self) -> None:
+        """Do what is due."""
+        if self._write is not None:
+            self._write.expire()
+
+    def break_off(self) -> None:
+        """Write not one item more."""
+        if self._write is not None:
+            self._write.cancel()
+
+    def forget(self) -> None:
+        """Hear no more of what is being written; what is on board is not known then."""
+        self._write = self._layout = self._result = None
+        self._onboard = ()
+
+    def ended(self) -> tuple[MissionLayout, WriteResult] | None:
+        """Return, once, what was to be on board and what became of it; None while it goes on."""
+        write = self._write
+        if write is not None and write.result is not None:
+            self._write, self._result = None, write.result
+            self._learn(write, write.result)
+        layout, result = self._layout, self._result
+        if layout is None or result is None:
+            return None
+        self._layout = self._result = None
+        return layout, result
+
+    def _learn(self, write: MissionWrite, result: WriteResult) -> None:
+        if write.round_trip_s is not None:
+            self.round_trip_s = write.round_trip_s
+            self._ownership.measured(write.round_trip_s)
+        if result is WriteResult.ACCEPTED:
+            self.took_s += _DURATION_WEIGHT * (self._outbox.time_s - self._began_s - self.took_s)
+            self._onboard = write.items
+        elif len(write.items) == len(self._onboard):
+            doubtful = zip(write.items, self._onboard, strict=True)
+            self._onboard = tuple(b if a == b else None for a, b in doubtful)
+        else:
+            self._onboard = ()
+        self._ownership.written(len(write.items), write.mission_id)
