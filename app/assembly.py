@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 from app.autopilots.autopilot import Autopilot
 from app.config import Config, Polygon, SensorsSection
 from app.errors import InputError
+from app.planners.planner_kind import PlannerNeeds
+from app.planners.registry import planner_by_name
 from app.terrain.elevation_data import elevation_data
-from app.value_cache import value_table
 from estimators._imm_kernel import update
 from estimators.compiled import is_kept
 from estimators.frames import LocalPlane
@@ -22,17 +23,13 @@ from estimators.tracker import SourceChoice, Tracker, TrackerSettings
 from mission.control.controller import StandoffController, StandoffSettings
 from mission.core.circle import Circle
 from mission.core.plan import AircraftState, Plan, Planner
-from mission.core.requirement import Requirement, Wind
+from mission.core.requirement import Wind
 from mission.exchange.dialect import Home
 from mission.exchange.mission_controller import MissionController
 from mission.exchange.plan_backend import BackendSettings
 from mission.exchange.takeover import TakeoverSettings
 from mission.geometry.progress import nearest_arc_m, point_at
 from mission.geometry.trapezoid import Trapezoids
-from mission.paper.planner import PaperPlanner
-from mission.paper.scope import largest_psi_c_rad
-from mission.predictive._decision_kernel import look_ahead
-from mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
 from mission.upload.fences import FenceError, Fences, Outline
 
 if TYPE_CHECKING:
@@ -86,48 +83,39 @@ def controller_of(
     """
     aircraft = config.aircraft.aircraft()
     requirement = config.requirement.requirement()
-    settings = PredictiveSettings(lost_after_s=config.planner.lost_after_s)
-
+    kind = planner_by_name(config.planner.name)
     winds_m_s = {*config.planner.winds_m_s}
     if not config.link.connections and config.simulation.wind_speed_m_s > 0.0:
         winds_m_s.add(config.simulation.wind_speed_m_s)
 
-    if not (is_kept(look_ahead) and is_kept(update)):
+    if not (kind.is_compiled() and is_kept(update)):
         tell("compiling the planner and the filter, once for this version of the program: up to a minute")
-    # Made before the flight: no step may wait for a disk or a computation. A change of side needs no other table.
-    by_paper = config.planner.name == "paper"
-    tables = [
-        value_table(table_configuration(aircraft, requirement, wind_m_s), progress)
-        for wind_m_s in (() if by_paper else (0.0, *sorted(winds_m_s)))
-    ]
 
-    def planner(wanted: Requirement) -> Planner:
-        if by_paper:
-            return PaperPlanner(aircraft, wanted, largest_psi_c_rad(aircraft, wanted))
-        calm, *windy = tables
+    def check(plan: Plan) -> str | None:
+        # Asked each time: fences and ground are known only when the plane is.
+        cleared = controller.cleared(plan)
+        return cleared if isinstance(cleared, str) else None
 
-        def check(plan: Plan) -> str | None:
-            # Asked each time: fences and ground are known only when the plane is.
-            cleared = controller.cleared(plan)
-            return cleared if isinstance(cleared, str) else None
+    def sight(*target: float) -> Sight:
+        return controller.sight(*target)
 
-        def sight(*target: float) -> Sight:
-            return controller.sight(*target)
-
-        return PredictivePlanner(aircraft, wanted, calm, settings, windy, check, sight)
+    # Made before the flight: no step may wait for a disk or a computation.
+    lost_after_s = config.planner.lost_after_s
+    needs = PlannerNeeds(aircraft, requirement, sorted(winds_m_s), lost_after_s, progress, check, sight)
+    make_planner = kind.factory(needs)
 
     controller = StandoffController(
         StandoffSettings(
             requirement,
             aircraft,
-            lost_after_s=config.planner.lost_after_s,
+            lost_after_s=lost_after_s,
             give_up_after_s=config.planner.give_up_after_s,
             give_up_action=config.planner.at_end,
         ),
         tracker_of(config),
-        planner,
+        make_planner,
     )
-    _warm_up(planner(requirement), Track(tracker_settings(config.sensors, config.planner.lost_after_s)))
+    _warm_up(make_planner(requirement), Track(tracker_settings(config.sensors, lost_after_s)))
     return controller
 
 

@@ -6,17 +6,21 @@ import math
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from app.errors import InputError
+from app.planners.registry import PLANNER_NAMES, PLANNERS, planner_by_name
 from app.text_file import read_toml
 from mission.core.requirement import Aircraft, Requirement, Side
-from mission.paper.feasibility import feasibility, unflyable
-from mission.paper.scope import largest_psi_c_rad
 from mission.viewpoint.side_policy import watching_from
+
+if TYPE_CHECKING:
+    PlannerName = str
+else:
+    PlannerName = Literal[PLANNER_NAMES]
 
 _SHOWN_CHARACTERS = 80  # of a wrong value
 
@@ -122,8 +126,9 @@ class RequirementSection(Section):
 class PlannerSection(Section):
     """How the next circle is chosen."""
 
-    name: Literal["predictive", "paper"] = "predictive"
-    """predictive: decides every second by looking ahead; paper: the published method, once a lap."""
+    name: PlannerName = Field(
+        PLANNER_NAMES[0], description="; ".join(f"{one.name}: {one.about}" for one in PLANNERS) + "."
+    )
     guidance: Literal["mission", "command"] = "mission"
     """mission: plans are uploaded as mission items; command: the circle is moved by one command, again and again."""
     tolerance_m: float = Field(15.0, ge=1, le=200)
@@ -266,10 +271,7 @@ class Config(Section):
 def check_flyable(config: Config) -> None:
     """Raise InputError, naming the field and the way out, when the configured planner cannot keep the requirement."""
     aircraft, requirement = config.aircraft.aircraft(), config.requirement.requirement()
-    if config.planner.name == "paper":
-        reasons = feasibility(aircraft, requirement, largest_psi_c_rad(aircraft, requirement)).reasons
-    else:
-        reasons = unflyable(aircraft, requirement)
+    reasons = planner_by_name(config.planner.name).unflyable(aircraft, requirement)
     if reasons:
         raise InputError("infeasible: " + "; ".join(map(str, reasons)) + ".")
 

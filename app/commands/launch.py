@@ -36,6 +36,7 @@ from app.flight.link_log import link_log
 from app.flight.recording import Recording, write_mcap
 from app.flight.simulated import SimulatedVehicle
 from app.link.discovery import SETTLING_S
+from app.planners.registry import PLANNER_NAMES
 from app.records.run_folder import RunFolder
 from app.shutdown import run
 from app.view.address import DEFAULT_PORT, LOOPBACK, Address
@@ -79,7 +80,7 @@ def launch(
     autopilot: Annotated[
         str | None, typer.Option(help="Simulated autopilot: arduplane or px4.", show_default=False)
     ] = None,
-    planner: Annotated[str | None, typer.Option(help="predictive or paper.", show_default=False)] = None,
+    planner: Annotated[str | None, typer.Option(help=f"{' or '.join(PLANNER_NAMES)}.", show_default=False)] = None,
     view: Annotated[bool, typer.Option("--view", help="Show a live map in the browser.")] = False,
     view_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the live map.")] = DEFAULT_PORT,
     view_host: Annotated[

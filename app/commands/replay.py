@@ -22,6 +22,7 @@ from app.config import Config, load_config, with_values
 from app.errors import FlightError, InputError
 from app.flight.recording import JOURNAL_TYPES, journalled_config
 from app.link.telemetry import Telemetry
+from app.planners.registry import PLANNER_NAMES
 from app.records.journal import Header, JournalReader
 from app.records.log import open_log
 from app.records.run_folder import RunFolder
@@ -45,7 +46,7 @@ def replay(
         Path | None, typer.Option(help="CSV with the true track; a simulated run folder has its own.")
     ] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML); a run folder has its own.")] = None,
-    planner: Annotated[str | None, typer.Option(help="Another planner: predictive or paper.")] = None,
+    planner: Annotated[str | None, typer.Option(help=f"Another planner: {' or '.join(PLANNER_NAMES)}.")] = None,
     change: Annotated[
         list[str] | None, typer.Option("--set", help="Replay with another value: SECTION.KEY=VALUE (repeatable).")
     ] = None,

@@ -62,8 +62,12 @@ from mission.core.events import (
     Yield,
     YieldRequested,
 )
+<<<<<<< HEAD
 from mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned, Role
 from mission.core.plan import AircraftState, Decision, Plan, Planner, settled_m
+=======
+from mission.core.plan import AircraftState, Decision, Plan, Planner, PlannerFactory, settled_m
+>>>>>>> d423948 (Configure a planner by a module and a line in a registry, as an autopilot is)
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 from mission.geometry.approach import approach
 from mission.geometry.progress import nearest_arc_m, off_track, point_at
@@ -160,7 +164,6 @@ class _Counts:
 
 FenceCheck = Callable[[Plan], str | None]
 Levelling = Callable[[Plan, float | None, tuple[float, float] | None], Plan | str]
-PlannerFactory = Callable[[Requirement], Planner]
 
 
 def _no_fence(_plan: Plan) -> str | None:

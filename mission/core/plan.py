@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from estimators.estimate import TargetEstimate
 from mission.core.circle import Circle
 from mission.core.path import Path
-from mission.core.requirement import Wind
+from mission.core.requirement import Requirement, Wind
 
 _SAME_HEIGHT_M = 10.0  # an autopilot is seldom farther from what it holds
 
@@ -96,3 +96,6 @@ class Planner(Protocol):
         ``aircraft.time_s + latency_s``.
         """
         ...
+
+
+PlannerFactory = Callable[[Requirement], Planner]

@@ -6,22 +6,23 @@ from dataclasses import replace
 
 import pytest
 
-from app import assembly
+from app import value_cache
 from app.assembly import controller_of
 from app.config import load_config
 from mission.core.circle import Circle
 from mission.core.events import ControlAcquired, OperatorRequest
 from mission.core.requirement import Side
+from mission.predictive import planner
 
 
 def test_a_change_of_side_computes_and_loads_no_table(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "no" / "such"))
-    small = assembly.table_configuration
+    small = planner.table_configuration
     monkeypatch.setattr(
-        assembly, "table_configuration", lambda *known: replace(small(*known), cells=4, improvements=(1, 1))
+        planner, "table_configuration", lambda *known: replace(small(*known), cells=4, improvements=(1, 1))
     )
     controller = controller_of(load_config(None, {"planner": {"winds_m_s": [5.0]}}))
-    monkeypatch.setattr(assembly, "value_table", lambda *_: pytest.fail("a table was asked for within a step"))
+    monkeypatch.setattr(value_cache, "value_table", lambda *_: pytest.fail("a table was asked for within a step"))
     controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
     (told,) = controller.step(OperatorRequest(1.0, "side", Side.RIGHT))
     assert told.text == "operator: side right"

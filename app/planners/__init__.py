@@ -1,0 +1,1 @@
+"""The planners that can be configured, one module each."""

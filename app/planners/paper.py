@@ -1,0 +1,30 @@
+"""The published method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from app.planners.planner_kind import PlannerNeeds
+from mission.core.plan import PlannerFactory
+from mission.core.requirement import Aircraft, Requirement
+from mission.paper.feasibility import Change, feasibility
+from mission.paper.scope import largest_psi_c_rad
+
+
+class Paper:
+    """``PlannerKind`` for :class:`mission.paper.planner.PaperPlanner`."""
+
+    name = "paper"
+    about = "the published method, once a lap"
+
+    def unflyable(self, aircraft: Aircraft, requirement: Requirement) -> Sequence[Change]:
+        return feasibility(aircraft, requirement, largest_psi_c_rad(aircraft, requirement)).reasons
+
+    def is_compiled(self) -> bool:
+        return True
+
+    def factory(self, needs: PlannerNeeds) -> PlannerFactory:
+        from mission.paper.planner import PaperPlanner  # noqa: PLC0415  # see PlannerKind
+
+        aircraft = needs.aircraft
+        return lambda wanted: PaperPlanner(aircraft, wanted, largest_psi_c_rad(aircraft, wanted))

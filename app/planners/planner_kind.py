@@ -1,0 +1,60 @@
+"""What the application asks of a kind of planner, to configure it, to judge it and to make it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from mission.core.plan import Plan, PlannerFactory
+from mission.core.requirement import Aircraft, Requirement
+from mission.paper.feasibility import Change
+
+if TYPE_CHECKING:
+    from mission.predictive._sight_kernel import SightAt
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerNeeds:
+    """What a planner may be made of.
+
+    winds_m_s: wind speeds to be ready for, besides none. progress hears of the share 0..1 of a computation that takes
+    seconds. check tells which fence or ground a plan would break, or None; sight what the ground hides.
+    """
+
+    aircraft: Aircraft
+    requirement: Requirement
+    winds_m_s: Sequence[float]
+    lost_after_s: float
+    progress: Callable[[float], None]
+    check: Callable[[Plan], str | None]
+    sight: SightAt
+
+
+class PlannerKind(Protocol):
+    """One kind of planner. Nothing heavy is imported before ``factory`` and ``is_compiled`` are called."""
+
+    @property
+    def name(self) -> str:
+        """What ``planner.name`` calls it."""
+        ...
+
+    @property
+    def about(self) -> str:
+        """What it does, in a few words."""
+        ...
+
+    def unflyable(self, aircraft: Aircraft, requirement: Requirement) -> Sequence[Change]:
+        """Return why it cannot keep the requirement with this aircraft, each with the way out."""
+        ...
+
+    def is_compiled(self) -> bool:
+        """Tell whether making one waits for no compiler."""
+        ...
+
+    def factory(self, needs: PlannerNeeds) -> PlannerFactory:
+        """Compute what takes long, and return what makes a planner for a requirement at once.
+
+        A requirement differs from that of ``needs`` in its side only.
+        """
+        ...

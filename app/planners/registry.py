@@ -1,0 +1,18 @@
+"""The planners that can be configured, the default first: a new one is a module beside this and a line here."""
+
+from __future__ import annotations
+
+from app.planners.paper import Paper
+from app.planners.planner_kind import PlannerKind
+from app.planners.predictive import Predictive
+
+PLANNERS: tuple[PlannerKind, ...] = (
+    Predictive(),
+    Paper(),
+)
+PLANNER_NAMES = tuple(planner.name for planner in PLANNERS)
+
+
+def planner_by_name(name: str) -> PlannerKind:
+    """Return the kind of planner of a name. Raises KeyError for an unknown one."""
+    return dict(zip(PLANNER_NAMES, PLANNERS, strict=True))[name]
