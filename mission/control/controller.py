@@ -62,12 +62,8 @@ from mission.core.events import (
     Yield,
     YieldRequested,
 )
-<<<<<<< HEAD
 from mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned, Role
-from mission.core.plan import AircraftState, Decision, Plan, Planner, settled_m
-=======
 from mission.core.plan import AircraftState, Decision, Plan, Planner, PlannerFactory, settled_m
->>>>>>> d423948 (Configure a planner by a module and a line in a registry, as an autopilot is)
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 from mission.geometry.approach import approach
 from mission.geometry.progress import nearest_arc_m, off_track, point_at
