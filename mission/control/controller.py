@@ -554,7 +554,7 @@ class StandoffController:
         if isinstance(told, NeighbourPlanned) or self.phase not in (Phase.WATCHING, Phase.HOLDING):
             return ()
         if told.role is Role.LEAVE:
-            self.phase, self._swap = Phase.ENDED, None
+            self.phase, self._change = Phase.ENDED, None
             return (End(told.time_s, "return", told.reason),)
         if told.side is self._requirement.side:
             return ()
