@@ -22,6 +22,7 @@ from estimators.track import Track
 from estimators.tracker import SourceChoice, Tracker, TrackerSettings
 from mission.control.controller import StandoffController, StandoffSettings
 from mission.core.circle import Circle
+from mission.core.heights import ClimbRates, OneHeight
 from mission.core.plan import AircraftState, Plan, Planner
 from mission.core.requirement import Wind
 from mission.exchange.dialect import Home
@@ -84,10 +85,6 @@ def controller_of(
     aircraft = config.aircraft.aircraft()
     requirement = config.requirement.requirement()
     kind = planner_by_name(config.planner.name)
-    winds_m_s = {*config.planner.winds_m_s}
-    if not config.link.connections and config.simulation.wind_speed_m_s > 0.0:
-        winds_m_s.add(config.simulation.wind_speed_m_s)
-
     if not (kind.is_compiled() and is_kept(update)):
         tell("compiling the planner and the filter, once for this version of the program: up to a minute")
 
@@ -101,7 +98,7 @@ def controller_of(
 
     # Made before the flight: no step may wait for a disk or a computation.
     lost_after_s = config.planner.lost_after_s
-    needs = PlannerNeeds(aircraft, requirement, sorted(winds_m_s), lost_after_s, progress, check, sight)
+    needs = PlannerNeeds(aircraft, requirement, winds_m_s(config), lost_after_s, progress, check, sight)
     make_planner = kind.factory(needs)
 
     controller = StandoffController(
@@ -115,8 +112,16 @@ def controller_of(
         tracker_of(config),
         make_planner,
     )
-    _warm_up(make_planner(requirement), Track(tracker_settings(config.sensors, lost_after_s)))
+    _warm_up(make_planner(aircraft, requirement), Track(tracker_settings(config.sensors, lost_after_s)))
     return controller
+
+
+def winds_m_s(config: Config) -> list[float]:
+    """Return the wind speeds to be ready for, besides none."""
+    winds_m_s = {*config.planner.winds_m_s}
+    if not config.link.connections and config.simulation.wind_speed_m_s > 0.0:
+        winds_m_s.add(config.simulation.wind_speed_m_s)
+    return sorted(winds_m_s)
 
 
 def _warm_up(planner: Planner, track: Track) -> None:
@@ -185,6 +190,8 @@ def settle(controller: StandoffController, config: Config, plane: LocalPlane, ho
     Raises InputError naming a fence that is no polygon, or elevation data that does not serve.
     """
     controller.check = fence_check(config, plane)
+    aircraft = config.aircraft
+    controller.heights = OneHeight(ClimbRates(aircraft.airspeed_m_s, aircraft.climb_m_s, aircraft.descent_m_s))
     ground = ground_of(config, plane, home_deg)
     if ground is None:
         return
@@ -192,7 +199,6 @@ def settle(controller: StandoffController, config: Config, plane: LocalPlane, ho
     from mission.terrain.heights import FlightHeights, HeightRules  # noqa: PLC0415
     from mission.terrain.sight import SightField  # noqa: PLC0415
 
-    aircraft = config.aircraft
     rules = HeightRules(
         aircraft.height_m,
         aircraft.height_above,
@@ -203,14 +209,16 @@ def settle(controller: StandoffController, config: Config, plane: LocalPlane, ho
         config.fences.margin_m,
         math.inf if config.fences.ceiling_m is None else config.fences.ceiling_m,
     )
-    heights = FlightHeights(ground, rules)
+    controller.heights = FlightHeights(ground, rules)
     field = SightField(ground, config.requirement.range_max_m + 4.0 * aircraft.radius_m)
 
     def sight(east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float) -> Sight:
+        heights = controller.heights
+        assert isinstance(heights, FlightHeights)
         height_m = heights.expected_m(controller.flown_height_m, (east_m, north_m))
         return field.sight(east_m, north_m, velocity_east_m_s, velocity_north_m_s, height_m)
 
-    controller.level, controller.sight = heights.levelled, sight
+    controller.sight = sight
     controller.tracker.stand_on(ground, config.sensors.angles_alone)
 
 

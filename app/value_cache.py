@@ -6,10 +6,14 @@ is computed anew: a damaged table would be believed otherwise.
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import hashlib
 import os
+import pickle
+import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +21,9 @@ import numpy as np
 from mission.predictive.value_iteration import compute
 from mission.predictive.value_table import Float32, TableConfiguration, ValueTable, completed
 
+_REMEMBERED_MAX = 8
+_BESIDE_WITHIN_S, _NICER = 120.0, 10
+_remembered: dict[TableConfiguration, ValueTable] = {}  # by this process
 _STORED = np.dtype("<f4")
 _DIGEST_BYTES = hashlib.sha256().digest_size
 
@@ -38,6 +45,8 @@ def value_table(
 
     progress is called with the share 0..1 of the computation. A directory that cannot be written costs only time.
     """
+    if configuration in _remembered:
+        return _remembered[configuration]
     directory = directory or cache_directory()
     file = directory / f"value-{configuration.key()}.table" if directory is not None else None
     values = stored_table(file, configuration) if file is not None else None
@@ -47,6 +56,42 @@ def value_table(
     if file is not None:
         _store(file, table)
     return table
+
+
+async def have_at_hand(configurations: Iterable[TableConfiguration]) -> None:
+    """Have tables ready in this process without its doing: another one reads or computes them.
+
+    Raises OSError when that fails.
+    """
+    for configuration in configurations:
+        if configuration not in _remembered:
+            _remember(await _made_beside(configuration))
+
+
+async def _made_beside(configuration: TableConfiguration) -> ValueTable:
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "app.value_cache"),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        start_new_session=True,  # the terminal's Ctrl-C is not for it
+    )
+    try:
+        made, _ = await asyncio.wait_for(process.communicate(pickle.dumps(configuration)), _BESIDE_WITHIN_S)
+    finally:
+        if process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+            await process.wait()
+    if process.returncode:
+        raise OSError(f"the value table's computation ended with code {process.returncode}")
+    table: ValueTable = pickle.loads(made)
+    return table
+
+
+def _remember(table: ValueTable) -> None:
+    while len(_remembered) >= _REMEMBERED_MAX:
+        del _remembered[next(iter(_remembered))]
+    _remembered[table.configuration] = table
 
 
 def stored_table(file: Path, configuration: TableConfiguration) -> Float32 | None:
@@ -82,3 +127,13 @@ def _store(file: Path, table: ValueTable) -> None:
     except OSError:
         if part is not None:
             part.unlink(missing_ok=True)
+
+
+def _serve() -> None:
+    """Give the table of the configuration that comes in."""
+    os.nice(_NICER)  # a flight has the processor first
+    sys.stdout.buffer.write(pickle.dumps(value_table(pickle.loads(sys.stdin.buffer.read()))))
+
+
+if __name__ == "__main__":
+    _serve()

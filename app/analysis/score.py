@@ -8,10 +8,19 @@ from dataclasses import dataclass
 from typing import Literal
 
 from estimators.frames import wrap_rad
-from mission.core.requirement import Requirement, Side
+from mission.core.requirement import Requirement
 
 # Below this speed the target keeps its last course (the definition of the requirement).
 _STANDING_M_S = 0.3
+
+
+Asked = Sequence[tuple[float, Requirement]]
+"""(since, requirement) in order of time, at least one: a person may change it in flight."""
+
+
+def asked_at(asked: Asked, time_s: float) -> Requirement:
+    """Return the requirement of a time; the first also of before."""
+    return next((one for since_s, one in reversed(asked) if since_s <= time_s), asked[0][1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,13 +50,12 @@ class Score:
 
 def score(
     moments: Iterable[Moment],
-    requirement: Requirement,
-    sides: Sequence[tuple[float, Side]],
+    asked: Asked,
     source: Literal["truth", "estimate"],
 ) -> Score:
     """Score the moments, each weighted by the time until the next.
 
-    sides: (since, side) in order of time, at least one. Before the target has a course every place is on the side.
+    Before the target has a course every place is on the side.
     """
     in_band_s = on_side_s = total_s = 0.0
     min_m, max_m = math.inf, -math.inf
@@ -59,6 +67,7 @@ def score(
             total_s += step_s
             in_band_s += step_s * last[1]
             on_side_s += step_s * last[2]
+        requirement = asked_at(asked, moment.time_s)
         east_m = moment.aircraft_east_m - moment.target_east_m
         north_m = moment.aircraft_north_m - moment.target_north_m
         range_m = math.hypot(east_m, north_m)
@@ -72,16 +81,9 @@ def score(
         elif requirement.either_side:
             on_side = True  # one of the two sides is always the nearer one
         else:
-            on_side = course_rad is None or _beside(east_m, north_m, course_rad, sides, moment.time_s)
+            normal_rad = None if course_rad is None else course_rad + requirement.side.normal_turn_rad
+            on_side = normal_rad is None or east_m * math.sin(normal_rad) + north_m * math.cos(normal_rad) >= 0.0
         last = (moment, requirement.range_min_m <= range_m <= requirement.range_max_m, on_side)
     if total_s <= 0.0:
         return Score(0.0, None, None, None, None, source)
     return Score(total_s, in_band_s / total_s, on_side_s / total_s, min_m, max_m, source)
-
-
-def _beside(
-    east_m: float, north_m: float, course_rad: float, sides: Sequence[tuple[float, Side]], time_s: float
-) -> bool:
-    side = next((side for since_s, side in reversed(sides) if since_s <= time_s), sides[0][1])
-    normal_rad = course_rad + side.normal_turn_rad
-    return east_m * math.sin(normal_rad) + north_m * math.cos(normal_rad) >= 0.0

@@ -9,12 +9,12 @@ from typing import Any, Literal
 
 from rich.table import Table
 
-from app.analysis.score import Moment, Score, score
+from app.analysis.score import Asked, Moment, Score, asked_at, score
 from app.analysis.truth import Truth
 from estimators.biases import Calibration
 from estimators.frames import LocalPlane
 from mission.control.controller import Snapshot
-from mission.core.requirement import Requirement, Side
+from mission.core.requirement import Requirement
 
 _TRUTH_STEP_S = 0.5
 
@@ -90,12 +90,11 @@ def describe_link(link: dict[str, Any]) -> str:
 
 
 class SummaryCollector:
-    """Notes aircraft, estimate and side as a mission goes along; ``summary`` judges them."""
+    """Notes aircraft, estimate and requirement as a mission goes along; ``summary`` judges them."""
 
     def __init__(self, requirement: Requirement) -> None:
-        self._requirement = requirement
         self._estimated: list[Moment] = []
-        self._sides: list[tuple[float, Side]] = []
+        self._asked: list[tuple[float, Requirement]] = [(-math.inf, requirement)]
         self._last_s = -math.inf
 
     def observe(self, snapshot: Snapshot) -> None:
@@ -104,8 +103,8 @@ class SummaryCollector:
         if aircraft is None or estimate is None or estimate.time_s <= self._last_s:
             return
         self._last_s = estimate.time_s
-        if not self._sides or self._sides[-1][1] is not snapshot.side:
-            self._sides.append((estimate.time_s, snapshot.side))
+        if self._asked[-1][1] != snapshot.requirement:
+            self._asked.append((estimate.time_s, snapshot.requirement))
         self._estimated.append(
             Moment(
                 estimate.time_s,
@@ -120,12 +119,16 @@ class SummaryCollector:
 
     def rmse_m(self, truth: Truth, plane: LocalPlane, start_s: float) -> float | None:
         """Return the root mean square of the estimate's distance from the truth since ``start_s``."""
-        estimated = {one.time_s: one for one in self._estimated if one.time_s >= start_s}
-        squares = [
-            (estimated[true.time_s].target_east_m - true.target_east_m) ** 2
-            + (estimated[true.time_s].target_north_m - true.target_north_m) ** 2
-            for true in truth.at_each(list(estimated), plane)
-        ]
+        squares = []
+        for one in self._estimated:
+            if one.time_s < start_s:
+                continue
+            target = truth.at(one.time_s, plane)
+            if target is not None:
+                squares.append(
+                    (one.target_east_m - target.target_east_m) ** 2
+                    + (one.target_north_m - target.target_north_m) ** 2
+                )
         return math.sqrt(sum(squares) / len(squares)) if squares else None
 
     def scored(self, truth: Truth | None, plane: LocalPlane | None, start_s: float) -> Score:
@@ -135,16 +138,17 @@ class SummaryCollector:
             source: Literal["truth", "estimate"] = "estimate"
         else:
             end_s = self._estimated[-1].time_s
-            moments = truth.moments(plane, start_s, end_s, _TRUTH_STEP_S)
+            moments = list(truth.moments(plane, start_s, end_s, _TRUTH_STEP_S))
             source = "truth"
-        return score(_from_band(moments, self._requirement), self._requirement, self._sides, source)
+        return score(_from_band(moments, self._asked), self._asked, source)
 
 
-def _from_band(moments: Sequence[Moment], requirement: Requirement) -> Sequence[Moment]:
+def _from_band(moments: Sequence[Moment], asked: Asked) -> Sequence[Moment]:
     for index, moment in enumerate(moments):
         range_m = math.hypot(
             moment.aircraft_east_m - moment.target_east_m, moment.aircraft_north_m - moment.target_north_m
         )
+        requirement = asked_at(asked, moment.time_s)
         if requirement.range_min_m <= range_m <= requirement.range_max_m:
             return moments[index:]
     return moments

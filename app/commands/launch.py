@@ -16,7 +16,6 @@ import typer
 
 from app.analysis.summary import Summary
 from app.assembly import controller_of
-from app.commands.export import write_export
 from app.commands.output import (
     JsonOption,
     checked_output,
@@ -34,12 +33,10 @@ from app.flight.display import FlightDisplay
 from app.flight.flight import Flight, Sharing, connected
 from app.flight.life import Life, describe_aircraft
 from app.flight.link_log import link_log
-from app.flight.recording import Recording
+from app.flight.recording import Recording, write_mcap
 from app.flight.simulated import SimulatedVehicle
 from app.link.discovery import SETTLING_S
 from app.planners.registry import PLANNER_NAMES
-from app.records.export import Format
-from app.records.mcap_writer import mcap_writer_class
 from app.records.run_folder import RunFolder
 from app.shutdown import run
 from app.view.address import DEFAULT_PORT, LOOPBACK, Address
@@ -152,8 +149,6 @@ def launch(
         },
     )
     check_flyable(settings)
-    if mcap:
-        mcap_writer_class()
     if point_gimbal and settings.terrain.folder is not None and settings.sensors.angles_alone:
         raise InputError(
             "--point-gimbal points the gimbal at the estimate, which would confirm itself while the laser is silent; "
@@ -166,7 +161,7 @@ def launch(
         if ended.reason is not None:
             raise ended.reason
         if mcap:
-            write_export(ended.folder.path, Format.MCAP)
+            console.print(f"mcap: {write_mcap(ended.folder, settings, console.print)}", soft_wrap=True)
         if report:
             write_report(ended.folder.path, ended.folder.path / "report.html")
 
@@ -245,7 +240,7 @@ async def _launch(
 @contextlib.asynccontextmanager
 async def _displayed(config: Config, quiet: bool, address: Address | None) -> AsyncIterator[FlightDisplay]:
     """Show the flight on the terminal, and in the browser if it has an address there."""
-    with PanelDisplay(console, config.requirement.requirement(), quiet) as panel:
+    with PanelDisplay(console, quiet) as panel:
         if address is None:
             yield panel
             return
@@ -297,7 +292,6 @@ async def _fly(
             )
         )
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
-        recording.follow(session.vehicle.system_id)
         life.watch(session.vehicle)
         flight = Flight(session, config, controller, recording, display, duration_s, sharing)
         try:

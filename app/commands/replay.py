@@ -181,7 +181,7 @@ def _follow(
     if shown is None:
         judged.follow(steps)
         return
-    silent = PanelDisplay(console, settings.requirement.requirement(), quiet=True)
+    silent = PanelDisplay(console, quiet=True)
     with ViewDisplay(silent, settings, shown.address, shown.name) as view:
         console.print(f"live map: {view.url}", soft_wrap=True)
         judged.follow(Playback(view, judged.controller, plane, shown.speed, view.pump_if_due).shown(steps))

@@ -8,7 +8,10 @@ from typing import Protocol
 from app.flight.loop import Display
 from app.link.vehicle_status import VehicleStatus
 from estimators.frames import LocalPlane
-from mission.core.events import OperatorRequest
+from mission.core.events import MissionChange, OperatorRequest
+
+Wish = OperatorRequest | MissionChange
+"""What a person asks for."""
 
 
 class FlightDisplay(Display, Protocol):
@@ -22,7 +25,7 @@ class FlightDisplay(Display, Protocol):
         """Learn how to find out how the vehicle is; ``status`` is cheap."""
         ...
 
-    def begin(self, plane: LocalPlane, request: Callable[[OperatorRequest], None]) -> None:
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         """Learn where the plane lies, and where a person's requests go."""
         ...
 

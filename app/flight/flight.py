@@ -18,8 +18,9 @@ from app.autopilots.parameters import RequiredParameter, read_parameters, tempor
 from app.autopilots.queries import home_of, is_flying, mode_of
 from app.config import Config
 from app.errors import FlightError, InputError
+from app.flight.changes import MissionChanges
 from app.flight.cot import CotOutput
-from app.flight.display import FlightDisplay
+from app.flight.display import FlightDisplay, Wish
 from app.flight.loop import ControlLoop, Display
 from app.flight.point_gimbal import GimbalPointer
 from app.flight.preflight import autopilot_of, checks, listen
@@ -35,7 +36,7 @@ from app.link.vehicle_status import VehicleStatus, vehicle_status
 from app.shutdown import ends_within
 from app.terrain.elevation_data import elevation_data
 from mission.control.controller import Phase, Snapshot, StandoffController
-from mission.core.events import Announce, ControlAcquired
+from mission.core.events import Announce, ControlAcquired, MissionChange
 from mission.exchange.dialect import Home
 from mission.exchange.outbox import TakeoverFailed
 from mission.exchange.reports import TakeoverRequested
@@ -168,7 +169,15 @@ class Flight:
             shared.callback(TerrainServer(self._vehicle, data).stop)
         observed = _Observed(observers, self._collector)
         loop = ControlLoop(self._vehicle, self._telemetry, core, self._recording, observed, self._acquired)
-        self._display.begin(plane, loop.put)
+        changes = MissionChanges(
+            self._config, self._controller, lambda: self._telemetry.now_s, loop.put, self._display.say
+        )
+        shared.callback(changes.stop)
+
+        def request(wish: Wish) -> None:
+            changes.take(wish) if isinstance(wish, MissionChange) else loop.put(wish)
+
+        self._display.begin(plane, request)
         running = asyncio.create_task(loop.run())
         over = asyncio.create_task(self._until_over())
         interrupt = asyncio.create_task(stopped.wait())

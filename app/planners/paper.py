@@ -26,5 +26,7 @@ class Paper:
     def factory(self, needs: PlannerNeeds) -> PlannerFactory:
         from mission.paper.planner import PaperPlanner  # noqa: PLC0415  # see PlannerKind
 
-        aircraft = needs.aircraft
-        return lambda wanted: PaperPlanner(aircraft, wanted, largest_psi_c_rad(aircraft, wanted))
+        return lambda aircraft, wanted: PaperPlanner(aircraft, wanted, largest_psi_c_rad(aircraft, wanted))
+
+    async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
+        pass  # it computes as it goes

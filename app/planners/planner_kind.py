@@ -53,8 +53,15 @@ class PlannerKind(Protocol):
         ...
 
     def factory(self, needs: PlannerNeeds) -> PlannerFactory:
-        """Compute what takes long, and return what makes a planner for a requirement at once.
+        """Compute what takes long for ``needs``, and return what makes a planner for an aircraft and a requirement.
 
-        A requirement differs from that of ``needs`` in its side only.
+        It makes one at once for those of ``needs``, another side, and whatever ``make_ready`` was called for.
+        """
+        ...
+
+    async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
+        """Compute what takes long for others than those of the beginning, in another process.
+
+        Raises OSError when that fails.
         """
         ...

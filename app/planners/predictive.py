@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from app.planners.planner_kind import PlannerNeeds
 from estimators.compiled import is_kept
 from mission.core.plan import PlannerFactory
 from mission.core.requirement import Aircraft, Requirement
 from mission.paper.feasibility import Change, unflyable
+
+if TYPE_CHECKING:
+    from mission.predictive.value_table import TableConfiguration, ValueTable
 
 
 class Predictive:
@@ -29,13 +33,31 @@ class Predictive:
         from app.value_cache import value_table  # noqa: PLC0415  # see PlannerKind
         from mission.predictive import planner  # noqa: PLC0415
 
-        # A change of side needs no other table.
-        aircraft, requirement = needs.aircraft, needs.requirement
-        calm, *windy = (
-            value_table(planner.table_configuration(aircraft, requirement, wind_m_s), needs.progress)
-            for wind_m_s in (0.0, *needs.winds_m_s)
-        )
         settings = planner.PredictiveSettings(lost_after_s=needs.lost_after_s)
-        return lambda wanted: planner.PredictivePlanner(
-            aircraft, wanted, calm, settings, windy, needs.check, needs.sight
-        )
+        tables: dict[TableConfiguration, ValueTable] = {}  # a change of side needs no other one
+
+        def tables_for(aircraft: Aircraft, wanted: Requirement) -> list[ValueTable]:
+            configurations = _configurations(aircraft, wanted, needs.winds_m_s)
+            for one in configurations:
+                tables[one] = tables.get(one) or value_table(one, needs.progress)
+            return [tables[one] for one in configurations]
+
+        def make(aircraft: Aircraft, wanted: Requirement) -> planner.PredictivePlanner:
+            calm, *windy = tables_for(aircraft, wanted)
+            return planner.PredictivePlanner(aircraft, wanted, calm, settings, windy, needs.check, needs.sight)
+
+        tables_for(needs.aircraft, needs.requirement)
+        return make
+
+    async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
+        from app.value_cache import have_at_hand  # noqa: PLC0415  # see PlannerKind
+
+        await have_at_hand(_configurations(aircraft, requirement, winds_m_s))
+
+
+def _configurations(
+    aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]
+) -> list[TableConfiguration]:
+    from mission.predictive.planner import table_configuration  # noqa: PLC0415  # see PlannerKind
+
+    return [table_configuration(aircraft, requirement, wind_m_s) for wind_m_s in (0.0, *winds_m_s)]

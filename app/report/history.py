@@ -7,12 +7,13 @@ same tracker again and give the same estimates. A log of somebody else's flight 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from app.analysis.score import Moment
+from app.analysis.score import Moment, asked_at
 from app.analysis.truth import Truth
 from estimators.estimate import TargetEstimate
 from estimators.frames import LocalPlane
@@ -25,6 +26,7 @@ from estimators.readings import (
 )
 from estimators.sighting import SightingOutcome
 from estimators.tracker import Tracker
+from mission.control.mission_change import requirement_after
 from mission.control.plausibility import Plausibility
 from mission.core.circle import Circle
 from mission.core.events import (
@@ -33,6 +35,7 @@ from mission.core.events import (
     ControlAcquired,
     End,
     Event,
+    MissionChange,
     OperatorRequest,
     PlanStatus,
     UploadPlan,
@@ -89,7 +92,7 @@ class History:
     """A flight or a replayed log. Times are the vehicle's; ``start_s`` is when watching began.
 
     moments: aircraft and target together, by the truth where there is one, by the estimates else.
-    sides: (since, side), from -inf on.
+    requirements: (since, requirement), from -inf on: a person may change it.
     """
 
     asked: FlightRequirements
@@ -104,7 +107,7 @@ class History:
     plane: LocalPlane
     circles: tuple[tuple[float, Circle], ...]
     plan_changes: tuple[PlanChange, ...]
-    sides: tuple[tuple[float, Side], ...]
+    requirements: tuple[tuple[float, Requirement], ...]
     said: tuple[Announce, ...]
 
     @property
@@ -115,9 +118,9 @@ class History:
     def end_s(self) -> float:
         return float(self.aircraft.time_s[-1])
 
-    def side_at(self, time_s: float) -> Side:
-        """Return the side asked for at a time."""
-        return next(side for since_s, side in reversed(self.sides) if since_s <= time_s)
+    def requirement_at(self, time_s: float) -> Requirement:
+        """Return what was asked for at a time."""
+        return asked_at(self.requirements, time_s)
 
 
 class HistoryBuilder:
@@ -131,7 +134,7 @@ class HistoryBuilder:
         self._sightings: list[SightingOutcome] = []
         self._circles: list[tuple[float, Circle]] = []
         self._changes: dict[int, PlanChange] = {}
-        self._sides: list[tuple[float, Side]] = []
+        self._wishes: list[OperatorRequest | MissionChange] = []
         self._said: list[Announce] = []
         self._start_s: float | None = None
         self._in_hand = False
@@ -158,8 +161,8 @@ class HistoryBuilder:
                 self._in_hand = True
             case PlanStatus():
                 self._plan_status(admitted)
-            case OperatorRequest(side=Side() as side) if admitted.action == "side" and self._in_hand:
-                self._sides.append((admitted.time_s, side))
+            case OperatorRequest(action="side", side=Side()) | MissionChange() if self._in_hand:
+                self._wishes.append(admitted)
 
     def command(self, command: Command) -> None:
         """Take a command."""
@@ -221,9 +224,18 @@ class HistoryBuilder:
             plane,
             tuple(self._circles),
             tuple(self._changes.values()),
-            ((-math.inf, asked.requirement.side), *self._sides),
+            tuple(self._requirements(asked.requirement)),
             tuple(self._said),
         )
+
+    def _requirements(self, requirement: Requirement) -> Iterator[tuple[float, Requirement]]:
+        yield -math.inf, requirement
+        for change in self._wishes:
+            if isinstance(change, MissionChange):
+                requirement = requirement_after(change, requirement)
+            elif requirement.sector is None and change.side is not None:
+                requirement = replace(requirement, side=change.side)
+            yield change.time_s, requirement
 
 
 def _track(positions: list[PositionReading]) -> AircraftTrack:

@@ -21,12 +21,12 @@ _SUMMARY = TypeAdapter(Summary)
 
 def summary_of(history: History, outcome: str) -> Summary:
     """Return the summary of a flight that left none: it was cut off, or it is somebody else's log."""
-    requirement = history.requirement
 
     def outside(moment: Moment) -> bool:
         range_m = math.hypot(
             moment.aircraft_east_m - moment.target_east_m, moment.aircraft_north_m - moment.target_north_m
         )
+        requirement = history.requirement_at(moment.time_s)
         return not requirement.range_min_m <= range_m <= requirement.range_max_m
 
     # Scored from the first moment in the band, like every run; from the first at all where there is none.
@@ -34,7 +34,7 @@ def summary_of(history: History, outcome: str) -> Summary:
     source = "truth" if history.judged_by_truth else "estimate"
     errors = estimate_errors(history)
     return Summary(
-        **asdict(score(moments, requirement, history.sides, source)),  # type: ignore[arg-type]  # one of its two words
+        **asdict(score(moments, history.requirements, source)),  # type: ignore[arg-type]  # one of its two words
         moves=sum(change.departed_s is not None for change in history.plan_changes),
         uploads=len(history.plan_changes),
         upload_failures=sum(bool(change.failed) for change in history.plan_changes),

@@ -52,13 +52,14 @@ def observation_rad(history: History) -> Series:
     That is the target's normal on the side asked for (NaN until the target has moved), or the middle of the sector.
     The aircraft is where it should be while the angle is within ``allowed_rad``.
     """
-    sector = history.requirement.sector
     angles, course_rad = [], math.nan
     for m in history.moments:
         velocity = (m.target_velocity_east_m_s, m.target_velocity_north_m_s)
         if math.hypot(*velocity) >= _STANDING_M_S:
             course_rad = math.atan2(*velocity)
-        middle_rad = course_rad + history.side_at(m.time_s).normal_turn_rad if sector is None else sector.middle_rad
+        asked = history.requirement_at(m.time_s)
+        sector = asked.sector
+        middle_rad = course_rad + asked.side.normal_turn_rad if sector is None else sector.middle_rad
         sight_rad = math.atan2(m.aircraft_east_m - m.target_east_m, m.aircraft_north_m - m.target_north_m)
         angles.append(wrap_rad(sight_rad - middle_rad))
     return _over(history.moments, angles)

@@ -14,14 +14,14 @@ from types import TracebackType
 
 from app.config import Config
 from app.errors import InputError
-from app.flight.display import FlightDisplay
+from app.flight.display import FlightDisplay, Wish
 from app.link.vehicle_status import VehicleStatus
 from app.view.address import Address
 from app.view.feed import Feed, FeedError
 from app.view.state import Json, StateEncoder, setting
 from estimators.frames import LocalPlane
 from mission.control.controller import Snapshot
-from mission.core.events import Announce, OperatorRequest
+from mission.core.events import Announce, MissionChange, OperatorRequest
 from mission.core.requirement import Side
 
 _UP_S = 5.0
@@ -42,12 +42,13 @@ class ViewDisplay:
         self.url = self.viewer_url = ""
         self._inner, self._config, self._address = inner, config, address
         self._name = name or ", ".join(config.link.connections) or f"simulated {config.simulation.autopilot}"
-        self._encoder = StateEncoder(config.requirement.requirement(), config.aircraft.airspeed_m_s)
+        self._encoder = StateEncoder(config.aircraft.airspeed_m_s, config.aircraft.height_m)
         self._feed: Feed | None = None
         self._snapshot: Snapshot | None = None
         self._trail: deque[list[float]] = deque(maxlen=_UNSENT_MAX)
         self._said: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         self._setting: Json | None = None
+        self._requirement = config.requirement.requirement()
         self._trail_s = -math.inf
         self._sent_at_s = -math.inf
         self._heard_at_s = time.monotonic()
@@ -55,7 +56,7 @@ class ViewDisplay:
         self._status: Callable[[], VehicleStatus] | None = None
         self._vehicle: VehicleStatus | None = None
         self._vehicle_at_s = -math.inf
-        self._request: Callable[[OperatorRequest], None] | None = None
+        self._request: Callable[[Wish], None] | None = None
 
     # -- life ----------------------------------------------------------------------------------------------
 
@@ -100,11 +101,11 @@ class ViewDisplay:
         self._inner.connected(status)
         self._status = status
 
-    def begin(self, plane: LocalPlane, request: Callable[[OperatorRequest], None]) -> None:
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         self._inner.begin(plane, request)
         self._request = request
         self._encoder.plane = plane
-        self._setting = setting(self._config, plane, self._name)
+        self._setting = setting(self._config, plane, self._name, self._requirement)
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         self._inner.engage(start_s, duration_s)
@@ -125,6 +126,9 @@ class ViewDisplay:
         if self._snapshot is None or snapshot.time_s != self._snapshot.time_s:
             self._heard_at_s = time.monotonic()
         self._snapshot = snapshot
+        if snapshot.requirement != self._requirement:
+            self._requirement = snapshot.requirement
+            self._setting = setting(self._config, self._encoder.plane, self._name, self._requirement)
         aircraft = snapshot.aircraft
         if aircraft is not None and aircraft.time_s >= self._trail_s + _TRAIL_STEP_S:
             self._trail_s = aircraft.time_s
@@ -168,8 +172,12 @@ class ViewDisplay:
             self.note(f"{press['action']} refused: nothing is flown yet")
             return
         self.note(f"{press['action']} by {press['who']}")
+        time_s, who = self._snapshot.time_s, press["who"]
+        if press["action"] == "change":
+            self._request(MissionChange(time_s, **press["values"], who=who))
+            return
         side = Side(press["side"]) if press["side"] is not None else None
-        self._request(OperatorRequest(self._snapshot.time_s, press["action"], side, press["who"]))
+        self._request(OperatorRequest(time_s, press["action"], side, who))
 
 
 def _line(values: Json) -> bytes:

@@ -12,13 +12,14 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from app.flight.display import Wish
 from app.link.plain_text import plain
 from app.link.vehicle_status import VehicleStatus
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TrackQuality
 from estimators.frames import LocalPlane
 from mission.control.controller import Phase, Snapshot
-from mission.core.events import Announce, OperatorRequest
+from mission.core.events import Announce
 from mission.core.requirement import Requirement
 
 _REFRESH_HZ = 4.0
@@ -46,8 +47,8 @@ def clock(time_s: float) -> str:
 class PanelDisplay:
     """A ``FlightDisplay`` on the terminal. Use as ``with``. Quiet, it says nothing."""
 
-    def __init__(self, console: Console, requirement: Requirement, quiet: bool = False) -> None:
-        self._console, self._requirement, self._quiet = console, requirement, quiet
+    def __init__(self, console: Console, quiet: bool = False) -> None:
+        self._console, self._quiet = console, quiet
         self._start_s: float | None = None  # None: not engaged yet, and times mean nothing to a person
         self._duration_s: float | None = None
         self._live: Live | None = None
@@ -74,7 +75,7 @@ class PanelDisplay:
     def connected(self, status: Callable[[], VehicleStatus]) -> None:
         self._status = status
 
-    def begin(self, plane: LocalPlane, request: Callable[[OperatorRequest], None]) -> None:
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         pass  # nothing is drawn to scale here, and there are no buttons
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
@@ -138,7 +139,7 @@ class PanelDisplay:
         if range_m is None or estimate is None:
             yield "target", Text("not seen yet")
         else:
-            yield "range", self._gauge(range_m)
+            yield "range", _gauge(range_m, shown.requirement)
             within_m = confidence_ellipse(estimate.covariance[:2, :2]).semi_major_m
             known = Text(f"{_motion(shown)}, 95 % within {within_m:.1f} m, track ")
             known.append(estimate.quality, _QUALITY_STYLES[estimate.quality])
@@ -161,19 +162,6 @@ class PanelDisplay:
         if shown.decision is not None:
             yield "decided", Text(plain(shown.decision.reason), style="cyan")
 
-    def _gauge(self, range_m: float) -> Text:
-        """Return the range as a mark between least and greatest allowed; the mark is red outside."""
-        min_m, max_m = self._requirement.range_min_m, self._requirement.range_max_m
-        share = (range_m - min_m) / (max_m - min_m)
-        cell = min(max(int(share * _GAUGE_CELLS), 0), _GAUGE_CELLS - 1)
-        inside = 0.0 <= share <= 1.0
-        text = Text(f"{range_m:4.0f} m   {min_m:.0f} ")
-        text.append("─" * cell, "dim")
-        text.append("●", "bold green" if inside else "bold red")
-        text.append("─" * (_GAUGE_CELLS - 1 - cell), "dim")
-        text.append(f" {max_m:.0f} m")
-        return text
-
     @staticmethod
     def _circle(shown: Snapshot) -> str:
         words = [f"moves {shown.moves}", f"uploads {shown.uploads}"]
@@ -184,6 +172,20 @@ class PanelDisplay:
         if shown.coming is not None:
             words.append(f"leaving for the next in {max(shown.coming.departure_s - shown.time_s, 0.0):.0f} s")
         return ", ".join(words)
+
+
+def _gauge(range_m: float, requirement: Requirement) -> Text:
+    """Return the range as a mark between least and greatest allowed; the mark is red outside."""
+    min_m, max_m = requirement.range_min_m, requirement.range_max_m
+    share = (range_m - min_m) / (max_m - min_m)
+    cell = min(max(int(share * _GAUGE_CELLS), 0), _GAUGE_CELLS - 1)
+    inside = 0.0 <= share <= 1.0
+    text = Text(f"{range_m:4.0f} m   {min_m:.0f} ")
+    text.append("─" * cell, "dim")
+    text.append("●", "bold green" if inside else "bold red")
+    text.append("─" * (_GAUGE_CELLS - 1 - cell), "dim")
+    text.append(f" {max_m:.0f} m")
+    return text
 
 
 def _vehicle(status: VehicleStatus) -> Text:

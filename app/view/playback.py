@@ -7,10 +7,9 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 
 from app.analysis.replay import Replayed, announcements
-from app.flight.display import FlightDisplay
+from app.flight.display import FlightDisplay, Wish
 from estimators.frames import LocalPlane
 from mission.control.controller import StandoffController
-from mission.core.events import OperatorRequest
 
 _GAP_S = 5.0  # a longer silence in the recording is not waited for
 _NAP_S = 0.05
@@ -60,6 +59,6 @@ class Playback:
             self._idle()
             self._sleep(min(left_s, _NAP_S))
 
-    def _press(self, request: OperatorRequest) -> None:
+    def _press(self, request: Wish) -> None:
         for said in announcements(self._controller.step(request)):
             self._display.say(said)

@@ -51,6 +51,7 @@ _PAGES_MAX = 50  # streams of states
 _TRAIL_KEPT, _SERIES_KEPT, _WORDS_KEPT = 2400, 2400, 500  # 20 minutes of trail
 _UNSENT_MAX = 50  # states; a browser that is further behind is made to begin anew
 _ACTIONS: dict[str, set[str | None]] = {"hold": {None}, "resume": {None}, "end": {None}, "side": {"left", "right"}}
+_NUMBERS, _NUMBER_MAX, _WORDS_MAX = ("radius_m", "range_min_m", "range_max_m", "height_m"), 1e5, 20  # of a change
 _SERIES = ("nis", "range_age_s", "gimbal_age_s", "link_age_s")
 
 
@@ -229,17 +230,34 @@ class Server:
         if body is None:
             return PlainTextResponse("that is no button: too long, or too slow", 413)
         try:
-            press = json.loads(body)
-            action, side = press["action"], press.get("side")
-            known = side in _ACTIONS[action]
+            button = button_of(json.loads(body))
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-            known = False
-        if not known:
             return PlainTextResponse("no such button", 400)
         if not self._presses.used(_client(request), time.monotonic()):
             return PlainTextResponse("too many buttons at once; wait", 429)
-        self._press({"action": action, "side": side, "who": self._access.who(_client(request))})
-        return JSONResponse({"passed on": action}, 202)
+        self._press({**button, "who": self._access.who(_client(request))})
+        return JSONResponse({"passed on": button["action"]}, 202)
+
+
+def button_of(press: Json) -> Json:
+    """Return a press as far as it is known. Raises one of many errors where it is none."""
+    action = press["action"]
+    if action != "change":
+        side = press.get("side")
+        if side not in _ACTIONS[action]:
+            raise ValueError
+        return {"action": action, "side": side}
+    values = press["values"]
+    for key, value in values.items():
+        if key == "side":
+            fits = isinstance(value, str) and len(value) <= _WORDS_MAX
+        else:
+            fits = key in _NUMBERS and type(value) in (int, float) and 0.0 < value < _NUMBER_MAX
+        if not fits:
+            raise ValueError
+    if not values:
+        raise ValueError
+    return {"action": action, "values": values}
 
 
 def _client(request: Request) -> str:

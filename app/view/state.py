@@ -17,6 +17,7 @@ from mission.control.controller import Snapshot
 from mission.core.path import Path
 from mission.core.plan import AircraftState, Plan
 from mission.core.requirement import Requirement
+from mission.viewpoint.side_policy import side_words
 
 Json = dict[str, Any]
 
@@ -25,9 +26,12 @@ _STANDING_M_S = 0.9  # below this an estimated course is noise: the last one sta
 _ON_TRANSITION = 1.2  # a transition is shown for this share of the time it takes
 
 
-def setting(config: Config, plane: LocalPlane | None, name: str) -> Json:
-    """Return what stays the same, ``name`` being what is shown; the fences only once the plane is known."""
-    requirement = config.requirement.requirement()
+def setting(config: Config, plane: LocalPlane | None, name: str, requirement: Requirement | None = None) -> Json:
+    """Return what stays the same until a person changes it, ``name`` being what is shown.
+
+    The fences are told only once the plane is known. requirement: as it is now, the configured one by default.
+    """
+    requirement = requirement or config.requirement.requirement()
 
     def outlines(polygons: list[list[tuple[float, float]]]) -> list[list[list[float]]]:
         if plane is None:
@@ -63,8 +67,8 @@ def _origin(plane: LocalPlane) -> Json:
 class StateEncoder:
     """Turns snapshots into states; remembers the target's course through its stops, and lines already thinned."""
 
-    def __init__(self, requirement: Requirement, airspeed_m_s: float) -> None:
-        self._requirement, self._airspeed_m_s = requirement, airspeed_m_s
+    def __init__(self, airspeed_m_s: float, height_m: float) -> None:
+        self._airspeed_m_s, self._height_m = airspeed_m_s, height_m
         self.plane: LocalPlane | None = None  # set once it is known: places are then told in degrees too
         self._course_rad: float | None = None
         self._thinned: dict[int, tuple[Path, list[list[float]]]] = {}
@@ -94,7 +98,19 @@ class StateEncoder:
             "uploads": snapshot.uploads,
             "upload_failures": snapshot.upload_failures,
             "latency_s": _number(snapshot.latency_s, 2),
+            "asked": self._asked(snapshot),
             "vehicle": None if vehicle is None else asdict(vehicle),
+        }
+
+    def _asked(self, snapshot: Snapshot) -> Json:
+        """Return what a person may change in flight, as it is now."""
+        requirement = snapshot.requirement
+        return {
+            "radius_m": snapshot.radius_m,
+            "height_m": self._height_m if snapshot.height_m is None else snapshot.height_m,
+            "range_min_m": requirement.range_min_m,
+            "range_max_m": requirement.range_max_m,
+            "side": side_words(requirement),
         }
 
     def _aircraft(self, snapshot: Snapshot) -> Json | None:
@@ -144,8 +160,9 @@ class StateEncoder:
     def _angle_rad(self, snapshot: Snapshot, aircraft: AircraftState, at_m: tuple[float, float]) -> float | None:
         """Return the observation angle: from where the aircraft should be seen to where it is."""
         sight_rad = math.atan2(aircraft.east_m - at_m[0], aircraft.north_m - at_m[1])
-        if self._requirement.sector is not None:
-            return wrap_rad(sight_rad - self._requirement.sector.middle_rad)
+        sector = snapshot.requirement.sector
+        if sector is not None:
+            return wrap_rad(sight_rad - sector.middle_rad)
         if self._course_rad is None:
             return None
         return wrap_rad(sight_rad - self._course_rad - snapshot.side.normal_turn_rad)

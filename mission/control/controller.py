@@ -13,10 +13,12 @@ Rules
    to the transition's circle directly.
 6. Any flight mode but the one engaged in means that somebody else flies: Yield, latched.
 7. A target lost for ``give_up_after_s`` ends the mission.
-8. Every event passes :mod:`mission.control.plausibility` first. While that doubts the aircraft's own position, the
+8. What a person changes in flight holds from the next decision on: the planner is made anew, and where it stays, the
+   present circle is sent again as changed.
+9. Every event passes :mod:`mission.control.plausibility` first. While that doubts the aircraft's own position, the
    circle is held: nothing is decided, and no plan departs.
-9. In a fleet the joint estimate, the target and the side come with ``FleetAdvice`` while that is fresh; without it
-   the aircraft goes on by its own. A plan that comes too near to another aircraft counts as one that breaks a fence.
+10. In a fleet the joint estimate, the target and the side come with ``FleetAdvice`` while that is fresh; without it
+    the aircraft goes on by its own. A plan that comes too near to another aircraft counts as one that breaks a fence.
 
 The clock is the vehicle's: the latest time of a position reading.
 """
@@ -42,6 +44,7 @@ from estimators.readings import (
 from estimators.sighting import SightingOutcome
 from estimators.tracker import Tracker
 from mission.control.flown_radius import FlownRadius
+from mission.control.mission_change import aircraft_after, describe_change, requirement_after
 from mission.control.plausibility import Plausibility
 from mission.control.sensor_status import SensorStatus
 from mission.core.circle import Circle
@@ -54,6 +57,7 @@ from mission.core.events import (
     End,
     Event,
     LinkReported,
+    MissionChange,
     ModeReported,
     OperatorRequest,
     PlanStatus,
@@ -63,6 +67,7 @@ from mission.core.events import (
     YieldRequested,
 )
 from mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned, Role
+from mission.core.heights import ClimbRates, Heights, OneHeight
 from mission.core.plan import AircraftState, Decision, Plan, Planner, PlannerFactory, settled_m
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 from mission.geometry.approach import approach
@@ -84,7 +89,6 @@ _WIND_MAX_SHARE = 0.9
 _NEWS_AFTER_S = 8.0
 # The latency expected is the longest of so many uploads but one: one that hung says nothing of the next.
 _LATENCY_UPLOADS, _LATENCY_MARGIN_S = 5, 0.1
-_SENSED = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading)
 # What the fleet advised is followed for so long.
 _ADVICE_S = 5.0
 
@@ -139,6 +143,9 @@ class Snapshot:
     latency_s: float
     mode: str
     sensor_status: SensorStatus
+    requirement: Requirement
+    radius_m: float
+    height_m: float | None  # as a person has changed it; None: as configured
 
 
 @dataclass(slots=True)
@@ -160,15 +167,10 @@ class _Counts:
 
 
 FenceCheck = Callable[[Plan], str | None]
-Levelling = Callable[[Plan, float | None, tuple[float, float] | None], Plan | str]
 
 
 def _no_fence(_plan: Plan) -> str | None:
     return None
-
-
-def _one_height(plan: Plan, _flown_m: float | None, _target_m: tuple[float, float] | None) -> Plan:
-    return plan
 
 
 def _all_in_sight(*_target: float) -> Sight:
@@ -179,17 +181,17 @@ def _all_in_sight(*_target: float) -> Sight:
 class StandoffController:
     """The mission's whole state. ``check`` names the fence that a plan would break, or returns None.
 
-    ``level`` gives a plan its heights, from the present height and the target's place as far as they are known, or
-    tells why there are none. ``sight`` tells what the ground hides about a target of this place and velocity.
-    ``make_planner`` builds the planner for a requirement, at once and of what is at hand; it is called again, within
-    a step, when the side changes. ``sighted``: the sightings that the last step completed.
+    ``heights`` gives plans theirs; None: the one that is configured, for all. ``sight`` tells what the ground hides
+    about a target of this place and velocity. ``make_planner`` builds the planner for an aircraft and a requirement,
+    at once and of what is at hand; it is called again, within a step, when one of them changes. ``sighted``: the
+    sightings that the last step completed.
     """
 
     settings: StandoffSettings
     tracker: Tracker
     make_planner: PlannerFactory
     check: FenceCheck = _no_fence
-    level: Levelling = _one_height
+    heights: Heights | None = None
     sight: SightAt = _all_in_sight
     phase: Phase = Phase.WAITING
     time_s: float = -math.inf
@@ -218,12 +220,14 @@ class StandoffController:
     _flown_radius: FlownRadius = field(default_factory=FlownRadius)
     _commanded: Circle | None = None  # as the autopilot was told to fly the present circle
     _sight: _Sight | None = None
+    _changed_s: float | None = None  # when a person last changed the mission; None: that is flown
+    _height_asked_m: float | None = None
     _on_line_s: float = math.inf  # when the aircraft was last seen on its transition; inf: it flies none
 
     def __post_init__(self) -> None:
         self.door = Plausibility(_WIND_MAX_SHARE * self.settings.aircraft.airspeed_m_s)
         self._requirement = self.settings.requirement
-        self._planner = self.make_planner(self._requirement)
+        self._planner = self.make_planner(self.settings.aircraft, self._requirement)
         self._latency_s = self.settings.latency_s
         self._took_s = deque([self._latency_s], _LATENCY_UPLOADS)
 
@@ -237,9 +241,6 @@ class StandoffController:
         return told + commands if told else commands
 
     def _admitted(self, event: Event) -> tuple[Command, ...]:
-        if isinstance(event, _SENSED):  # most of all events
-            self._read(event)
-            return ()
         match event:
             case PositionReading():
                 return self._position(event)
@@ -266,8 +267,12 @@ class StandoffController:
                 return self._yield(event.time_s, event.reason)
             case OperatorRequest():
                 return self._operator(event)
+            case MissionChange():
+                return self._mission_changed(event)
             case FleetAdvice() | NeighbourPlanned():
                 return self._advised(event)
+            case AttitudeReading() | RangeReading() | GimbalReading() | TargetFixReading():
+                self._read(event)
         return ()
 
     @property
@@ -293,6 +298,9 @@ class StandoffController:
             self._latency_s,
             self._mode,
             self._sensor_status.copy(),
+            self._requirement,
+            self.settings.aircraft.radius_m,
+            self._height_asked_m,
         )
 
     def _read(self, reading: Reading) -> None:
@@ -378,7 +386,7 @@ class StandoffController:
             return (End(self.time_s, self.settings.give_up_action, reason),)
         if unseen_s > self.settings.lost_after_s or self.estimate.quality is TrackQuality.LOST:
             self.decision = Decision(self.time_s, None, f"holding the circle: target unseen for {unseen_s:.0f} s")
-            return ()
+            return self._circle_as_changed(self._aircraft, self.present)
         decision = self._choose(self._aircraft, self.estimate, self.present)
         cleared = self.cleared(decision.plan) if decision.plan is not None else None
         broken = cleared if isinstance(cleared, str) else None
@@ -393,8 +401,10 @@ class StandoffController:
             text = f"{decision.reason}; there in {self._arrival_s(decision.plan) - self.time_s:.0f} s"
             return (decided, Announce(self.time_s, "decision", text), prepare)
         if broken is not None:
-            return (decided, Announce(self.time_s, "decision", decision.reason))
-        return (decided, *self._corrected_radius(self.present))
+            told = Announce(self.time_s, "decision", decision.reason)
+            return (decided, told, *self._circle_as_changed(self._aircraft, self.present))
+        changed = self._circle_as_changed(self._aircraft, self.present)
+        return (decided, *(changed or self._corrected_radius(self.present)))
 
     def _arrival_s(self, plan: Plan) -> float:
         """Return about when a plan's circle is reached."""
@@ -404,12 +414,15 @@ class StandoffController:
     def cleared(self, plan: Plan) -> Plan | str:
         """Return the plan with its heights, or in words which fence it breaks or what ground is in its way."""
         target = self.estimate
-        levelled = self.level(
-            plan,
-            self.flown_height_m,
-            None if target is None else (target.east_m, target.north_m),
-        )
-        return levelled if isinstance(levelled, str) else self.check(levelled) or self._breach(levelled) or levelled
+        place_m = None if target is None else (target.east_m, target.north_m)
+        cleared = self._cleared(plan, self.heights, self.flown_height_m, place_m)
+        return cleared if isinstance(cleared, str) else self._breach(cleared) or cleared
+
+    def _cleared(
+        self, plan: Plan, heights: Heights | None, flown_m: float | None, target_m: tuple[float, float] | None
+    ) -> Plan | str:
+        levelled = plan if heights is None else heights.levelled(plan, flown_m, target_m)
+        return levelled if isinstance(levelled, str) else self.check(levelled) or levelled
 
     def _breach(self, plan: Plan) -> str | None:
         return self.separation.breach(
@@ -428,8 +441,7 @@ class StandoffController:
 
     def cleared_first(self, plan: Plan) -> Plan | str:
         """Return the same of the first circle, which is gone to from anywhere and before anything is seen."""
-        levelled = self.level(plan, None, None)
-        return levelled if isinstance(levelled, str) else self.check(levelled) or levelled
+        return self._cleared(plan, self.heights, None, None)
 
     def _is_off_track(self, aircraft: AircraftState, present: Plan) -> bool:
         if present.transition is None:
@@ -530,6 +542,8 @@ class StandoffController:
         self._counts.moves += change.plan.circle != self.present.circle
         self.present, self._commanded = change.plan, change.commanded
         self._change = self._not_taken = None
+        if self._changed_s is not None and change.since_s > self._changed_s:
+            self._changed_s = None
         self._on_line_s = time_s
         return ()
 
@@ -562,7 +576,7 @@ class StandoffController:
             return ()
         self._requirement = replace(self._requirement, side=told.side)
         if not isinstance(self._planner, CooperativePlanner):
-            self._planner = self.make_planner(self._requirement)
+            self._planner = self.make_planner(self.settings.aircraft, self._requirement)
         return (Announce(told.time_s, "decision", f"watching from the {told.side}: {told.reason}"),)
 
     def _joint_estimate(self) -> TargetEstimate | None:
@@ -601,12 +615,67 @@ class StandoffController:
                 return (Announce(event.time_s, "operator", f"side refused: {why}"),)
             case "side":
                 self._requirement = replace(self._requirement, side=event.side)
-                self._planner = self.make_planner(self._requirement)
+                self._planner = self.make_planner(self.settings.aircraft, self._requirement)
         text = f"operator: {event.action}" + (f" {event.side}" if event.action == "side" else "")
         told = Announce(event.time_s, "operator", text)
         if event.action == "end":
             return told, End(event.time_s, "hold", "ended by the operator")
         return (told,)
+
+    # -- what a person changes -----------------------------------------------------------------------------
+
+    def _heights_at(self, height_m: float) -> Heights:
+        return (self.heights or OneHeight(ClimbRates(self.settings.aircraft.airspeed_m_s))).at(height_m)
+
+    def objection(self, change: MissionChange) -> str | None:
+        """Return which fence or ground keeps the present circle from being flown at another height; None: nothing."""
+        if change.height_m is None or self.present is None:
+            return None
+        place_m = None if self.estimate is None else (self.estimate.east_m, self.estimate.north_m)
+        circle = replace(self.present, transition=None)
+        cleared = self._cleared(circle, self._heights_at(change.height_m), self.flown_height_m, place_m)
+        return cleared if isinstance(cleared, str) else None
+
+    def _mission_changed(self, event: MissionChange) -> tuple[Command, ...]:
+        what = describe_change(event)
+        if self.phase not in (Phase.WATCHING, Phase.HOLDING):
+            return (Announce(event.time_s, "operator", f"{what} refused: the mission is {self.phase}"),)
+        aircraft = aircraft_after(event, self.settings.aircraft)
+        self._requirement = requirement_after(event, self._requirement)
+        self.settings = replace(self.settings, aircraft=aircraft, requirement=self._requirement)
+        self._planner = self.make_planner(aircraft, self._requirement)
+        if event.height_m is not None:
+            self.heights, self._height_asked_m = self._heights_at(event.height_m), event.height_m
+        self._changed_s = self.time_s
+        when = "from the next plan on" if self.phase is Phase.WATCHING else "when you resume"
+        return (Announce(event.time_s, "operator", f"operator: {what}, {when}"),)
+
+    def _circle_as_changed(self, aircraft: AircraftState, present: Plan) -> tuple[Command, ...]:
+        """Return what sends the present circle with the radius and height that were asked for, once it is reached."""
+        if self._changed_s is None:
+            return ()
+        line = present.transition
+        if line is not None and nearest_arc_m(present, aircraft) < line.length_m:
+            return ()
+        radius_m, circle = self.settings.aircraft.radius_m, present.circle
+        if circle.radius_m != radius_m:
+            start = _advanced(aircraft, self._latency_s)
+            circle = Circle.tangent_to(start.east_m, start.north_m, start.course_rad, radius_m, circle.clockwise)
+        cleared = self.cleared(Plan(circle, None, self.time_s + self._latency_s))
+        if isinstance(cleared, str):
+            self._changed_s = None
+            return (Announce(self.time_s, "decision", f"staying: {cleared}"),)
+        if circle == present.circle and _circle_height_m(cleared) == _circle_height_m(present):
+            self._changed_s = None
+            return ()
+        reason = f"the same circle as changed: radius {radius_m:.0f} m"
+        if cleared.heights is not None:
+            reason += f", {cleared.heights.to_m:.0f} m above home"
+        return (Announce(self.time_s, "decision", reason), self._prepared(cleared, present, reason))
+
+
+def _circle_height_m(plan: Plan) -> float | None:
+    return None if plan.heights is None else plan.heights.to_m
 
 
 def _advanced(aircraft: AircraftState, duration_s: float) -> AircraftState:

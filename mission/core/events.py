@@ -107,6 +107,23 @@ class OperatorRequest:
     who: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class MissionChange:
+    """A person's change of what is flown and asked for; None leaves a value as it is.
+
+    It was checked as a configuration is, and what the planner needs for it is at hand. side: left, right, either, or
+    bearings from the target such as 120-200. height_m is above what the configured one is above.
+    """
+
+    time_s: float
+    radius_m: float | None = None
+    range_min_m: float | None = None
+    range_max_m: float | None = None
+    height_m: float | None = None
+    side: str | None = None
+    who: str = ""
+
+
 Event = (
     PositionReading
     | AttitudeReading
@@ -121,6 +138,7 @@ Event = (
     | LinkReported
     | YieldRequested
     | OperatorRequest
+    | MissionChange
     | FleetAdvice
     | NeighbourPlanned
 )

@@ -9,7 +9,7 @@ from typing import Protocol
 from estimators.estimate import TargetEstimate
 from mission.core.circle import Circle
 from mission.core.path import Path
-from mission.core.requirement import Requirement, Wind
+from mission.core.requirement import Aircraft, Requirement, Wind
 
 _SAME_HEIGHT_M = 10.0  # an autopilot is seldom farther from what it holds
 
@@ -98,4 +98,4 @@ class Planner(Protocol):
         ...
 
 
-PlannerFactory = Callable[[Requirement], Planner]
+PlannerFactory = Callable[[Aircraft, Requirement], Planner]

@@ -13,6 +13,7 @@ begins it. A climb has to be steep enough for what lies under the transition.
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -22,8 +23,9 @@ from scipy.ndimage import maximum_filter1d
 from estimators.terrain._ground_kernel import height_and_slope
 from estimators.terrain.ground import Ground
 from mission.core.circle import Circle
+from mission.core.heights import ClimbRates
 from mission.core.path import FloatArray
-from mission.core.plan import HeightProfile, Plan
+from mission.core.plan import Plan
 from mission.terrain._clearance_kernel import (
     Raster,
     climbing_clearance_m,
@@ -34,8 +36,6 @@ from mission.terrain._clearance_kernel import (
 
 # A height within so much of the wanted one, as a share of it, is as good.
 _HEIGHT_SLACK = 0.2
-# The share of the rates that is counted on: in a tailwind the ground comes sooner.
-_RATE_RESERVE = 0.7
 _ARC_STEP_M = 8.0
 
 
@@ -58,7 +58,15 @@ class FlightHeights:
 
     def __init__(self, ground: Ground, rules: HeightRules) -> None:
         self._grid, self._rules = ground.grid, rules
+        self._rates = ClimbRates(rules.airspeed_m_s, rules.climb_m_s, rules.descent_m_s)
+        self._carried = False  # whether plans carry the one height for all: it is not the configured one
         self._highest = _highest_about(ground, rules.margin_m)
+
+    def at(self, height_m: float) -> FlightHeights:
+        """Return the same for another height, above what the rules say."""
+        other = copy(self)
+        other._rules, other._carried = replace(self._rules, height_m=height_m), True
+        return other
 
     def levelled(self, plan: Plan, flown_m: float | None, target_m: tuple[float, float] | None = None) -> Plan | str:
         """Return the plan with its heights, or in words why it cannot be flown over this ground.
@@ -123,7 +131,14 @@ class FlightHeights:
             return _too_low("the transition", rules.height_m - line_floor_m + rules.clearance_m, rules.clearance_m)
         if floor_m > rules.height_m:
             return _too_low("the new circle", rules.height_m - floor_m + rules.clearance_m, rules.clearance_m)
-        return plan
+        if not self._carried:
+            return plan
+        from_m = rules.height_m if flown_m is None else flown_m
+        if plan.transition is not None and line_floor_m > from_m:
+            clear_m = self._climbing_clearance_m(plan, from_m, rules.height_m)
+            if clear_m < rules.clearance_m:
+                return _too_low("the transition", clear_m, rules.clearance_m, ", climbing as fast as it can")
+        return self._at(plan, from_m, rules.height_m)
 
     def _at(self, plan: Plan, from_m: float, to_m: float) -> Plan | str:
         rules = self._rules
@@ -132,17 +147,13 @@ class FlightHeights:
                 f"clear of the ground the new circle is {to_m:.0f} m above home, "
                 f"above the ceiling of {rules.ceiling_m:.0f} m"
             )
-        return replace(plan, heights=HeightProfile(from_m, to_m, self._slope(to_m >= from_m)))
-
-    def _slope(self, climbs: bool) -> float:
-        rate_m_s = self._rules.climb_m_s if climbs else self._rules.descent_m_s
-        return _RATE_RESERVE * rate_m_s / self._rules.airspeed_m_s
+        return replace(plan, heights=self._rates.profile(from_m, to_m))
 
     def _climbing_clearance_m(self, plan: Plan, from_m: float, to_m: float) -> float:
         """Return the least clearance from the departure until the aircraft has climbed, at last on the circle."""
         line = plan.transition
         assert line is not None
-        slope = self._slope(climbs=True)
+        slope = self._rates.slope(climbs=True)
         arc_m = np.arange(0.0, line.length_m, _ARC_STEP_M)
         east_m, north_m = np.interp(arc_m, line.arc_m, line.east_m), np.interp(arc_m, line.arc_m, line.north_m)
         left_m = (to_m - from_m) / slope - line.length_m

@@ -48,6 +48,13 @@ class SidePolicy:
         return Viewpoint(view.course_rad, Side.LEFT if view.side > 0.0 else Side.RIGHT, view.course_sigma_rad)
 
 
+def side_words(requirement: Requirement) -> str:
+    """Return the requirement's side as :func:`watching_from` takes it."""
+    if requirement.sector is not None:
+        return f"{math.degrees(requirement.sector.from_rad):g}-{math.degrees(requirement.sector.to_rad):g}"
+    return "either" if requirement.either_side else str(requirement.side)
+
+
 def watching_from(requirement: Requirement, words: str) -> Requirement:
     """Return the requirement with its side as a person writes it: left, right, either, or a sector like 120-200.
 

@@ -36,7 +36,7 @@ def test_what_a_vehicle_says_is_one_line_without_control_characters(text, shown)
 
 def test_the_terminal_is_not_at_the_mercy_of_what_is_announced():
     written = io.StringIO()
-    panel = PanelDisplay(Console(file=written, markup=False), load_config(None).requirement.requirement())
+    panel = PanelDisplay(Console(file=written, markup=False))
     with panel:
         panel.note("\x1b[2J")
         panel.say(Announce(1.0, "plan", "plan 1 was not taken: \x1b[2J"))

@@ -33,7 +33,7 @@ GROWTH_MAX_KB = 8192
 
 
 def display_at(address: Address) -> ViewDisplay:
-    return ViewDisplay(PanelDisplay(Console(), Config().requirement.requirement(), quiet=True), Config(), address)
+    return ViewDisplay(PanelDisplay(Console(), quiet=True), Config(), address)
 
 
 @pytest.fixture(scope="module")

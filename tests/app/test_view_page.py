@@ -18,7 +18,7 @@ from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay
 from estimators.frames import LocalPlane
 from mission.control.controller import Phase
-from mission.core.events import Announce, OperatorRequest
+from mission.core.events import Announce, MissionChange, OperatorRequest
 from mission.core.requirement import Side
 
 START_S = 100.0
@@ -41,9 +41,7 @@ def snapshots(flight):
 @contextmanager
 def display_of(snapshots):
     config = Config.model_validate({"planner": {"name": "paper"}, "fences": FENCES})
-    with ViewDisplay(
-        PanelDisplay(Console(), Config().requirement.requirement(), quiet=True), config, Address(port=0)
-    ) as display:
+    with ViewDisplay(PanelDisplay(Console(), quiet=True), config, Address(port=0)) as display:
         display.connected(lambda: VehicleStatus(19, 10.9, "3D, 11 satellites", True, 97, 0.12))
         display.begin(PLANE, lambda _request: None)
         display.engage(START_S, None)
@@ -209,13 +207,36 @@ def test_other_side_names_the_side(page, display):
     assert (request.action, request.side) == ("side", Side.RIGHT)
 
 
+def test_what_is_flown_is_changed_after_one_question(page, display):
+    got: list[MissionChange] = []
+    display.begin(PLANE, got.append)
+    page.get_by_role("button", name="Change…").click()
+    assert page.get_by_label("Radius of the circle, m").input_value() == "50"
+    page.get_by_label("Radius of the circle, m").fill("80")
+    page.get_by_label("Side: ").fill("120-200")
+    page.get_by_role("button", name="Change", exact=True).click()
+    page.locator("#ask", has_text="radius 80 m instead of 50 m, side 120-200 instead of left").wait_for()
+    page.locator("#ask").get_by_role("button", name="Yes").click()
+    while not got:
+        display.pump()
+    (change,) = got
+    assert (change.radius_m, change.side, change.height_m) == (80.0, "120-200", None)
+    assert change.who == "operator at this machine"
+
+
+def test_what_became_of_a_wish_is_seen(page, display):
+    display.say(Announce(START_S, "operator", "radius 5 m refused: the circle is too tight"))
+    display.pump()
+    page.locator("#answer", has_text="too tight").wait_for()
+
+
 @pytest.mark.parametrize("phase", [Phase.YIELDED, Phase.ENDED])
 def test_buttons_are_refused_when_nothing_is_commanded_any_more(page, display, snapshots, phase):
     display.show(replace(snapshots[-1][0], phase=phase))
     display.pump()
     page.locator("#phase", has_text=phase).wait_for()
     buttons = page.locator("#buttons button")
-    assert [buttons.nth(n).is_disabled() for n in range(4)] == [True] * 4
+    assert [buttons.nth(n).is_disabled() for n in range(5)] == [True] * 5
     assert phase in buttons.nth(0).get_attribute("title")
 
 

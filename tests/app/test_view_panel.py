@@ -23,7 +23,7 @@ def snapshots(flight):
 
 def drawn(*shown, terminal: bool, width: int = 100, quiet: bool = False) -> str:
     console = Console(file=io.StringIO(), force_terminal=terminal, width=width, color_system=None)
-    with PanelDisplay(console, LEFT, quiet) as display:
+    with PanelDisplay(console, quiet) as display:
         display.engage(100.0, 1200.0)
         display.note("connected")
         display.say(Announce(142.0, "decision", "moving 318 m east: in 42 s the target would be 533 m away"))

@@ -17,6 +17,7 @@ from app.errors import InputError
 from app.view.address import Address
 from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay
+from app.view.server import button_of
 from estimators.frames import LocalPlane
 from mission.core.events import OperatorRequest
 from mission.core.requirement import Side
@@ -26,9 +27,7 @@ OTHER_LOOPBACK = "127.0.0.2"  # of this machine as well, but not the address tha
 
 
 def display_at(host: str) -> ViewDisplay:
-    return ViewDisplay(
-        PanelDisplay(Console(), Config().requirement.requirement(), quiet=True), Config(), Address(host, 0)
-    )
+    return ViewDisplay(PanelDisplay(Console(), quiet=True), Config(), Address(host, 0))
 
 
 @pytest.fixture(scope="module")
@@ -132,6 +131,30 @@ def test_what_is_no_button_of_the_page_is_refused(shown, pressed, headers, answe
     assert requests_after(shown) == []
 
 
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"radius_m": "80"},
+        {"radius_m": True},
+        {"radius_m": 1e9},
+        {"height_m": -5},
+        {"side": "x" * 30},
+        {"airspeed_m_s": 15},
+        [["radius_m", 80]],
+    ],
+)
+def test_a_change_has_known_names_and_plain_values(values):
+    with pytest.raises((ValueError, AttributeError)):
+        button_of({"action": "change", "values": values})
+
+
+def test_a_change_is_passed_on(shown):
+    assert press(shown, {"action": "change", "values": {"radius_m": 80, "side": "right"}}) == 202
+    (change,) = requests_after(shown)
+    assert (change.radius_m, change.side) == (80, "right")
+
+
 def test_a_button_before_anything_flies_is_answered_in_words(capsys):
     with display_at("127.0.0.1") as display:
         said: list[str] = []
@@ -163,7 +186,7 @@ def test_a_port_in_use_is_told(shown):
         socket.create_server(("127.0.0.1", 0)) as taken,
         pytest.raises(InputError, match=f"{taken.getsockname()[1]}.*--view-port"),
         ViewDisplay(
-            PanelDisplay(Console(), Config().requirement.requirement(), quiet=True),
+            PanelDisplay(Console(), quiet=True),
             Config(),
             Address("127.0.0.1", taken.getsockname()[1]),
         ),

@@ -35,11 +35,11 @@ def watching(snapshots):
 
 
 def state_of(snapshot, requirement=LEFT):
-    return StateEncoder(requirement, 15.0).state(snapshot, 0.0)
+    return StateEncoder(15.0, 100.0).state(replace(snapshot, requirement=requirement), 0.0)
 
 
 def test_every_state_is_strict_json(snapshots):
-    encoder = StateEncoder(LEFT, 15.0)
+    encoder = StateEncoder(15.0, 100.0)
     for snapshot in snapshots:
         json.dumps(encoder.state(snapshot, 0.0), allow_nan=False)
 
@@ -84,7 +84,7 @@ def test_the_observation_angle_counts_from_abeam_of_a_target_that_drives_east(wa
 def test_the_course_holds_through_a_stop(watching):
     moving = TargetEstimate(watching.time_s, 0.0, 0.0, 0.0, 3.0, np.eye(4), TrackQuality.GOOD, watching.time_s)
     standing = replace(moving, velocity_north_m_s=-0.2)
-    encoder = StateEncoder(LEFT, 15.0)
+    encoder = StateEncoder(15.0, 100.0)
     courses = [
         encoder.state(replace(watching, estimate=estimate), 0.0)["target"]["course_rad"]
         for estimate in (standing, moving, standing)
@@ -121,7 +121,7 @@ def test_the_flown_transition_is_shown_only_until_the_circle_is_reached(snapshot
 
 def test_ages_are_those_of_the_sensors_in_use(watching):
     sensor_status = replace(watching.sensor_status, range_s=watching.time_s - 3.0, gimbal_s=watching.time_s - 0.5)
-    state = StateEncoder(LEFT, 15.0).state(replace(watching, sensor_status=sensor_status), silent_s=1.25)
+    state = StateEncoder(15.0, 100.0).state(replace(watching, sensor_status=sensor_status), silent_s=1.25)
     assert (state["range_age_s"], state["gimbal_age_s"], state["link_age_s"]) == (3.0, 0.5, 1.25)
 
 

@@ -42,8 +42,7 @@ FLAGS = (
 
 
 def shown() -> ViewDisplay:
-    requirement = CONFIG.requirement.requirement()
-    return ViewDisplay(PanelDisplay(Console(), requirement, quiet=True), CONFIG, Address(port=0))
+    return ViewDisplay(PanelDisplay(Console(), quiet=True), CONFIG, Address(port=0))
 
 
 def test_the_page_is_up_within_5_s():
@@ -59,7 +58,7 @@ class Alternating:
     """Shows a flight on the page in every other window of time, so that what else runs here disturbs both alike."""
 
     def __init__(self, view: ViewDisplay) -> None:
-        self._view, self._panel = view, PanelDisplay(Console(), CONFIG.requirement.requirement(), quiet=True)
+        self._view, self._panel = view, PanelDisplay(Console(), quiet=True)
 
     @property
     def on_page(self) -> bool:
@@ -118,7 +117,7 @@ async def _flown(parent: Path) -> tuple[list[float], list[float], list[float]]:
         session = await stack.enter_async_context(connected([vehicle.url], 10.0, recording.frame))
         stack.enter_context(_running(_probe(lambda: with_s if display.on_page else without_s)))
         flight = Flight(session, CONFIG, controller_of(CONFIG), recording, display, FLOWN_S)
-        await flight.fly(run.truth, asyncio.Event())
+        await flight.fly(asyncio.Event())
     return without_s, with_s, told_s
 
 

@@ -122,7 +122,7 @@ class Flight:
         controller = StandoffController(
             StandoffSettings(settings[1], settings[0], give_up_after_s=1e9),
             tracker_of(self.config),
-            lambda _requirement: planner,
+            lambda _aircraft, _requirement: planner,
         )
         home = self.autopilot.home
         return mission_controller_of(

@@ -60,7 +60,7 @@ def make(planner: Scripted, **settings) -> StandoffController:
     return StandoffController(
         StandoffSettings(requirement, Aircraft(SPEED_M_S, RADIUS_M), **settings),
         Tracker(TrackerSettings()),
-        lambda _requirement: planner,
+        lambda _aircraft, _requirement: planner,
         check,
     )
 
@@ -291,7 +291,7 @@ def test_a_target_unseen_for_long_holds_the_circle_then_ends():
 def test_an_operator_holds_resumes_changes_side_and_ends():
     sides: list[Side] = []
     controller = make(Scripted([THERE] * 9))
-    controller.make_planner = lambda requirement: sides.append(requirement.side) or Scripted()
+    controller.make_planner = lambda _aircraft, requirement: sides.append(requirement.side) or Scripted()
     engaged(controller, 0.5)
     controller.step(OperatorRequest(0.5, "hold"))
     assert not kinds(fly(controller, 0.5, 5.0), UploadPlan)

@@ -7,6 +7,8 @@ const byId = (id) => document.getElementById(id);
 const degrees = (radians) => Math.round(((radians * 180) / Math.PI + 360) % 360);
 const LOG_KEPT = 300;
 const SILENT_MS = 2000;
+const ANSWER_MS = 12000;
+const CHANGES = { radius_m: "radius", range_min_m: "least range", range_max_m: "greatest range", height_m: "height", side: "side" };
 const IN_HAND = new Set(["watching", "holding"]);
 const PHASE_LOOKS = { watching: "good", holding: "warn", yielded: "bad", ended: "bad" };
 const QUALITY_LOOKS = { good: "good", coasting: "warn", lost: "bad" };
@@ -18,6 +20,7 @@ let startS = 0;
 let heardAt = performance.now();
 let over = false;
 let drawn = true;
+let answered = 0;
 
 function clock(timeS) {
   const since = Math.max(0, timeS - startS);
@@ -38,7 +41,10 @@ function hear(told) {
   map.addTrail(told.trail);
   for (const sample of told.series ?? []) map.addTarget(sample.target_m);
   plots.add(told.series ?? []);
-  for (const [timeS, kind, text] of told.said) say(timeS, kind, text);
+  for (const [timeS, kind, text] of told.said) {
+    say(timeS, kind, text);
+    if (kind === "operator" && !told.anew) answer(text);
+  }
   if (told.state) state = told.state;
   over ||= told.over ?? false;
   if (drawn) {
@@ -62,6 +68,14 @@ function say(timeS, kind, text) {
   line.append(time, text);
   byId("log").prepend(line);
   while (byId("log").childElementCount > LOG_KEPT) byId("log").lastChild.remove();
+}
+
+// What became of the person's last wish, where nobody overlooks it.
+function answer(text) {
+  byId("answer").hidden = false;
+  byId("answer").textContent = text;
+  clearTimeout(answered);
+  answered = setTimeout(() => { byId("answer").hidden = true; }, ANSWER_MS);
 }
 
 // -- showing it ----------------------------------------------------------------------------------------------
@@ -203,15 +217,48 @@ function asked(question) {
   });
 }
 
+// What was changed in the form, by name; null where it was left.
+function changed() {
+  const dialog = byId("change");
+  const form = dialog.querySelector("form");
+  for (const name of Object.keys(CHANGES)) form.elements[name].value = state.asked[name];
+  dialog.returnValue = "no";
+  dialog.showModal();
+  return new Promise((done) => {
+    dialog.addEventListener("close", () => {
+      const given = (name) => (name === "side" ? form.elements[name].value : Number(form.elements[name].value));
+      const names = Object.keys(CHANGES).filter((name) => given(name) !== state.asked[name]);
+      const values = Object.fromEntries(names.map((name) => [name, given(name)]));
+      done(dialog.returnValue === "yes" && names.length ? values : null);
+    }, { once: true });
+  });
+}
+
+byId("change").querySelector("button[value=no]").addEventListener("click", () => byId("change").close("no"));
+
+function described(values) {
+  const unit = (value) => (typeof value === "number" ? `${value} m` : value);
+  return Object.entries(values).map(([name, value]) => `${CHANGES[name]} ${unit(value)} instead of ${unit(state.asked[name])}`);
+}
+
+async function press(body) {
+  const headers = { "Content-Type": "application/json" };
+  const got = await fetch("press", { method: "POST", headers, body: JSON.stringify(body) });
+  if (!got.ok) answer(`${body.action} was not passed on: ${await got.text()}`);
+}
+
 byId("buttons").addEventListener("click", async ({ target: button }) => {
   const { action, ask } = button.dataset;
   if (!action) return;
+  if (action === "change") {
+    const values = await changed();
+    if (values && (await asked(`Change ${described(values).join(", ")}?`))) press({ action, values });
+    return;
+  }
   const side = action !== "side" ? null : state.side === "left" ? "right" : "left";
   const question = side ? `Watch from the target's ${side} instead?` : ask;
   if (!(await asked(question))) return;
-  const headers = { "Content-Type": "application/json" };
-  const answer = await fetch("press", { method: "POST", headers, body: JSON.stringify({ action, side }) });
-  if (!answer.ok) say(null, "operator", `${action} was not passed on: ${await answer.text()}`);
+  press({ action, side });
 });
 
 byId("places").addEventListener("click", async ({ target: button }) => {

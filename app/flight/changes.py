@@ -1,0 +1,84 @@
+"""A person's changes of the mission in flight: checked like a configuration, made ready beside the loop, passed on.
+
+A value table that is not at hand is computed by another process: the control loop does not wait for it, and the
+change reaches the control step once it is there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import replace
+
+from app.assembly import winds_m_s
+from app.config import Config, check_flyable, with_values
+from app.errors import InputError
+from app.planners.registry import planner_by_name
+from mission.control.controller import StandoffController
+from mission.control.mission_change import describe_change
+from mission.core.events import Announce, MissionChange
+
+
+class MissionChanges:
+    """One flight's. put passes a change on to the control loop; say tells the person what became of it."""
+
+    def __init__(
+        self,
+        config: Config,
+        controller: StandoffController,
+        now_s: Callable[[], float],
+        put: Callable[[MissionChange], object],
+        say: Callable[[Announce], object],
+    ) -> None:
+        self._config, self._controller, self._now_s, self._put, self._say = config, controller, now_s, put, say
+        self._under_way: asyncio.Task[None] | None = None
+
+    def take(self, change: MissionChange) -> None:
+        """Take a change as it was asked for."""
+        if self._under_way is not None and not self._under_way.done():
+            self._tell(f"{describe_change(change)} refused: the change before is still being made ready; ask again")
+            return
+        try:
+            changed = self._checked(change)
+        except InputError as error:
+            self._tell(f"{describe_change(change)} refused: {error}")
+            return
+        self._under_way = asyncio.create_task(self._carry_out(change, changed))
+
+    def stop(self) -> None:
+        """Give up what is under way."""
+        if self._under_way is not None:
+            self._under_way.cancel()
+
+    def _checked(self, change: MissionChange) -> Config:
+        """Return the configuration as changed. Raises InputError with what keeps it from being flown."""
+        changed = with_values(
+            self._config,
+            {
+                "aircraft": {"radius_m": change.radius_m, "height_m": change.height_m},
+                "requirement": {
+                    "range_min_m": change.range_min_m,
+                    "range_max_m": change.range_max_m,
+                    "side": change.side,
+                },
+            },
+            "change",
+        )
+        check_flyable(changed)
+        objection = self._controller.objection(change)
+        if objection is not None:
+            raise InputError(f"{objection}.")
+        return changed
+
+    async def _carry_out(self, change: MissionChange, changed: Config) -> None:
+        kind, aircraft = planner_by_name(changed.planner.name), changed.aircraft.aircraft()
+        try:
+            await kind.make_ready(aircraft, changed.requirement.requirement(), winds_m_s(changed))
+        except OSError as error:
+            self._tell(f"{describe_change(change)} refused: {error}")
+            return
+        self._config = changed
+        self._put(replace(change, time_s=self._now_s()))
+
+    def _tell(self, text: str) -> None:
+        self._say(Announce(self._now_s(), "operator", text))

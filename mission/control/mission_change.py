@@ -1,0 +1,38 @@
+"""What a person's change makes of requirement and aircraft."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mission.core.events import MissionChange
+from mission.core.requirement import Aircraft, Requirement
+from mission.viewpoint.side_policy import watching_from
+
+
+def requirement_after(change: MissionChange, requirement: Requirement) -> Requirement:
+    """Return the requirement as changed. Raises ValueError when the side's words are none."""
+    min_m = requirement.range_min_m if change.range_min_m is None else change.range_min_m
+    max_m = requirement.range_max_m if change.range_max_m is None else change.range_max_m
+    banded = replace(requirement, range_min_m=min_m, range_max_m=max_m)
+    return banded if change.side is None else watching_from(banded, change.side)
+
+
+def aircraft_after(change: MissionChange, aircraft: Aircraft) -> Aircraft:
+    """Return the aircraft as it is to be flown."""
+    return aircraft if change.radius_m is None else replace(aircraft, radius_m=change.radius_m)
+
+
+def describe_change(change: MissionChange) -> str:
+    """Return what is changed, in words."""
+    words = []
+    if change.radius_m is not None:
+        words.append(f"radius {change.radius_m:g} m")
+    if change.range_min_m is not None:
+        words.append(f"least range {change.range_min_m:g} m")
+    if change.range_max_m is not None:
+        words.append(f"greatest range {change.range_max_m:g} m")
+    if change.height_m is not None:
+        words.append(f"height {change.height_m:g} m")
+    if change.side is not None:
+        words.append(f"side {change.side}")
+    return ", ".join(words)

@@ -1,0 +1,61 @@
+"""How high plans are flown: what gives them their heights, and the way from one height to another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from mission.core.plan import HeightProfile, Plan
+
+# The share of the rates that is counted on: in a tailwind the ground comes sooner.
+_RATE_RESERVE = 0.7
+
+
+class Heights(Protocol):
+    """Gives plans their heights, m above home."""
+
+    def levelled(self, plan: Plan, flown_m: float | None, target_m: tuple[float, float] | None = None) -> Plan | str:
+        """Return the plan with its heights, or in words why there are none.
+
+        flown_m is the present height, None before the first circle; target_m the target's place (east, north).
+        """
+        ...
+
+    def at(self, height_m: float) -> Heights:
+        """Return the same for another height, above what the configured one is above."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ClimbRates:
+    """What the aircraft reaches: airspeed, climb and descent, m/s."""
+
+    airspeed_m_s: float
+    climb_m_s: float = 3.0
+    descent_m_s: float = 2.0
+
+    def slope(self, *, climbs: bool) -> float:
+        """Return metres of height for each metre flown, as far as they can be counted on."""
+        return _RATE_RESERVE * (self.climb_m_s if climbs else self.descent_m_s) / self.airspeed_m_s
+
+    def profile(self, from_m: float, to_m: float) -> HeightProfile:
+        """Return the heights on the way from one to the other."""
+        return HeightProfile(from_m, to_m, self.slope(climbs=to_m >= from_m))
+
+
+@dataclass(frozen=True, slots=True)
+class OneHeight:
+    """``Heights`` over flat ground. height_m None: the configured one, which plans do not carry."""
+
+    rates: ClimbRates
+    height_m: float | None = None
+
+    def levelled(self, plan: Plan, flown_m: float | None, _target_m: tuple[float, float] | None = None) -> Plan:
+        """Return the plan with its heights."""
+        if self.height_m is None:
+            return plan
+        return replace(plan, heights=self.rates.profile(self.height_m if flown_m is None else flown_m, self.height_m))
+
+    def at(self, height_m: float) -> OneHeight:
+        """Return the same for another height."""
+        return OneHeight(self.rates, height_m)

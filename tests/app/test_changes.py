@@ -1,0 +1,114 @@
+"""What a person changes in flight: checked like a configuration, made ready beside the loop, journalled, replayed."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import pytest
+
+from app import value_cache
+from app.analysis.replay import JournalReplay
+from app.assembly import controller_of, settle
+from app.config import Config
+from app.flight.changes import MissionChanges
+from app.flight.recording import JOURNAL_TYPES, Recording
+from app.records.journal import JournalReader
+from app.records.run_folder import RunFolder
+from estimators.frames import LocalPlane
+from mission.core.circle import Circle
+from mission.core.events import ControlAcquired, MissionChange, UploadPlan
+from mission.predictive import planner
+from tests.app.conftest import steps
+
+PLANE, HOME_DEG = LocalPlane(47.4, 8.5), (47.4, 8.5)
+
+
+def changes_of(config):
+    """Return the changes of a flight that has begun, what they pass on, and what they say."""
+    controller = controller_of(config)
+    settle(controller, config, PLANE, HOME_DEG)
+    controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
+    put: list[MissionChange] = []
+    said: list[str] = []
+    return MissionChanges(config, controller, lambda: 7.0, put.append, lambda told: said.append(told.text)), put, said
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (MissionChange(0.0, radius_m=12.0), "radius 12 m refused: infeasible: the circle is tighter than"),
+        (MissionChange(0.0, range_min_m=600.0), "range_min_m = 600 is not below range_max_m = 500; change one"),
+        (MissionChange(0.0, radius_m=5.0), "change: aircraft.radius_m = 5.0: input should be greater"),
+        (MissionChange(0.0, side="up"), "'up' is none of left, right, either, or a sector in degrees"),
+        (MissionChange(0.0, height_m=150.0), "the height of 150 m is above the ceiling of 120 m"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_in_one_sentence(change, sentence):
+    changes, put, said = changes_of(
+        Config.model_validate({"planner": {"name": "paper"}, "fences": {"ceiling_m": 120.0}})
+    )
+    changes.take(change)
+    (text,) = said
+    assert sentence in text
+    assert "\n" not in text
+    assert put == []
+
+
+def test_the_table_of_another_radius_is_made_by_another_process(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    small = planner.table_configuration
+    monkeypatch.setattr(
+        planner, "table_configuration", lambda *known: replace(small(*known), cells=4, improvements=(1, 1))
+    )
+    changes, put, said = changes_of(Config())
+    turns = 0
+
+    async def changed():
+        nonlocal turns
+        changes.take(MissionChange(0.0, radius_m=80.0, who="operator"))
+        changes.take(MissionChange(0.0, radius_m=90.0))
+        while not put:
+            turns += 1
+            await asyncio.sleep(0.002)
+
+    asyncio.run(changed())
+    assert said == ["radius 90 m refused: the change before is still being made ready; ask again"]
+    (change,) = put
+    assert (change.radius_m, change.time_s, change.who) == (80.0, 7.0, "operator")
+    assert turns > 20  # the loop went on turning meanwhile
+    monkeypatch.setattr(value_cache, "compute", lambda *_: pytest.fail("a table was computed within a step"))
+    monkeypatch.setattr(value_cache, "stored_table", lambda *_: pytest.fail("a file was read within a step"))
+    aircraft = replace(Config().aircraft.aircraft(), radius_m=80.0)
+    changes._controller.make_planner(aircraft, Config().requirement.requirement())
+
+
+def test_a_changed_flight_is_replayed_to_the_last_bit_and_judged_by_what_was_asked_when(tmp_path, config):
+    controller = controller_of(config)
+    folder = RunFolder.create(tmp_path, datetime(2026, 11, 22, tzinfo=UTC))
+    recording = Recording(folder, config, pytest.fail)
+    recording.begin(PLANE, HOME_DEG)
+    first = MissionChange(150.0, radius_m=70.0, range_min_m=150.0)
+    wishes = {150.0: first, 200.0: MissionChange(200.0, height_m=120.0)}
+    uploads = []
+    for event, commands in steps(controller, config, 200.0):
+        wish = wishes.pop(round(controller.time_s, 1), None)
+        for one, led_to in ((event, commands), *(((wish, controller.step(wish)),) if wish is not None else ())):
+            recording.event(one)
+            for command in led_to:
+                recording.command(command)
+                uploads += [command.plan] if isinstance(command, UploadPlan) else []
+    recording.close()
+    assert {plan.circle.radius_m for plan in uploads} == {70.0}
+    assert uploads[-1].heights.to_m == 120.0
+
+    journal = JournalReader(folder.journal, JOURNAL_TYPES)
+    replay = JournalReplay(controller_of(config))
+    snapshots = [step.snapshot for step in replay.run(journal)]
+    assert replay.difference is None
+    assert replay.compared > 10
+    assert snapshots[-1].requirement.range_min_m == 150.0
+    lines = [json.loads(line) for line in folder.journal.read_text().splitlines()]
+    assert sum(line["event"] == "MissionChange" for line in lines) == 2
