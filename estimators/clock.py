@@ -177,7 +177,10 @@ class SourceClock:
             self._samples.append(ahead_s)
             self._estimate(clock.tick_s)
         early_s = AHEAD_S + clock.tick_s  # the vehicle's own last words may be lost
-        if -LATE_S <= ahead_s - self.ahead_s <= early_s:
+        late_s = LATE_S
+        if self.ahead_s:  # what is off by more may as well be the vehicle's clock that was set: the stamp is not known
+            early_s, late_s = _DELAY_MAX_S + clock.tick_s, _DELAY_MAX_S
+        if -late_s <= ahead_s - self.ahead_s <= early_s:
             return stamp_s - self.ahead_s
         return stamp_s if -_DELAY_MAX_S <= ahead_s <= early_s else None
 

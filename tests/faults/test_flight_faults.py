@@ -73,6 +73,13 @@ def test_faults_that_come_together_do_not_either(seed):
     assert not verdict.broken, verdict.what
 
 
+def test_a_vehicles_clock_that_is_set_under_a_corrected_payload_misleads_nobody():
+    # The payload has restarted, and its clock is corrected by the vehicle's, which is then set by 1.7 s and back.
+    verdict = flight(20373, "px4")
+    assert set(verdict.names) >= {"vehicle clock", "payload restart"}
+    assert not verdict.broken, verdict.what
+
+
 def test_the_same_flight_again_is_the_same_to_the_last_bit():
     scenario = Scenario(7, "px4", 60.0)
     faults = [replace(flight_faults.poor_link(np.random.default_rng(3), 10.0)), MISLEADING[3]]
