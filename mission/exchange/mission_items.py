@@ -196,6 +196,7 @@ class MissionItemBackend:
     def expire(self) -> None:
         """Do what is due."""
         self._waits = False
+        self._ownership.expire()
         self._audit()
         if self._ownership.frozen:
             return
@@ -298,6 +299,7 @@ class MissionItemBackend:
         if self._read is not None:
             self._read.receive(report)
         frozen = self._ownership.frozen
+        self._ownership.receive(report)
         if not frozen:
             self._upload.receive(report)
             self._judge_upload()

@@ -7,37 +7,43 @@ from collections.abc import Iterable
 
 from mission.exchange.dialect import ProtocolQuirks
 from mission.exchange.layout import MissionLayout
+from mission.exchange.mission_read import MissionRead
 from mission.exchange.outbox import ExternalControl, Outbox
 from mission.exchange.ownership import MissionIdentity, Suspicion
-from mission.exchange.raw_item import same_item
-from mission.exchange.reports import MissionCurrentReported, MissionItemReported
+from mission.exchange.raw_item import RawItem, same_item, same_items
+from mission.exchange.reports import MissionCurrentReported, MissionItemReported, VehicleReport
 
 _AUDIT_S, _AUDIT_AGAIN_S = 3.0, 0.6  # between two looks at the item that is flown
+_READ_S = 10.0
 _CHANGED = "another station has changed the mission"
 
 
 class MissionOwnership:
     """Reports ``ExternalControl`` when somebody else commands the mission; ``begin`` comes first.
 
-    ``frozen`` while that may be so: not one message more until it is known.
+    ``frozen`` while that may be so: no command more until it is known. So it is too where an upload of a whole mission
+    ended in doubt, until one of ours is reported; one of its length but of an unknown id is read first.
     """
 
     def __init__(self, outbox: Outbox, quirks: ProtocolQuirks) -> None:
         self._outbox, self._quirks = outbox, quirks
         self._reports, self._contents = Suspicion(), Suspicion()
         self._identity = MissionIdentity()
+        self._written: tuple[RawItem, ...] = ()
+        self._read: MissionRead | None = None
+        self._in_doubt = False
         self._begun = False
         self._audit_s = math.inf
 
     @property
     def frozen(self) -> bool:
         """Whether the latest report does not fit to what was commanded from here."""
-        return self._reports.active or self._contents.active
+        return self._reports.active or self._contents.active or self._in_doubt
 
     @property
     def next_timer_s(self) -> float:
-        """When ``audit`` is to be called, on the link's clock; inf: never."""
-        return self._audit_s
+        """When ``expire`` and ``audit`` are to be called, on the link's clock; inf: never."""
+        return self._audit_s if self._read is None else min(self._audit_s, self._read.next_timer_s)
 
     @property
     def mission_ids(self) -> frozenset[int]:
@@ -63,9 +69,11 @@ class MissionOwnership:
         """Begin to write a mission of so many items."""
         self._identity.writing = items - self._quirks.home_at_zero
 
-    def written(self, items: int, mission_id: int) -> None:
+    def written(self, items: tuple[RawItem, ...], mission_id: int, accepted: bool) -> None:
         """Have written a mission, or perhaps written it."""
-        self._identity.written(items - self._quirks.home_at_zero, mission_id)
+        self._written, self._read = items, None
+        self._in_doubt = self._begun and not accepted and not self._quirks.stores_items_one_by_one
+        self._identity.written(len(items) - self._quirks.home_at_zero, mission_id, accepted)
 
     def switched(self) -> None:
         """Have switched to another line: what comes late belongs to the one before."""
@@ -75,12 +83,42 @@ class MissionOwnership:
         """Take a MISSION_CURRENT; lines are those that may be flown."""
         if not self._begun:
             return
+        if self._identity.is_open(report.total, report.mission_id):
+            self._in_doubt = True
+            if self._read is None:
+                self._read = MissionRead(self._outbox, self._quirks, self._outbox.link_s + _READ_S)
+            return
+        self._read, self._in_doubt = None, False
         if not self._identity.is_ours(report.total, report.mission_id):
             self._suspect(self._reports, _CHANGED)
         elif not any(line is not None and report.seq in line for line in lines):
             self._suspect(self._reports, f"another station has chosen item {report.seq} of the mission")
         else:
             self._reports.fits()
+
+    def receive(self, report: VehicleReport) -> None:
+        """Take what the autopilot reports."""
+        if self._read is not None:
+            self._read.receive(report)
+            self._judge_read(self._read)
+
+    def expire(self) -> None:
+        """Do what is due."""
+        if self._read is not None:
+            self._read.expire()
+            self._judge_read(self._read)
+
+    def _judge_read(self, read: MissionRead) -> None:
+        if not read.done:
+            return
+        self._read = None  # without an answer the next report begins another
+        if read.items is None:
+            return
+        self._in_doubt = False
+        if same_items(self._written, read.items):
+            self._identity.written(len(read.items) - self._quirks.home_at_zero, read.mission_id)
+        else:
+            self._outbox.report(ExternalControl(self._outbox.time_s, _CHANGED))
 
     def item(self, report: MissionItemReported, layout: MissionLayout) -> None:
         """Take an item that is on board."""

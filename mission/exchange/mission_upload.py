@@ -116,4 +116,4 @@ class MissionUpload:
             self._onboard = tuple(b if a == b else None for a, b in doubtful)
         else:
             self._onboard = ()
-        self._ownership.written(len(write.items), write.mission_id)
+        self._ownership.written(write.items, write.mission_id, result is WriteResult.ACCEPTED)

@@ -45,29 +45,37 @@ class MissionIdentity:
     """The missions of ours, each as (total, mission_id).
 
     ``expected``: a mission of so many items was written, and its id is learnt from the first report of it.
+    ``doubtful``: one of so many items may have been written; an id of it proves nothing, for others write as many.
     """
 
     ours: set[tuple[int, int]] = field(default_factory=set)
     expected: int | None = None
+    doubtful: int | None = None
     writing: int | None = None  # a mission of so many items is under way: it may be on board already
 
-    def written(self, total: int, mission_id: int) -> None:
-        """Take over a mission that is on board. mission_id 0: not known yet."""
-        self.writing = None
+    def written(self, total: int, mission_id: int, accepted: bool = True) -> None:
+        """Take over a mission that is on board, or may be. mission_id 0: not known yet."""
+        self.writing = self.expected = self.doubtful = None
         if mission_id:
             self.ours.add((total, mission_id))
-            self.expected = None
-        else:
+        elif accepted:
             self.expected = total
+        else:
+            self.doubtful = total
+
+    def is_open(self, total: int, mission_id: int) -> bool:
+        """Tell whether only the items themselves show whose the mission of a report is."""
+        unknown = mission_id != 0 and (total, mission_id) not in self.ours
+        return unknown and self.writing is None and total == self.doubtful
 
     def is_ours(self, total: int, mission_id: int) -> bool:
         """Tell whether a report is of a mission of ours; learn its id where one is expected."""
         if (total, mission_id) in self.ours or self._is_under_way(total, mission_id):
             return True
-        if total != self.expected:
+        if total not in (self.expected, self.doubtful):
             return False
         self.ours.add((total, mission_id))
-        self.expected = None
+        self.expected = self.doubtful = None
         return True
 
     def _is_under_way(self, total: int, mission_id: int) -> bool:

@@ -100,6 +100,7 @@ class Flight:
         self.listeners: list[Callable[[object], object]] = []  # of each output
         self.observers: list[Callable[[], object]] = []  # of each step
         self.arrived: Callable[[str, dict], object] = lambda name, fields: None
+        self.lost: set[str] = set()  # names of messages that never come through to us
         self._carried = 0
         self._seen: set[int] = set()
         self.simulation.connect("us")
@@ -218,6 +219,8 @@ class Flight:
 
     def _hear(self, frame):
         for got in self._parser.parse_buffer(frame) or ():
+            if got.get_type() in self.lost:
+                continue
             fields = {name: getattr(got, name) for name in got.get_fieldnames()}
             if got.get_type() == "STATUSTEXT":
                 fields["text"] = str(fields["text"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from app.analysis.replay import JournalReplay
@@ -111,3 +113,39 @@ def test_answers_to_another_station_are_not_ours(in_the_air):
         flight.run(1.0)
     assert len(statuses(flight, "departed")) >= 2
     assert not flight.found(Yield)
+
+
+def doubtful(flight):
+    """Let an upload end without an answer: neither its acknowledgement nor the list on board comes through."""
+    flight.lost = {"MISSION_ACK", "MISSION_COUNT"}
+    before = len(statuses(flight, "failed"))
+    assert flight.run(60.0, lambda: len(statuses(flight, "failed")) > before)
+
+
+def test_a_mission_whose_upload_ended_in_doubt_is_read_before_it_is_taken_for_ours(in_the_air):
+    flight = in_the_air("px4")
+    flight.run(20.0)
+    doubtful(flight)
+    flight.run(5.0)
+    uploads = [one for one in flight.found(SendMessage) if one.name == "MISSION_ITEM_INT"]
+    flight.run(5.0)
+    assert len([one for one in flight.found(SendMessage) if one.name == "MISSION_ITEM_INT"]) == len(uploads)
+    flight.lost = set()
+    departed = len(statuses(flight, "departed"))
+    assert flight.run(60.0, lambda: len(statuses(flight, "departed")) > departed)
+    assert not flight.found(Yield)
+
+
+def test_a_foreign_mission_of_the_length_of_one_in_doubt_is_not_taken_for_ours(in_the_air):
+    flight = in_the_air("px4")
+    flight.run(20.0)
+    doubtful(flight)
+    mission = flight.autopilot.mission
+    moved = [replace(item, latitude_e7=item.latitude_e7 + 9_000) for item in mission.items()]
+    mission.begin(len(moved))
+    for index, item in enumerate(moved):
+        mission.put(index, item, index == mission.index)
+    mission.finish()
+    flight.lost = set()
+    assert flight.run(15.0, lambda: bool(flight.found(Yield)))
+    assert flight.found(Yield)[0].reason == "another station has changed the mission"
