@@ -178,9 +178,7 @@ class SourceClock:
             self._estimate(clock.tick_s)
         early_s = AHEAD_S + clock.tick_s  # the vehicle's own last words may be lost
         late_s = LATE_S
-        if (
-            self.ahead_s
-        ):  # what is off by more may as well be the vehicle's clock that was set: the stamp is not known
+        if self.ahead_s:  # where it is off by more, the vehicle's own clock may have been set
             early_s, late_s = _DELAY_MAX_S + clock.tick_s, _DELAY_MAX_S
         if -late_s <= ahead_s - self.ahead_s <= early_s:
             return stamp_s - self.ahead_s
