@@ -189,7 +189,9 @@ class SourceClock:
             return
         ordered = sorted(self._samples)
         middle_s = ordered[len(ordered) // 2]
-        near = [ahead_s for ahead_s in ordered if abs(ahead_s - middle_s) <= _CLUSTER_S]
+        near = ordered
+        if ordered[-1] - middle_s > _CLUSTER_S or middle_s - ordered[0] > _CLUSTER_S:
+            near = [ahead_s for ahead_s in ordered if abs(ahead_s - middle_s) <= _CLUSTER_S]
         if len(near) < _CLUSTER_SHARE * len(ordered):
             return
         least_delayed_s = near[3 * len(near) // 4]

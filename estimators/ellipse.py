@@ -17,6 +17,16 @@ class Ellipse:
     semi_minor_m: float
     orientation_rad: float
 
+    def outline(self, corners: int) -> list[tuple[float, float]]:
+        """Return (east, north) of points on it from its middle, m, in one round, closed."""
+        sin, cos = math.sin(self.orientation_rad), math.cos(self.orientation_rad)
+        points = []
+        for corner in range(corners):
+            angle_rad = math.tau * corner / corners
+            along_m, across_m = self.semi_major_m * math.cos(angle_rad), self.semi_minor_m * math.sin(angle_rad)
+            points.append((along_m * sin + across_m * cos, along_m * cos - across_m * sin))
+        return [*points, points[0]]
+
 
 def confidence_ellipse(covariance: npt.NDArray[np.float64], probability: float = 0.95) -> Ellipse:
     """Return the ellipse of a (2, 2) position covariance, east and north, m^2.

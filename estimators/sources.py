@@ -55,7 +55,7 @@ class SourceSelector:
 
     def accepts(self, source: Source, time_s: float) -> bool:
         """Tell whether to use a reading of this source."""
-        if source != self.chosen:
+        if source is not self.chosen and source != self.chosen:
             rank = self._rank_of(source)
             if rank is None:
                 return False

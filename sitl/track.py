@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 from sitl.geodesy import HomePlane
 
 _FILE_MAX_BYTES = 8 << 20
+_TARGET_TRACK = "target"
 _TIME_PIECES = 64  # of the text of a time
 _SPIKE_SPEED_M_S = 15.0
 _SPIKE_DETOUR = 3.0  # by way of a spike, over the direct way past it
@@ -119,17 +120,28 @@ def read_track(path: Path) -> Track:
 
 
 class _Points:
-    """A target of the XML parser: it keeps the points of tracks and nothing else of the file."""
+    """A target of the XML parser: it keeps the points of tracks and nothing else of the file.
+
+    Of a flight's own export only the target's track is kept, not the aircraft's.
+    """
 
     def __init__(self) -> None:
         self.rows: list[_Point] = []
+        self.of_target: list[_Point] = []
+        self._track_begun = 0  # how many points there were before the present track
+        self._name: str | None = None  # of which the text is being read
+        self._is_target = False
         self._place: tuple[float, float] | None = None
         self._time: list[str] | None = None  # pieces of the text of the time that is being read
         self._time_s: float | None = None
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         name = tag.rpartition("}")[2]
-        if name == "trkpt":
+        if name == "trk":
+            self._track_begun = len(self.rows)
+        elif name == "name":
+            self._name = ""
+        elif name == "trkpt":
             place = attributes.get("lat"), attributes.get("lon")
             self._place = (float(place[0]), float(place[1])) if place[0] and place[1] else None
             self._time_s = None
@@ -139,10 +151,17 @@ class _Points:
     def data(self, text: str) -> None:
         if self._time is not None and len(self._time) < _TIME_PIECES:
             self._time.append(text)
+        elif self._name is not None and len(self._name) < len(_TARGET_TRACK):
+            self._name += text
 
     def end(self, tag: str) -> None:
         name = tag.rpartition("}")[2]
-        if name == "time" and self._time is not None:
+        if name == "trk" and self._is_target:
+            self.of_target += self.rows[self._track_begun :]
+            self._is_target = False
+        elif name == "name" and self._name is not None:
+            self._is_target, self._name = self._is_target or self._name == _TARGET_TRACK, None
+        elif name == "time" and self._time is not None:
             stamp, self._time = "".join(self._time).strip(), None
             self._time_s = _seconds(stamp) if stamp else None
         elif name == "trkpt" and self._place is not None:
@@ -161,7 +180,7 @@ def _read_gpx(path: Path) -> list[_Point]:
         while piece := file.read(1 << 16):
             parser.feed(piece)
     parser.close()
-    return _from_geodetic(points.rows)
+    return _from_geodetic(points.of_target or points.rows)
 
 
 def _read_csv(path: Path) -> list[_Point]:

@@ -11,7 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 from app.errors import InputError
 from app.link.message import Message
@@ -39,11 +39,11 @@ _MODE = "as recorded"
 _EXCHANGE = (*get_args(ExchangeEvent), SendMessage, TakeoverFailed)
 # Between two positions these only feed the filter: nothing to show or to judge changes.
 _UNSEEN = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading, *get_args(ExchangeEvent))
+_OTHERS = (ModeReported, LinkReported)
 _MIN_BANKED_CURVATURE = 0.25  # of the circle's own; a straighter flight is taken as the circle
 
 
-@dataclass(frozen=True, slots=True)
-class Replayed:
+class Replayed(NamedTuple):
     """What one event of the log led to."""
 
     event: InboundEvent
@@ -67,26 +67,26 @@ class LogReplay:
 
     def run(self, messages: Iterable[Message]) -> Iterator[Replayed]:
         """Yield the events of the log with what the step made of them; those that nobody sees are passed over."""
+        telemetry, controller = self._telemetry, self.controller
+        plane = None
         for message in messages:
-            before = self.plane
-            event = self._telemetry.event(message)
-            if self.plane is not None and self.plane is not before:
-                self._on_plane(self.plane)
+            event = telemetry.event(message)
+            if telemetry.plane is not plane:
+                plane = telemetry.plane
+                assert plane is not None
+                self._on_plane(plane)
             # Nobody else flies here: a change of mode in the log is not one of ours to yield to.
-            if event is None or isinstance(event, ModeReported | LinkReported):
+            if event is None or isinstance(event, _OTHERS):
                 continue
-            commands = self.controller.step(event)
+            commands = controller.step(event)
             for command in commands:
                 if isinstance(command, UploadPlan):
-                    self.controller.step(
-                        PlanStatus(command.time_s, command.number, "failed", "not flown in this log")
-                    )
-            if isinstance(event, _UNSEEN) and not commands:
-                continue
-            snapshot = self.controller.snapshot()
-            if isinstance(event, PositionReading):
-                self._engage(snapshot)
-            yield Replayed(event, commands, snapshot)
+                    controller.step(PlanStatus(command.time_s, command.number, "failed", "not flown in this log"))
+            if commands or not isinstance(event, _UNSEEN):
+                snapshot = controller.snapshot()
+                if isinstance(event, PositionReading):
+                    self._engage(snapshot)
+                yield Replayed(event, commands, snapshot)
 
     def _engage(self, snapshot: Snapshot) -> None:
         aircraft = snapshot.aircraft

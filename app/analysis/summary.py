@@ -119,16 +119,12 @@ class SummaryCollector:
 
     def rmse_m(self, truth: Truth, plane: LocalPlane, start_s: float) -> float | None:
         """Return the root mean square of the estimate's distance from the truth since ``start_s``."""
-        squares = []
-        for one in self._estimated:
-            if one.time_s < start_s:
-                continue
-            target = truth.at(one.time_s, plane)
-            if target is not None:
-                squares.append(
-                    (one.target_east_m - target.target_east_m) ** 2
-                    + (one.target_north_m - target.target_north_m) ** 2
-                )
+        estimated = {one.time_s: one for one in self._estimated if one.time_s >= start_s}
+        squares = [
+            (estimated[true.time_s].target_east_m - true.target_east_m) ** 2
+            + (estimated[true.time_s].target_north_m - true.target_north_m) ** 2
+            for true in truth.at_each(list(estimated), plane)
+        ]
         return math.sqrt(sum(squares) / len(squares)) if squares else None
 
     def scored(self, truth: Truth | None, plane: LocalPlane | None, start_s: float) -> Score:
@@ -138,7 +134,7 @@ class SummaryCollector:
             source: Literal["truth", "estimate"] = "estimate"
         else:
             end_s = self._estimated[-1].time_s
-            moments = list(truth.moments(plane, start_s, end_s, _TRUTH_STEP_S))
+            moments = truth.moments(plane, start_s, end_s, _TRUTH_STEP_S)
             source = "truth"
         return score(_from_band(moments, self._asked), self._asked, source)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,25 +39,22 @@ class Truth:
 
     def at(self, time_s: float, plane: LocalPlane) -> Moment | None:
         """Return both at ``time_s``, interpolated between rows; None outside the file's time and in its gaps."""
-        if not self.time_s[0] <= time_s <= self.time_s[-1]:
-            return None
-        following = int(np.searchsorted(self.time_s, time_s))
-        gap_s = self.time_s[following] - self.time_s[max(following - 1, 0)]
-        if gap_s > _GAP_MAX_S and self.time_s[following] != time_s:
-            return None
-        target_east_m, target_north_m, aircraft_east_m, aircraft_north_m = self._positions_m(time_s, plane)
-        before_s = max(time_s - _VELOCITY_SPAN_S / 2, float(self.time_s[0]))
-        after_s = min(time_s + _VELOCITY_SPAN_S / 2, float(self.time_s[-1]))
-        before, after = self._positions_m(before_s, plane), self._positions_m(after_s, plane)
-        return Moment(
-            time_s,
-            aircraft_east_m,
-            aircraft_north_m,
-            target_east_m,
-            target_north_m,
-            (after[0] - before[0]) / (after_s - before_s),
-            (after[1] - before[1]) / (after_s - before_s),
-        )
+        return next(iter(self.at_each((time_s,), plane)), None)
+
+    def at_each(self, times_s: Sequence[float], plane: LocalPlane) -> list[Moment]:
+        """Return both at those of the times, in ascending order, that are neither outside the file's nor in gaps."""
+        rows_s, asked_s = self.time_s, np.asarray(times_s, np.float64)
+        asked_s = asked_s[(asked_s >= rows_s[0]) & (asked_s <= rows_s[-1])]
+        following = np.searchsorted(rows_s, asked_s)
+        in_gap = rows_s[following] - rows_s[np.maximum(following - 1, 0)] > _GAP_MAX_S
+        asked_s = asked_s[~in_gap | (rows_s[following] == asked_s)]
+        before_s = np.maximum(asked_s - _VELOCITY_SPAN_S / 2, rows_s[0])
+        after_s = np.minimum(asked_s + _VELOCITY_SPAN_S / 2, rows_s[-1])
+        target, aircraft = self._places_m(asked_s, slice(0, 2), plane), self._places_m(asked_s, slice(2, 4), plane)
+        before, after = (self._places_m(span_s, slice(0, 2), plane) for span_s in (before_s, after_s))
+        velocity_m_s = (after - before) / (after_s - before_s)[:, None]
+        columns = asked_s[:, None], aircraft, target, velocity_m_s
+        return [Moment(*row) for row in np.concatenate(columns, axis=1).tolist()]
 
     def over_ground(self, start_s: float) -> tuple[float | None, float | None]:
         """Return the share of the rows since ``start_s`` that see the target, and the least height over the ground.
@@ -68,25 +65,24 @@ class Truth:
         seen, heights_m = in_sight[np.isfinite(in_sight)], clearance_m[np.isfinite(clearance_m)]
         return float(seen.mean()) if seen.size else None, float(heights_m.min()) if heights_m.size else None
 
-    def moments(self, plane: LocalPlane, start_s: float, end_s: float, step_s: float) -> Iterator[Moment]:
-        """Yield both at every ``step_s`` from ``start_s`` to ``end_s``, as far as the file reaches, without gaps."""
+    def moments(self, plane: LocalPlane, start_s: float, end_s: float, step_s: float) -> list[Moment]:
+        """Return both at every ``step_s`` from ``start_s`` to ``end_s``, as far as the file reaches, without gaps."""
         begin_s, end_s = max(start_s, float(self.time_s[0])), min(end_s, float(self.time_s[-1]))
         if not begin_s < end_s:
-            return
+            return []
         rows_s = np.clip(self.time_s, begin_s, end_s)
         step = np.ceil((rows_s - begin_s) / step_s).astype(np.int64)
         # From row to row, so that damaged times make no more moments than there are rows to make them of.
-        for row in np.flatnonzero((np.diff(step) > 0) & (np.diff(self.time_s) <= _GAP_MAX_S)).tolist():
-            for number in range(int(step[row]), int(step[row + 1])):
-                moment = self.at(begin_s + number * step_s, plane)
-                if moment is not None:
-                    yield moment
+        rows = np.flatnonzero((np.diff(step) > 0) & (np.diff(self.time_s) <= _GAP_MAX_S)).tolist()
+        numbers = (number for row in rows for number in range(int(step[row]), int(step[row + 1])))
+        return self.at_each([begin_s + number * step_s for number in numbers], plane)
 
-    def _positions_m(self, time_s: float, plane: LocalPlane) -> tuple[float, float, float, float]:
-        target_latitude, target_longitude, latitude, longitude = (
-            float(np.interp(time_s, self.time_s, column)) for column in self.positions_deg
-        )
-        return *plane.east_north_m(target_latitude, target_longitude), *plane.east_north_m(latitude, longitude)
+    def _places_m(
+        self, time_s: npt.NDArray[np.float64], columns: slice, plane: LocalPlane
+    ) -> npt.NDArray[np.float64]:
+        """Return (n, 2) in the plane of whatever these two columns tell in degrees, at times (n,)."""
+        degrees = np.array([np.interp(time_s, self.time_s, column) for column in self.positions_deg[columns]]).T
+        return np.array([plane.east_north_m(*place) for place in degrees.tolist()]).reshape(-1, 2)
 
 
 def read_truth(path: Path) -> Truth:

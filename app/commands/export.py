@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from app.assembly import tracker_of
 from app.commands.output import console, progress_bar
-from app.link.modes import AUTOPILOT_PX4
+from app.errors import InputError
 from app.records.export import Format
 from app.records.export import export as write
+from app.records.klv import KlvLog
 from app.records.log import open_log
+from app.records.log_context import LogContext
+from app.records.mcap import LAYOUT, McapLog
 from app.records.run_folder import RunFolder
 from app.records.track import Flight, Mission
-from app.report.sources import Flown, read_flight
+from app.report.sources import Flown, feed, read_flight
 from mission.core.plan import Plan
 from mission.upload.items import plan_items
 from mission.upload.line_tracking import arduplane, px4
 
-_CONTEXT_MESSAGES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})
 _TRACKING = {"arduplane": arduplane, "px4": px4}
 
 
@@ -35,42 +36,65 @@ def export(
     ] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML); a run folder has its own.")] = None,
 ) -> None:
-    """Write a flight for other programs: its last mission (plan, waypoints) or its tracks (kml, geojson, csv, gpx).
+    """Write a flight for other programs.
+
+    Its last mission: plan, waypoints. Its tracks: kml, geojson, csv, gpx; a log without a target has the aircraft's.
+    All of it: mcap, for Foxglove and PlotJuggler. The metadata of a video: klv (MISB ST 0601).
 
     Examples: sidelong export runs/20261121T101500Z --format plan; sidelong export flight.tlog --format gpx
     """
+    write_export(source, wanted, out, config)
+
+
+def write_export(source: Path, wanted: Format, out: Path | None = None, config: Path | None = None) -> None:
+    """Write a run folder or log in a format and tell the file. Raises InputError."""
     if out is None:
         out = source / f"flight.{wanted}" if source.is_dir() else source.with_suffix(f".{wanted}")
     progress, task = progress_bar(source.name)
     with progress:
-        flown = read_flight(source, config=config, progress=lambda share: progress.update(task, completed=share))
-    context = _Context()
+        flown = read_flight(
+            source,
+            config=config,
+            progress=lambda share: progress.update(task, completed=share),
+            target_needed=False,
+        )
     # A run folder's tlog tells what its journal does not: the autopilot, home and the time of day.
-    log = open_log(RunFolder.open(source).tlog if source.is_dir() else source)
-    for message in log.messages(_CONTEXT_MESSAGES):
-        context.take(message.name, message.fields, message.received_s)
-    write(_flight(flown, context), wanted, out)
+    context = LogContext.of(open_log(RunFolder.open(source).tlog if source.is_dir() else source))
+    try:
+        if wanted is Format.MCAP:
+            _write_mcap(source, flown, context, out)
+        elif wanted is Format.KLV:
+            _write_klv(source, flown, context, out)
+        else:
+            write(_flight(flown, context), wanted, out)
+    except OSError as error:
+        raise InputError(f"{out} cannot be written: {error.strerror}.") from error
     console.print(f"{wanted}: {out}", soft_wrap=True)
+    if wanted is Format.MCAP:
+        console.print(f"a layout for Foxglove (Import from file...): {LAYOUT}", soft_wrap=True)
 
 
-class _Context:
-    """What a log tells beside the flight itself."""
-
-    def __init__(self) -> None:
-        self.autopilot = "arduplane"
-        self.booted: datetime | None = None
-        self.home_altitude_m: float | None = None
-
-    def take(self, name: str, fields: Mapping[str, Any], received_s: float) -> None:
-        if name == "HEARTBEAT" and fields["autopilot"] == AUTOPILOT_PX4:
-            self.autopilot = "px4"
-        elif name == "HOME_POSITION":
-            self.home_altitude_m = fields["altitude"] * 1e-3
-        elif name == "GLOBAL_POSITION_INT" and self.booted is None:
-            self.booted = datetime.fromtimestamp(received_s - fields["time_boot_ms"] * 1e-3, UTC)
+def _write_mcap(source: Path, flown: Flown, context: LogContext, out: Path) -> None:
+    log = McapLog(out, flown.history.plane, tracker_of(flown.config), context.booted, context.home_altitude_m)
+    try:
+        feed(source, log)
+    finally:
+        log.close()
 
 
-def _flight(flown: Flown, context: _Context) -> Flight:
+def _write_klv(source: Path, flown: Flown, context: LogContext, out: Path) -> None:
+    if context.booted is None or context.home_altitude_m is None:
+        raise InputError(f"{source} does not tell the time of day, or how high home is; KLV cannot go without.")
+    log = KlvLog(
+        out, flown.name, flown.history.plane, tracker_of(flown.config), context.booted, context.home_altitude_m
+    )
+    try:
+        feed(source, log)
+    finally:
+        log.close()
+
+
+def _flight(flown: Flown, context: LogContext) -> Flight:
     history, settings = flown.history, flown.config
     mission = None
     if history.circles:

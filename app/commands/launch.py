@@ -16,6 +16,7 @@ import typer
 
 from app.analysis.summary import Summary
 from app.assembly import controller_of
+from app.commands.export import write_export
 from app.commands.output import (
     JsonOption,
     checked_output,
@@ -33,10 +34,12 @@ from app.flight.display import FlightDisplay
 from app.flight.flight import Flight, Sharing, connected
 from app.flight.life import Life, describe_aircraft
 from app.flight.link_log import link_log
-from app.flight.recording import Recording, write_mcap
+from app.flight.recording import Recording
 from app.flight.simulated import SimulatedVehicle
 from app.link.discovery import SETTLING_S
 from app.planners.registry import PLANNER_NAMES
+from app.records.export import Format
+from app.records.mcap_writer import mcap_writer_class
 from app.records.run_folder import RunFolder
 from app.shutdown import run
 from app.view.address import DEFAULT_PORT, LOOPBACK, Address
@@ -149,6 +152,8 @@ def launch(
         },
     )
     check_flyable(settings)
+    if mcap:
+        mcap_writer_class()
     if point_gimbal and settings.terrain.folder is not None and settings.sensors.angles_alone:
         raise InputError(
             "--point-gimbal points the gimbal at the estimate, which would confirm itself while the laser is silent; "
@@ -161,7 +166,7 @@ def launch(
         if ended.reason is not None:
             raise ended.reason
         if mcap:
-            console.print(f"mcap: {write_mcap(ended.folder, settings, console.print)}", soft_wrap=True)
+            write_export(ended.folder.path, Format.MCAP)
         if report:
             write_report(ended.folder.path, ended.folder.path / "report.html")
 
@@ -292,6 +297,7 @@ async def _fly(
             )
         )
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
+        recording.follow(session.vehicle.system_id)
         life.watch(session.vehicle)
         flight = Flight(session, config, controller, recording, display, duration_s, sharing)
         try:

@@ -9,13 +9,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import get_args
 
-from app.assembly import tracker_of
 from app.config import Config, config_from
 from app.errors import InputError
 from app.records.journal import Header, JournalReader, JournalWriter
-from app.records.mcap import McapLog
 from app.records.recorder import TlogWriter
 from app.records.run_folder import RunFolder
+from app.records.vehicle_time import VehicleTime
 from estimators.frames import LocalPlane
 from mission.core.events import Command, Event
 from mission.exchange.mission_controller import InboundEvent, Output
@@ -53,19 +52,24 @@ def beginning(folder: Path) -> Iterator[None]:
 class Recording:
     """Opens the tlog at once and the journal when the plane is known; ``on_trouble`` is told when a disk is full.
 
-    Raises InputError when there is no writing from the beginning.
+    The tlog is stamped with the vehicle's time. Raises InputError when there is no writing from the beginning.
     """
 
     def __init__(self, folder: RunFolder, config: Config, on_trouble: Callable[[str], None]) -> None:
         self._folder, self._config, self._on_trouble = folder, config, on_trouble
         with beginning(folder.path):
             self._tlog = TlogWriter(folder.tlog, on_trouble)
+        self._time = VehicleTime()
         self._journal: JournalWriter | None = None
 
     def frame(self, data: bytes) -> None:
         """Take a raw frame, from any thread; one that carries a signing key is not kept."""
         if data[7:10] != _SETUP_SIGNING or data[0] != _MARKER_V2:
-            self._tlog.write(data, time.time())
+            self._tlog.write(data, self._time.stamp_s(data, time.time()))
+
+    def follow(self, system_id: int) -> None:
+        """Let this vehicle's clock be that of the tlog."""
+        self._time.system_id = system_id
 
     @property
     def begun(self) -> bool:
@@ -108,24 +112,3 @@ class Recording:
         if self._journal is not None:
             self._journal.close()
         self._tlog.close()
-
-
-def write_mcap(folder: RunFolder, config: Config, on_trouble: Callable[[str], None]) -> Path:
-    """Write a finished run's journal as MCAP too, for Foxglove and PlotJuggler; return the file.
-
-    It is done after the flight, so that the flight does not carry a second tracker. Raises InputError when the
-    package mcap is not installed, or the run has no journal.
-    """
-    path = folder.path / "flight.mcap"
-    journal = JournalReader(folder.journal, JOURNAL_TYPES)
-    if journal.header.plane is None:
-        raise InputError(f"{folder.path} holds no flight: the vehicle told no position.")
-    with beginning(folder.path):
-        log = McapLog(path, journal.header.plane, tracker_of(config), on_trouble)
-    for record in journal:
-        if isinstance(record, Command):
-            log.command(record)
-        else:
-            log.event(record)
-    log.close()
-    return path

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import Any, Literal
 
 from app.link.message import Message
@@ -46,6 +47,7 @@ _SIGNAL_INVALID = 1
 _TRACKING_ACTIVE = 1
 
 Fields = Mapping[str, Any]
+_source = lru_cache(maxsize=64)(Source)  # the same few speak all the time
 
 
 class Telemetry:
@@ -143,7 +145,7 @@ class Telemetry:
         """Return a stamp of the vehicle's own, which moves its clock."""
         time_s = self._seconds(boot_ms)
         self._clock.take(time_s)
-        self._wrapped_s = math.floor(self.now_s / _WRAP_S) * _WRAP_S
+        self._wrapped_s = math.floor(self._clock.now_s / _WRAP_S) * _WRAP_S
         return time_s
 
     def _payload_seconds(self, boot_ms: int) -> float:
@@ -151,10 +153,11 @@ class Telemetry:
 
     def _seconds(self, boot_ms: int) -> float:
         """Return a stamp in seconds, that goes on where 32 bits of milliseconds begin anew."""
-        now_s, stamp_s = self.now_s, boot_ms * 1e-3
-        for wraps_s in (self._wrapped_s - _WRAP_S, self._wrapped_s + _WRAP_S):
-            if wraps_s >= 0.0 and abs(wraps_s + stamp_s - now_s) < _NEAR_WRAP_S:
-                return wraps_s + stamp_s
+        now_s, stamp_s = self._clock.now_s, boot_ms * 1e-3
+        if abs(self._wrapped_s + stamp_s - now_s) >= _NEAR_WRAP_S:
+            for wraps_s in (self._wrapped_s - _WRAP_S, self._wrapped_s + _WRAP_S):
+                if wraps_s >= 0.0 and abs(wraps_s + stamp_s - now_s) < _NEAR_WRAP_S:
+                    return wraps_s + stamp_s
         return self._wrapped_s + stamp_s
 
     def _gps(self, message: Message) -> Event | None:
@@ -207,7 +210,7 @@ class Telemetry:
         return RangeReading(
             time_s=self._payload_seconds(fields["time_boot_ms"]),
             slant_range_m=distance_m,
-            source=Source(message.name, message.component_id, int(fields["id"]), orientation),
+            source=_source(message.name, message.component_id, int(fields["id"]), orientation),
             sigma_m=math.sqrt(covariance_cm2) * 1e-2 if 0 < covariance_cm2 < 255 else None,
             quality=signal / 100.0 if signal else None,
             min_range_m=min_m,
@@ -220,7 +223,7 @@ class Telemetry:
         distance_m = message.fields["distance"]
         if self.now_s == -math.inf or not _finite(distance_m) or distance_m <= 0.0:
             return None
-        return RangeReading(self.now_s, distance_m, Source(message.name, message.component_id))
+        return RangeReading(self.now_s, distance_m, _source(message.name, message.component_id))
 
     def _gimbal(self, message: Message) -> Event | None:
         fields = message.fields
@@ -231,7 +234,7 @@ class Telemetry:
         in_earth_frame = flags & _YAW_IN_EARTH_FRAME or (not flags & _YAW_IN_VEHICLE_FRAME and flags & _YAW_LOCK)
         frame = "earth" if in_earth_frame else "vehicle" if flags & _ROLL_OR_PITCH_LOCK else "body"
         device_id = int(fields.get("gimbal_device_id") or 0)
-        source = Source(message.name, message.component_id, device_id)
+        source = _source(message.name, message.component_id, device_id)
         return GimbalReading(self._payload_seconds(fields["time_boot_ms"]), quaternion, frame, source)  # type: ignore[arg-type]
 
     def _target_fix(self, message: Message) -> Event | None:
@@ -241,7 +244,7 @@ class Telemetry:
         if self.plane is None or not _finite(fields["h_acc"]) or not has_fix(fields):
             return None
         east_m, north_m = self.plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
-        source = Source(message.name, message.component_id)
+        source = _source(message.name, message.component_id)
         return TargetFixReading(self.now_s, east_m, north_m, fields["h_acc"], source)
 
 
@@ -261,7 +264,10 @@ def _ekf_fault(flags: int, glitch: int) -> str:
 
 
 def _finite(*values: float | None) -> bool:
-    return all(value is not None and math.isfinite(value) for value in values)
+    for value in values:  # noqa: SIM110  # in half the time of all()
+        if value is None or not math.isfinite(value):
+            return False
+    return True
 
 
 def _quaternion(values: Any) -> tuple[float, float, float, float] | None:

@@ -22,7 +22,10 @@ _KML_EXTENSION = "http://www.google.com/kml/ext/2.2"
 
 
 class Format(StrEnum):
-    """Missions for QGroundControl (.plan) and Mission Planner (WPL 110); tracks for maps, tables and GPS tools."""
+    """Missions for QGroundControl (.plan) and Mission Planner (WPL 110); tracks for maps, tables and GPS tools.
+
+    MCAP and KLV are made of the events themselves, in modules of their own.
+    """
 
     PLAN = "plan"
     WAYPOINTS = "waypoints"
@@ -30,6 +33,8 @@ class Format(StrEnum):
     GEOJSON = "geojson"
     CSV = "csv"
     GPX = "gpx"
+    MCAP = "mcap"
+    KLV = "klv"
 
 
 def export(flight: Flight, wanted: Format, out: Path) -> None:

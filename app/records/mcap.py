@@ -1,23 +1,23 @@
 """A flight as an MCAP file, for Foxglove and PlotJuggler: poses, sightings, estimates, circles, plans.
 
 Messages are JSON. Places go by Foxglove's own schemas, which its map and 3D panels show as they come; the numbers
-behind them have topics of their own, for plots. The frame ``plane`` is x east, y north, z up from home.
+behind them have topics of their own, for plots. The frame ``plane`` is x east, y north, z up from home; ``aircraft``
+is forward, left, up. ``LAYOUT`` is a layout for Foxglove that shows all of it.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable
-from datetime import UTC, datetime, timedelta
+from collections.abc import Iterable
+from datetime import datetime
 from pathlib import Path
-from typing import Any
 
-from app.errors import InputError
-from app.records.appender import Appender
+from app.records.mcap_scene import Place, ball, line, scene
+from app.records.mcap_writer import McapWriter
 from app.records.track import ring
 from estimators.estimate import TargetEstimate
-from estimators.frames import LocalPlane
+from estimators.frames import LocalPlane, wrap_rad
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
 from estimators.rotations import from_roll_pitch_yaw
 from estimators.sighting import Sighting, SightingOutcome
@@ -27,18 +27,21 @@ from mission.core.circle import Circle
 from mission.core.events import Announce, Command, ControlAcquired, Event, PlanStatus, UploadPlan
 from mission.core.plan import Plan
 
-_CHUNK_BYTES = 32 << 10
-_COVARIANCE_KNOWN = 3  # of foxglove.LocationFix
+LAYOUT = Path(__file__).parent / "foxglove_layout.json"
+
+# Of foxglove.LocationFix. The covariance of a target is that of the filter over the ground; up it is a guess.
+_COVARIANCE_UNKNOWN, _COVARIANCE_APPROXIMATED = 0, 1
 _LEVEL_INFO = 2  # of foxglove.Log
-_EPOCH = datetime.fromtimestamp(0, UTC)
+_HEIGHT_SIGMA_M = 10.0
+_HEIGHT_WEIGHT = 0.05  # of a new sighting in the target's height
+_ELLIPSE_CORNERS = 36
 
 
 class McapLog:
-    """Takes a run's events and commands in order, live or from its journal, and writes them to ``path``.
+    """Takes a flight's events and commands in order and writes them to ``path``; errors as McapWriter.
 
     The estimates are those of ``tracker``, which is fed with the readings. booted is when the vehicle's clock was
-    zero; without it times count from 1970. on_trouble and OSError: as :class:`Appender`. Raises InputError when the
-    package mcap is not installed.
+    zero; home_altitude_m is above sea level: where it is not known, altitudes are those above home.
     """
 
     def __init__(
@@ -46,13 +49,16 @@ class McapLog:
         path: Path,
         plane: LocalPlane,
         tracker: Tracker,
-        on_trouble: Callable[[str], None],
         booted: datetime | None = None,
+        home_altitude_m: float | None = None,
     ) -> None:
-        self._out = _Messages(path, on_trouble, booted or _EPOCH)
+        self._out = McapWriter(path, booted)
         self._plane, self._tracker = plane, tracker
+        self._home_altitude_m = home_altitude_m or 0.0
         self._door = Plausibility()
         self._attitude: AttitudeReading | None = None
+        self._aircraft: Place = (0.0, 0.0, 0.0)
+        self._target_height_m = 0.0
         self._plans: dict[int, Plan] = {}
 
     def event(self, event: Event) -> None:
@@ -65,7 +71,7 @@ class McapLog:
             case PositionReading():
                 if self._door.place_is_known:
                     self._sightings(self._tracker.add(admitted))
-                self._aircraft(admitted)
+                self._position(admitted)
                 estimate = self._tracker.estimate(admitted.time_s)
                 if estimate is not None:
                     self._target(estimate)
@@ -81,22 +87,28 @@ class McapLog:
                 self._plans[command.number] = command.plan
                 self._plan(command)
             case Announce():
-                said = {"level": _LEVEL_INFO, "name": command.kind, "message": command.text}
+                said = {"level": _LEVEL_INFO, "message": command.text, "name": command.kind, "file": "", "line": 0}
                 self._out.write("/said", "foxglove.Log", command.time_s, said)
 
     def close(self) -> None:
         """Write the index and what is left."""
         self._out.close()
 
-    def _aircraft(self, p: PositionReading) -> None:
+    def _position(self, p: PositionReading) -> None:
         attitude = self._attitude
         angles = (attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad) if attitude else (0.0, 0.0, 0.0)
-        pose = {
-            "position": {"x": p.east_m, "y": p.north_m, "z": p.height_m},
-            "orientation": _plane_from_body(*angles),
+        self._aircraft = (p.east_m, p.north_m, p.height_m)
+        place, rotation = {"x": p.east_m, "y": p.north_m, "z": p.height_m}, _plane_from_body(*angles)
+        transform = {
+            "parent_frame_id": "plane",
+            "child_frame_id": "aircraft",
+            "translation": place,
+            "rotation": rotation,
         }
+        self._out.write("/tf", "foxglove.FrameTransform", p.time_s, transform)
+        pose = {"position": place, "orientation": rotation}
         self._out.write("/aircraft", "foxglove.PoseInFrame", p.time_s, {"frame_id": "plane", "pose": pose})
-        self._fix("/aircraft/fix", p.time_s, p.east_m, p.north_m, p.height_m, [0.0] * 9)
+        self._fix("/aircraft/fix", p.time_s, self._aircraft, None)
         numbers = {
             "height_m": p.height_m,
             "velocity_east_m_s": p.velocity_east_m_s,
@@ -120,6 +132,11 @@ class McapLog:
                 numbers["slant_range_m"] = seen.slant_range_m
                 numbers["bearing_deg"] = math.degrees(seen.bearing_rad)
                 numbers["depression_deg"] = math.degrees(seen.depression_rad)
+                place = seen.east_m, seen.north_m, seen.height_m
+                stamp = self._out.stamp(seen.time_s)
+                self._scene(seen.time_s, line("sight", stamp, [self._aircraft, place]))
+                if outcome.accepted:
+                    self._target_height_m += _HEIGHT_WEIGHT * (seen.height_m - self._target_height_m)
             self._out.write("/sighting", "sidelong.Sighting", seen.time_s, numbers)
 
     def _target(self, estimate: TargetEstimate) -> None:
@@ -133,27 +150,37 @@ class McapLog:
             "quality": estimate.quality.value,
         }
         self._out.write("/target", "sidelong.Target", estimate.time_s, numbers)
+        place = estimate.east_m, estimate.north_m, self._target_height_m
         (ee, en, *_), (ne, nn, *_) = covariance[:2]
-        east_north_up = [ee, en, 0.0, ne, nn, 0.0, 0.0, 0.0, 0.0]
-        self._fix("/target/fix", estimate.time_s, estimate.east_m, estimate.north_m, 0.0, east_north_up)
+        self._fix("/target/fix", estimate.time_s, place, [ee, en, 0.0, ne, nn, 0.0, 0.0, 0.0, _HEIGHT_SIGMA_M**2])
+        ellipse, stamp = estimate.ellipse_95, self._out.stamp(estimate.time_s)
+        outline = ellipse.outline(_ELLIPSE_CORNERS)
+        edge = [(place[0] + east_m, place[1] + north_m, place[2]) for east_m, north_m in outline]
+        self._scene(estimate.time_s, ball("target", stamp, place), line("ellipse", stamp, edge))
+        east_m, north_m = self._aircraft[0] - place[0], self._aircraft[1] - place[1]
+        watch = {
+            "range_m": math.hypot(east_m, north_m),
+            "sigma_m": ellipse.semi_major_m,
+            "target_speed_m_s": estimate.speed_m_s,
+            "bearing_from_course_deg": math.degrees(wrap_rad(math.atan2(east_m, north_m) - estimate.course_rad)),
+        }
+        self._out.write("/watch", "sidelong.Watch", estimate.time_s, watch)
 
-    def _fix(
-        self, topic: str, time_s: float, east_m: float, north_m: float, height_m: float, covariance: list[float]
-    ) -> None:
-        latitude_deg, longitude_deg = self._plane.latitude_longitude_deg(east_m, north_m)
+    def _fix(self, topic: str, time_s: float, place: Place, covariance: list[float] | None) -> None:
+        latitude_deg, longitude_deg = self._plane.latitude_longitude_deg(*place[:2])
         fix = {
             "frame_id": "plane",
             "latitude": latitude_deg,
             "longitude": longitude_deg,
-            "altitude": height_m,
-            "position_covariance": covariance,
-            "position_covariance_type": _COVARIANCE_KNOWN,
+            "altitude": self._home_altitude_m + place[2],
+            "position_covariance": covariance or [0.0] * 9,
+            "position_covariance_type": _COVARIANCE_APPROXIMATED if covariance else _COVARIANCE_UNKNOWN,
         }
         self._out.write(topic, "foxglove.LocationFix", time_s, fix)
 
     def _circle(self, time_s: float, circle: Circle) -> None:
         self._out.write("/circle", "sidelong.Circle", time_s, _circle_numbers(circle))
-        self._line("/circle/map", time_s, ring(circle))
+        self._line("circle", time_s, ring(circle))
 
     def _plan(self, prepared: UploadPlan) -> None:
         plan = prepared.plan
@@ -166,85 +193,24 @@ class McapLog:
         }
         self._out.write("/plan", "sidelong.Plan", prepared.time_s, numbers)
         way = list(zip(plan.transition.east_m, plan.transition.north_m, strict=True)) if plan.transition else []
-        self._line("/plan/map", prepared.time_s, [*way, *ring(plan.circle)])
+        self._line("plan", prepared.time_s, [*way, *ring(plan.circle)])
 
-    def _line(self, topic: str, time_s: float, corners: Iterable[tuple[float, float]]) -> None:
+    def _line(self, name: str, time_s: float, corners: list[tuple[float, float]]) -> None:
+        """Draw a line on the map, and in the scene at the aircraft's present height."""
         places = [
             self._plane.latitude_longitude_deg(float(east_m), float(north_m))[::-1] for east_m, north_m in corners
         ]
         feature = {"type": "Feature", "properties": {}, "geometry": {"type": "LineString", "coordinates": places}}
         geojson = {"geojson": json.dumps({"type": "FeatureCollection", "features": [feature]})}
-        self._out.write(topic, "foxglove.GeoJSON", time_s, geojson)
+        self._out.write(f"/{name}/map", "foxglove.GeoJSON", time_s, geojson)
+        height_m = self._aircraft[2]
+        self._scene(time_s, line(name, self._out.stamp(time_s), ((*corner, height_m) for corner in corners)))
+
+    def _scene(self, time_s: float, *entities: dict[str, object]) -> None:
+        self._out.write("/scene", "foxglove.SceneUpdate", time_s, scene(list(entities)))
 
 
-class _Messages:
-    """JSON messages into an MCAP file; each topic's schema is told by its first message."""
-
-    def __init__(self, path: Path, on_trouble: Callable[[str], None], booted: datetime) -> None:
-        try:
-            from mcap.writer import CompressionType, Writer  # noqa: PLC0415  # an optional extra
-        except ImportError as error:
-            raise InputError("MCAP needs the package mcap; install it with: pip install 'sidelong[mcap]'.") from error
-        self._boot_ns = (booted - _EPOCH) // timedelta(microseconds=1) * 1000
-        self._stream = _Stream(path, on_trouble)
-        self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.NONE)  # type: ignore[arg-type]  # it needs no more of a file
-        self._writer.start()
-        self._channels: dict[str, int] = {}
-
-    def write(self, topic: str, schema: str, time_s: float, values: dict[str, Any]) -> None:
-        time_ns = self._boot_ns + round(time_s * 1e9)
-        sec, nsec = divmod(time_ns, 10**9)
-        message = _without_nan({"timestamp": {"sec": sec, "nsec": nsec}, **values})
-        if topic not in self._channels:
-            described = json.dumps(_schema(message)).encode()
-            schema_id = self._writer.register_schema(schema, "jsonschema", described)
-            self._channels[topic] = self._writer.register_channel(topic, "json", schema_id)
-        data = json.dumps(message, separators=(",", ":")).encode()
-        self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
-
-    def close(self) -> None:
-        self._writer.finish()  # type: ignore[no-untyped-call]  # the one method without annotations
-        self._stream.close()
-
-
-class _Stream(Appender):
-    """As much of a file as the MCAP writer needs."""
-
-    _position = 0
-
-    def write(self, data: bytes) -> None:
-        self._position += len(data)
-        self.append(bytes(data))
-
-    def tell(self) -> int:
-        return self._position
-
-
-def _schema(value: Any) -> dict[str, Any]:
-    """Return the JSON schema of a message like this one."""
-    match value:
-        case dict():
-            properties = {name: _schema(item) for name, item in value.items()}
-            return {"type": "object", "properties": properties}
-        case list():
-            return {"type": "array", "items": _schema(value[0])}
-        case bool():
-            return {"type": "boolean"}
-        case str():
-            return {"type": "string"}
-        case int():
-            return {"type": "integer"}
-        case _:
-            return {"type": "number"}
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _without_nan(item) for name, item in value.items()}
-    return None if isinstance(value, float) and math.isnan(value) else value
-
-
-def _circle_numbers(circle: Circle) -> dict[str, Any]:
+def _circle_numbers(circle: Circle) -> dict[str, float | bool]:
     return {
         "east_m": circle.east_m,
         "north_m": circle.north_m,

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
+from functools import cached_property
 from itertools import repeat, starmap
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -43,8 +44,11 @@ class _Kind:
         self.name: str = definition.msgname
         self.crc_extra: int = definition.crc_extra
         self.payload_bytes: int = definition.unpacker.size
-        self._unpacker = definition.unpacker
-        self._as_fields = _fields_maker(definition)
+        self._definition, self._unpacker = definition, definition.unpacker
+
+    @cached_property
+    def _as_fields(self) -> Callable[..., dict[str, Any]]:
+        return _fields_maker(self._definition)
 
     def fields(self, data: _Bytes, frames: _Frames) -> Iterator[dict[str, Any]]:
         """Yield the fields of each payload; a short one goes on with zeros, which MAVLink 2 clips off."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from app.analysis.replay import require_sightings
 from app.analysis.summary import Summary
@@ -14,13 +15,13 @@ from app.errors import InputError
 from app.flight.recording import JOURNAL_TYPES, journalled_config
 from app.link.telemetry import Telemetry
 from app.records.journal import JournalReader
-from app.records.log import open_log
+from app.records.log import Log, open_log
 from app.records.run_folder import RunFolder
 from app.records.windows import Progress
 from app.report.history import FlightRequirements, History, HistoryBuilder
 from app.report.results import read_summary, summary_of
 from estimators.frames import LocalPlane
-from mission.core.events import Command
+from mission.core.events import Command, Event
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,17 +37,53 @@ class Flown:
 
 
 def read_flight(
-    path: Path, truth: Path | None = None, config: Path | None = None, progress: Progress | None = None
+    path: Path,
+    truth: Path | None = None,
+    config: Path | None = None,
+    progress: Progress | None = None,
+    *,
+    target_needed: bool = True,
 ) -> Flown:
-    """Read a run folder or a tlog; ``truth`` and ``config`` take the place of what a run folder has itself.
+    """Read a run folder or a log; ``truth`` and ``config`` take the place of what a run folder has itself.
 
-    Raises InputError for what is neither, or holds no flight.
+    Raises InputError for what is neither, or holds no flight, or no sighting of a target where one is needed.
     """
     if path.is_dir():
         return _run(RunFolder.open(path), truth, config, progress)
     if not path.is_file():
         raise InputError(f"{path}: there is no such run folder or log; give the path of one.")
-    return _log(path, truth, config, progress)
+    return _log(path, truth, config, progress, target_needed)
+
+
+class Sink(Protocol):
+    """What a flight's events and commands can be fed to, in order."""
+
+    def event(self, event: Event) -> None: ...
+
+    def command(self, command: Command) -> None: ...
+
+
+def feed(path: Path, sink: Sink) -> None:
+    """Feed a run folder or a log that ``read_flight`` has read to something else. Raises InputError."""
+    if path.is_dir():
+        _feed_journal(JournalReader(RunFolder(path).journal, JOURNAL_TYPES), sink)
+    else:
+        _feed_log(open_log(path), Telemetry(), sink)
+
+
+def _feed_journal(journal: JournalReader, sink: Sink) -> None:
+    for record in journal:
+        if isinstance(record, Command):
+            sink.command(record)
+        else:
+            sink.event(record)
+
+
+def _feed_log(log: Log, telemetry: Telemetry, sink: Sink, progress: Progress | None = None) -> None:
+    for message in log.messages(telemetry.wanted, progress):
+        event = telemetry.event(message)
+        if event is not None:
+            sink.event(event)
 
 
 def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: Progress | None) -> Flown:
@@ -55,11 +92,7 @@ def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: P
         raise InputError(f"{folder.path} holds no flight: it ended before the vehicle's position was known.")
     settings = load_config(config) if config is not None else journalled_config(reader)
     builder = HistoryBuilder(tracker_of(settings))
-    for record in reader:
-        if isinstance(record, Command):
-            builder.command(record)
-        else:
-            builder.event(record)
+    _feed_journal(reader, builder)
     if truth is None and folder.truth.exists():
         truth = folder.truth
     history = _built(builder, settings, folder.path, reader.header.plane, truth)
@@ -70,16 +103,16 @@ def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: P
     return Flown(name, reader.header.program, settings, history, result, reader.damaged_lines)
 
 
-def _log(path: Path, truth: Path | None, config: Path | None, progress: Progress | None) -> Flown:
+def _log(
+    path: Path, truth: Path | None, config: Path | None, progress: Progress | None, target_needed: bool
+) -> Flown:
     settings = load_config(config)
     telemetry = Telemetry()
     builder = HistoryBuilder(tracker_of(settings))
     log = open_log(path)
-    for message in log.messages(telemetry.wanted, progress):
-        event = telemetry.event(message)
-        if event is not None:
-            builder.event(event)
-    require_sightings(builder.sightings, log)
+    _feed_log(log, telemetry, builder, progress)
+    if target_needed:
+        require_sightings(builder.sightings, log)
     history = _built(builder, settings, path, telemetry.plane, truth)
     return Flown(path.name, "an autopilot", settings, history, summary_of(history, "recorded log"))
 

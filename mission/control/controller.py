@@ -89,6 +89,7 @@ _WIND_MAX_SHARE = 0.9
 _NEWS_AFTER_S = 8.0
 # The latency expected is the longest of so many uploads but one: one that hung says nothing of the next.
 _LATENCY_UPLOADS, _LATENCY_MARGIN_S = 5, 0.1
+_SENSED = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading)
 # What the fleet advised is followed for so long.
 _ADVICE_S = 5.0
 
@@ -241,6 +242,9 @@ class StandoffController:
         return told + commands if told else commands
 
     def _admitted(self, event: Event) -> tuple[Command, ...]:
+        if isinstance(event, _SENSED):  # most of all events
+            self._read(event)
+            return ()
         match event:
             case PositionReading():
                 return self._position(event)
@@ -271,8 +275,6 @@ class StandoffController:
                 return self._mission_changed(event)
             case FleetAdvice() | NeighbourPlanned():
                 return self._advised(event)
-            case AttitudeReading() | RangeReading() | GimbalReading() | TargetFixReading():
-                self._read(event)
         return ()
 
     @property

@@ -20,8 +20,9 @@ Whatever is refused, corrected or doubted is told, each thing once in ``_TOLD_AG
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 from estimators.clock import PROOF_S, SILENCE_MAX_S, SourceClock, Stamp, VehicleClock
 from estimators.readings import (
@@ -82,6 +83,13 @@ class Plausibility:
         self._told_s: dict[str, float] = {}
         self._told: list[Announce] = []
         self._yield: YieldRequested | None = None
+        self._judges: dict[type, Callable[[Any], Event | None]] = {
+            AttitudeReading: self._attitude,
+            PositionReading: self._position,
+            **dict.fromkeys((RangeReading, GimbalReading, TargetFixReading), self._payload),
+            WindReported: self._wind,
+            NavigationReported: self._navigation,
+        }
 
     @property
     def faulty(self) -> bool:
@@ -95,20 +103,10 @@ class Plausibility:
 
     def admit(self, event: Event) -> Admitted:
         """Return the event as it may be believed, None where it may not be, and what a person is told of it."""
-        passed: Event | None
-        match event:
-            case AttitudeReading():
-                passed = self._attitude(event)
-            case PositionReading():
-                passed = self._position(event)
-            case RangeReading() | GimbalReading() | TargetFixReading():
-                passed = self._payload(event)
-            case WindReported():
-                passed = self._wind(event)
-            case NavigationReported():
-                passed = self._navigation(event)
-            case _:
-                return event, ()
+        judge = self._judges.get(type(event))
+        if judge is None:
+            return event, ()
+        passed = judge(event)
         if self._yield is not None:
             passed, self._yield = self._yield, None
         if not self._told:
@@ -209,6 +207,8 @@ class Plausibility:
 
     def _fault(self, now_s: float) -> tuple[float, str] | None:
         """Return since when GPS or EKF complain, and of what."""
+        if not self._faults:
+            return None
         faults = self._faults.values()
         valid = ((since_s, what) for since_s, latest_s, what in faults if now_s - latest_s < _FAULT_VALID_S)
         return min(valid, default=None)

@@ -18,9 +18,9 @@ paper's.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
-from scipy.special import sici
 
 from mission.core.circle import Circle
 from mission.core.path import FloatArray, Path
@@ -29,6 +29,13 @@ from mission.geometry.switching import departure_course_rad
 
 _SETTLING = 3.0  # AB lasts 3 T
 _SETTLED = 30.0  # the turn that remains after 30 T is lost in rounding
+
+
+def _integrals(angle_rad: Any) -> Any:
+    """Return sine and cosine integral."""
+    from scipy.special import sici  # noqa: PLC0415  # a tenth of a second, for the paper's planner alone
+
+    return sici(angle_rad)
 
 
 class TransitionError(ValueError):
@@ -42,7 +49,7 @@ def transition_length_m(radius_m: float, psi_c_rad: float) -> float:
 
 def exact_transition_length_m(radius_m: float, psi_c_rad: float) -> float:
     """Return x_tr = (v / mu) [Ci(psi_c) - Ci(psi_c e^-3)] with v / mu = R psi_c."""
-    return radius_m * psi_c_rad * float(sici(psi_c_rad)[1] - sici(psi_c_rad * math.exp(-_SETTLING))[1])
+    return radius_m * psi_c_rad * float(_integrals(psi_c_rad)[1] - _integrals(psi_c_rad * math.exp(-_SETTLING))[1])
 
 
 def min_move_m(radius_m: float, psi_c_rad: float) -> float:
@@ -97,7 +104,7 @@ def _first_half(
     def reach_m(settled: float) -> float:
         """Return how far along x the middle of BC is when AB ends after ``settled`` T and BC has its curvature."""
         lean_rad = psi_c_rad * math.exp(-settled)
-        along_m = scale_m * float(sici(psi_c_rad)[1] - sici(lean_rad)[1])
+        along_m = scale_m * float(_integrals(psi_c_rad)[1] - _integrals(lean_rad)[1])
         return along_m + radius_m * math.exp(settled) * math.sin(lean_rad)
 
     settled = _SETTLED
@@ -106,7 +113,7 @@ def _first_half(
 
     ab_m = np.linspace(0.0, scale_m * settled, max(2, math.ceil(scale_m * settled / step_m) + 1))
     lean_rad = psi_c_rad * np.exp(-ab_m / scale_m)
-    si, ci = sici(lean_rad)
+    si, ci = _integrals(lean_rad)
     x_m, y_m = scale_m * (ci[0] - ci), scale_m * (si[0] - si)
     curvature_per_m = np.exp(-ab_m / scale_m) / radius_m
 

@@ -1,7 +1,8 @@
-"""A flight as MCAP, read back by the mcap package."""
+"""A flight as MCAP, read back by the mcap package and held against Foxglove's own schemas."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import sys
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from app.errors import InputError
-from app.records.mcap import McapLog
+from app.records.mcap import LAYOUT, McapLog
 from estimators.frames import LocalPlane
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from estimators.tracker import Tracker, TrackerSettings
@@ -25,6 +26,7 @@ mcap_reader = pytest.importorskip("mcap.reader")
 
 PLANE = LocalPlane(47.4, 8.5)
 BOOTED = datetime(2026, 11, 21, 9, 0, 0, 600_000, tzinfo=UTC)
+HOME_ALTITUDE_M = 488.0
 CIRCLE = Circle(100.0, 50.0, 80.0, clockwise=True)
 MOVED = Circle(300.0, 50.0, 80.0, clockwise=True)
 LINE = Line(*(np.array([0.0, 100.0, 200.0]) for _ in range(5)))
@@ -59,7 +61,7 @@ def flight(log: McapLog) -> None:
 
 @pytest.fixture
 def messages(tmp_path) -> dict[str, list]:
-    log = McapLog(tmp_path / "flight.mcap", PLANE, Tracker(TrackerSettings()), pytest.fail, BOOTED)
+    log = McapLog(tmp_path / "flight.mcap", PLANE, Tracker(TrackerSettings()), BOOTED, HOME_ALTITUDE_M)
     flight(log)
     log.close()
     found: dict[str, list] = {}
@@ -72,19 +74,21 @@ def messages(tmp_path) -> dict[str, list]:
 
 
 def test_every_kind_of_thing_has_its_topic(messages):
-    assert {topic: len(several) for topic, several in messages.items() if topic not in {"/sighting", "/target"}} == {
+    counted = {topic: len(several) for topic, several in messages.items()}
+    assert counted.pop("/scene") == counted["/sighting"] + counted["/target"] + 3
+    assert counted.pop("/target") == counted.pop("/watch") == counted.pop("/target/fix") > 90
+    assert counted.pop("/sighting") > 90
+    assert counted == {
+        "/tf": 101,
         "/aircraft": 101,
         "/aircraft/fix": 101,
         "/aircraft/numbers": 101,
-        "/target/fix": len(messages["/target"]),
         "/circle": 2,
         "/circle/map": 2,
         "/plan": 1,
         "/plan/map": 1,
         "/said": 1,
     }
-    assert len(messages["/sighting"]) > 90
-    assert len(messages["/target"]) > 90
 
 
 def test_times_are_those_of_day(messages):
@@ -98,7 +102,8 @@ def test_the_aircraft_points_along_its_course(messages):
     orientation = messages["/aircraft"][0][2]["pose"]["orientation"]
     assert orientation == pytest.approx({"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}, abs=1e-12)
     fix = messages["/aircraft/fix"][0][2]
-    assert (fix["latitude"], fix["longitude"], fix["altitude"]) == (47.4, 8.5, 120.0)
+    assert (fix["latitude"], fix["longitude"], fix["altitude"]) == (47.4, 8.5, 488.0 + 120.0)
+    assert fix["position_covariance_type"] == 0  # unknown: the vehicle does not tell it
 
 
 def test_the_target_comes_with_its_covariance(messages):
@@ -110,7 +115,9 @@ def test_the_target_comes_with_its_covariance(messages):
     schema, _, fix = messages["/target/fix"][-1]
     assert schema == "foxglove.LocationFix"
     assert fix["position_covariance"][0] == covariance[0, 0]
+    assert fix["position_covariance"][1] == fix["position_covariance"][3] == covariance[0, 1]
     assert fix["position_covariance"][4] == covariance[1, 1]
+    assert fix["altitude"] == pytest.approx(488.0, abs=5.0)  # it stands at the height of home
 
 
 def test_circles_and_the_plan_are_drawn(messages):
@@ -122,7 +129,74 @@ def test_circles_and_the_plan_are_drawn(messages):
     assert len(drawn) == 3 + 73
 
 
+def drawn(messages, name: str) -> list[dict]:
+    """Return the entities of a name in the order they came."""
+    return [entity for _, _, update in messages["/scene"] for entity in update["entities"] if entity["id"] == name]
+
+
+def test_the_scene_has_ellipse_sight_line_circles_and_plan(messages):
+    ends = [(point["x"], point["y"], point["z"]) for point in drawn(messages, "sight")[-1]["lines"][0]["points"]]
+    assert ends[0] == (0.0, 0.0, 120.0)
+    assert ends[1] == pytest.approx((0.0, 200.0, 0.0), abs=3.0)
+    target = messages["/target"][-1][2]
+    covariance = np.array(target["covariance"]).reshape(4, 4)[:2, :2]
+    edge = [
+        (p["x"] - target["east_m"], p["y"] - target["north_m"])
+        for p in drawn(messages, "ellipse")[-1]["lines"][0]["points"]
+    ]
+    assert np.einsum("ij,jk,ik->i", edge, np.linalg.inv(covariance), edge) == pytest.approx(-2.0 * math.log(0.05))
+    assert [len(entity["lines"][0]["points"]) for entity in drawn(messages, "circle")] == [73, 73]
+    assert {p["z"] for p in drawn(messages, "plan")[0]["lines"][0]["points"]} == {120.0}
+    assert drawn(messages, "target")[-1]["spheres"][0]["pose"]["position"]["x"] == target["east_m"]
+
+
+def test_the_aircraft_has_a_frame_in_the_plane(messages):
+    transform = messages["/tf"][0][2]
+    assert (transform["parent_frame_id"], transform["child_frame_id"]) == ("plane", "aircraft")
+    assert transform["translation"] == {"x": 0.0, "y": 0.0, "z": 120.0}
+
+
+def test_messages_are_what_foxglove_publishes(messages):
+    json_format = pytest.importorskip("google.protobuf.json_format")
+    pytest.importorskip("foxglove_schemas_protobuf", reason="the dev extra has Foxglove's schemas")
+    seen = set()
+    for several in messages.values():
+        schema, _, content = several[-1]
+        package, _, name = schema.partition(".")
+        if package == "foxglove":
+            kind = getattr(importlib.import_module(f"foxglove_schemas_protobuf.{name}_pb2"), name)
+            json_format.ParseDict(as_protobuf(content), kind())  # raises for a field that there is not
+            seen.add(name)
+    assert seen == {"PoseInFrame", "LocationFix", "GeoJSON", "Log", "FrameTransform", "SceneUpdate"}
+
+
+def as_protobuf(value):
+    """Return a message with its times spelled as protobuf's JSON spells them."""
+    match value:
+        case {"sec": sec, "nsec": nsec, **rest} if not rest:
+            return f"{sec}.{nsec:09}s" if sec == 0 else datetime.fromtimestamp(sec, UTC).isoformat()
+        case dict():
+            return {name: as_protobuf(item) for name, item in value.items()}
+        case list():
+            return [as_protobuf(item) for item in value]
+    return value
+
+
+def test_the_layout_shows_topics_that_are_there(messages):
+    panels = json.loads(LAYOUT.read_text(encoding="utf-8"))["configById"]
+    shown = {
+        *panels["3D!scene"]["topics"],
+        *panels["map!map"]["topicColors"],
+        panels["map!map"]["followTopic"],
+        panels["RosOut!said"]["topicToRender"],
+    }
+    assert shown <= set(messages)
+    plotted = [path["value"] for name in panels if name.startswith("Plot!") for path in panels[name]["paths"]]
+    for topic, _, field in (value.partition(".") for value in plotted):
+        assert field in messages[topic][-1][2]
+
+
 def test_without_the_package_it_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with pytest.raises(InputError, match=r"pip install 'sidelong\[mcap\]'"):
-        McapLog(tmp_path / "flight.mcap", PLANE, Tracker(TrackerSettings()), pytest.fail)
+        McapLog(tmp_path / "flight.mcap", PLANE, Tracker(TrackerSettings()))

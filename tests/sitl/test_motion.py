@@ -88,6 +88,24 @@ def test_the_lively_part_is_found():
     assert track(*slow).first_motion_s() == 0.0
 
 
+def test_of_a_flights_own_export_the_target_is_taken(tmp_path):
+    def track(name: str, latitude_deg: float) -> str:
+        points = (
+            f'<trkpt lat="{latitude_deg}" lon="{8.5 + 1e-5 * i}"><time>2026-11-21T09:00:{i:02}Z</time></trkpt>'
+            for i in range(20)
+        )
+        return f"<trk><name>{name}</name><trkseg>{''.join(points)}</trkseg></trk>"
+
+    file = tmp_path / "flight.gpx"
+    space = 'xmlns="http://www.topografix.com/GPX/1/1"'
+    file.write_text(f"<gpx {space}>{track('aircraft', 47.41)}{track('target', 47.4)}{track('aircraft', 47.42)}</gpx>")
+    read = read_track(file)
+    assert len(read.time_s) == 20
+    assert read.north_m == pytest.approx([0.0] * 20, abs=0.01)
+    file.write_text(f"<gpx {space}>{track('a ride', 47.41)}</gpx>")
+    assert len(read_track(file).time_s) == 20
+
+
 def test_a_gpx_track_is_read_without_its_spike(tmp_path):
     points = [(0, 45.0, 14.0), (10, 45.0001, 14.0), (20, 45.5, 14.0), (30, 45.0003, 14.0), (40, 45.0004, 14.0)]
     body = "".join(

@@ -1,0 +1,50 @@
+"""What a log tells beside the flight itself: the autopilot, the time of day, and how high home is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from statistics import median
+
+from app.link.message import Message
+from app.link.modes import AUTOPILOT_PX4
+from app.records.log import Log
+
+_NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})
+_AUTOPILOT_COMPONENT = 1
+_DATED_S = 1e9  # a smaller one was not counted from 1970
+_STAMPS = 21  # so many tell the time of day: a single one may be wrong
+
+
+@dataclass(frozen=True, slots=True)
+class LogContext:
+    """booted is when the vehicle's clock was zero, home_altitude_m is above sea level; None where unknown."""
+
+    autopilot: str = "arduplane"
+    booted: datetime | None = None
+    home_altitude_m: float | None = None
+
+    @staticmethod
+    def of(log: Log) -> LogContext:
+        """Return what the log tells. Raises InputError when it cannot be read."""
+        autopilot, home_m, reckoned_m = "arduplane", None, None
+        boots_s: list[float] = []
+        for message in log.messages(_NAMES):
+            fields = message.fields
+            if message.component_id != _AUTOPILOT_COMPONENT:
+                continue
+            if message.name == "HEARTBEAT" and fields["autopilot"] == AUTOPILOT_PX4:
+                autopilot = "px4"
+            elif message.name == "HOME_POSITION":
+                home_m = fields["altitude"] * 1e-3
+            elif message.name == "GLOBAL_POSITION_INT":
+                if reckoned_m is None and fields["lat"]:
+                    reckoned_m = (fields["alt"] - fields["relative_alt"]) * 1e-3
+                if len(boots_s) < _STAMPS and message.received_s > _DATED_S:
+                    boots_s.append(_boot_s(message))
+        booted = datetime.fromtimestamp(median(boots_s), UTC) if boots_s else None
+        return LogContext(autopilot, booted, reckoned_m if home_m is None else home_m)
+
+
+def _boot_s(message: Message) -> float:
+    return float(message.received_s - message.fields["time_boot_ms"] * 1e-3)

@@ -1,0 +1,85 @@
+"""JSON messages in an MCAP file; each topic's schema is told by its first message."""
+
+from __future__ import annotations
+
+import json
+import math
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from app.errors import InputError
+
+_UNSTAMPED = frozenset({"foxglove.GeoJSON", "foxglove.SceneUpdate"})
+_EPOCH = datetime.fromtimestamp(0, UTC)
+
+
+def mcap_writer_class() -> Any:
+    """Return the writer of the package mcap, an optional extra. Raises InputError when it is not installed."""
+    try:
+        from mcap.writer import Writer  # noqa: PLC0415
+    except ImportError as error:
+        raise InputError("MCAP needs the package mcap; install it with: pip install 'sidelong[mcap]'.") from error
+    return Writer
+
+
+class McapWriter:
+    """Writes ``path`` anew. booted is when the vehicle's clock was zero; without it times count from 1970.
+
+    Raises InputError when the package mcap is not installed, OSError when the file cannot be written.
+    """
+
+    def __init__(self, path: Path, booted: datetime | None) -> None:
+        writer = mcap_writer_class()
+        self._boot_ns = ((booted or _EPOCH) - _EPOCH) // timedelta(microseconds=1) * 1000
+        self._file = path.open("wb")
+        self._writer = writer(self._file)
+        self._writer.start()
+        self._channels: dict[str, int] = {}
+
+    def stamp(self, time_s: float) -> dict[str, int]:
+        """Return a time of the vehicle's clock as Foxglove's schemas have it."""
+        sec, nsec = divmod(self._nanoseconds(time_s), 10**9)
+        return {"sec": sec, "nsec": nsec}
+
+    def write(self, topic: str, schema: str, time_s: float, values: dict[str, Any]) -> None:
+        """Add a message, with its time in it where the schema has one."""
+        message = _without_nan(values if schema in _UNSTAMPED else {"timestamp": self.stamp(time_s), **values})
+        if topic not in self._channels:
+            described = json.dumps(_schema(message)).encode()
+            schema_id = self._writer.register_schema(schema, "jsonschema", described)
+            self._channels[topic] = self._writer.register_channel(topic, "json", schema_id)
+        data = json.dumps(message, separators=(",", ":")).encode()
+        time_ns = self._nanoseconds(time_s)
+        self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
+
+    def close(self) -> None:
+        """Write the index and what is left."""
+        self._writer.finish()
+        self._file.close()
+
+    def _nanoseconds(self, time_s: float) -> int:
+        return self._boot_ns + round(time_s * 1e9)
+
+
+def _schema(value: Any) -> dict[str, Any]:
+    """Return the JSON schema of a message like this one."""
+    match value:
+        case dict():
+            return {"type": "object", "properties": {name: _schema(item) for name, item in value.items()}}
+        case list():
+            return {"type": "array", "items": _schema(value[0]) if value else {}}
+        case bool():
+            return {"type": "boolean"}
+        case str():
+            return {"type": "string"}
+        case int():
+            return {"type": "integer"}
+        case _:
+            return {"type": "number"}
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _without_nan(item) for name, item in value.items()}
+    return None if isinstance(value, float) and math.isnan(value) else value

@@ -1,0 +1,52 @@
+"""Logs of others with and without a target, exported, and read by the programs that people open them with."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from app.commands.export import write_export
+from app.errors import InputError
+from app.records.export import Format
+
+DATA = Path(__file__).parents[1] / "data"
+NO_LASER = DATA / "no-laser-vtol.tlog"
+TRACKS = (Format.KML, Format.GPX, Format.GEOJSON)
+
+
+def run(*words: object) -> str:
+    return subprocess.run([*map(str, words)], check=True, capture_output=True, text=True, timeout=60).stdout
+
+
+@pytest.mark.parametrize("wanted", [*TRACKS, Format.CSV, Format.MCAP, Format.KLV])
+def test_a_log_without_a_laser_has_the_aircrafts_track(tmp_path, wanted):
+    write_export(NO_LASER, wanted, tmp_path / "out")
+    assert (tmp_path / "out").stat().st_size > 1000
+    if wanted is Format.GEOJSON:
+        (aircraft,) = json.loads((tmp_path / "out").read_text())["features"]
+        assert len(aircraft["geometry"]["coordinates"]) > 20
+
+
+def test_its_mission_is_not_there_to_export(tmp_path):
+    with pytest.raises(InputError, match="no mission items"):
+        write_export(NO_LASER, Format.PLAN, tmp_path / "out")
+
+
+@pytest.mark.skipif(shutil.which("ogrinfo") is None, reason="GDAL's programs are not installed")
+@pytest.mark.parametrize("wanted", TRACKS)
+def test_gdal_reads_it(tmp_path, wanted):
+    write_export(NO_LASER, wanted, tmp_path / f"out.{wanted}")
+    assert "LINESTRING" in run("ogrinfo", "-al", tmp_path / f"out.{wanted}").upper().replace(" ", "")
+
+
+@pytest.mark.skipif(shutil.which("gpsbabel") is None, reason="gpsbabel is not installed")
+@pytest.mark.parametrize("wanted", [Format.GPX, Format.KML])
+def test_gpsbabel_reads_it(tmp_path, wanted):
+    write_export(NO_LASER, wanted, tmp_path / "out")
+    rows = run("gpsbabel", "-t", "-i", wanted, "-f", tmp_path / "out", "-o", "unicsv", "-F", "-").splitlines()
+    assert len(rows) > 20
+    assert rows[1].split(",")[1].startswith("-35.36")
