@@ -3,8 +3,9 @@
 Rules
 -----
 1. It plans from where the present plan has brought the aircraft by the time a new plan can depart.
-2. All moves are rolled out from there against the estimate; the cheapest departs if it beats going on as planned by
-   more than a change costs.
+2. All moves are rolled out from there against the estimate. The best of them, and going on as planned, are looked at
+   again with a second move on the way, over several things that the target may do: the cheapest move departs if it
+   beats going on by more than a change costs.
 3. A move that breaks a fence gives way to the next cheapest.
 4. Uploads are not free and contradict each other when they come too often: what leaving the circle costs is the price
    that the table was computed with, and a plan just begun is left only for the band or a large gain.
@@ -27,9 +28,11 @@ from mission.geometry._line_kernel import Circling, craft_of
 from mission.geometry.progress import line_of
 from mission.geometry.trapezoid import end_circle, sharpness_per_m2
 from mission.predictive import _decision_kernel as kernel
-from mission.predictive._decision_kernel import Looker, Prices
+from mission.predictive._decision_kernel import Depth, Looker, Prices
+from mission.predictive._future_kernel import Turns, winding
 from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
 from mission.predictive._scene_kernel import Scene, scene_of
+from mission.predictive._second_kernel import no_seconds
 from mission.predictive._sight_kernel import NOTHING_HIDDEN, SightAt
 from mission.predictive.cost import WatchCost
 from mission.predictive.forecast import Outlook, describe_breach, describe_range
@@ -50,12 +53,19 @@ _MIN_TARGET_SPEED_M_S = 0.5
 class PredictiveSettings:
     """change_cost: what a change of a plan under way must gain, in seconds off side. Uploads are not free.
 
-    Within commit_s of a departure it must gain commit_cost more, unless the plan leads out of the band.
+    Within commit_s of a departure it must gain commit_cost more, unless the plan leads out of the band in threat_s.
+    beam: so many of the best moves are looked at two moves deep over horizon_s at least, in futures in which the
+    target keeps its course or begins to turn at turn_rate_rad_s either way, which fades with turn_fades_s.
     """
 
     change_cost: float = 4.0
     commit_s: float = 10.0
     commit_cost: float = 40.0
+    threat_s: float = 14.0
+    beam: int = 6
+    horizon_s: float = 15.0
+    turn_rate_rad_s: float = math.radians(3.0)
+    turn_fades_s: float = 10.0
     lost_after_s: float = 60.0
 
 
@@ -113,7 +123,8 @@ class PredictivePlanner:
         self._settings = settings or PredictiveSettings()
         self._check, self._sight = check, sight
         policy, kept = SidePolicy(requirement, aircraft.radius_m, requirement.course_horizon_s), nothing_kept()
-        own = self._settings
+        own, seconds = self._settings, no_seconds()
+        turns = Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s)
         self.lookers = [
             Looker(
                 craft_of(aircraft),
@@ -122,9 +133,12 @@ class PredictivePlanner:
                 one.configuration.cost.terms,
                 one.arrays,
                 one.motions,
-                Prices(one.configuration.leave_cost, own.change_cost, own.commit_cost, own.commit_s),
+                Prices(one.configuration.leave_cost, own.change_cost, own.commit_cost, own.commit_s, own.threat_s),
                 policy.memory,
                 kept,
+                turns,
+                Depth(own.beam, own.horizon_s, float(one.values.min()), float(one.after_turn.min())),
+                seconds,
             )
             for one in self._tables
         ]
@@ -177,11 +191,11 @@ class PredictivePlanner:
         self, scene: Scene, aircraft: AircraftState, present: Plan, line: FloatArray, circle: Circling, looker: Looker
     ) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
-        costs, futures = np.empty(MOVES), kernel.future(scene, looker.motions, looker.wish, looker.memory)
+        costs = np.empty(MOVES)
         sight = self._sight(scene.frame_east_m, scene.frame_north_m, *kernel.target_velocity(scene))
-        stay_cost = kernel.look_ahead(
-            scene, aircraft.east_m, aircraft.north_m, line, circle, futures, looker, sight, costs
-        )
+        futures = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+        at = aircraft.east_m, aircraft.north_m, line, circle
+        stay_cost = kernel.look_deeper(scene, *at, futures, looker, sight, costs)
         now_s = aircraft.time_s
         length_m = 4.0 * math.pi * scene.radius_m
         places, time_s = kernel.flown_on(scene, line, circle, aircraft.east_m, aircraft.north_m, length_m)
@@ -191,7 +205,7 @@ class PredictivePlanner:
         order = np.argsort(costs, kind="stable")
         broken: str | None = None
         age_s = now_s - present.departure_s
-        bar = stay_cost - kernel.commitment(scene, aircraft.east_m, aircraft.north_m, line, circle, age_s, looker)
+        bar = stay_cost - kernel.commitment(scene, *at, age_s, futures, looker)
         for move in order[: min(np.count_nonzero(costs < bar), _MAX_TRIES)].tolist():
             path = Path(*move_line(scene, looker.craft, move))
             plan = Plan(end_circle(path, scene.radius_m), path, scene.departure_s)

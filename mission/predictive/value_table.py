@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from mission.core.path import FloatArray
 from mission.predictive._cost_kernel import Table, table_values
-from mission.predictive._decision_kernel import Motions, fill_classes
+from mission.predictive._future_kernel import Motions, fill_classes
 from mission.predictive._value_kernel import add_turned
 from mission.predictive.cost import WatchCost
 

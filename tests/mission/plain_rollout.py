@@ -164,6 +164,77 @@ def _directions(vector, count):
     return (first % count, 1.0 - past), ((first + 1) % count, past)
 
 
+def deep_cost(table, futures, doubt, ahead, end, branches, horizon, prices, radius, ramp, levels, lengths):
+    """What a line (x, y, heading, curvature) (4, k) at whole seconds costs in calm air, with the best second moves."""
+    c = table.configuration
+    hazard = 1.0 / c.habits.mean_leg_s
+    cell_m = 2.0 * c.half_width_m / (table.values.shape[-1] - 1)
+
+    def asked(values, share, one, at, x, y, heading):
+        x, y = x - futures.place[one, at, 0], y - futures.place[one, at, 1]
+        sin_t, cos_t, angle = futures.course[one, at].T
+        mixed = np.zeros(np.shape(x))
+        for i in range(4):
+            every = np.array([futures.classes[one, k, i] for k in np.atleast_1d(at)])
+            found = [
+                looked_up(values[v], cell_m, *place)
+                for v, *place in zip(
+                    every,
+                    *map(np.atleast_1d, (x * cos_t - y * sin_t, x * sin_t + y * cos_t, heading - angle)),
+                    strict=True,
+                )
+            ]
+            mixed = mixed + share[one, at, i] * np.reshape(found, np.shape(x))
+        return mixed
+
+    def running(one, first, x, y, heading):
+        """The cost up to each second, without the table's at the end."""
+        at = first + np.arange(len(x))
+        dx, dy = x - futures.place[one, at, 0], y - futures.place[one, at, 1]
+        sin_f, cos_f, beside = futures.facing[one, at].T
+        across, along = dx * cos_f - dy * sin_f, dx * sin_f + dy * cos_f
+        sigma = np.hypot(doubt[0], doubt[1] * at)
+        weight = np.exp(-(c.discount_per_s + hazard) * at)
+        rate = weight * cost_rate(c.cost, across, along, sigma, 1.0 + np.hypot(sigma, beside * along))
+        return np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1])))), weight
+
+    def turns(one, first, x, y, heading, weight, at):
+        return (
+            hazard
+            * weight[at]
+            * asked(table.after_turn, futures.turn_share, one, first + at, x[at], y[at], heading[at])
+        )
+
+    x, y, heading, curvature = ahead
+    total = 0.0
+    for one in range(len(futures.weight)):
+        before, weight = running(one, 0, x, y, heading)
+        for k in range(1, len(x)):
+            before[k:] += turns(one, 0, x, y, heading, weight, min((k - 1) // 4 * 4 + 2, len(x) - 1))
+        ends = [max(end, 15)] if end > 0 else [15, 22, 30]
+        best = min(
+            before[k] + weight[k] * asked(table.values, futures.share, one, k, x[k], y[k], heading[k]) for k in ends
+        )
+        for at in branches:
+            level = levels[np.argmin(np.abs(levels - curvature[at] * radius))] / radius
+            hold, length = np.meshgrid(HOLD_CURVATURES / radius, lengths * radius, indexing="ij")
+            lines = Lines.between(
+                level, np.append(hold.ravel(), level), np.append(length.ravel(), 0.0), 1 / radius, ramp
+            )
+            for j, last in enumerate(np.maximum(np.ceil(lines.last_end / 10.0), horizon - at).astype(int)):
+                arc = np.tile(10.0 * np.arange(last + 1.0), (len(lines.last_end), 1))
+                east, north = (a[j] for a in lines.displaced(arc, heading[at]))
+                px, py, ph = x[at] + east, y[at] + north, heading[at] + lines.turned(arc)[j]
+                cost, w = running(one, at, px, py, ph)
+                cost = cost[-1] + w[-1] * asked(table.values, futures.share, one, at + last, px[-1], py[-1], ph[-1])
+                for k in range(0, last, 4):
+                    held = min(4, last - k)
+                    cost += held * turns(one, at, px, py, ph, w, k + held // 2)
+                best = min(best, before[at] + weight[at] * prices[int(at < end)] + cost)
+        total += futures.weight[one] * best
+    return total
+
+
 def looked_up(table, cell_m, x, y, heading):
     n = table.shape[-1]
     x = np.clip(np.asarray(x) / cell_m + (n - 1) / 2, 0.0, n - 1.001)

@@ -13,17 +13,36 @@ from mission.geometry.progress import line_at, line_of
 from mission.geometry.trapezoid import sharpness_per_m2, sharpnesses_per_m2
 from mission.geometry.wind import ground_speeds_m_s, min_radius_m
 from mission.predictive import _decision_kernel as kernel
+from mission.predictive._future_kernel import Turns, winding
 from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
 from mission.predictive._rollout_kernel import Air, Futures, line_cost, times_s
 from mission.predictive._scene_kernel import in_frame, scene_of
+from mission.predictive._second_kernel import (
+    LEVELS,
+    MOVE_BRANCHES,
+    SECOND_LENGTHS,
+    SECONDS,
+    STAY_BRANCHES,
+    Second,
+    deep_cost,
+    foretold_of,
+    laid_from,
+    lay_out_seconds,
+    moving_ahead,
+    no_seconds,
+    staying_ahead,
+)
 from mission.predictive._sight_kernel import NOTHING_HIDDEN
 from mission.predictive.planner import table_configuration
 from mission.predictive.value_table import completed
-from mission.viewpoint._viewpoint_kernel import Known, Wish, fresh_memory
+from mission.viewpoint._viewpoint_kernel import STANDING, Known, Wish, fresh_memory, remember_place
 from mission.viewpoint.side_policy import watching_from
+from tests.mission import plain_rollout
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
 CALM, WISH = Wind(), Wish(False, 50.0, math.nan)
+STRAIGHT = Turns(np.zeros(1), 10.0)
+SHALLOW = kernel.Depth(0, 15.0, 0.0, 0.0)
 
 
 def a_table(aircraft, requirement, wind_m_s=0.0):
@@ -67,10 +86,10 @@ class Look:
         stay = kernel.look_ahead(
             self.scene,
             *(self.state.east_m, self.state.north_m, *line_of(self.present)),
-            futures or kernel.going_straight(self.scene, motions),
+            futures or going_straight(self.scene, motions),
             kernel.Looker(
                 *(self.craft, 5.0, WISH, c.cost.terms, self.table.arrays, motions, kernel.Prices(0.5, 1.0)),
-                *(fresh_memory(self.side), kept or nothing_kept()),
+                *(fresh_memory(self.side), kept or nothing_kept(), STRAIGHT, SHALLOW, no_seconds()),
             ),
             NOTHING_HIDDEN,
             costs,
@@ -135,6 +154,12 @@ def test_lines_that_were_kept_cost_the_same(paper_aircraft, paper_requirement):
     assert first[1] == again[1]
 
 
+def going_straight(scene, motions):
+    """One future of a steady velocity, its first sample alone: it goes on for ever."""
+    every = winding(scene, motions, WISH, fresh_memory(1.0), STRAIGHT)
+    return Futures(*every[:2], *(np.ascontiguousarray(a[:, :1]) for a in every[2:]))
+
+
 def with_future(one, samples, weight=1.0):
     """The future of a steady velocity again, sampled so often."""
     k = np.arange(samples)[:, None]
@@ -147,7 +172,7 @@ def with_future(one, samples, weight=1.0):
 def test_a_future_may_be_sampled_and_futures_are_weighed(paper_aircraft, paper_requirement):
     table = a_table(paper_aircraft, paper_requirement)
     look = Look(paper_aircraft, table, under_way=True)
-    straight = kernel.going_straight(look.scene, table.motions)
+    straight = going_straight(look.scene, table.motions)
     costs, stay = look.compiled()
     sampled = look.compiled(with_future(straight, 40))
     np.testing.assert_allclose(sampled[0], costs, rtol=1e-9)
@@ -197,11 +222,52 @@ def test_the_watch_course_turns_to_the_velocity_over_its_horizon(paper_aircraft,
                 *(float(time_s), -280.0 * side, 90.0, 0.0, 10.0, side / 60.0, target, *line_of(present), 0.0, 0.0),
                 *(0.0, 5.0, craft_of(paper_aircraft), wish, memory),
             )
-        future = kernel.future(scene, motions, wish, memory)
+        future = winding(scene, motions, wish, memory, STRAIGHT)
         seen = scene.course_rad + side * np.arctan2(future.facing[0, :, 0], future.facing[0, :, 1])
-        ahead_s = np.arange(kernel.FORETOLD_S)
+        ahead_s = np.arange(seen.size)
         wanted = np.arctan2(4.0 * np.minimum(ahead_s, 20.0), 4.0 * np.maximum(20.0 - ahead_s, 0.0))
         np.testing.assert_allclose(seen, wanted, atol=1e-9)
         np.testing.assert_allclose(side * future.course[0, :, 2] + scene.course_rad, math.pi / 2)
         np.testing.assert_allclose(future.facing[0, 20, 2], math.hypot(0.5, 0.2 * 20.0) / 80.0)
         np.testing.assert_allclose(future.place[0, 10, :2], (side * 40.0, 0.0), atol=1e-9)
+
+
+@pytest.mark.parametrize(("side", "under_way"), [(1.0, False), (-1.0, True)])
+def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, paper_requirement, side, under_way):
+    table = a_table(paper_aircraft, paper_requirement)
+    look = Look(paper_aircraft, table, side=side, under_way=under_way)
+    scene, present = look.scene, line_of(look.present)
+    memory, wish = fresh_memory(side), Wish(False, 50.0, math.nan, 20.0)
+    for time_s in range(30):
+        remember_place(Known(time_s - 30.0, 0.0, 3.0 * time_s - 120.0, 0.0, 3.0, np.eye(4)), memory)
+    memory[STANDING] = 0.0
+    futures = winding(scene, table.motions, wish, memory, Turns(np.radians([0.0, -3.0, 3.0]), 10.0))
+    assert np.ptp(futures.place[:, 20, 0]) > 10.0
+    ahead, end = staying_ahead(scene, *present, look.state.east_m, look.state.north_m, under_way)
+    moved = moving_ahead(scene, look.craft, 20)
+    assert (end > 0) is under_way
+    ramp, seconds, terms = sharpness_per_m2(paper_aircraft, 10.0), no_seconds(), table.configuration.cost.terms
+    lay_out_seconds(seconds, scene.radius_m, ramp, 10.0)
+    foretold = foretold_of(futures, scene.doubt, table.arrays, 0.0, 0.0)
+    for (line, ends), branches in (((ahead, end), STAY_BRANCHES), (moved, MOVE_BRANCHES)):
+        second = Second(foretold, terms, table.arrays, seconds, 3.0, 5.0, 15.0)
+        found = deep_cost(line, ends, branches, scene, second)
+        plain = plain_rollout.deep_cost(
+            *(table, futures, scene.doubt, line, ends, branches, 15, (3.0, 5.0), scene.radius_m, ramp),
+            *(LEVELS, SECOND_LENGTHS),
+        )
+        assert found == pytest.approx(plain, rel=1e-4)
+
+
+def test_second_moves_in_wind_are_flown_at_the_ground_speed(paper_aircraft, paper_requirement):
+    """What is laid out for still air is stretched along itself: a second's way is that of the ground speed there."""
+    seconds = no_seconds()
+    lay_out_seconds(seconds, 60.0, sharpness_per_m2(paper_aircraft, 12.0), 10.0)
+    n, calm, windy = np.full(SECONDS, 12), np.empty((3, SECONDS, 64)), np.empty((3, SECONDS, 64))
+    for wind_x_m_s, places in ((0.0, calm), (2.0, windy)):
+        laid_from(seconds, 4, 5.0, -7.0, math.pi / 2, Air(10.0, wind_x_m_s, 0.0), places, n)
+    np.testing.assert_allclose(np.hypot(*(calm[:2, 0, 1] - (5.0, -7.0))), 10.0, atol=0.1)
+    np.testing.assert_allclose(np.hypot(*(windy[:2, 0, 1] - (5.0, -7.0))), 12.0, atol=0.1)
+    later = np.hypot(*np.diff(windy[:2, :, :13]))
+    ground = ground_speeds_m_s(windy[2, :, :12], 10.0, Wind(2.0, 0.0))
+    np.testing.assert_allclose(later, ground, rtol=0.02)

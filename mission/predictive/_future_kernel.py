@@ -1,0 +1,154 @@
+"""What is foretold of the target: its velocity kept, or turning, and the courses that are watched meanwhile."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimators.compiled import compiled
+from mission.core.path import FloatArray
+from mission.predictive._cost_kernel import IntArray
+from mission.predictive._moves_kernel import STEP_S
+from mission.predictive._rollout_kernel import Futures
+from mission.predictive._scene_kernel import Scene, in_frame
+from mission.viewpoint._viewpoint_kernel import MIN_WAY_M, STANDING, Wish, made_good_sigma_rad, place_at
+
+FORETOLD_S = 110  # longer than any line: after it the watch course is the target's
+_SLOW_M_S = 0.5  # the course of so slow a target tells nothing
+_SPEED_RINGS = 3  # of the table's classes: standing, half and full speed
+
+
+class Motions(NamedTuple):
+    """How the table's classes are arranged: see :meth:`mission.predictive.value_table.TableConfiguration.classes`."""
+
+    follows_course: bool
+    wind_speed_m_s: float
+    target_speed_max_m_s: float
+    wind_directions: int
+    target_directions: int
+
+
+class Turns(NamedTuple):
+    """Rates at which the target may begin to turn (f,), the first 0; they fade with this time constant."""
+
+    rate_rad_s: FloatArray
+    fades_s: float
+
+
+@compiled
+def fill_classes(
+    motions: Motions,
+    velocity_x_m_s: float,
+    velocity_y_m_s: float,
+    wind_x_m_s: float,
+    wind_y_m_s: float,
+    classes: IntArray,
+    share: FloatArray,
+    turn_share: FloatArray,
+) -> None:
+    """Fill in the table's classes (4,) about velocities of target and wind, and their shares in V and after a turn.
+
+    Of the wind only the direction counts: its speed is the table's. After a turn the speed before it is forgotten,
+    but for that of a target that stood in a sector's table: it has no direction to turn from.
+    """
+    speed = min(math.hypot(velocity_x_m_s, velocity_y_m_s) / motions.target_speed_max_m_s, 1.0) * (_SPEED_RINGS - 1)
+    ring = min(int(speed), _SPEED_RINGS - 2)
+    outer = speed - ring
+    classes[:], share[:], turn_share[:] = 0, 0.0, 0.0
+    if motions.follows_course and motions.wind_speed_m_s == 0.0:
+        classes[0], classes[1] = ring, ring + 1
+        share[0], share[1], turn_share[0] = 1.0 - outer, outer, 1.0
+        return
+    if motions.follows_course:
+        directions, angle_rad = motions.wind_directions, math.atan2(wind_x_m_s, wind_y_m_s)
+    else:
+        directions, angle_rad = motions.target_directions, math.atan2(velocity_x_m_s, velocity_y_m_s)
+    direction = angle_rad / (2.0 * math.pi) * directions
+    direction -= directions * math.floor(direction / directions)
+    first = int(direction)
+    past = direction - first
+    for i in range(4):
+        a, b = ring + i // 2, (first + i % 2) % directions
+        ring_share, part = outer if i // 2 else 1.0 - outer, past if i % 2 else 1.0 - past
+        share[i] = ring_share * part
+        if motions.follows_course:
+            classes[i] = a * directions + b
+            turn_share[i] = 0.0 if i // 2 else part
+        else:
+            classes[i] = 1 + (a - 1) * directions + b if a else 0
+            turn_share[i] = share[i] if ring == 0 else 0.0 if i // 2 else part
+
+
+@compiled
+def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turns: Turns) -> Futures:
+    """Return futures in which the target keeps its speed and turns, and the course that is watched turns after it.
+
+    The running cost is that of the course made good, of the present one, or of a fixed one; the table is asked in
+    the frame of the velocity, in which it was computed, or of the fixed course.
+    """
+    f, horizon_s = len(turns.rate_rad_s), wish.course_horizon_s
+    k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 25)
+    place, facing, course = np.zeros((f, k, 4)), np.zeros((f, k, 3)), np.zeros((f, k, 3))
+    classes, share, turn_share = np.zeros((f, k, 4), np.int64), np.zeros((f, k, 4)), np.zeros((f, k, 4))
+    air, doubt, fixed = scene.air, scene.doubt, not math.isnan(wish.fixed_course_rad)
+    speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
+    course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
+    moving = memory[STANDING] == 0.0 and speed_m_s > _SLOW_M_S
+    # Where it was so long before each of the first steps.
+    past = np.zeros((math.ceil(horizon_s / STEP_S) + 1 if horizon_s > 0.0 and not fixed else 0, 2))
+    for i in range(len(past)):
+        east_m, north_m = place_at(memory, scene.departure_s + min(i * STEP_S - horizon_s, 0.0))
+        past[i, 0], past[i, 1] = in_frame(scene, east_m, north_m)
+    for one in range(f):
+        facing_rad = x_m = y_m = 0.0
+        for i in range(k):
+            since_s = i * STEP_S
+            faded_s = turns.fades_s * (1.0 - math.exp(-(since_s + 0.5 * STEP_S) / turns.fades_s))
+            heading_rad = course_rad + turns.rate_rad_s[one] * faded_s
+            vx, vy = speed_m_s * math.sin(heading_rad), speed_m_s * math.cos(heading_rad)
+            place[one, i, 0], place[one, i, 1], place[one, i, 2], place[one, i, 3] = x_m, y_m, vx, vy
+            sigma_rad = doubt.course_rad
+            if fixed:
+                facing_rad = table_rad = 0.0
+            elif horizon_s > 0.0:
+                back_s = since_s - horizon_s
+                if back_s > 0.0:
+                    j = int(back_s / STEP_S)
+                    rest_s = back_s - j * STEP_S
+                    way_x_m = x_m - place[one, j, 0] - place[one, j, 2] * rest_s
+                    way_y_m = y_m - place[one, j, 1] - place[one, j, 3] * rest_s
+                else:
+                    way_x_m, way_y_m = x_m - past[i, 0], y_m - past[i, 1]
+                way_m = math.hypot(way_x_m, way_y_m)
+                if way_m > MIN_WAY_M:
+                    facing_rad = math.atan2(way_x_m, way_y_m)
+                sigma_rad = made_good_sigma_rad(math.hypot(doubt.position_m, doubt.velocity_m_s * since_s), way_m)
+                table_rad = heading_rad if moving else facing_rad
+            else:
+                facing_rad = table_rad = heading_rad - course_rad
+            facing[one, i, 0], facing[one, i, 1] = math.sin(facing_rad), math.cos(facing_rad)
+            facing[one, i, 2] = sigma_rad
+            sin_t, cos_t = math.sin(table_rad), math.cos(table_rad)
+            course[one, i, 0], course[one, i, 1], course[one, i, 2] = sin_t, cos_t, table_rad
+            fill_classes(
+                motions,
+                vx * cos_t - vy * sin_t,
+                vx * sin_t + vy * cos_t,
+                air.wind_x_m_s * cos_t - air.wind_y_m_s * sin_t,
+                air.wind_x_m_s * sin_t + air.wind_y_m_s * cos_t,
+                classes[one, i],
+                share[one, i],
+                turn_share[one, i],
+            )
+            x_m, y_m = x_m + vx * STEP_S, y_m + vy * STEP_S
+    return Futures(np.full(f, 1.0 / f), STEP_S, place, facing, course, classes, share, turn_share)
+
+
+@compiled
+def first_of(f: Futures) -> Futures:
+    """Return the first future alone."""
+    return Futures(
+        np.ones(1), f.step_s, f.place[:1], f.facing[:1], f.course[:1], f.classes[:1], f.share[:1], f.turn_share[:1]
+    )
