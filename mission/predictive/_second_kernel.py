@@ -198,6 +198,7 @@ def moving_ahead(scene: Scene, craft: Craft, move: int) -> tuple[FloatArray, int
 def _running(
     x: FloatArray,
     y: FloatArray,
+    j: int,
     n: int,
     to_x: FloatArray,
     to_y: FloatArray,
@@ -205,20 +206,20 @@ def _running(
     cos_f: FloatArray,
     beside: FloatArray,
     sigma: FloatArray,
+    weight: FloatArray,
     c: CostTerms,
-    across: FloatArray,
-    along: FloatArray,
-    found: FloatArray,
+    room: FloatArray,
 ) -> None:
-    """Fill in the running cost at n places."""
+    """Fill in the discounted running cost at n places of line j, as the last of three rows of room."""
+    # Loops of one row each, over arrays that begin where the line does: so the compiler makes vectors of them.
     for k in range(n):
-        across[k] = (x[k] - to_x[k]) * cos_f[k] - (y[k] - to_y[k]) * sin_f[k]
+        room[0, k] = (x[j, k] - to_x[k]) * cos_f[k] - (y[j, k] - to_y[k]) * sin_f[k]
     for k in range(n):
-        along[k] = (x[k] - to_x[k]) * sin_f[k] + (y[k] - to_y[k]) * cos_f[k]
+        room[1, k] = (x[j, k] - to_x[k]) * sin_f[k] + (y[j, k] - to_y[k]) * cos_f[k]
     for k in range(n):
-        aside_m = beside[k] * along[k]
+        aside_m = beside[k] * room[1, k]
         blur_m = 1.0 + math.sqrt(sigma[k] * sigma[k] + aside_m * aside_m)
-        found[k] = cost_rate(across[k], along[k], sigma[k], blur_m, c)
+        room[2, k] = weight[k] * cost_rate(room[0, k], room[1, k], sigma[k], blur_m, c)
 
 
 @compiled
@@ -231,21 +232,10 @@ def _asked(
     sin_t, cos_t = rows[_TABLE_SIN, k], rows[_TABLE_COS, k]
     across, along = x_m * cos_t - y_m * sin_t, x_m * sin_t + y_m * cos_t
     heading_rad -= rows[_TABLE_RAD, k]
+    values, share = table.values, f.futures.share
     if after_turn:
-        return table_value(
-            table.after_turn,
-            table.cell_m,
-            across,
-            along,
-            heading_rad,
-            f.futures.classes,
-            f.futures.turn_share,
-            one,
-            k,
-        )
-    return table_value(
-        table.values, table.cell_m, across, along, heading_rad, f.futures.classes, f.futures.share, one, k
-    )
+        values, share = table.after_turn, f.futures.turn_share
+    return table_value(values, table.cell_m, across, along, heading_rad, f.futures.classes, share, one, k)
 
 
 @compiled
@@ -268,8 +258,8 @@ def _turns_cost(
         after = _asked(table, f, one, at + m, x[m], y[m], heading[m], True)
         total += length * STEP_S / table.mean_leg_s * f.weight[at + m] * after
         if total > bound:
-            return total
-    return total
+            break
+    return float(total)
 
 
 @compiled
@@ -316,30 +306,22 @@ def _cheapest(
         f.rows[one, _SIN, at:],
         f.rows[one, _COS, at:],
     )
-    beside, sigma, weight = f.rows[one, _BESIDE, at:], f.sigma_m[at:], f.weight[at:]
-    across, along, found = room[0], room[1], room[2]
+    beside, sigma, weight, x, y = f.rows[one, _BESIDE, at:], f.sigma_m[at:], f.weight[at:], placed[0], placed[1]
     for j in range(SECONDS):
         last = n[j]
         if last == 0:
             continue
+        _running(x, y, j, last + 1, to_x, to_y, sin_f, cos_f, beside, sigma, weight, c, room)
+        cost = -0.5 * (room[2, 0] + room[2, last])
         for k in range(last + 1):
-            across[k] = (placed[0, j, k] - to_x[k]) * cos_f[k] - (placed[1, j, k] - to_y[k]) * sin_f[k]
-        for k in range(last + 1):
-            along[k] = (placed[0, j, k] - to_x[k]) * sin_f[k] + (placed[1, j, k] - to_y[k]) * cos_f[k]
-        for k in range(last + 1):
-            aside_m = beside[k] * along[k]
-            blur_m = 1.0 + math.sqrt(sigma[k] * sigma[k] + aside_m * aside_m)
-            found[k] = weight[k] * cost_rate(across[k], along[k], sigma[k], blur_m, c)
-        cost = -0.5 * (found[0] + found[last])
-        for k in range(last + 1):
-            cost += found[k]
+            cost += room[2, k]
         cost *= STEP_S
         least = f.min_turn_cost_per_s * weight[last] * last * STEP_S
         if cost + weight[last] * f.min_value + least < bound:
-            x, y, heading = placed[0, j], placed[1, j], placed[2, j]
-            cost += weight[last] * _asked(table, f, one, at + last, x[last], y[last], heading[last], False)
+            heading = placed[2]
+            cost += weight[last] * _asked(table, f, one, at + last, x[j, last], y[j, last], heading[j, last], False)
             if cost + least < bound:
-                cost += _turns_cost(x, y, heading, last, at, one, f, table, bound - cost)
+                cost += _turns_cost(x[j], y[j], heading[j], last, at, one, f, table, bound - cost)
                 bound = min(bound, cost)
     return bound
 
@@ -348,36 +330,22 @@ def _cheapest(
 def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, second: Second) -> float:
     """Return the expected cost of a line (4, k) that is on its circle from second ``end`` on."""
     f, table, seconds, radius_m = second.foretold, second.table, second.moves, scene.radius_m
-    count, foretold = f.rows.shape[0], f.rows.shape[2]
+    count, foretold, terms = f.rows.shape[0], f.rows.shape[2], second.terms
     size, horizon = min(ahead.shape[1], foretold), int(second.horizon_s / STEP_S)
     x, y, heading = ahead[0], ahead[1], ahead[2]
     room = np.empty((3, foretold + _SAMPLES))
     before, best, found = np.zeros((count, size)), np.empty(count), room[2]
     for one in range(count):
         rows = f.rows[one]
-        _running(
-            x,
-            y,
-            size,
-            rows[_X],
-            rows[_Y],
-            rows[_SIN],
-            rows[_COS],
-            rows[_BESIDE],
-            f.sigma_m,
-            c,
-            room[0],
-            room[1],
-            found,
-        )
+        to_x, to_y, sin_f, cos_f, beside = rows[_X], rows[_Y], rows[_SIN], rows[_COS], rows[_BESIDE]
+        _running(ahead[0:1], ahead[1:2], 0, size, to_x, to_y, sin_f, cos_f, beside, f.sigma_m, f.weight, terms, room)
         turned = 0.0
         for k in range(1, size):
             if (k - 1) % _STRIDE == 0:
                 m = min(k + 1, size - 1)
                 after = _asked(table, f, one, m, x[m], y[m], heading[m], True)
                 turned = STEP_S / table.mean_leg_s * f.weight[m] * after
-            both = f.weight[k - 1] * found[k - 1] + f.weight[k] * found[k]
-            before[one, k] = before[one, k - 1] + 0.5 * STEP_S * both + turned
+            before[one, k] = before[one, k - 1] + 0.5 * STEP_S * (found[k - 1] + found[k]) + turned
         best[one] = np.inf
         for valued in _VALUED:
             k = min(max(end, valued), size - 1)

@@ -23,6 +23,8 @@ _WALL_WIDTH_M, _WALL = 20.0, 2.0
 _MARGIN_M = 15.0
 # In wind the ground passes at another speed than the plan's: so much more for each m/s, to twice as much in all.
 _MARGIN_IN_WIND_S = 3.0
+# A target may turn towards the aircraft: from the near edge it keeps what the fastest one comes nearer in so long.
+_MARGIN_OF_TARGET_S = 1.8
 
 Values = npt.NDArray[np.floating]
 
@@ -37,11 +39,16 @@ class WatchCost:
 
     @staticmethod
     def inside(
-        range_min_m: float, range_max_m: float, half_width_rad: float = math.pi / 2, wind_speed_m_s: float = 0.0
+        range_min_m: float,
+        range_max_m: float,
+        half_width_rad: float = math.pi / 2,
+        wind_speed_m_s: float = 0.0,
+        target_speed_max_m_s: float = 0.0,
     ) -> WatchCost:
-        """Return the cost of a required band, with the planner's margin, which is wider in wind."""
+        """Return the cost of a required band, with the planner's margins: wider in wind, and near a fast target."""
         margin_m = _MARGIN_M + min(_MARGIN_IN_WIND_S * wind_speed_m_s, _MARGIN_M)
-        return WatchCost(range_min_m + margin_m, range_max_m - margin_m, half_width_rad)
+        near_m = max(margin_m, _MARGIN_OF_TARGET_S * target_speed_max_m_s)
+        return WatchCost(range_min_m + near_m, range_max_m - margin_m, half_width_rad)
 
     def rate(
         self, x_m: Values, y_m: Values, widened_m: npt.ArrayLike = 0.0, side_blur_m: npt.ArrayLike = 1.0

@@ -81,7 +81,13 @@ def table_configuration(
         aircraft.radius_m,
         sharpness_per_m2(aircraft, aircraft.airspeed_m_s + wind_speed_m_s),
         max(requirement.target_speed_max_m_s, _MIN_TARGET_SPEED_M_S),
-        WatchCost.inside(requirement.range_min_m, requirement.range_max_m, half_width_rad, wind_speed_m_s),
+        WatchCost.inside(
+            requirement.range_min_m,
+            requirement.range_max_m,
+            half_width_rad,
+            wind_speed_m_s,
+            requirement.target_speed_max_m_s,
+        ),
         follows_course=sector is None,
         # A sector or wind needs classes for every direction; fewer cells keep the table's cost in bounds.
         wind_speed_m_s=wind_speed_m_s,

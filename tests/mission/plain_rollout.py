@@ -165,7 +165,7 @@ def _directions(vector, count):
 
 
 def deep_cost(table, futures, doubt, ahead, end, branches, horizon, prices, radius, ramp, levels, lengths):
-    """What a line (x, y, heading, curvature) (4, k) at whole seconds costs in calm air, with the best second moves."""
+    """What a line (x, y, heading, curvature) (4, k) at whole seconds costs in calm air, with the best second move."""
     c = table.configuration
     hazard = 1.0 / c.habits.mean_leg_s
     cell_m = 2.0 * c.half_width_m / (table.values.shape[-1] - 1)
