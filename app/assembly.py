@@ -35,7 +35,7 @@ from mission.upload.fences import FenceError, Fences, Outline
 
 if TYPE_CHECKING:
     from estimators.terrain.ground import Ground
-    from mission.predictive._sight_kernel import Sight
+    from mission.predictive._sight_kernel import Sight, SightAt
 
 # Lasers miss for a second or two all the time; that is nothing to tell anybody.
 _COASTING_AFTER_S = 3.0
@@ -98,8 +98,7 @@ def controller_of(
 
     # Made before the flight: no step may wait for a disk or a computation.
     lost_after_s = config.planner.lost_after_s
-    needs = PlannerNeeds(aircraft, requirement, winds_m_s(config), lost_after_s, progress, check, sight)
-    make_planner = kind.factory(needs)
+    make_planner = kind.factory(planner_needs(config, progress, check, sight))
 
     controller = StandoffController(
         StandoffSettings(
@@ -122,6 +121,24 @@ def winds_m_s(config: Config) -> list[float]:
     if not config.link.connections and config.simulation.wind_speed_m_s > 0.0:
         winds_m_s.add(config.simulation.wind_speed_m_s)
     return sorted(winds_m_s)
+
+
+def planner_needs(
+    config: Config,
+    progress: Callable[[float], None],
+    check: Callable[[Plan], str | None],
+    sight: SightAt,
+) -> PlannerNeeds:
+    """Return what a planner of a configuration may be made of."""
+    return PlannerNeeds(
+        config.aircraft.aircraft(),
+        config.requirement.requirement(),
+        winds_m_s(config),
+        config.planner.lost_after_s,
+        progress,
+        check,
+        sight,
+    )
 
 
 def _warm_up(planner: Planner, track: Track) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -48,30 +48,27 @@ class Score:
     source: Literal["truth", "estimate"]
 
 
-def score(
-    moments: Iterable[Moment],
-    asked: Asked,
-    source: Literal["truth", "estimate"],
-) -> Score:
-    """Score the moments, each weighted by the time until the next.
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """How one moment was: where the target is from the aircraft, and whether the requirement was kept."""
+
+    time_s: float
+    range_m: float
+    in_band: bool
+    on_side: bool
+
+
+def judge(moments: Iterable[Moment], asked: Asked) -> Iterator[Judged]:
+    """Judge moments in order of time.
 
     Before the target has a course every place is on the side.
     """
-    in_band_s = on_side_s = total_s = 0.0
-    min_m, max_m = math.inf, -math.inf
     course_rad: float | None = None
-    last: tuple[Moment, bool, bool] | None = None
     for moment in moments:
-        if last is not None:
-            step_s = moment.time_s - last[0].time_s
-            total_s += step_s
-            in_band_s += step_s * last[1]
-            on_side_s += step_s * last[2]
         requirement = asked_at(asked, moment.time_s)
         east_m = moment.aircraft_east_m - moment.target_east_m
         north_m = moment.aircraft_north_m - moment.target_north_m
         range_m = math.hypot(east_m, north_m)
-        min_m, max_m = min(min_m, range_m), max(max_m, range_m)
         velocity = (moment.target_velocity_east_m_s, moment.target_velocity_north_m_s)
         if math.hypot(*velocity) >= _STANDING_M_S:
             course_rad = math.atan2(*velocity)
@@ -83,7 +80,23 @@ def score(
         else:
             normal_rad = None if course_rad is None else course_rad + requirement.side.normal_turn_rad
             on_side = normal_rad is None or east_m * math.sin(normal_rad) + north_m * math.cos(normal_rad) >= 0.0
-        last = (moment, requirement.range_min_m <= range_m <= requirement.range_max_m, on_side)
+        in_band = requirement.range_min_m <= range_m <= requirement.range_max_m
+        yield Judged(moment.time_s, range_m, in_band, on_side)
+
+
+def score(moments: Iterable[Moment], asked: Asked, source: Literal["truth", "estimate"]) -> Score:
+    """Score the moments as ``judge`` has them, each weighted by the time until the next."""
+    in_band_s = on_side_s = total_s = 0.0
+    min_m, max_m = math.inf, -math.inf
+    last: Judged | None = None
+    for judged in judge(moments, asked):
+        if last is not None:
+            step_s = judged.time_s - last.time_s
+            total_s += step_s
+            in_band_s += step_s * last.in_band
+            on_side_s += step_s * last.on_side
+        min_m, max_m = min(min_m, judged.range_m), max(max_m, judged.range_m)
+        last = judged
     if total_s <= 0.0:
         return Score(0.0, None, None, None, None, source)
     return Score(total_s, in_band_s / total_s, on_side_s / total_s, min_m, max_m, source)

@@ -127,15 +127,17 @@ class SummaryCollector:
         ]
         return math.sqrt(sum(squares) / len(squares)) if squares else None
 
+    def moments(
+        self, truth: Truth | None, plane: LocalPlane | None, start_s: float
+    ) -> tuple[Sequence[Moment], Literal["truth", "estimate"]]:
+        """Return what there is to judge since ``start_s``, and by what it is judged."""
+        if truth is None or plane is None or not self._estimated:
+            return [one for one in self._estimated if one.time_s >= start_s], "estimate"
+        return truth.moments(plane, start_s, self._estimated[-1].time_s, _TRUTH_STEP_S), "truth"
+
     def scored(self, truth: Truth | None, plane: LocalPlane | None, start_s: float) -> Score:
         """Score from the first moment in the band after ``start_s``."""
-        if truth is None or plane is None or not self._estimated:
-            moments = [one for one in self._estimated if one.time_s >= start_s]
-            source: Literal["truth", "estimate"] = "estimate"
-        else:
-            end_s = self._estimated[-1].time_s
-            moments = truth.moments(plane, start_s, end_s, _TRUTH_STEP_S)
-            source = "truth"
+        moments, source = self.moments(truth, plane, start_s)
         return score(_from_band(moments, self._asked), self._asked, source)
 
 

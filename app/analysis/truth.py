@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -117,6 +117,17 @@ def read_truth(path: Path) -> Truth:
     positions_deg, ground = np.split(np.array([rows[time] for time in time_s]).T, [len(_POSITION_COLUMNS)])
     positions_deg[1::2] = np.unwrap(positions_deg[1::2], period=360.0)
     return Truth(time_s, positions_deg, ground)
+
+
+def truth_if_whole(path: Path | None, tell: Callable[[str], object]) -> Truth | None:
+    """Return the truth of a run that has ended, None where there is none; ``tell`` hears why."""
+    if path is None or not path.exists():
+        return None
+    try:
+        return read_truth(path)
+    except InputError as unjudged:
+        tell(f"judged by the estimate: {unjudged}")
+        return None
 
 
 def _row(texts: list[str], places: list[int]) -> list[float] | None:

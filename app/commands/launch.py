@@ -10,13 +10,15 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from app.analysis.summary import Summary
+from app.analysis.truth import truth_if_whole
 from app.assembly import controller_of
 from app.commands.export import write_export
+from app.commands.launch_fleet import fly_fleet
 from app.commands.output import (
     JsonOption,
     checked_output,
@@ -30,12 +32,14 @@ from app.commands.output import (
 from app.commands.report import write_report
 from app.config import Config, check_flyable, load_config
 from app.errors import FlightError, InputError, Interrupted
+from app.fleet_file import MAX_AIRCRAFT, FleetFile, load_fleet, names_a_fleet
 from app.flight.display import FlightDisplay
+from app.flight.fleet_flight import FleetEnded
 from app.flight.flight import Flight, Sharing, connected
 from app.flight.life import Life, describe_aircraft
 from app.flight.link_log import link_log
 from app.flight.recording import Recording
-from app.flight.simulated import SimulatedVehicle
+from app.flight.simulated import SimulatedVehicles
 from app.link.discovery import SETTLING_S
 from app.planners.registry import PLANNER_NAMES
 from app.records.export import Format
@@ -51,6 +55,10 @@ _DURATION_S = 1200.0
 
 def launch(
     config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).", show_default=False)] = None,
+    fleet: Annotated[
+        int | None,
+        typer.Option(min=1, max=MAX_AIRCRAFT, help="So many aircraft about one target.", show_default=False),
+    ] = None,
     connect: Annotated[
         list[str] | None,
         typer.Option(
@@ -81,7 +89,8 @@ def launch(
         str | None, typer.Option(help="Watch from left or right of its motion, either, or bearings like 120-200.")
     ] = None,
     autopilot: Annotated[
-        str | None, typer.Option(help="Simulated autopilot: arduplane or px4.", show_default=False)
+        str | None,
+        typer.Option(help="Simulated autopilot: arduplane or px4; of a fleet in turn: a,b.", show_default=False),
     ] = None,
     planner: Annotated[str | None, typer.Option(help=f"{' or '.join(PLANNER_NAMES)}.", show_default=False)] = None,
     view: Annotated[bool, typer.Option("--view", help="Show a live map in the browser.")] = False,
@@ -127,48 +136,81 @@ def launch(
 
     Without --connect this starts a simulated vehicle and target and flies them, about ten times faster than the
     clock. Examples: sidelong launch; sidelong launch --autopilot px4 --target walk --side right;
-    sidelong launch mission.toml --connect udpin://0.0.0.0:14540
+    sidelong launch mission.toml --connect udpin://0.0.0.0:14540; sidelong launch --fleet 2 --autopilot arduplane,px4
     """
     checked_output(json)
-    settings = load_config(
-        config,
-        {
-            "link": {
-                "urls": connect or None,
-                "set_parameters": set_parameters or None,
-                "signing_key_file": signing_key,
-                "system_id": system_id,
-            },
-            "simulation": {
-                "target": target,
-                "speed": speed,
-                "seed": seed,
-                "autopilot": autopilot,
-                "home": latitude_longitude_deg("--home", home),
-            },
-            "requirement": {"side": side, "target_speed_max_m_s": target_speed},
-            "terrain": {"folder": None if terrain is None else str(terrain)},
-            "planner": {"name": planner, "guidance": guidance},
+    overrides: dict[str, dict[str, Any]] = {
+        "link": {
+            "urls": connect or None,
+            "set_parameters": set_parameters or None,
+            "signing_key_file": signing_key,
+            "system_id": system_id,
         },
-    )
-    check_flyable(settings)
+        "simulation": {
+            "target": target,
+            "speed": speed,
+            "seed": seed,
+            "autopilot": autopilot,
+            "home": latitude_longitude_deg("--home", home),
+        },
+        "requirement": {"side": side, "target_speed_max_m_s": target_speed},
+        "terrain": {"folder": None if terrain is None else str(terrain)},
+        "planner": {"name": planner, "guidance": guidance},
+    }
+    sharing = Sharing(cot, point_gimbal)
     if mcap:
         mcap_writer_class()
-    if point_gimbal and settings.terrain.folder is not None and settings.sensors.angles_alone:
+    if fleet is not None or names_a_fleet(config):
+        several = load_fleet(config, overrides, fleet)
+        if len(several.aircraft) > 1:
+            _check_fleet(several, sharing, view, system_id)
+            with shielded_output():
+                flown = fly_fleet(several, duration, out, quiet, sharing)
+                _tell(flown, json)
+                if flown.reason is not None:
+                    raise flown.reason
+                for member in several.members:
+                    _write_more(RunFolder(flown.folder.path / member.name), mcap, report)
+            return
+        settings = several.members[0].config
+    else:
+        settings = load_config(config, overrides)
+    check_flyable(settings)
+    _check_pointing(settings, sharing)
+    address = Address(view_host, view_port, view_cert, view_key) if view else None
+    with shielded_output():
+        ended = _flown(settings, duration, out, quiet, address, sharing)
+        _tell(ended, json)
+        if ended.reason is not None:
+            raise ended.reason
+        _write_more(ended.folder, mcap, report)
+
+
+def _check_pointing(settings: Config, sharing: Sharing) -> None:
+    if sharing.point_gimbal and settings.terrain.folder is not None and settings.sensors.angles_alone:
         raise InputError(
             "--point-gimbal points the gimbal at the estimate, which would confirm itself while the laser is silent; "
             "set sensors.angles_alone = false with it."
         )
-    address = Address(view_host, view_port, view_cert, view_key) if view else None
-    with shielded_output():
-        ended = _flown(settings, duration, out, quiet, address, Sharing(cot, point_gimbal))
-        _tell(ended, json)
-        if ended.reason is not None:
-            raise ended.reason
-        if mcap:
-            write_export(ended.folder.path, Format.MCAP)
-        if report:
-            write_report(ended.folder.path, ended.folder.path / "report.html")
+
+
+def _check_fleet(fleet: FleetFile, sharing: Sharing, view: bool, system_id: int | None) -> None:
+    for member in fleet.members:
+        _check_pointing(member.config, sharing)
+    if view:
+        raise InputError("--view: the live map shows one aircraft; leave it out for a fleet.")
+    if system_id is not None:
+        raise InputError("--system-id names one vehicle; give each aircraft of the fleet file its system_id.")
+
+
+def _write_more(folder: RunFolder, mcap: bool, report: bool) -> None:
+    """Write what was asked for beside the records of one aircraft."""
+    if not folder.journal.is_file():
+        return
+    if mcap:
+        write_export(folder.path, Format.MCAP)
+    if report:
+        write_report(folder.path, folder.path / "report.html")
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +231,7 @@ def _flown(
         raise Interrupted("interrupted: nothing was commanded; no records are kept.") from interrupted
 
 
-def _tell(ended: _Ended, json: Path | None) -> None:
+def _tell(ended: _Ended | FleetEnded, json: Path | None) -> None:
     console.print(ended.summary.table())
     console.print(f"run folder: {ended.folder.path}", soft_wrap=True)
     try:
@@ -277,8 +319,8 @@ async def _fly(
         urls, truth = config.link.connections, None
         if not urls:
             display.note(f"starting a simulated {config.simulation.autopilot} and its target")
-            vehicle = await stack.enter_async_context(SimulatedVehicle(config, folder.truth, life.fail))
-            urls, truth = (vehicle.url,), folder.truth
+            vehicle = await stack.enter_async_context(SimulatedVehicles([config], [folder.truth], life.fail))
+            urls, truth = vehicle.urls, folder.truth
         display.note(f"connecting to {' and '.join(urls)}")
         link, loop = config.link, asyncio.get_running_loop()
 
@@ -314,12 +356,7 @@ async def _fly(
     # Only now, with the simulated vehicle ended, is its truth file whole.
     if life.failure is not None:
         outcome = f"failed: {life.failure}"
-    try:
-        summary = flight.summary(outcome, truth)
-    except InputError as unjudged:
-        display.note(f"judged by the estimate: {unjudged}")
-        summary = flight.summary(outcome, None)
-    summary = replace(summary, links=links)
+    summary = replace(flight.summary(outcome, truth_if_whole(truth, display.note)), links=links)
     if life.failure is not None:
         return _Ended(folder, summary, FlightError(life.failure))
     if life.signal_name is not None:

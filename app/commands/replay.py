@@ -18,6 +18,7 @@ from app.analysis.truth import Truth, read_truth
 from app.assembly import controller_of, mission_controller_of, settle
 from app.autopilots.registry import autopilot_by_name
 from app.commands.output import JsonOption, checked_output, console, progress_bar, table_progress, write_json
+from app.commands.replay_fleet import replay_fleet
 from app.config import Config, load_config, with_values
 from app.errors import FlightError, InputError
 from app.flight.recording import JOURNAL_TYPES, journalled_config
@@ -25,7 +26,7 @@ from app.link.telemetry import Telemetry
 from app.planners.registry import PLANNER_NAMES
 from app.records.journal import Header, JournalReader
 from app.records.log import open_log
-from app.records.run_folder import RunFolder
+from app.records.run_folder import FleetFolder, RunFolder
 from app.view.address import DEFAULT_PORT, Address
 from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay, clock
@@ -71,6 +72,18 @@ def replay(
     if view and verify:
         raise InputError("--verify repeats the flight exactly; leave out --view, whose buttons would change it.")
     shown = _Shown(f"replay of {log.name}", Address(port=view_port), view_speed) if view else None
+    fleet = FleetFolder(log)
+    if fleet.journal.is_file():
+        if view or config is not None:
+            raise InputError(
+                f"{log} is the run of a fleet; give one aircraft's folder in it with --view or --config."
+            )
+
+        def one(folder: RunFolder) -> Summary:
+            return _replay_run(folder.path, truth, None, changes, verify, quiet, None)
+
+        write_json(json, replay_fleet(fleet, one, verify))
+        return
     if log.is_dir() or log.suffix == ".jsonl":
         result = _replay_run(log, truth, config, changes, verify, quiet, shown)
     elif verify:

@@ -10,8 +10,9 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from app.analysis.score import Moment
 from app.analysis.summary import Summary, SummaryCollector, summarise
-from app.analysis.truth import read_truth
+from app.analysis.truth import Truth
 from app.assembly import mission_controller_of, settle
 from app.autopilots.autopilot import Autopilot
 from app.autopilots.parameters import RequiredParameter, read_parameters, temporary_parameters
@@ -21,7 +22,7 @@ from app.errors import FlightError, InputError
 from app.flight.changes import MissionChanges
 from app.flight.cot import CotOutput
 from app.flight.display import FlightDisplay, Wish
-from app.flight.loop import ControlLoop, Display
+from app.flight.loop import ControlLoop, Display, Stepped
 from app.flight.point_gimbal import GimbalPointer
 from app.flight.preflight import autopilot_of, checks, listen
 from app.flight.recording import Recording
@@ -35,8 +36,9 @@ from app.link.vehicle import Vehicle
 from app.link.vehicle_status import VehicleStatus, vehicle_status
 from app.shutdown import ends_within
 from app.terrain.elevation_data import elevation_data
+from estimators.frames import LocalPlane
 from mission.control.controller import Phase, Snapshot, StandoffController
-from mission.core.events import Announce, ControlAcquired, MissionChange
+from mission.core.events import Announce, ControlAcquired, Event, MissionChange
 from mission.exchange.dialect import Home
 from mission.exchange.outbox import TakeoverFailed
 from mission.exchange.reports import TakeoverRequested
@@ -64,6 +66,15 @@ class Session:
     autopilot: Autopilot
     telemetry: Telemetry
     senders: SenderCheck
+
+
+@dataclass(frozen=True, slots=True)
+class _Ready:
+    """A vehicle that was checked: its plane, its home, and what is borrowed of its parameters for the flight."""
+
+    plane: LocalPlane
+    home: Home
+    parameters: tuple[RequiredParameter, ...]
 
 
 @contextlib.asynccontextmanager
@@ -127,9 +138,16 @@ class Flight:
         self._collector = SummaryCollector(config.requirement.requirement())
         self._start_s = math.inf
         self._battery_percent: int | None = None  # when watching began
+        self._ready: _Ready | None = None
+        self._loop: ControlLoop | None = None
 
     async def fly(self, stopped: asyncio.Event) -> str:
         """Check, take off if need be, watch for the duration or until ``stopped`` is set; return the outcome."""
+        await self.prepare()
+        return await self.watch(stopped)
+
+    async def prepare(self) -> None:
+        """Check the vehicle: nothing is armed or changed. Raises InputError when it is not ready."""
         self._vehicle.listeners.append(self._telemetry.event)  # the clock and the plane, from the start
         self._display.connected(self._status)
         link = self._config.link
@@ -143,15 +161,56 @@ class Flight:
         home, required_parameters = await self._check(values)
         self._vehicle.listeners.remove(self._telemetry.event)
         self._vehicle.listeners.remove(self._senders.message)  # from here on the control step looks
-        wanted = required_parameters if self._config.link.set_parameters else ()
-        async with temporary_parameters(
-            self._vehicle, wanted, self._display.note, lambda: self._controller.phase is not Phase.YIELDED
-        ):
-            return await self._watched(home, stopped)
-
-    async def _watched(self, home: Home, stopped: asyncio.Event) -> str:
         plane = self._telemetry.plane
         assert plane is not None  # the position check has passed
+        self._ready = _Ready(plane, home, required_parameters if self._config.link.set_parameters else ())
+
+    async def watch(
+        self,
+        stopped: asyncio.Event,
+        stepped: Stepped = lambda _event, _outputs: None,
+        over: asyncio.Event | None = None,
+    ) -> str:
+        """Take off if need be and watch, until ``stopped``, ``over`` or the end of the duration; return the outcome.
+
+        stepped hears of each step of the core: the event, and what it led to. ``prepare`` has to have passed.
+        """
+        assert self._ready is not None
+        async with temporary_parameters(
+            self._vehicle,
+            self._ready.parameters,
+            self._display.note,
+            lambda: self._controller.phase is not Phase.YIELDED,
+        ):
+            return await self._watched(self._ready, stopped, stepped, over)
+
+    @property
+    def plane(self) -> LocalPlane:
+        """The local plane of the flight, known once ``prepare`` has passed."""
+        assert self._ready is not None
+        return self._ready.plane
+
+    @property
+    def home(self) -> Home:
+        """Where the vehicle has its home, known once ``prepare`` has passed."""
+        assert self._ready is not None
+        return self._ready.home
+
+    def tell(self, event: Event) -> None:
+        """Let the core hear an event that does not come from the vehicle; nothing where it does not run."""
+        if self._loop is not None:
+            self._loop.put(event)
+
+    def share_plane(self, plane: LocalPlane) -> None:
+        """Fly in another vehicle's local plane, between ``prepare`` and ``watch``."""
+        assert self._ready is not None
+        self._telemetry.plane = plane
+        self._ready = replace(self._ready, plane=plane)
+
+    async def _watched(
+        self, ready: _Ready, stopped: asyncio.Event, stepped: Stepped, ended: asyncio.Event | None
+    ) -> str:
+        plane, home = ready.plane, ready.home
         home_deg = (home.latitude_deg, home.longitude_deg)
         settle(self._controller, self._config, plane, home_deg)
         self._recording.begin(plane, home_deg, self._autopilot.name, home.altitude_m)
@@ -168,7 +227,8 @@ class Flight:
             data = elevation_data(Path(self._config.terrain.folder))
             shared.callback(TerrainServer(self._vehicle, data).stop)
         observed = _Observed(observers, self._collector)
-        loop = ControlLoop(self._vehicle, self._telemetry, core, self._recording, observed, self._acquired)
+        loop = ControlLoop(self._vehicle, self._telemetry, core, self._recording, observed, self._acquired, stepped)
+        self._loop = loop
         changes = MissionChanges(
             self._config, self._controller, lambda: self._telemetry.now_s, loop.put, self._display.say
         )
@@ -179,7 +239,7 @@ class Flight:
 
         self._display.begin(plane, request)
         running = asyncio.create_task(loop.run())
-        over = asyncio.create_task(self._until_over())
+        over = asyncio.create_task(self._until_over(ended))
         interrupt = asyncio.create_task(stopped.wait())
         flying, mode = is_flying(self._vehicle), mode_of(self._vehicle)
         loop.put(TakeoverRequested(self._telemetry.now_s, loop.link_s, flying, mode, self._arm_period_s))
@@ -235,18 +295,25 @@ class Flight:
             if self._telemetry.now_s > deadline_s and time.monotonic() > wall_s:
                 raise InputError("not ready, " + "; ".join(map(str, missing)) + ".")
 
-    async def _until_over(self) -> None:
+    async def _until_over(self, ended: asyncio.Event | None) -> None:
+        if ended is not None:
+            await ended.wait()
+            return
         while self._duration_s is None or self._telemetry.now_s < self._start_s + self._duration_s:
             await asyncio.sleep(_POLL_S)
 
-    def summary(self, outcome: str, truth: Path | None) -> Summary:
-        """Return the summary, judged by a truth file once that is whole."""
+    def moments(self, truth: Truth | None) -> Sequence[Moment]:
+        """Return what the flight is judged by, since watching began: by the truth where that is known."""
+        return self._collector.moments(truth, self._telemetry.plane, self._start_s)[0]
+
+    def summary(self, outcome: str, truth: Truth | None) -> Summary:
+        """Return the summary, judged by the truth where that is known."""
         tracker = self._controller.tracker
         begin, end = self._battery_percent, self._status().battery_percent
         judged = summarise(
             self._collector,
             self._controller.snapshot(),
-            truth=read_truth(truth) if truth is not None and truth.exists() else None,
+            truth=truth,
             plane=self._telemetry.plane,
             start_s=self._start_s,
             sightings=tracker.sightings,

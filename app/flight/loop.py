@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from app.flight.executor import CommandExecutor
@@ -43,10 +43,13 @@ class Display(Protocol):
     def show(self, snapshot: Snapshot) -> None: ...
 
 
+Stepped = Callable[[InboundEvent, Sequence[Output]], object]
+
+
 class ControlLoop:
     """Runs the core on what the vehicle reports, until ``stop`` or the end of the mission.
 
-    acquired is called when the aircraft is ours; ``failed`` then tells why it never was.
+    acquired is called when the aircraft is ours; ``failed`` then tells why it never was. stepped hears of each step.
     """
 
     def __init__(
@@ -57,13 +60,15 @@ class ControlLoop:
         log: Log,
         display: Display,
         acquired: Callable[[ControlAcquired], object],
+        stepped: Stepped = lambda _event, _outputs: None,
     ) -> None:
         self.controller = controller
         self.outcome: str | None = None
         self.failed: TakeoverFailed | None = None
         self._vehicle, self._telemetry = vehicle, telemetry
         self._executor, self._reports = CommandExecutor(vehicle), VehicleReports(vehicle)
-        self._log, self._display, self._acquired = log, display, acquired
+        self._log, self._display = log, display
+        self._acquired, self._stepped = acquired, stepped
         self._queue: asyncio.Queue[InboundEvent] = asyncio.Queue()
         self._start_s = self._heard_s = time.monotonic()
         self._timer: asyncio.TimerHandle | None = None
@@ -103,6 +108,7 @@ class ControlLoop:
                 outputs = self.controller.step(event)
                 for output in outputs:
                     self._handle(output)
+                self._stepped(event, outputs)
                 if isinstance(event, ShutdownRequested):
                     self._end()
                 self._set_timer()

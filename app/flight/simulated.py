@@ -1,4 +1,4 @@
-"""The simulated vehicle in a process of its own."""
+"""The simulated vehicles in a process of their own."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from app.config import Config
@@ -23,37 +23,40 @@ def free_udp_port() -> int:
         return int(probe.getsockname()[1])
 
 
-class SimulatedVehicle:
-    """Starts ``python -m sitl`` for a configuration, and stops it. Use as ``async with``.
+class SimulatedVehicles:
+    """Starts ``python -m sitl`` for one configuration or several, and stops it. Use as ``async with``.
 
-    on_end gets a sentence when the vehicle ends by itself meanwhile.
+    They are about one target. truths: one file for each vehicle. ``urls`` are theirs; their system ids go from 1.
+    What all share, the target say, is the first one's. on_end gets a sentence when they end by themselves meanwhile.
     """
 
-    def __init__(self, config: Config, truth: Path, on_end: Callable[[str], object]) -> None:
-        self.port = free_udp_port()
-        self.url = f"udpin://127.0.0.1:{self.port}"
-        simulation = config.simulation
+    def __init__(self, configs: Sequence[Config], truths: Sequence[Path], on_end: Callable[[str], object]) -> None:
+        config, simulation = configs[0], configs[0].simulation
+        ports = [free_udp_port() for _ in configs]
+        self.urls = tuple(f"udpin://127.0.0.1:{port}" for port in ports)
         self._options = [
-            *("--autopilot", simulation.autopilot),
-            *("--to", f"127.0.0.1:{self.port}"),
+            *("--vehicles", str(len(configs))),
+            *("--autopilot", ",".join(one.simulation.autopilot for one in configs)),
+            *(option for number, port in enumerate(ports, 1) for option in ("--to", f"{number}@127.0.0.1:{port}")),
             *("--target", simulation.target),
             *("--target-speed", f"{config.requirement.target_speed_max_m_s:g}"),
             *("--seed", str(simulation.seed)),
             *("--speed", f"{simulation.speed:g}"),
-            *("--airspeed", f"{config.aircraft.airspeed_m_s:g}"),
+            *("--airspeed", ",".join(f"{one.aircraft.airspeed_m_s:g}" for one in configs)),
             *("--wind-speed", f"{simulation.wind_speed_m_s:g}"),
             *("--wind-from-deg", f"{simulation.wind_from_deg:g}"),
-            *("--truth", str(truth)),
+            *(option for truth in truths for option in ("--truth", str(truth))),
             *(("--require-signing", str(key)) if (key := config.link.signing_key_file) is not None else ()),
             *(("--terrain", config.terrain.folder) if config.terrain.folder is not None else ()),
             *((f"--home={simulation.home[0]},{simulation.home[1]}",) if simulation.home is not None else ()),
-            "--while-input",  # so that it does not outlive this program, however that ends
+            "--while-input",  # so that they do not outlive this program, however that ends
         ]
+        self._what = "the simulated vehicle" if len(configs) == 1 else "the simulation of the vehicles"
         self._process: asyncio.subprocess.Process | None = None
         self._on_end = on_end
         self._vigil: asyncio.Task[None] | None = None
 
-    async def __aenter__(self) -> SimulatedVehicle:
+    async def __aenter__(self) -> SimulatedVehicles:
         # A session of its own keeps the terminal's Ctrl-C from ending it before the mission has been wound up.
         self._process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "sitl", *self._options),
@@ -67,7 +70,7 @@ class SimulatedVehicle:
             line = await asyncio.wait_for(self._process.stdout.readline(), _READY_S)
         except TimeoutError as error:
             await self._stop()
-            raise FlightError(f"the simulated vehicle was not ready within {_READY_S:g} s.") from error
+            raise FlightError(f"{self._what} was not ready within {_READY_S:g} s.") from error
         except asyncio.CancelledError:
             await self._stop()
             raise
@@ -84,7 +87,7 @@ class SimulatedVehicle:
 
     async def _keep_vigil(self) -> None:
         why = await self.ended()
-        self._on_end(f"the simulated vehicle has ended: {why.rstrip('.')}; nothing flies any more.")
+        self._on_end(f"{self._what} has ended: {why.rstrip('.')}; nothing flies any more.")
 
     async def ended(self) -> str:
         """Wait until the process has ended by itself, and return why."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import count
@@ -57,39 +58,28 @@ class RunFolder:
 
         Raises InputError when it cannot be made.
         """
-        stamp = now.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
-        try:
-            parent.mkdir(parents=True, exist_ok=True)
-            for attempt in count(1):
-                path = parent / (stamp if attempt == 1 else f"{stamp}-{attempt}")
-                try:
-                    path.mkdir()
-                except FileExistsError:
-                    continue
-                run = RunFolder(path)
-                run.plans.mkdir()
-                return run
-        except OSError as error:
-            raise InputError(f"no run folder can be made in {parent}: {error.strerror}.") from error
-        raise AssertionError("unreachable: counting does not end")
+        return RunFolder._made(_new_folder(parent, now))
+
+    @staticmethod
+    def _made(path: Path) -> RunFolder:
+        run = RunFolder(path)
+        with _making(path.parent):
+            run.plans.mkdir(parents=True)
+        return run
 
     @staticmethod
     def open(path: Path) -> RunFolder:
         """Return the run folder at ``path``; raises InputError when there is none."""
         run = RunFolder(path)
+        if FleetFolder(path).journal.is_file():
+            raise InputError(f"{path} is the run of a fleet; give the folder of one aircraft in it.")
         if not run.journal.is_file():
             raise InputError(f"{path} is no run folder: it has no {run.journal.name}.")
         return run
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Write the summary whole or not at all."""
-        partial = self.summary.with_suffix(".partial")
-        with partial.open("w", encoding="utf-8") as file:
-            json.dump(summary, file, indent=2)
-            file.write("\n")
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(self.summary)
+        _write_summary(self.summary, summary)
 
     def read_summary(self) -> dict[str, Any]:
         """Return the summary; raises InputError when the run did not get as far as writing one."""
@@ -102,3 +92,61 @@ class RunFolder:
         if not isinstance(summary, dict):
             raise InputError(f"{self.summary}: is no summary of a run; {remedy}.")
         return summary
+
+
+@dataclass(frozen=True, slots=True)
+class FleetFolder:
+    """Names of what the run of a fleet leaves: a run folder for each aircraft, and what is of all of them."""
+
+    path: Path
+
+    @property
+    def journal(self) -> Path:
+        return self.path / "fleet.jsonl"
+
+    @property
+    def summary(self) -> Path:
+        return self.path / "summary.json"
+
+    @staticmethod
+    def create(parent: Path, now: datetime) -> FleetFolder:
+        """Make a new folder in ``parent``, as ``RunFolder.create`` does."""
+        return FleetFolder(_new_folder(parent, now))
+
+    def make(self, name: str) -> RunFolder:
+        """Make an aircraft's run folder. Raises InputError when it cannot be made."""
+        return RunFolder._made(self.path / name)
+
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Write the summary whole or not at all."""
+        _write_summary(self.summary, summary)
+
+
+def _new_folder(parent: Path, now: datetime) -> Path:
+    stamp = now.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
+    with _making(parent):
+        parent.mkdir(parents=True, exist_ok=True)
+        for attempt in count(1):
+            path = parent / (stamp if attempt == 1 else f"{stamp}-{attempt}")
+            with contextlib.suppress(FileExistsError):
+                path.mkdir()
+                return path
+    raise AssertionError("unreachable: counting does not end")
+
+
+@contextlib.contextmanager
+def _making(parent: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"no run folder can be made in {parent}: {error.strerror}.") from error
+
+
+def _write_summary(path: Path, summary: Mapping[str, Any]) -> None:
+    partial = path.with_suffix(".partial")
+    with partial.open("w", encoding="utf-8") as file:
+        json.dump(summary, file, indent=2)
+        file.write("\n")
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)

@@ -22,12 +22,12 @@ from mission.control.controller import Phase, Snapshot
 from mission.core.events import Announce
 from mission.core.requirement import Requirement
 
-_REFRESH_HZ = 4.0
+REFRESH_HZ = 4.0
 _PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time
 _GAUGE_CELLS = 24
 _LOW_BATTERY_PERCENT, _POOR_LINK_PERCENT = 25, 80
 _OLD_S = 2.0  # a sensor silent for longer is marked
-_STYLES = {
+STYLES = {
     "decision": "cyan",
     "track": "magenta",
     "link": "red",
@@ -60,7 +60,7 @@ class PanelDisplay:
         if self._console.is_terminal and not self._quiet:
             # The panel is made when it is drawn, by a thread of its own: showing a snapshot costs the loop nothing.
             self._live = Live(
-                get_renderable=self._panel, console=self._console, refresh_per_second=_REFRESH_HZ, transient=True
+                get_renderable=self._panel, console=self._console, refresh_per_second=REFRESH_HZ, transient=True
             )
             self._live.start()
         return self
@@ -86,7 +86,7 @@ class PanelDisplay:
 
     def say(self, announcement: Announce) -> None:
         since = "" if self._start_s is None else clock(max(announcement.time_s - self._start_s, 0.0))
-        self._print(Text(f"{since:>7}  {plain(announcement.text)}", style=_STYLES.get(announcement.kind, "")))
+        self._print(Text(f"{since:>7}  {plain(announcement.text)}", style=STYLES.get(announcement.kind, "")))
 
     def show(self, snapshot: Snapshot) -> None:
         self._snapshot = snapshot
@@ -103,9 +103,9 @@ class PanelDisplay:
     def line(self, shown: Snapshot) -> str:
         """Return how things stand in one line."""
         parts = [self._time(shown), f"{shown.phase} {shown.mode}".strip()]
-        range_m = _range_m(shown)
+        range_m = target_range_m(shown)
         if range_m is not None and shown.estimate is not None:
-            parts += [f"range {range_m:.0f} m", f"target {_motion(shown)}", f"track {shown.estimate.quality}"]
+            parts += [f"range {range_m:.0f} m", f"target {target_motion(shown)}", f"track {shown.estimate.quality}"]
         parts.append(f"moves {shown.moves}")
         if shown.upload_failures:
             parts.append(f"failed uploads {shown.upload_failures}")
@@ -135,13 +135,13 @@ class PanelDisplay:
         return self._console.width
 
     def _rows(self, shown: Snapshot) -> Iterator[tuple[str, Text]]:
-        range_m, estimate, sensor_status = _range_m(shown), shown.estimate, shown.sensor_status
+        range_m, estimate, sensor_status = target_range_m(shown), shown.estimate, shown.sensor_status
         if range_m is None or estimate is None:
             yield "target", Text("not seen yet")
         else:
             yield "range", _gauge(range_m, shown.requirement)
             within_m = confidence_ellipse(estimate.covariance[:2, :2]).semi_major_m
-            known = Text(f"{_motion(shown)}, 95 % within {within_m:.1f} m, track ")
+            known = Text(f"{target_motion(shown)}, 95 % within {within_m:.1f} m, track ")
             known.append(estimate.quality, _QUALITY_STYLES[estimate.quality])
             yield "target", known
         yield "circle", Text(self._circle(shown))
@@ -199,13 +199,13 @@ def _vehicle(status: VehicleStatus) -> Text:
     return text
 
 
-def _range_m(shown: Snapshot) -> float | None:
+def target_range_m(shown: Snapshot) -> float | None:
     if shown.aircraft is None or shown.estimate is None:
         return None
     east_m, north_m = shown.estimate.position_m(shown.time_s)
     return math.hypot(shown.aircraft.east_m - east_m, shown.aircraft.north_m - north_m)
 
 
-def _motion(shown: Snapshot) -> str:
+def target_motion(shown: Snapshot) -> str:
     assert shown.estimate is not None
     return f"{shown.estimate.speed_m_s:.1f} m/s to {math.degrees(shown.estimate.course_rad) % 360.0:03.0f}°"

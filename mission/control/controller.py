@@ -282,6 +282,11 @@ class StandoffController:
         """The aircraft as it was last reported, None before the first position."""
         return self._aircraft
 
+    @property
+    def coming(self) -> Plan | None:
+        """The plan on its way to the autopilot."""
+        return self._change.plan if self._change else None
+
     def snapshot(self) -> Snapshot:
         """Return the state as a display wants it."""
         return Snapshot(
@@ -291,7 +296,7 @@ class StandoffController:
             self._aircraft,
             self.estimate,
             self.present,
-            self._change.plan if self._change else None,
+            self.coming,
             self.decision,
             self._wind,
             self._counts.moves,

@@ -51,6 +51,7 @@ from mission.fleet.events import (
     FleetEvent,
     ForeignAircraftReported,
     LaunchRequested,
+    PlansReported,
     ReliefRequested,
     SightingReported,
     Tell,
@@ -96,11 +97,12 @@ class FleetSettings:
 
 @dataclass(slots=True, eq=False)
 class _Vehicle:
-    """What is known of one aircraft; ``report`` is on mission time."""
+    """What is known of one aircraft; ``report`` is on mission time, ``plans`` as the aircraft has them."""
 
     member: FleetMember
     clock: VehicleTime = field(default_factory=VehicleTime)
     report: VehicleReported | None = None
+    plans: PlansReported | None = None
     lost: str = ""
     remaining: float = 1.0
     relief_asked: bool = False
@@ -163,6 +165,8 @@ class FleetCoordinator:
                 self._vehicles[event.name].clock.note(event.time_s, event.mission_time_s, event.sigma_s)
             case VehicleReported():
                 self._reported(self._vehicles[event.name], event)
+            case PlansReported():
+                self._planned(self._vehicles[event.name], event)
             case SightingReported():
                 self._sighted(self._vehicles[event.name], event)
             case BatteryReported():
@@ -186,31 +190,32 @@ class FleetCoordinator:
             event,
             time_s=event.time_s + by_s,
             state=shifted_state(event.state, by_s),
-            present=shifted_plan(event.present, by_s),
-            coming=shifted_plan(event.coming, by_s),
         )
         self._now_s = max(self._now_s, vehicle.report.time_s)
         if vehicle.lost and event.watching:
             vehicle.lost = ""
             self._say(event.name, "is back")
-        if before is None or (before.present, before.coming) != (event.present, event.coming):
-            for other in self._vehicles.values():
-                if other is not vehicle:
-                    self._tell_plans(other, vehicle)
         if before is None:
             for other in self._vehicles.values():
                 if other is not vehicle:
                     self._tell_plans(vehicle, other)
+                    self._tell_plans(other, vehicle)
+
+    def _planned(self, vehicle: _Vehicle, event: PlansReported) -> None:
+        vehicle.plans = event
+        for other in self._vehicles.values():
+            if other is not vehicle:
+                self._tell_plans(other, vehicle)
 
     def _tell_plans(self, listener: _Vehicle, other: _Vehicle) -> None:
-        if listener.report is None or other.report is None:
+        if listener.report is None or other.report is None or other.plans is None:
             return
-        by_s, told = -listener.clock.offset_s, other.report
+        told, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s
         self._out.append(
             Tell(
                 listener.member.name,
                 NeighbourPlanned(
-                    self._now_s + by_s,
+                    self._now_s - listener.clock.offset_s,
                     told.name,
                     shifted_plan(told.present, by_s),
                     shifted_plan(told.coming, by_s),
@@ -272,11 +277,12 @@ class FleetCoordinator:
         members: dict[str, Member] = {}
         wind = Wind()
         for name, vehicle in self._vehicles.items():
-            report = vehicle.report
+            report, plans = vehicle.report, vehicle.plans
             if vehicle.target != target.name or report is None or not self._takes_part(vehicle):
                 continue
-            if report.present is not None:
-                members[name] = Member(report.state, report.present, report.latency_s, report.coming is not None)
+            present = shifted_plan(plans.present, vehicle.clock.offset_s) if plans is not None else None
+            if plans is not None and present is not None:
+                members[name] = Member(report.state, present, report.latency_s, plans.coming is not None)
                 wind = report.wind
         for name, decision in self._planners[target.name].decide(members, estimate, wind).items():
             self._vehicles[name].role = decision.role

@@ -28,9 +28,9 @@ class ClockReported:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleReported:
-    """How one aircraft flies: about once a second, and at once when a plan is sent, taken up or given up.
+    """How one aircraft flies: about once a second.
 
-    watching: it is ours, in the air and not held or yielded. detail: why not, in words. coming: on its way to it.
+    watching: it is ours, in the air and not held or yielded. detail: why not, in words.
     """
 
     name: str
@@ -38,11 +38,18 @@ class VehicleReported:
     state: AircraftState
     height_m: float
     watching: bool
-    present: Plan | None
-    coming: Plan | None = None
     latency_s: float = 0.5
     wind: Wind = field(default_factory=Wind)
     detail: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlansReported:
+    """What one aircraft flies, and what is on its way to it: whenever a plan is sent, taken up or given up."""
+
+    name: str
+    present: Plan | None
+    coming: Plan | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +113,7 @@ class Tick:
 FleetEvent = (
     ClockReported
     | VehicleReported
+    | PlansReported
     | SightingReported
     | BatteryReported
     | VehicleLost

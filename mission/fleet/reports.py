@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterable
 
 from mission.control.controller import Phase, StandoffController
-from mission.core.events import ControlAcquired, End, LinkReported, PlanStatus, UploadPlan, Yield
-from mission.fleet.events import FleetEvent, SightingReported, VehicleLost, VehicleReported
+from mission.core.events import End, LinkReported, Yield
+from mission.core.plan import Plan
+from mission.fleet.events import FleetEvent, PlansReported, SightingReported, VehicleLost, VehicleReported
 
 _EVERY_S = 0.5
-_PLAN_NEWS = (UploadPlan, PlanStatus, ControlAcquired)
 
 
 class FleetReporter:
@@ -19,6 +19,7 @@ class FleetReporter:
     def __init__(self, name: str) -> None:
         self._name = name
         self._next_s = -math.inf
+        self._plans: tuple[Plan | None, Plan | None] = (None, None)
 
     def after(
         self, controller: StandoffController, event: object, outputs: Iterable[object], mission_time_s: float
@@ -28,14 +29,16 @@ class FleetReporter:
         mission_time_s: now, on the fleet's clock; it is needed where the vehicle's own stands still.
         """
         found: list[FleetEvent] = [SightingReported(self._name, outcome.sighting) for outcome in controller.sighted]
-        news = isinstance(event, _PLAN_NEWS)
         for output in outputs:
             if isinstance(output, Yield | End):
                 found.append(VehicleLost(self._name, mission_time_s, output.reason))
-            news = news or isinstance(output, _PLAN_NEWS)
         if isinstance(event, LinkReported) and not event.connected:
             found.append(VehicleLost(self._name, mission_time_s, "its link is lost"))
-        if news or controller.time_s >= self._next_s:
+        plans = (controller.present, controller.coming)
+        if plans[0] is not self._plans[0] or plans[1] is not self._plans[1]:
+            self._plans = plans
+            found.append(PlansReported(self._name, *plans))
+        if controller.time_s >= self._next_s:
             self._next_s = controller.time_s + _EVERY_S
             report = self._report(controller)
             found += [] if report is None else [report]
@@ -52,8 +55,6 @@ class FleetReporter:
             now.aircraft,
             height_m,
             now.phase is Phase.WATCHING and now.sensor_status.connected,
-            now.present,
-            now.coming,
             now.latency_s,
             now.wind,
             "" if now.phase is Phase.WATCHING else f"the mission is {now.phase}",

@@ -8,7 +8,7 @@ from mavsdk.asyncio import Configuration, Mavsdk
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 
 from app.config import Config
-from app.flight.simulated import SimulatedVehicle
+from app.flight.simulated import SimulatedVehicles
 from estimators.frames import LocalPlane
 from mission.core.circle import Circle
 from mission.core.plan import Plan
@@ -27,10 +27,10 @@ def items() -> tuple[Item, ...]:
 
 async def imported(autopilot: str, text: str, truth: Path):
     config = Config.model_validate({"simulation": {"autopilot": autopilot, "speed": 1.0}})
-    async with SimulatedVehicle(config, truth, pytest.fail) as vehicle:
+    async with SimulatedVehicles([config], [truth], pytest.fail) as vehicle:
         instance = Mavsdk(Configuration.create_manual(245, 190, True))
         try:
-            await instance.add_any_connection(vehicle.url)
+            await instance.add_any_connection(vehicle.urls[0])
             system = await instance.first_autopilot(20.0)
             assert system is not None
             return await asyncio.wait_for(

@@ -24,7 +24,7 @@ from app.assembly import controller_of
 from app.config import Config
 from app.flight.flight import Flight, connected
 from app.flight.recording import Recording
-from app.flight.simulated import SimulatedVehicle
+from app.flight.simulated import SimulatedVehicles
 from app.records.run_folder import RunFolder
 from app.view.address import Address
 from app.view.display import ViewDisplay
@@ -113,8 +113,8 @@ async def _flown(parent: Path) -> tuple[list[float], list[float], list[float]]:
         display = Alternating(view)
         await stack.enter_async_context(_browser(view.url, parent / "profile"))
         stack.enter_context(_running(_listen(view.url, told_s)))
-        vehicle = await stack.enter_async_context(SimulatedVehicle(CONFIG, run.truth, pytest.fail))
-        session = await stack.enter_async_context(connected([vehicle.url], 10.0, recording.frame))
+        vehicle = await stack.enter_async_context(SimulatedVehicles([CONFIG], [run.truth], pytest.fail))
+        session = await stack.enter_async_context(connected(vehicle.urls, 10.0, recording.frame))
         stack.enter_context(_running(_probe(lambda: with_s if display.on_page else without_s)))
         flight = Flight(session, CONFIG, controller_of(CONFIG), recording, display, FLOWN_S)
         await flight.fly(asyncio.Event())

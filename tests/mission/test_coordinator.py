@@ -106,7 +106,8 @@ class Fleet:
         self.time_s = 0.0
         for one in vehicles:
             self.tell(ClockReported(one.name, one.ahead_s, 0.0, 0.01))
-            one.take(ControlAcquired(one.ahead_s, one.circle, "AUTO"), 0.0)
+            for news in one.take(ControlAcquired(one.ahead_s, one.circle, "AUTO"), 0.0):
+                self.tell(news)
 
     def tell(self, event: FleetEvent) -> None:
         self.journal.append(event)

@@ -1,0 +1,42 @@
+"""The coordinator of a fleet through its own journal: the same events, and the same said of them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, get_args
+
+from app.records.journal import encode
+from mission.fleet.coordinator import FleetCoordinator
+from mission.fleet.events import FleetCommand, FleetEvent
+
+
+@dataclass(frozen=True, slots=True)
+class FleetDifference:
+    """Where a replay first said otherwise than was said in flight."""
+
+    event: FleetEvent
+    flown: FleetCommand | None
+    replayed: FleetCommand | None
+
+    def __str__(self) -> str:
+        return f"after {self.event}\n  flown:    {self.flown}\n  replayed: {self.replayed}"
+
+
+def compare_coordination(coordinator: FleetCoordinator, records: Iterable[Any]) -> tuple[int, FleetDifference | None]:
+    """Step the coordinator through its journal; return how many commands were compared, and the first difference."""
+    commands = get_args(FleetCommand)
+    compared, cause, expected = 0, None, deque[FleetCommand]()
+    for record in records:
+        if isinstance(record, commands):
+            replayed = expected.popleft() if expected else None
+            compared += 1
+            if cause is not None and (replayed is None or encode(replayed) != encode(record)):
+                return compared, FleetDifference(cause, record, replayed)
+            continue
+        if expected and cause is not None:
+            return compared, FleetDifference(cause, None, expected[0])
+        cause = record
+        expected.extend(coordinator.step(record))
+    return compared, None  # a flight that was cut off may lack the last commands: those are not held against it

@@ -1,0 +1,176 @@
+"""What the flight of a fleet came to: what at least one aircraft kept, and how far apart they stayed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from rich.table import Table
+
+from app.analysis.score import Judged, Moment, judge
+from app.analysis.summary import Summary
+from mission.core.requirement import Requirement
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+_STEP_S, _APART_STEP_S = 0.5, 0.2
+_HOLDS_S = 2.5  # so long a moment counts where none follows
+_GAP_MAX_S = 2.0  # of a track: nothing is known of longer ones
+_AIRBORNE_M = 10.0  # above home; lower, aircraft may stand side by side
+
+
+@dataclass(slots=True)
+class FlownTrack:
+    """Where one aircraft was. Times are mission time; heights above the home of all."""
+
+    rows: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+    def add(self, time_s: float, east_m: float, north_m: float, height_m: float) -> None:
+        """Take a place; those that are not later than the last are passed over."""
+        if math.isfinite(height_m) and (not self.rows or time_s > self.rows[-1][0]):
+            self.rows.append((time_s, east_m, north_m, height_m))
+
+    def at(self, times_s: FloatArray) -> FloatArray:
+        """Return places of shape (n, 3), NaN on the ground and where there is none."""
+        if len(self.rows) < 2:
+            return np.full((len(times_s), 3), math.nan)
+        rows = np.array(self.rows)
+        places = np.column_stack([np.interp(times_s, rows[:, 0], rows[:, k]) for k in (1, 2, 3)])
+        after = np.clip(np.searchsorted(rows[:, 0], times_s), 1, len(rows) - 1)
+        known = (times_s >= rows[0, 0]) & (times_s <= rows[-1, 0])
+        known &= rows[after, 0] - rows[after - 1, 0] <= _GAP_MAX_S
+        places[~known | (places[:, 2] < _AIRBORNE_M)] = math.nan
+        return places
+
+
+@dataclass(frozen=True, slots=True)
+class FlownAircraft:
+    """One aircraft's part: its own summary, what it was judged by, and where it was.
+
+    moments are on its own clock, offset_s added to that is mission time.
+    """
+
+    name: str
+    summary: Summary
+    moments: Sequence[Moment]
+    offset_s: float
+    track: FlownTrack
+
+
+@dataclass(frozen=True, slots=True)
+class FleetSummary:
+    """The keys of a fleet's ``summary.json``. Fractions are 0..1 of the time since all were in the band.
+
+    time_on_side_any, time_in_band_any: by at least one aircraft; longest_off_side_any_s: the longest time without.
+    min_separation_m: in three dimensions, of any two in the air.
+    """
+
+    duration_s: float
+    time_on_side_any: float | None
+    time_in_band_any: float | None
+    longest_off_side_any_s: float | None
+    min_separation_m: float | None
+    source: Literal["truth", "estimate"]
+    outcome: str
+    aircraft: tuple[tuple[str, Summary], ...]
+
+    def as_json(self) -> dict[str, Any]:
+        plain = {name: getattr(self, name) for name in self.__slots__ if name != "aircraft"}
+        return plain | {"aircraft": [{"name": name, **summary.as_json()} for name, summary in self.aircraft]}
+
+    def table(self) -> Table:
+        """Return the summary as a table for the terminal, a column for each aircraft."""
+        table = Table("", "all", *(name for name, _ in self.aircraft), box=None, pad_edge=False)
+        each = [summary for _, summary in self.aircraft]
+        table.add_row("outcome", self.outcome, *(one.outcome for one in each))
+        table.add_row("watched", f"{self.duration_s:.0f} s", *(f"{one.duration_s:.0f} s" for one in each))
+        table.add_row("time in band", _percent(self.time_in_band_any), *(_percent(one.time_in_band) for one in each))
+        table.add_row("time on side", _percent(self.time_on_side_any), *(_percent(one.time_on_side) for one in each))
+        table.add_row("longest time off the side", _seconds(self.longest_off_side_any_s))
+        table.add_row("least separation", _metres(self.min_separation_m))
+        table.add_row("least range", "", *(_metres(one.min_range_m) for one in each))
+        table.add_row("moves of the circle", "", *(str(one.moves) for one in each))
+        table.add_row("uploads, failed", "", *(f"{one.uploads}, {one.upload_failures}" for one in each))
+        table.add_row("error of the estimate (RMS)", "", *(_metres(one.estimate_rmse_m, 2) for one in each))
+        table.add_row("judged by", self.source)
+        return table
+
+
+def summarise_fleet(
+    flown: Sequence[FlownAircraft], requirement: Requirement, outcome: str, source: Literal["truth", "estimate"]
+) -> FleetSummary:
+    """Judge what the aircraft kept together: the wanted side is the requirement's, whatever side each held."""
+    asked = [(-math.inf, requirement)]
+    judged = [_on_mission_time(list(judge(one.moments, asked)), one.offset_s) for one in flown]
+    judged = [one for one in judged if one]
+    side = band = np.empty(0, bool)
+    if judged:
+        times_s = np.arange(_begin_s(judged), max(one[-1].time_s for one in judged), _STEP_S)
+        side = np.logical_or.reduce([_held(one, times_s, "on_side") for one in judged])
+        band = np.logical_or.reduce([_held(one, times_s, "in_band") for one in judged])
+    return FleetSummary(
+        duration_s=len(side) * _STEP_S,
+        time_on_side_any=float(side.mean()) if side.size else None,
+        time_in_band_any=float(band.mean()) if band.size else None,
+        longest_off_side_any_s=_longest_run(~side) * _STEP_S if side.size else None,
+        min_separation_m=min_separation_m([one.track for one in flown]),
+        source=source,
+        outcome=outcome,
+        aircraft=tuple((one.name, one.summary) for one in flown),
+    )
+
+
+def min_separation_m(tracks: Sequence[FlownTrack]) -> float | None:
+    """Return the least distance of two aircraft in the air, in three dimensions; None where no two ever were."""
+    known = [track for track in tracks if len(track.rows) > 1]
+    if len(known) < 2:
+        return None
+    begin_s, end_s = min(track.rows[0][0] for track in known), max(track.rows[-1][0] for track in known)
+    times_s = np.arange(begin_s, end_s, _APART_STEP_S)
+    places = [track.at(times_s) for track in known]
+    apart_m = [np.linalg.norm(one - other, axis=1) for one, other in combinations(places, 2)]
+    least_m = min((float(np.nanmin(one)) for one in apart_m if np.isfinite(one).any()), default=math.inf)
+    return least_m if math.isfinite(least_m) else None
+
+
+def _on_mission_time(judged: Sequence[Judged], offset_s: float) -> list[Judged]:
+    return [Judged(one.time_s + offset_s, one.range_m, one.in_band, one.on_side) for one in judged]
+
+
+def _begin_s(judged: Sequence[Sequence[Judged]]) -> float:
+    """Return when the last of them came into the band for the first time; those that never did are left out."""
+    entered = [next((one.time_s for one in own if one.in_band), None) for own in judged]
+    known = [time_s for time_s in entered if time_s is not None]
+    return max(known) if known else min(own[0].time_s for own in judged)
+
+
+def _held(judged: Sequence[Judged], times_s: FloatArray, what: Literal["on_side", "in_band"]) -> BoolArray:
+    """Return whether it held at these times, by the latest moment before; False where that is too old."""
+    since_s = np.array([one.time_s for one in judged])
+    values = np.array([getattr(one, what) for one in judged])
+    latest = np.searchsorted(since_s, times_s, side="right") - 1
+    known = (latest >= 0) & (times_s - since_s[np.maximum(latest, 0)] <= _HOLDS_S)
+    return np.asarray(known & values[np.maximum(latest, 0)])
+
+
+def _longest_run(flags: BoolArray) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
+
+
+def _percent(fraction: float | None) -> str:
+    return "-" if fraction is None else f"{100.0 * fraction:.1f} %"
+
+
+def _seconds(duration_s: float | None) -> str:
+    return "-" if duration_s is None else f"{duration_s:.0f} s"
+
+
+def _metres(length_m: float | None, digits: int = 0) -> str:
+    return "-" if length_m is None else f"{length_m:.{digits}f} m"

@@ -1,0 +1,48 @@
+"""``sidelong replay`` of a fleet's run: each aircraft by itself, then what the coordinator said to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from app.analysis.fleet_replay import compare_coordination
+from app.analysis.summary import Summary
+from app.commands.output import console, progress_bar, table_progress
+from app.config import validated
+from app.errors import FlightError, InputError
+from app.fleet_assembly import coordinator_of
+from app.fleet_file import FleetFile
+from app.flight.coordination import FLEET_JOURNAL_TYPES
+from app.records.journal import JournalReader
+from app.records.run_folder import FleetFolder, RunFolder
+
+
+def replay_fleet(folder: FleetFolder, replay_one: Callable[[RunFolder], Summary], verify: bool) -> dict[str, Any]:
+    """Replay a fleet's run; ``replay_one`` replays an aircraft's. Returns what ``--json`` writes.
+
+    Raises FlightError where the coordinator says otherwise than in flight.
+    """
+    progress, task = progress_bar(folder.path.name)
+    journal = JournalReader(folder.journal, FLEET_JOURNAL_TYPES, lambda share: progress.update(task, completed=share))
+    advice = f"{folder.journal}: its configuration cannot be used; replay the aircraft by themselves"
+    fleet = validated(FleetFile, journal.header.config, advice)
+    aircraft = []
+    for member in fleet.members:
+        own = RunFolder(folder.path / member.name)
+        if not own.journal.is_file():
+            console.print(f"{member.name}: it did not fly")
+            continue
+        console.print(f"{member.name}:")
+        summary = replay_one(own)
+        console.print(summary.table())
+        aircraft.append({"name": member.name, **summary.as_json()})
+    if not aircraft:
+        raise InputError(f"{folder.path} holds no flight of an aircraft.")
+    compared = None
+    if verify:
+        with progress:
+            compared, difference = compare_coordination(coordinator_of(fleet, table_progress(console.print)), journal)
+        if difference is not None:
+            raise FlightError(f"{folder.path}: the coordinator's replay differs from the flight {difference}")
+        console.print(f"{compared} commands of the coordinator compared: all the same to the last bit")
+    return {"aircraft": aircraft, "coordinator_commands_compared": compared}

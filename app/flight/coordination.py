@@ -1,0 +1,194 @@
+"""The coordinator beside the flights: brings it what they report, and them what it says; its journal holds both."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import get_args
+
+from app.flight.loop import Stepped
+from app.flight.vehicle_clock import VehicleClockReader
+from app.link.message import Message
+from app.records.journal import JournalWriter
+from mission.control.controller import StandoffController
+from mission.core.events import Event
+from mission.core.fleet import FleetAdvice, NeighbourPlanned
+from mission.core.plan import HeightProfile, Plan
+from mission.exchange.mission_controller import InboundEvent, Output
+from mission.fleet.coordinator import FleetCoordinator
+from mission.fleet.events import (
+    BatteryReported,
+    FleetAnnounce,
+    FleetCommand,
+    FleetEvent,
+    LaunchRequested,
+    PlansReported,
+    Tell,
+    Tick,
+    VehicleLost,
+    VehicleReported,
+)
+from mission.fleet.reports import FleetReporter
+
+FLEET_JOURNAL_TYPES: tuple[type, ...] = (*get_args(FleetEvent), *get_args(FleetCommand))
+
+_TICK_S = 0.5  # of mission time
+_POLL_S = 0.05
+_STANDING_S = 1.0  # of the wall clock: mission time that nobody tells any more goes on by that
+
+
+class Participant:
+    """One aircraft, as the coordination knows it. tell: puts an event into its core; now_s: its clock.
+
+    home_above_m: its home over the one that all heights are told above.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        controller: StandoffController,
+        tell: Callable[[Event], None],
+        now_s: Callable[[], float],
+        home_above_m: float = 0.0,
+    ) -> None:
+        self.name, self.controller, self.tell, self.now_s = name, controller, tell, now_s
+        self.home_above_m = home_above_m
+        self.reporter, self.clock = FleetReporter(name), VehicleClockReader(name, now_s)
+        self.battery_percent: int | None = None
+
+
+class Coordination:
+    """Steps the coordinator by what the aircraft report, in the order in which it comes.
+
+    note hears what is to be told to a person, beginning with the aircraft's name where it is about one.
+    """
+
+    def __init__(
+        self,
+        coordinator: FleetCoordinator,
+        journal: JournalWriter,
+        note: Callable[[str, str], object],
+        launch: Callable[[str], object] = lambda _name: None,
+    ) -> None:
+        self.coordinator = coordinator
+        self._journal, self._note, self._launch = journal, note, launch
+        self._participants: dict[str, Participant] = {}
+        self._offsets_s: dict[str, float] = {}
+        self._ticked_s = -math.inf
+        self._moved_s = math.inf
+
+    def add(self, participant: Participant) -> None:
+        """Take an aircraft in."""
+        self._participants[participant.name] = participant
+
+    # -- mission time --------------------------------------------------------------------------------------
+
+    @property
+    def now_s(self) -> float:
+        """Mission time: the latest of any aircraft; -inf before the first whose clock is known."""
+        known = [
+            participant.now_s() + self._offsets_s[name]
+            for name, participant in self._participants.items()
+            if name in self._offsets_s
+        ]
+        return max(self._ticked_s, *known) if known else self._ticked_s
+
+    def offset_s(self, name: str) -> float | None:
+        """Return what is added to an aircraft's time to make it mission time; None before it is known."""
+        return self._offsets_s.get(name)
+
+    async def keep_time(self) -> None:
+        """Let the coordinator know how time goes on, until cancelled."""
+        while True:
+            await asyncio.sleep(_POLL_S)
+            self.keep_up(time.monotonic())
+
+    def keep_up(self, wall_s: float) -> None:
+        """Let the coordinator know how time has gone on; wall_s is the clock of this computer."""
+        now_s = self.now_s
+        if now_s < self._ticked_s + _TICK_S:
+            if wall_s - self._moved_s < _STANDING_S:
+                return
+            now_s += _STANDING_S  # nobody is heard any more
+        if math.isfinite(now_s):
+            self._ticked_s, self._moved_s = now_s, wall_s
+            self._put(Tick(now_s))
+
+    # -- what the aircraft report --------------------------------------------------------------------------
+
+    def stepped(self, name: str) -> Stepped:
+        """Return what hears of each step of that aircraft's core."""
+        participant = self._participants[name]
+
+        def heard(event: InboundEvent, outputs: Sequence[Output]) -> None:
+            for news in participant.reporter.after(participant.controller, event, outputs, self.now_s):
+                self._put(_common_heights(news, participant.home_above_m))
+
+        return heard
+
+    def message(self, name: str, message: Message) -> None:
+        """Take a message of that aircraft: its clock, its battery."""
+        participant = self._participants[name]
+        told = participant.clock.report(message)
+        if told is not None:
+            self._offsets_s[name] = told.mission_time_s - told.time_s
+            self._put(told)
+        if message.name in ("SYS_STATUS", "BATTERY_STATUS"):
+            self._battery(participant, int(message.fields["battery_remaining"]))
+
+    def _battery(self, participant: Participant, percent: int) -> None:
+        if percent < 0 or percent == participant.battery_percent or not math.isfinite(participant.now_s()):
+            return
+        participant.battery_percent = percent
+        self._put(BatteryReported(participant.name, participant.now_s(), percent / 100.0))
+
+    def lost(self, name: str, reason: str) -> None:
+        """Take an aircraft out whose flight has ended."""
+        if math.isfinite(self.now_s):
+            self._put(VehicleLost(name, self.now_s, reason))
+
+    # -- what the coordinator says -------------------------------------------------------------------------
+
+    def _put(self, event: FleetEvent) -> None:
+        self._journal.write(event)
+        for command in self.coordinator.step(event):
+            self._journal.write(command)
+            match command:
+                case Tell():
+                    told = self._participants[command.name]
+                    told.tell(_own_heights(command.event, told.home_above_m))
+                case FleetAnnounce():
+                    self._note(command.name, command.text)
+                case LaunchRequested():
+                    self._note(command.name, f"is wanted in the air: {command.reason}")
+                    self._launch(command.name)
+
+
+def _common_heights(event: FleetEvent, by_m: float) -> FleetEvent:
+    """Return what an aircraft reports with heights above the common home."""
+    match event:
+        case VehicleReported() if by_m:
+            return replace(event, height_m=event.height_m + by_m)
+        case PlansReported() if by_m:
+            return replace(event, present=_raised(event.present, by_m), coming=_raised(event.coming, by_m))
+    return event
+
+
+def _own_heights(told: FleetAdvice | NeighbourPlanned, by_m: float) -> FleetAdvice | NeighbourPlanned:
+    """Return what an aircraft is told with heights above its own home."""
+    if by_m == 0.0:
+        return told
+    if isinstance(told, NeighbourPlanned):
+        return replace(told, present=_raised(told.present, -by_m), coming=_raised(told.coming, -by_m))
+    neighbours = tuple(replace(one, height_m=one.height_m - by_m) for one in told.neighbours)
+    return replace(told, height_m=told.height_m - by_m, neighbours=neighbours)
+
+
+def _raised(plan: Plan | None, by_m: float) -> Plan | None:
+    if plan is None or plan.heights is None:
+        return plan
+    heights = plan.heights
+    return replace(plan, heights=HeightProfile(heights.from_m + by_m, heights.to_m + by_m, heights.slope))

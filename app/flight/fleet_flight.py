@@ -1,0 +1,335 @@
+"""The flight of a fleet: each aircraft its own flight, the coordinator beside them, and what becomes of one alone.
+
+| | before anything was commanded | later |
+| --- | --- | --- |
+| one aircraft is not heard or not ready | all are given up; where others fly already, it is left out | |
+| one link, autopilot or payload is lost, a pilot takes over, a flight fails | | the others go on |
+| an interrupt, the end of the simulation | given up at once | all are wound up |
+
+Aircraft on the ground take off one after the other, the highest layer first: none climbs through another's.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+
+from app.analysis.fleet_summary import FleetSummary, FlownAircraft, FlownTrack, summarise_fleet
+from app.analysis.summary import Summary
+from app.analysis.truth import Truth, truth_if_whole
+from app.assembly import controller_of
+from app.autopilots.queries import is_flying
+from app.errors import FlightError, InputError, Interrupted
+from app.fleet_assembly import coordinator_of
+from app.fleet_file import FleetFile, Member
+from app.flight.coordination import Coordination, Participant
+from app.flight.display import FlightDisplay
+from app.flight.flight import Flight, Session, Sharing, connected
+from app.flight.life import Life, describe_aircraft
+from app.flight.link_log import link_log
+from app.flight.recording import Recording, beginning
+from app.flight.simulated import SimulatedVehicles
+from app.link.discovery import SETTLING_S
+from app.records.journal import Header, JournalWriter
+from app.records.run_folder import FleetFolder, RunFolder
+from mission.control.controller import Phase, StandoffController
+from mission.exchange.mission_controller import InboundEvent, Output
+
+_POLL_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class FleetEnded:
+    """How a fleet's flight ended. reason: what it is told and exits with, None when it has come to its end."""
+
+    folder: FleetFolder
+    summary: FleetSummary
+    reason: Exception | None
+
+
+class _Aircraft:
+    """One aircraft of the fleet, from its connection to its summary."""
+
+    def __init__(self, member: Member, folder: RunFolder, display: FlightDisplay) -> None:
+        self.name, self.config, self.folder, self.display = member.name, member.config, folder, display
+        self._event_loop = asyncio.get_running_loop()
+        self.recording = Recording(folder, member.config, self.trouble)
+        self.track = FlownTrack()
+        self.outcome = ""
+        self.error: Exception | None = None
+        self.controller: StandoffController
+        self.session: Session
+        self.flight: Flight
+
+    def trouble(self, text: str) -> None:
+        """Tell of trouble, from any thread."""
+        self._event_loop.call_soon_threadsafe(self.display.note, text)
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether it flies by our commands."""
+        return self.controller.phase in (Phase.WATCHING, Phase.HOLDING)
+
+    @property
+    def ended(self) -> bool:
+        """Whether its flight is over."""
+        return bool(self.outcome)
+
+    def described(self, simulated: bool) -> str:
+        session = self.session
+        does = describe_aircraft(session.vehicle, session.autopilot, self.controller.snapshot(), simulated=simulated)
+        return f"{self.name}: {does}"
+
+    def summary(self, truth: Truth | None, outcome: str | None) -> Summary:
+        links = tuple(report.as_json() for report in self.session.vehicle.link.reports())
+        return replace(self.flight.summary(outcome or self.outcome, truth), links=links)
+
+
+class FleetFlight:
+    """Flies a fleet. display: of one aircraft, by its name; note: tells about all of them."""
+
+    def __init__(
+        self,
+        fleet: FleetFile,
+        folder: FleetFolder,
+        display: Callable[[str], FlightDisplay],
+        note: Callable[[str], None],
+        duration_s: float,
+        sharing: Sharing,
+    ) -> None:
+        self._fleet, self._folder, self._note = fleet, folder, note
+        self._duration_s, self._sharing = duration_s, sharing
+        self._displays = {member.name: display(member.name) for member in fleet.members}
+        self._aircraft = [
+            _Aircraft(member, folder.make(member.name), self._displays[member.name]) for member in fleet.members
+        ]
+        self._over = asyncio.Event()
+        self._left_out: dict[str, str] = {}
+
+    @property
+    def begun(self) -> bool:
+        """Whether a vehicle may have been commanded something."""
+        return any(one.recording.begun for one in self._aircraft)
+
+    async def fly(self, life: Life, progress: Callable[[float], None]) -> FleetEnded:
+        """Connect, check, take off, watch and wind up."""
+        try:
+            return await self._fly(life, progress)
+        finally:
+            for one in self._aircraft:
+                one.recording.close()
+
+    async def _fly(self, life: Life, progress: Callable[[float], None]) -> FleetEnded:
+        async with contextlib.AsyncExitStack() as stack:
+            with life.computing():
+                for one in self._aircraft:
+                    one.controller = controller_of(one.config, progress, self._note)
+                coordinator = coordinator_of(self._fleet, progress)
+            urls, simulated = await self._urls(stack, life)
+            await self._connect(stack, urls, simulated, life)
+            await self._prepare()
+            with self._journal() as journal:
+                coordination = Coordination(coordinator, journal, self._say)
+                try:
+                    await self._watch(stack, coordination, life)
+                finally:
+                    described = "; ".join(one.described(simulated) for one in self._aircraft)
+        # Only now, with the simulated vehicles ended, are their truth files whole.
+        summary = self._summary(coordination, simulated, life)
+        return FleetEnded(self._folder, summary, self._reason(life, described))
+
+    def _say(self, name: str, text: str) -> None:
+        if name in self._displays:
+            self._displays[name].note(text)
+        else:
+            self._note(text)
+
+    # -- before the flight ---------------------------------------------------------------------------------
+
+    async def _urls(self, stack: contextlib.AsyncExitStack, life: Life) -> tuple[list[tuple[str, ...]], bool]:
+        """Return each aircraft's links, and whether it is simulated; they are started then."""
+        if self._aircraft[0].config.link.connections:
+            return [one.config.link.connections for one in self._aircraft], False
+        kinds = ", ".join(one.config.simulation.autopilot for one in self._aircraft)
+        self._note(f"starting the simulation: {kinds} and their target")
+        truths = [one.folder.truth for one in self._aircraft]
+        vehicles = SimulatedVehicles([one.config for one in self._aircraft], truths, life.fail)
+        await stack.enter_async_context(vehicles)
+        return [(url,) for url in vehicles.urls], True
+
+    async def _connect(
+        self, stack: contextlib.AsyncExitStack, urls: Sequence[tuple[str, ...]], simulated: bool, life: Life
+    ) -> None:
+        found, failures = [], []
+        for one, own_urls in zip(self._aircraft, urls, strict=True):
+            link = one.config.link
+            one.display.note(f"connecting to {' and '.join(own_urls)}")
+            try:
+                one.session = await stack.enter_async_context(
+                    connected(
+                        own_urls,
+                        link.heartbeat_timeout_s,
+                        one.recording.frame,
+                        link.signing_key_file,
+                        one.trouble,
+                        system_id=None if simulated else link.system_id,
+                        settling_s=0.0 if simulated else SETTLING_S,
+                    )
+                )
+            except InputError as error:
+                failures.append((one, error))
+                continue
+            one.display.note(f"connected to {one.session.autopilot.name}, system {one.session.vehicle.system_id}")
+            life.watch(one.session.vehicle)
+            one.flight = Flight(
+                one.session, one.config, one.controller, one.recording, one.display, self._duration_s, self._sharing
+            )
+            found.append(one)
+        self._go_on_with(found, failures)
+
+    async def _prepare(self) -> None:
+        """Check all, and let all fly in one plane."""
+        done = await asyncio.gather(*(one.flight.prepare() for one in self._aircraft), return_exceptions=True)
+        ready, failures = [], []
+        for one, result in zip(self._aircraft, done, strict=True):
+            if isinstance(result, InputError):
+                failures.append((one, result))
+            elif isinstance(result, BaseException):
+                raise result
+            else:
+                ready.append(one)
+        self._go_on_with(ready, failures)
+        for one in self._aircraft[1:]:
+            one.flight.share_plane(self._aircraft[0].flight.plane)
+
+    def _go_on_with(self, ready: list[_Aircraft], failures: list[tuple[_Aircraft, InputError]]) -> None:
+        """Leave out what is not ready where others fly already: they have nobody else. Raises InputError."""
+        for one, error in failures:
+            if not any(is_flying(other.session.vehicle) for other in ready):
+                raise InputError(f"aircraft {one.name!r}: {error}") from error
+            one.display.note(f"left out: {error}")
+            self._left_out[one.name] = str(error)
+        self._aircraft = ready
+
+    @contextlib.contextmanager
+    def _journal(self) -> Iterator[JournalWriter]:
+        header = Header(
+            program=f"sidelong {version('sidelong')}",
+            config=self._fleet.model_dump(mode="json"),
+            plane=self._aircraft[0].flight.plane,
+            seeds={"simulation": self._fleet.simulation.seed},
+        )
+        with beginning(self._folder.path):
+            journal = JournalWriter(self._folder.journal, header, self._aircraft[0].trouble)
+        try:
+            yield journal
+        finally:
+            journal.close()
+
+    # -- in flight -----------------------------------------------------------------------------------------
+
+    async def _watch(self, stack: contextlib.AsyncExitStack, coordination: Coordination, life: Life) -> None:
+        home_m = self._aircraft[0].flight.home.altitude_m
+        for one in self._aircraft:
+            telemetry, vehicle = one.session.telemetry, one.session.vehicle
+            await stack.enter_async_context(
+                link_log(vehicle.link, one.folder.links, lambda own=telemetry: own.now_s, one.trouble)  # type: ignore[misc]
+            )
+            above_m = one.flight.home.altitude_m - home_m
+            coordination.add(
+                Participant(one.name, one.controller, one.flight.tell, lambda own=telemetry: own.now_s, above_m)  # type: ignore[misc]
+            )
+            vehicle.listeners.append(lambda message, name=one.name: coordination.message(name, message))  # type: ignore[misc]
+        time = asyncio.create_task(coordination.keep_time())
+        flights: list[asyncio.Task[None]] = []
+        timing = asyncio.create_task(self._until_over(coordination))
+        try:
+            for one in self._in_turn():
+                flights.append(asyncio.create_task(self._fly_one(one, coordination, life)))
+                while not (one.is_ours or one.ended or life.stopped.is_set()):
+                    await asyncio.sleep(_POLL_S)
+            await asyncio.gather(*flights)
+        finally:
+            self._over.set()
+            await asyncio.gather(*flights, return_exceptions=True)
+            for task in (time, timing):
+                task.cancel()
+            await asyncio.gather(time, timing, return_exceptions=True)
+
+    def _in_turn(self) -> list[_Aircraft]:
+        """Return who flies first: those in the air, then the rest from the highest layer down."""
+        return sorted(
+            self._aircraft,
+            key=lambda one: (not is_flying(one.session.vehicle), -one.config.aircraft.height_m),
+        )
+
+    async def _fly_one(self, one: _Aircraft, coordination: Coordination, life: Life) -> None:
+        stepped = coordination.stepped(one.name)
+
+        def heard(event: InboundEvent, outputs: Sequence[Output]) -> None:
+            stepped(event, outputs)
+            aircraft, height_m = one.controller.aircraft, one.controller.flown_height_m
+            offset_s = coordination.offset_s(one.name)
+            if aircraft is not None and height_m is not None and offset_s is not None:
+                one.track.add(aircraft.time_s + offset_s, aircraft.east_m, aircraft.north_m, height_m)
+
+        try:
+            one.outcome = await one.flight.watch(life.stopped, heard, self._over)
+            if not one.controller.snapshot().sensor_status.connected:
+                one.outcome = "lost: its link is silent"
+        except Exception as error:  # whatever befalls one, the others go on
+            one.error, one.outcome = error, f"failed: {error}"
+            one.display.note(f"its flight has ended: {error}")
+        coordination.lost(one.name, one.outcome)
+
+    async def _until_over(self, coordination: Coordination) -> None:
+        """End the flight when the duration is over, which runs from when all that fly are on their circles."""
+        start_s = math.inf
+        while coordination.now_s < start_s + self._duration_s:
+            await asyncio.sleep(_POLL_S)
+            if start_s == math.inf and all(one.is_ours or one.ended for one in self._aircraft):
+                start_s = coordination.now_s
+        self._over.set()
+
+    # -- after the flight ----------------------------------------------------------------------------------
+
+    def _summary(self, coordination: Coordination, simulated: bool, life: Life) -> FleetSummary:
+        ended = f"failed: {life.failure}" if life.failure is not None else None
+        truths = {
+            one.name: truth_if_whole(one.folder.truth if simulated else None, one.display.note)
+            for one in self._aircraft
+        }
+        flown = [
+            FlownAircraft(
+                one.name,
+                one.summary(truths[one.name], ended),
+                one.flight.moments(truths[one.name]),
+                coordination.offset_s(one.name) or 0.0,
+                one.track,
+            )
+            for one in self._aircraft
+        ]
+        for one, part in zip(self._aircraft, flown, strict=True):
+            with contextlib.suppress(OSError):  # the fleet's holds the same
+                one.folder.write_summary(part.summary.as_json())
+        outcomes = {one.outcome for one in self._aircraft}
+        outcome = ended or next((one for one in ("completed", "interrupted") if one in outcomes), "; ".join(outcomes))
+        requirement = self._fleet.requirement.requirement()
+        return summarise_fleet(flown, requirement, outcome, "estimate" if None in truths.values() else "truth")
+
+    def _reason(self, life: Life, described: str) -> Exception | None:
+        if life.failure is not None:
+            return FlightError(life.failure)
+        if life.signal_name is not None:
+            return Interrupted(f"interrupted by {life.signal_name}: {described}.")
+        errors = {one.name: one.error for one in self._aircraft if one.error is not None}
+        if len(errors) < len(self._aircraft):
+            return None
+        told = " ".join(f"{name}: {error}" for name, error in errors.items())
+        if not life.was_armed and all(isinstance(error, InputError) for error in errors.values()):
+            return InputError(told)
+        return FlightError(f"{told} Now {described}.")

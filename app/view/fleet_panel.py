@@ -1,0 +1,128 @@
+"""The terminal for a fleet: a panel with a row for each aircraft, what is said above it; plain lines without one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import TracebackType
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from app.link.plain_text import plain
+from app.link.vehicle_status import VehicleStatus
+from app.view.panel import REFRESH_HZ, STYLES, clock, target_motion, target_range_m
+from estimators.frames import LocalPlane
+from mission.control.controller import Snapshot
+from mission.core.events import Announce, OperatorRequest
+
+_PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time
+
+
+class AircraftDisplay:
+    """A ``FlightDisplay`` of one aircraft among several."""
+
+    def __init__(self, name: str, line: Callable[[Text], None]) -> None:
+        self.name, self._line = name, line
+        self.snapshot: Snapshot | None = None
+        self._status: Callable[[], VehicleStatus] | None = None
+        self._start_s: float | None = None
+        self._told_s = -math.inf
+
+    def connected(self, status: Callable[[], VehicleStatus]) -> None:
+        self._status = status
+
+    def begin(self, plane: LocalPlane, request: Callable[[OperatorRequest], None]) -> None:
+        pass  # nothing is drawn to scale here, and there are no buttons
+
+    def engage(self, start_s: float, duration_s: float | None) -> None:
+        self._start_s = start_s
+
+    def note(self, text: str) -> None:
+        self._line(Text(f"{self.name}: {plain(text)}"))
+
+    def say(self, announcement: Announce) -> None:
+        text = f"{self._since(announcement.time_s):>7}  {self.name}: {plain(announcement.text)}"
+        self._line(Text(text, style=STYLES.get(announcement.kind, "")))
+
+    def show(self, snapshot: Snapshot) -> None:
+        self.snapshot = snapshot
+
+    def plain_line(self) -> None:
+        """Tell how things stand, once in a while."""
+        shown = self.snapshot
+        if shown is not None and shown.time_s - self._told_s >= _PLAIN_LINE_EVERY_S:
+            self._told_s = shown.time_s
+            self._line(Text(f"{self._since(shown.time_s):>7}  {self.name}: " + "  ".join(filter(None, self.cells()))))
+
+    def cells(self) -> tuple[str, ...]:
+        """Return how things stand, in the columns of the panel."""
+        shown = self.snapshot
+        if shown is None:
+            return ("", "", "", "", "", "")
+        range_m = target_range_m(shown)
+        height_m = shown.sensor_status.height_m
+        percent = self._status().battery_percent if self._status is not None else None
+        return (
+            f"{shown.phase} {shown.mode}".strip(),
+            f"{shown.side} side",
+            "" if range_m is None else f"range {range_m:.0f} m",
+            f"height {height_m:.0f} m" if math.isfinite(height_m) else "",
+            target_motion(shown) if range_m is not None else "",
+            "" if percent is None else f"battery {percent} %",
+        )
+
+    def _since(self, time_s: float) -> str:
+        return "" if self._start_s is None else clock(max(time_s - self._start_s, 0.0))
+
+
+class FleetPanel:
+    """Use as ``with``; quiet, it says nothing."""
+
+    def __init__(self, console: Console, quiet: bool = False) -> None:
+        self._console, self._quiet = console, quiet
+        self._aircraft: list[AircraftDisplay] = []
+        self._live: Live | None = None
+
+    def __enter__(self) -> FleetPanel:
+        if self._console.is_terminal and not self._quiet:
+            self._live = Live(
+                get_renderable=self._table, console=self._console, refresh_per_second=REFRESH_HZ, transient=True
+            )
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+    def of(self, name: str) -> AircraftDisplay:
+        """Return the display of one aircraft."""
+        display = _PlainDisplay(name, self._print) if self._live is None else AircraftDisplay(name, self._print)
+        self._aircraft.append(display)
+        return display
+
+    def note(self, text: str) -> None:
+        """Tell about all of them."""
+        self._print(Text(plain(text)))
+
+    def _print(self, text: Text) -> None:
+        if not self._quiet:
+            self._console.print(text, soft_wrap=self._live is None)
+
+    def _table(self) -> Table:
+        table = Table.grid(padding=(0, 2))
+        for one in self._aircraft:
+            table.add_row(Text(one.name, style="bold"), *map(Text, one.cells()))
+        return table
+
+
+class _PlainDisplay(AircraftDisplay):
+    def show(self, snapshot: Snapshot) -> None:
+        super().show(snapshot)
+        self.plain_line()

@@ -1,0 +1,142 @@
+"""What the shell does between the flights of a fleet and its coordinator: clocks, heights, and how time goes on."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import pytest
+
+from app.flight.coordination import Coordination, Participant
+from app.flight.vehicle_clock import VehicleClockReader
+from app.link.message import Message
+from mission.core.circle import Circle
+from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from mission.core.plan import AircraftState, HeightProfile, Plan
+from mission.core.requirement import Side
+from mission.fleet.events import BatteryReported, ClockReported, Tell, Tick, VehicleLost, VehicleReported
+from mission.fleet.reports import FleetReporter
+
+UTC_S = 1.8e9
+STATE = AircraftState(10.0, 1.0, 2.0, 0.0, 15.0, 0.02)
+PLAN = Plan(Circle(0.0, 0.0, 50.0, True), None, 0.0, HeightProfile(100.0, 120.0, 0.1))
+
+
+def said(name, component_id=1, **fields):
+    return Message(name, 1, component_id, fields, 0.0)
+
+
+class Coordinator:
+    """Keeps what it is told, answers with what was laid ready."""
+
+    def __init__(self):
+        self.heard, self.answers = [], []
+
+    def step(self, event):
+        self.heard.append(event)
+        answers, self.answers = self.answers, []
+        return tuple(answers)
+
+
+class Journal:
+    def __init__(self):
+        self.lines = []
+
+    def write(self, event):
+        self.lines.append(event)
+
+
+@pytest.fixture
+def pair():
+    """Return a coordination of two aircraft whose homes are 20 m apart in height, with what it was told and tells."""
+    coordinator, journal, told, noted = Coordinator(), Journal(), {"a": [], "b": []}, []
+    clocks = {"a": 10.0, "b": 500.0}
+    coordination = Coordination(coordinator, journal, lambda *words: noted.append(words))
+    for name, home_above_m in (("a", 0.0), ("b", 20.0)):
+        now_s = lambda name=name: clocks[name]  # noqa: E731
+        coordination.add(Participant(name, None, told[name].append, now_s, home_above_m))
+    return coordination, coordinator, journal, told, noted, clocks
+
+
+def test_system_time_tells_a_clock_and_an_unset_one_does_not():
+    reader = VehicleClockReader("a", lambda: 10.0)
+    set_ = said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_500)
+    told = reader.report(set_)
+    assert told == ClockReported("a", 10.5, UTC_S, told.sigma_s)
+    assert 0.0 < told.sigma_s <= 0.05
+    assert reader.report(said("SYSTEM_TIME", time_unix_usec=5_000_000, time_boot_ms=10_500)) is None
+    assert (
+        reader.report(said("SYSTEM_TIME", component_id=154, time_unix_usec=int(UTC_S * 1e6), time_boot_ms=1)) is None
+    )
+
+
+def test_a_clock_goes_on_where_its_stamps_begin_anew():
+    wrapped_s = 2**32 * 1e-3
+    reader = VehicleClockReader("a", lambda: wrapped_s + 3.0)
+    told = reader.report(said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=3_200))
+    assert told.time_s == pytest.approx(wrapped_s + 3.2)
+
+
+def test_timesync_counts_half_the_round_trip_and_only_where_there_is_no_utc():
+    reader = VehicleClockReader("a", lambda: 30.0)
+    asked_ns = time.monotonic_ns() - 400_000_000
+    answer = said("TIMESYNC", tc1=30_000_000_000, ts1=asked_ns)
+    told = reader.report(answer)
+    assert told.time_s == pytest.approx(30.0)
+    assert told.mission_time_s == pytest.approx(time.time() - 0.2, abs=0.1)
+    assert told.sigma_s >= 0.2
+    assert reader.report(said("TIMESYNC", tc1=0, ts1=asked_ns)) is None  # a question
+    assert reader.report(said("TIMESYNC", tc1=1, ts1=asked_ns - 10**12)) is None  # an answer to somebody else
+    reader.report(said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=30_000))
+    assert reader.report(answer) is None
+
+
+def test_mission_time_is_the_latest_of_any_aircraft_and_goes_on_when_all_are_silent(pair):
+    coordination, coordinator, _, _, _, clocks = pair
+    coordination.keep_up(0.0)
+    assert coordinator.heard == []  # nobody's clock is known
+    coordination.message("a", said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_000))
+    coordination.message("b", said("SYSTEM_TIME", time_unix_usec=int((UTC_S + 0.2) * 1e6), time_boot_ms=500_000))
+    assert coordination.now_s == pytest.approx(UTC_S + 0.2)
+    coordination.keep_up(0.0)
+    coordination.keep_up(0.5)
+    clocks["a"] += 2.0
+    coordination.keep_up(0.6)
+    coordination.keep_up(1.2)
+    coordination.keep_up(1.7)
+    ticks = [event.mission_time_s - UTC_S for event in coordinator.heard if isinstance(event, Tick)]
+    assert ticks == pytest.approx([0.2, 2.0, 3.0], abs=1e-3)
+
+
+def test_what_goes_in_and_comes_out_is_in_the_journal(pair):
+    coordination, coordinator, journal, told, noted, _ = pair
+    coordination.message("a", said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_000))
+    coordinator.answers = [answer := Tell("a", NeighbourPlanned(10.0, "b", None, None))]
+    coordination.lost("b", "its link is lost")
+    assert [type(line) for line in journal.lines] == [ClockReported, VehicleLost, Tell]
+    assert told == {"a": [answer.event], "b": []}
+    assert noted == []
+
+
+def test_the_battery_is_told_when_it_changes(pair):
+    coordination, coordinator, *_ = pair
+    for percent in (80, 80, 79, -1):
+        coordination.message("b", said("SYS_STATUS", battery_remaining=percent))
+    assert coordinator.heard == [BatteryReported("b", 500.0, 0.8), BatteryReported("b", 500.0, 0.79)]
+
+
+def test_heights_are_above_the_common_home_for_the_coordinator_and_above_its_own_for_each(pair, monkeypatch):
+    coordination, coordinator, _, told, _, _ = pair
+    report = VehicleReported("b", 500.0, STATE, 100.0, True)
+    monkeypatch.setattr(FleetReporter, "after", lambda *_arguments: (report,))
+    advice = FleetAdvice(
+        500.0, "boat", Role.WANTED, Side.LEFT, None, 160.0, (Neighbour("a", STATE, 90.0, True),), "because"
+    )
+    coordinator.answers = [Tell("b", advice), Tell("b", NeighbourPlanned(500.0, "a", PLAN, None))]
+    coordination.stepped("b")(None, ())
+    assert coordinator.heard[0].height_m == 120.0
+    advised, planned = told["b"]
+    assert advised.height_m == 140.0
+    assert advised.neighbours[0].height_m == 70.0
+    assert (planned.present.heights.from_m, planned.present.heights.to_m) == (80.0, 100.0)
+    assert math.isclose(planned.present.heights.slope, 0.1)
