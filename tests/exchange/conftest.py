@@ -79,13 +79,26 @@ class Flight:
     of each message as it leaves, ``arrived`` as its first copy reaches the vehicle.
     """
 
-    def __init__(self, flavour, *, faults=NO_FAULTS, seed=1, speed=1.0, guidance="mission", planner=None, begin=True):
+    def __init__(
+        self,
+        flavour,
+        *,
+        faults=NO_FAULTS,
+        seed=1,
+        speed=1.0,
+        guidance="mission",
+        planner=None,
+        begin=True,
+        settings=None,
+    ):
         self.config = Config.model_validate({"planner": {"name": "paper", "guidance": guidance}})
         self.speed = speed
         self.simulation = Simulation(
-            Settings(Flavour(flavour), seed=seed, target=TargetSettings(speed_max_m_s=0.5), link_rate=speed)
+            settings
+            or Settings(Flavour(flavour), seed=seed, target=TargetSettings(speed_max_m_s=0.5), link_rate=speed)
         )
         self.autopilot = self.simulation.vehicle
+        self.dialect = autopilot_by_mav_autopilot(self.autopilot.autopilot_id)
         self.faults = faults
         rngs = [np.random.default_rng((seed, direction)) for direction in (1, 2)]
         self._to_vehicle, self._to_us = (FaultyLink(faults, rng) for rng in rngs)
@@ -93,8 +106,9 @@ class Flight:
         self._packer = mavlink.MAVLink(None, srcSystem=OURS[0], srcComponent=OURS[1])
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
-        self.vehicle = Vehicle(SimpleNamespace(system_id=1, own_id=OURS))
-        self.telemetry, self.reports = Telemetry(1), VehicleReports(self.vehicle)
+        system_id = self.simulation.settings.system_id
+        self.vehicle = Vehicle(SimpleNamespace(system_id=system_id, own_id=OURS))
+        self.telemetry, self.reports = Telemetry(system_id), VehicleReports(self.vehicle)
         self.events, self.outputs = [], []
         self.lines: dict[int, tuple] = {}  # of each plan, by number; 0: the first circle
         self.listeners: list[Callable[[object], object]] = []  # of each output
@@ -129,7 +143,7 @@ class Flight:
         return mission_controller_of(
             self.config,
             controller,
-            autopilot_by_mav_autopilot(self.autopilot.autopilot_id),
+            self.dialect,
             self.telemetry.plane,
             Home(home.latitude_deg, home.longitude_deg, home.altitude_m),
         )
@@ -198,7 +212,11 @@ class Flight:
     def to_vehicle(self, name, *, source=OURS, **fields):
         """Let a station say something, without faults."""
         kind = getattr(mavlink, f"MAVLink_{name.lower()}_message")
-        given = dict.fromkeys(kind.fieldnames, 0) | {"target_system": 1, "target_component": 1} | fields
+        given = (
+            dict.fromkeys(kind.fieldnames, 0)
+            | {"target_system": self.vehicle.system_id, "target_component": 1}
+            | fields
+        )
         packer = mavlink.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
         self.simulation.receive("us" if source == OURS else "other", kind(**given).pack(packer))
 
@@ -212,7 +230,7 @@ class Flight:
 
     def _send(self, message):
         kind = getattr(mavlink, f"MAVLink_{message.name.lower()}_message")
-        fields = {"target_system": 1, "target_component": 1} | dict(message.fields)
+        fields = {"target_system": self.vehicle.system_id, "target_component": 1} | dict(message.fields)
         self._carried += 1
         frame = kind(**fields).pack(self._packer)
         self._to_vehicle.put((self._carried, message.name, fields, frame), self.link_s)
@@ -256,7 +274,7 @@ def raw_items() -> Callable[[list], list[RawItem]]:
     return made
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def fly() -> Callable[..., Flight]:
     """Return what begins a flight."""
     return Flight

@@ -1,0 +1,166 @@
+"""Two simulated vehicles, their cores and the coordinator on one clock that waits for nobody."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import pytest
+
+from app.analysis.fleet_replay import compare_coordination
+from app.assembly import controller_of, mission_controller_of
+from app.fleet_assembly import coordinator_of
+from app.fleet_file import FleetFile
+from app.flight.coordination import FLEET_JOURNAL_TYPES, Coordination, Participant
+from app.records.journal import Header, JournalReader, JournalWriter, encode
+from mission.core.fleet import Role
+from mission.exchange.dialect import Home
+from mission.fleet.events import PlansReported, SightingReported
+from sitl.settings import Flavour, Settings, TargetSettings
+from sitl.world import in_turn
+
+SYSTEM_TIME, SYS_STATUS = 2, 1
+
+
+class Craft:
+    """One aircraft: a flight of the exchange's tests with a core that heeds the coordinator."""
+
+    def __init__(self, member, flight):
+        self.name, self.config, self.flight = member.name, member.config, flight
+        self.waiting: deque = deque()
+        home = flight.autopilot.home
+        self.home = Home(home.latitude_deg, home.longitude_deg, home.altitude_m)
+
+    def make_core(self, plane):
+        controller = controller_of(self.config)
+        return mission_controller_of(self.config, controller, self.flight.dialect, plane, self.home)
+
+
+class Fleet:
+    """An ArduPlane and a PX4 on one target; ``lose`` lets one vanish."""
+
+    def __init__(self, fly, tmp_path, seed=2):
+        self.file = FleetFile.model_validate(
+            {"aircraft": [{"name": "north"}, {"name": "south"}], "requirement": {"target_speed_max_m_s": 3.0}}
+        )
+        first = Settings(seed=seed, target=TargetSettings("straight", 2.0))
+        settings = in_turn(first, [Flavour.ARDUPLANE, Flavour.PX4], [15.0], 2)
+        self.crafts = [
+            Craft(member, fly(one.flavour, settings=one, begin=False, seed=one.seed))
+            for member, one in zip(self.file.members, settings, strict=True)
+        ]
+        self.coordinator = coordinator_of(self.file)
+        plane = self.crafts[0].flight.telemetry.plane
+        self.journal_path = tmp_path / "fleet.jsonl"
+        header = Header("test", self.file.model_dump(mode="json"), plane, {})
+        self.journal = JournalWriter(self.journal_path, header, pytest.fail)
+        self.said: list[str] = []
+        self.coordination = Coordination(
+            self.coordinator, self.journal, lambda name, text: self.said.append(f"{name} {text}")
+        )
+        for craft in self.crafts:
+            self._join(craft, plane)
+
+    def _join(self, craft, plane):
+        flight, name = craft.flight, craft.name
+        flight.telemetry.plane = plane
+        for message_id in (SYSTEM_TIME, SYS_STATUS):
+            flight.to_vehicle("COMMAND_LONG", command=511, param1=message_id, param2=1e6)
+        core = craft.make_core(plane)
+        step = core.step
+        self.coordination.add(
+            Participant(name, core.controller, craft.waiting.append, lambda: flight.telemetry.now_s)
+        )
+        stepped = self.coordination.stepped(name)
+
+        def heard(event):
+            outputs = step(event)
+            stepped(event, outputs)
+            return outputs
+
+        core.step = heard
+        flight.core = core
+        flight.vehicle.listeners.append(lambda message: self.coordination.message(name, message))
+
+    def run(self, seconds, until=lambda: False):
+        end_s = self.crafts[0].flight.simulation.time_s + seconds
+        while self.crafts[0].flight.simulation.time_s < end_s:
+            for craft in self.crafts:
+                craft.flight.step()
+                while craft.waiting:
+                    craft.flight.put(craft.waiting.popleft())
+            self.coordination.keep_up(self.crafts[0].flight.simulation.time_s)
+            if until():
+                return True
+        return False
+
+    def take_off(self):
+        for craft in reversed(self.crafts):  # the highest layer first
+            craft.flight.take_over()
+            assert self.run(240.0, lambda craft=craft: craft.flight.has_control), craft.flight.outputs[-3:]
+
+    def role(self, name):
+        return self.coordinator.roles[name][1]
+
+    def separation_m(self):
+        places = [
+            (autopilot.craft.east_m + 200.0 * k, autopilot.craft.north_m, autopilot.craft.height_m)
+            for k, autopilot in enumerate(craft.flight.autopilot for craft in self.crafts)
+        ]
+        return float(np.linalg.norm(np.subtract(*places)))
+
+
+@pytest.fixture(scope="module")
+def flown(fly, tmp_path_factory):
+    """Return a fleet after a flight in which the holder of the wanted side was lost."""
+    fleet = Fleet(fly, tmp_path_factory.mktemp("fleet"))
+    fleet.take_off()
+    fleet.least_m = np.inf
+
+    def apart():
+        fleet.least_m = min(fleet.least_m, fleet.separation_m())
+        return False
+
+    fleet.run(90.0, apart)
+    fleet.roles_before = {craft.name: fleet.role(craft.name) for craft in fleet.crafts}
+    fleet.holder = next(craft for craft in fleet.crafts if fleet.role(craft.name) is Role.WANTED)
+    fleet.other = next(craft for craft in fleet.crafts if craft is not fleet.holder)
+    fleet.holder.flight.simulation.lost_s = fleet.holder.flight.simulation.time_s
+    fleet.run(60.0)
+    fleet.journal.close()
+    return fleet
+
+
+def test_one_holds_the_wanted_side_and_the_other_the_opposite(flown):
+    assert sorted(flown.roles_before.values()) == [Role.OPPOSITE, Role.WANTED]
+
+
+def test_they_stay_apart(flown):
+    assert flown.least_m >= 50.0
+
+
+def test_the_other_takes_over_when_the_holder_is_lost(flown):
+    assert flown.role(flown.other.name) is Role.WANTED
+    assert any(said.startswith(f"{flown.holder.name} is out: nothing was heard") for said in flown.said)
+    controller = flown.other.flight.core.controller
+    assert controller.phase == "watching"
+    assert controller.snapshot().side == flown.file.requirement.side
+
+
+def test_the_coordinators_journal_replays_to_the_last_bit(flown):
+    records = list(JournalReader(flown.journal_path, FLEET_JOURNAL_TYPES))
+    assert sum(isinstance(record, SightingReported) for record in records) > 1000
+    assert any(isinstance(record, PlansReported) for record in records)
+    compared, difference = compare_coordination(coordinator_of(flown.file), records)
+    assert difference is None
+    assert compared > 200
+    spoilt = [record for record in records if not isinstance(record, SightingReported)]
+    assert compare_coordination(coordinator_of(flown.file), spoilt)[1] is not None
+
+
+def test_each_core_replays_by_itself_to_the_last_bit(flown):
+    plane = flown.crafts[0].flight.telemetry.plane
+    for craft in flown.crafts:
+        core = craft.make_core(plane)
+        for event, outputs in zip(craft.flight.events, craft.flight.outputs, strict=True):
+            assert [encode(output) for output in core.step(event)] == [encode(output) for output in outputs]
