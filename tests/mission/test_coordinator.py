@@ -54,7 +54,11 @@ class Vehicle:
         self.name, self.ahead_s, self.height_m = name, ahead_s, height_m
         self.circle = Circle(east_m, 0.0, RADIUS_M, True)
         self.reporter = FleetReporter(name)
-        self.core = StandoffController(StandoffSettings(REQUIREMENT, AIRCRAFT), Tracker(TrackerSettings()), Aside)
+        self.core = StandoffController(
+            StandoffSettings(REQUIREMENT, AIRCRAFT),
+            Tracker(TrackerSettings()),
+            lambda _aircraft, wanted: Aside(wanted),
+        )
         self.commands: list[Command] = []
         self.sees = True
 
