@@ -46,7 +46,7 @@ from app.records.export import Format
 from app.records.mcap_writer import mcap_writer_class
 from app.records.run_folder import RunFolder
 from app.shutdown import run
-from app.view.address import DEFAULT_PORT, LOOPBACK, Address
+from app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
 from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay
 
@@ -103,6 +103,18 @@ def launch(
     ] = None,
     view_key: Annotated[
         Path | None, typer.Option(metavar="PEM", help="Key of that certificate.", show_default=False)
+    ] = None,
+    map_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="FILE",
+            help="Lies under the live map: raster tiles (.mbtiles, .pmtiles), or a picture with --map-bounds.",
+            show_default=False,
+        ),
+    ] = None,
+    map_bounds: Annotated[
+        str | None, typer.Option(metavar="S,W,N,E", help="Where that picture lies, degrees.", show_default=False)
     ] = None,
     cot: Annotated[
         str | None, typer.Option(help="Send the estimate as cursor on target: udp://HOST:PORT.", show_default=False)
@@ -177,7 +189,7 @@ def launch(
         settings = load_config(config, overrides)
     check_flyable(settings)
     _check_pointing(settings, sharing)
-    address = Address(view_host, view_port, view_cert, view_key) if view else None
+    address = page_address(view, view_host, view_port, view_cert, view_key, map_file, map_bounds)
     with shielded_output():
         ended = _flown(settings, duration, out, quiet, address, sharing)
         _tell(ended, json)

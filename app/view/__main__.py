@@ -1,7 +1,7 @@
 """``python -m app.view``: serves the page; states come in on standard input, buttons go out on standard output.
 
-The first line in is {"host", "port", "operator_token", "viewer_token", "cert", "key"}, the first line out {"port"}.
-It ends when its input does.
+The first line in is {"host", "port", "operator_token", "viewer_token", "cert", "key", "map"}, the first line out
+{"port"}. It ends when its input does.
 """
 
 from __future__ import annotations
@@ -10,10 +10,12 @@ import asyncio
 import json
 import socket
 import sys
+from pathlib import Path
 
 import uvicorn
 
 from app.view.access import Access
+from app.view.background import Background
 from app.view.guard import GuardedProtocol
 from app.view.server import Json, Server
 
@@ -40,7 +42,8 @@ async def _serve() -> None:
     def press(pressed: Json) -> None:
         print(json.dumps(pressed), flush=True)
 
-    server = Server(Access(options["host"], options["operator_token"], options["viewer_token"]), press)
+    under = options["map"] and Background(Path(options["map"]["path"]), zooms=options["map"]["zooms"])
+    server = Server(Access(options["host"], options["operator_token"], options["viewer_token"]), press, under)
     configured = uvicorn.Config(
         server.app,
         http=GuardedProtocol,

@@ -1,4 +1,4 @@
-"""Where the page is served."""
+"""Where the page is served, and the map under it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.errors import InputError
+from app.view.background import Background, background
 
 LOOPBACK = ("127.0.0.1", "localhost")
 DEFAULT_PORT = 8420
@@ -15,14 +16,15 @@ DEFAULT_PORT = 8420
 class Address:
     """Anything but loopback asks for a token, which the printed address then carries. Port 0 takes a free one.
 
-    cert, key: PEM files of the server's certificate and its key; with them the page is served by TLS. Raises
-    InputError for an empty host, and for one file without the other.
+    map: what lies under the flight. cert, key: PEM files of the server's certificate and its key; with them the page
+    is served by TLS. Raises InputError for an empty host, and for one file without the other.
     """
 
     host: str = LOOPBACK[0]
     port: int = DEFAULT_PORT
     cert: Path | None = None
     key: Path | None = None
+    map: Background | None = None
 
     def __post_init__(self) -> None:
         if not self.host.strip():
@@ -41,3 +43,23 @@ class Address:
     @property
     def scheme(self) -> str:
         return "http" if self.cert is None else "https"
+
+
+def page_address(
+    view: bool,
+    host: str,
+    port: int,
+    cert: Path | None,
+    key: Path | None,
+    map_file: Path | None,
+    map_bounds: str | None,
+) -> Address | None:
+    """Return where a command serves its page by its options, None where it shows none. Raises InputError."""
+    if not view:
+        if map_file is not None or map_bounds is not None:
+            raise InputError("--map lies under the live map; give --view with it.")
+        return None
+    if map_file is None and map_bounds is not None:
+        raise InputError("--map-bounds tells where the picture of --map lies; give both.")
+    under = None if map_file is None else background(map_file, map_bounds)
+    return Address(host, port, cert, key, under)

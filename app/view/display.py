@@ -18,6 +18,7 @@ from app.flight.display import FlightDisplay, Wish
 from app.link.vehicle_status import VehicleStatus
 from app.view.address import Address
 from app.view.feed import Feed, FeedError
+from app.view.shading import Shading
 from app.view.state import Json, StateEncoder, setting
 from estimators.frames import LocalPlane
 from mission.control.controller import Snapshot
@@ -49,6 +50,7 @@ class ViewDisplay:
         self._said: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         self._setting: Json | None = None
         self._requirement = config.requirement.requirement()
+        self._shading: Shading | None = None
         self._trail_s = -math.inf
         self._sent_at_s = -math.inf
         self._heard_at_s = time.monotonic()
@@ -66,6 +68,8 @@ class ViewDisplay:
         token, viewer_token = ("", "") if address.is_local else (secrets.token_urlsafe(16), secrets.token_urlsafe(16))
         self._feed = Feed((sys.executable, "-m", "app.view"))
         options: Json = {"host": host, "port": port, "operator_token": token, "viewer_token": viewer_token}
+        under = address.map
+        options["map"] = under and {"path": str(under.path.absolute()), "zooms": under.zooms}
         options |= {"cert": address.cert and str(address.cert), "key": address.key and str(address.key)}
         self._feed.send(_line(options))
         try:
@@ -77,7 +81,7 @@ class ViewDisplay:
         self.url = self.viewer_url = f"{address.scheme}://{host}:{ready['port']}/"
         if token:
             self.url, self.viewer_url = f"{self.url}?token={token}", f"{self.url}?token={viewer_token}"
-        self._setting = setting(self._config, None, self._name)
+        self._setting = self._set()
         self.pump()
         return self
 
@@ -88,6 +92,8 @@ class ViewDisplay:
             self.pump()
             self._feed.close()
             self._feed = None
+        if self._shading is not None:
+            self._shading.close()
 
     async def keep_fresh(self) -> None:
         """Go on telling the page how things stand while nothing happens, until cancelled."""
@@ -105,7 +111,9 @@ class ViewDisplay:
         self._inner.begin(plane, request)
         self._request = request
         self._encoder.plane = plane
-        self._setting = setting(self._config, plane, self._name, self._requirement)
+        self._setting = self._set()
+        if self._config.terrain.folder is not None and self._shading is None:
+            self._shading = Shading(self._config, plane)
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         self._inner.engage(start_s, duration_s)
@@ -128,7 +136,7 @@ class ViewDisplay:
         self._snapshot = snapshot
         if snapshot.requirement != self._requirement:
             self._requirement = snapshot.requirement
-            self._setting = setting(self._config, self._encoder.plane, self._name, self._requirement)
+            self._setting = self._set()
         aircraft = snapshot.aircraft
         if aircraft is not None and aircraft.time_s >= self._trail_s + _TRAIL_STEP_S:
             self._trail_s = aircraft.time_s
@@ -156,8 +164,16 @@ class ViewDisplay:
         elif not feed.alive:
             self._inner.note("the page has stopped; the flight goes on without it")
 
+    def _set(self) -> Json:
+        under, shade = self._address.map, None if self._shading is None else self._shading.edges_m
+        told = None if under is None else {"zooms": under.zooms, "bounds_deg": under.bounds_deg}
+        base = setting(self._config, self._encoder.plane, self._name, self._requirement)
+        return base | {"map": told, "shade_m": shade}
+
     def _told(self) -> Json:
         told: Json = {"start_s": self._start_s, "trail": list(self._trail), "said": list(self._said)}
+        if self._shading is not None and self._shading.is_new():
+            told["shade"], self._setting = str(self._shading.file), self._set()
         if self._setting is not None:
             told["setting"] = self._setting
         if self._status is not None and time.monotonic() >= self._vehicle_at_s + _STATUS_EVERY_S:

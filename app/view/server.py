@@ -14,6 +14,7 @@ import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
@@ -23,6 +24,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.view.access import Access, Allowances
+from app.view.background import Background, is_tile, media_type
 
 Json = dict[str, Any]
 
@@ -104,11 +106,14 @@ def _sample(state: Json) -> Json:
 class Server:
     """The application. ``tell`` passes a message of the flight on to all pages; ``press`` gets their buttons."""
 
-    def __init__(self, access: Access, press: Callable[[Json], None]) -> None:
+    def __init__(self, access: Access, press: Callable[[Json], None], under: Background | None = None) -> None:
         self._access, self._press = access, press
+        self._under, self._tiles = under, under.opened() if under is not None else None
+        self._shade: Path | None = None
         self._history = History()
         self._pages: set[asyncio.Queue[bytes | None]] = set()
         self._requests = Allowances(burst=300.0, rate_s=50.0)
+        self._pictures = Allowances(burst=2000.0, rate_s=300.0)
         self._guesses = Allowances(burst=10.0, rate_s=0.2)
         self._presses = Allowances(burst=20.0, rate_s=5.0)
         folder = files("app.view") / "page"
@@ -117,12 +122,17 @@ class Server:
             Route("/", self._index),
             Route("/events", self._events),
             Route("/press", self._pressed, methods=["POST"]),
+            Route("/map/{zoom:int}/{column:int}/{row:int}", self._tile),
+            Route("/map", self._picture),
+            Route("/shade", self._shading),
             Route("/{name}", self._file),
         ]
         self.app = self._guarded(Starlette(routes=routes))
 
     def tell(self, told: Json) -> None:
         """Pass a message on to every page."""
+        if "shade" in told:
+            self._shade = Path(told.pop("shade"))
         self._history.add(told)
         event = _event(told | ({"series": [_sample(told["state"])]} if "state" in told else {}))
         for page in list(self._pages):
@@ -153,7 +163,8 @@ class Server:
             async def with_headers(message: Message) -> None:
                 if message["type"] == "http.response.start":
                     own = [(name.lower().encode(), value.encode()) for name, value in _HEADERS.items()]
-                    message["headers"] = [*message["headers"], *own]
+                    given = {name for name, _ in message["headers"]}
+                    message["headers"] = [*message["headers"], *(one for one in own if one[0] not in given)]
                 await send(message)
 
             answer: ASGIApp = self._unwanted(Request(scope)) or inner
@@ -162,7 +173,9 @@ class Server:
         return app
 
     def _unwanted(self, request: Request) -> Response | None:
-        if not self._requests.used(_client(request), time.monotonic()):
+        pictures = request.url.path.startswith(("/map", "/shade"))
+        allowances = self._pictures if pictures else self._requests
+        if not allowances.used(_client(request), time.monotonic()):
             return PlainTextResponse("too many requests", 429)
         if not self._access.knows_host(request.headers.get("host", "")):
             return PlainTextResponse("this page is served at the address that was printed only", 403)
@@ -196,6 +209,18 @@ class Server:
 
     def _static(self, name: str) -> Response:
         return Response(self._files[name], media_type=_MEDIA[name])
+
+    async def _tile(self, request: Request) -> Response:
+        place = tuple(request.path_params[name] for name in ("zoom", "column", "row"))
+        data = self._tiles.tile(*place) if self._tiles is not None and is_tile(*place) else None
+        return self._refused(request) or _shown(data)
+
+    async def _picture(self, request: Request) -> Response:
+        whole = self._under if self._tiles is None else None
+        return self._refused(request) or _shown(whole.path.read_bytes() if whole is not None else None)
+
+    async def _shading(self, request: Request) -> Response:
+        return self._refused(request) or _shown(self._shade.read_bytes() if self._shade is not None else None)
 
     async def _events(self, request: Request) -> Response:
         refused = self._refused(request)
@@ -237,6 +262,12 @@ class Server:
             return PlainTextResponse("too many buttons at once; wait", 429)
         self._press({**button, "who": self._access.who(_client(request))})
         return JSONResponse({"passed on": button["action"]}, 202)
+
+
+def _shown(data: bytes | None) -> Response:
+    if data is None:
+        return PlainTextResponse("not on this map", 404)
+    return Response(data, media_type=media_type(data), headers={"Cache-Control": "private, max-age=3600"})
 
 
 def button_of(press: Json) -> Json:

@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import http.client
+import itertools
 import json
+import re
 import shutil
+import sqlite3
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -27,6 +31,7 @@ from app.flight.recording import Recording
 from app.flight.simulated import SimulatedVehicles
 from app.records.run_folder import RunFolder
 from app.view.address import Address
+from app.view.background import Background, background
 from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay
 
@@ -41,8 +46,43 @@ FLAGS = (
 )
 
 
-def shown() -> ViewDisplay:
-    return ViewDisplay(PanelDisplay(Console(), quiet=True), CONFIG, Address(port=0))
+def shown(under: Background | None = None) -> ViewDisplay:
+    return ViewDisplay(PanelDisplay(Console(), quiet=True), CONFIG, Address(port=0, map=under))
+
+
+def test_a_map_of_100_mb_is_served_without_growth_of_memory(tmp_path):
+    path, side, rng = tmp_path / "large.mbtiles", 64, np.random.default_rng(1)
+    with sqlite3.connect(path) as database:
+        database.execute(
+            "create table tiles (zoom_level integer, tile_column integer, tile_row integer, tile_data blob)"
+        )
+        database.execute("create unique index place on tiles (zoom_level, tile_column, tile_row)")
+        for column, row in itertools.product(range(side), repeat=2):
+            data = b"\x89PNG\r\n\x1a\n" + rng.bytes(26_000)
+            database.execute("insert into tiles values (6, ?, ?, ?)", (column, row, data))
+    with shown(background(path, None)) as display:
+        assert display._feed is not None
+
+        def memory_kb() -> int:
+            status = Path(f"/proc/{display._feed._process.pid}/status").read_text()
+            return int(re.search(r"VmRSS:\s+(\d+)", status)[1])
+
+        connection = http.client.HTTPConnection("127.0.0.1", int(display.url.rstrip("/").rpartition(":")[2]))
+        before_kb, served = memory_kb(), 0
+        for column, row in itertools.product(range(side), repeat=2):
+            connection.request("GET", f"/map/6/{column}/{row}")
+            answer = connection.getresponse()
+            served += len(answer.read())
+            if answer.status == 429:  # asked for faster than anybody looks
+                time.sleep(0.5)
+            if served < 5e6:
+                before_kb = memory_kb()
+        after_kb = memory_kb()
+    print(
+        f"{path.stat().st_size / 1e6:.0f} MB of map, {served / 1e6:.0f} MB served: {before_kb} kB, then {after_kb} kB"
+    )
+    assert served > 50e6
+    assert after_kb - before_kb < 8000
 
 
 def test_the_page_is_up_within_5_s():
@@ -63,6 +103,9 @@ class Alternating:
     @property
     def on_page(self) -> bool:
         return int(time.monotonic() / WINDOW_S) % 2 == 0
+
+    def connected(self, status):
+        self._view.connected(status)
 
     def begin(self, plane, request):
         self._view.begin(plane, request)

@@ -5,6 +5,8 @@ const PREDICTED_S = 60;
 const GRID_PX = 90;
 const TRAIL_KEPT = 2400;
 const SCALE_PX = 120;
+const EQUATOR_M_PER_PX = 156543.034; // of zoom 0, at 256 px a tile
+const TILES_MAX = 80;
 const KEY_PAN = 0.15; // of the map's width
 
 export function svg(name, attributes = {}, parent = null) {
@@ -13,6 +15,18 @@ export function svg(name, attributes = {}, parent = null) {
   if (parent) parent.append(element);
   return element;
 }
+
+// The world in Web Mercator, as tiles are cut; near the flight degrees are metres by a constant.
+const column = (longitudeDeg, zoom) => Math.floor(((longitudeDeg + 180) / 360) * 2 ** zoom);
+const row = (latitudeDeg, zoom) => Math.floor((0.5 - Math.asinh(Math.tan((latitudeDeg * Math.PI) / 180)) / (2 * Math.PI)) * 2 ** zoom);
+const longitude = (i, zoom) => (i / 2 ** zoom) * 360 - 180;
+const latitude = (j, zoom) => (Math.atan(Math.sinh(Math.PI * (1 - (2 * j) / 2 ** zoom))) * 180) / Math.PI;
+const metresOf = (origin, latitudeDeg, longitudeDeg) => [
+  (longitudeDeg - origin.longitude_deg) * origin.east_m_per_deg, (latitudeDeg - origin.latitude_deg) * origin.north_m_per_deg,
+];
+const degreesOf = (origin, east, north) => [
+  origin.longitude_deg + east / origin.east_m_per_deg, origin.latitude_deg + north / origin.north_m_per_deg,
+];
 
 const points = (line) => line.map((p) => p.join(",")).join(" ");
 
@@ -54,7 +68,9 @@ export class FlightMap {
     this.predicted = shape("polyline", "predicted");
     this.ellipse = shape("ellipse", "ellipse");
     this.grid = svg("g");
-    root.prepend(this.grid);
+    this.under = svg("g", { class: "under" }); // the map's tiles or picture, and the ground's shading
+    this.pictures = new Map();
+    root.prepend(this.under, this.grid);
     this.scales = svg("g", {}, root);
     this.symbols = svg("g", {}, root);
     this.target = svg("circle", { class: "target", r: 5 }, this.symbols);
@@ -231,6 +247,8 @@ export class FlightMap {
     const x = (e) => width / 2 + (e - east) * scale;
     const y = (n) => height / 2 - (n - north) * scale;
     this.ground.setAttribute("transform", `translate(${x(0)} ${y(0)}) scale(${scale} ${-scale})`);
+    this.under.setAttribute("transform", `translate(${x(0)} ${y(0)}) scale(${scale})`);
+    this.drawUnder(width, height, { east, north, scale });
     this.drawGrid(width, height, { east, north, scale }, x, y);
     this.trailLine.setAttribute("points", points(this.trail));
     this.targetLine.setAttribute("points", points(this.targetTrail));
@@ -295,6 +313,49 @@ export class FlightMap {
     const outlines = (kind) => (this.setting[kind.replace("-", "_")] ?? [])
       .map((outline) => svg("polygon", { class: kind, points: points(outline) }));
     this.fences.replaceChildren(...outlines("keep-in"), ...outlines("keep-out"));
+  }
+
+  // What lies under the flight. Tiles are those of the zoom whose pixels are about as large as the screen's.
+  drawUnder(width, height, { east, north, scale }) {
+    const { origin, map, shade_m: shade } = this.setting;
+    const wanted = new Map(); // url -> west, north, east, south, m
+    if (origin && map?.bounds_deg) {
+      const [south, west, northern, eastern] = map.bounds_deg;
+      wanted.set("map", [...metresOf(origin, northern, west), ...metresOf(origin, south, eastern)]);
+    } else if (origin && map?.zooms) {
+      const [least, most] = map.zooms;
+      const fit = Math.log2((EQUATOR_M_PER_PX * Math.cos((origin.latitude_deg * Math.PI) / 180)) * scale);
+      const [halfWidth, halfHeight] = [width / scale / 2, height / scale / 2];
+      const [west, top] = degreesOf(origin, east - halfWidth, north + halfHeight);
+      const [right, bottom] = degreesOf(origin, east + halfWidth, north - halfHeight);
+      let zoom = Math.min(most, Math.max(least, Math.round(fit)));
+      const count = () => (column(right, zoom) - column(west, zoom) + 1) * (row(bottom, zoom) - row(top, zoom) + 1);
+      while (zoom > least && count() > TILES_MAX) zoom -= 1;
+      if (count() <= TILES_MAX) {
+        for (let i = column(west, zoom); i <= column(right, zoom); i += 1) {
+          for (let j = row(top, zoom); j <= row(bottom, zoom); j += 1) {
+            wanted.set(`map/${zoom}/${i}/${j}`, [
+              ...metresOf(origin, latitude(j, zoom), longitude(i, zoom)),
+              ...metresOf(origin, latitude(j + 1, zoom), longitude(i + 1, zoom)),
+            ]);
+          }
+        }
+      }
+    }
+    if (shade) wanted.set("shade", [shade[0], shade[3], shade[2], shade[1]]);
+    for (const [url, picture] of this.pictures) {
+      if (!wanted.has(url)) {
+        picture.remove();
+        this.pictures.delete(url);
+      }
+    }
+    for (const [url, [west, top, right, bottom]] of wanted) {
+      if (this.pictures.has(url)) continue;
+      const place = { x: west, y: -top, width: right - west, height: top - bottom, preserveAspectRatio: "none" };
+      this.pictures.set(url, svg("image", { ...place, href: url, class: url === "shade" ? "shade" : "tile" }, this.under));
+      this.pictures.get(url).addEventListener("error", (event) => event.target.setAttribute("visibility", "hidden"));
+    }
+    this.root.classList.toggle("on-map", Boolean(map));
   }
 
   drawGrid(width, height, { east, north, scale }, x, y) {

@@ -1,0 +1,145 @@
+"""The map that lies under the flight: raster tiles from one file, or one picture with its bounds.
+
+A tile is read when it is asked for; nothing of the file is kept in memory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sqlite3
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+from app.errors import InputError
+
+_PICTURE_MAX_BYTES, _ZOOM_MAX = 64 << 20, 24
+_FORMATS = ((b"\x89PNG\r\n\x1a\n", "image/png"), (b"\xff\xd8\xff", "image/jpeg"), (b"RIFF", "image/webp"))
+_SUFFIXES = ".mbtiles, .pmtiles, .png, .jpg or .webp"
+
+
+class Tiles(Protocol):
+    """Square pictures of the world in Web Mercator; zooms: the least and the greatest there is."""
+
+    zooms: tuple[int, int]
+
+    def tile(self, zoom: int, column: int, row: int) -> bytes | None:
+        """Return a tile, rows counted from north; None where there is none."""
+        ...
+
+
+class MbTiles:
+    """Raises sqlite3.Error where the file is no such thing."""
+
+    def __init__(self, path: Path) -> None:
+        self._database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
+        least, most = self._database.execute("select min(zoom_level), max(zoom_level) from tiles").fetchone()
+        self.zooms = (int(least or 0), int(most or 0))
+
+    def tile(self, zoom: int, column: int, row: int) -> bytes | None:
+        """Return a tile; the file counts rows from south."""
+        query = "select tile_data from tiles where zoom_level = ? and tile_column = ? and tile_row = ?"
+        found = self._database.execute(query, (zoom, column, (1 << zoom) - 1 - row)).fetchone()
+        return None if found is None else bytes(found[0])
+
+    def any_tile(self) -> bytes:
+        """Return one of its tiles; b'' where there is none."""
+        found = self._database.execute("select tile_data from tiles limit 1").fetchone()
+        return b"" if found is None else bytes(found[0])
+
+
+class PmTiles:
+    """Raises ImportError without the package pmtiles, and one of many errors where the file is no such thing."""
+
+    def __init__(self, path: Path) -> None:
+        from pmtiles.reader import Reader, all_tiles  # noqa: PLC0415  # an extra
+
+        file = path.open("rb", buffering=0)
+
+        def read(offset: int, length: int) -> bytes:
+            return os.pread(file.fileno(), length, offset)
+
+        self._reader, self._every = Reader(read), partial(all_tiles, read)
+        header: dict[str, Any] = self._reader.header()
+        self.zooms = (int(header["min_zoom"]), int(header["max_zoom"]))
+
+    def tile(self, zoom: int, column: int, row: int) -> bytes | None:
+        """Return a tile."""
+        found: bytes | None = self._reader.get(zoom, column, row)
+        return found
+
+    def any_tile(self) -> bytes:
+        """Return one of its tiles; b'' where there is none."""
+        return next((bytes(data) for _, data in self._every()), b"")
+
+
+_OPENERS: dict[str, Callable[[Path], MbTiles | PmTiles]] = {".mbtiles": MbTiles, ".pmtiles": PmTiles}
+
+
+@dataclass(frozen=True, slots=True)
+class Background:
+    """A map's file. bounds_deg: of a picture, (south, west, north, east); zooms: of tiles, (least, greatest)."""
+
+    path: Path
+    bounds_deg: tuple[float, float, float, float] | None = None
+    zooms: tuple[int, int] | None = None
+
+    def opened(self) -> Tiles | None:
+        """Return the file's tiles; None of a picture."""
+        return _OPENERS[self.path.suffix.lower()](self.path) if self.zooms is not None else None
+
+
+def background(path: Path, bounds: str | None) -> Background:
+    """Return a map's file, looked into. bounds: of a picture, as S,W,N,E in degrees.
+
+    Raises InputError when the page could not show it.
+    """
+    if not path.is_file():
+        raise InputError(f"--map: {path} is no file; give one that ends in {_SUFFIXES}.")
+    suffix = path.suffix.lower()
+    if suffix not in _OPENERS:
+        return _picture(path, bounds)
+    if bounds is not None:
+        raise InputError("--map-bounds is of a picture; tiles know where they lie: leave it out.")
+    try:
+        tiles = _OPENERS[suffix](path)
+        data = tiles.any_tile()
+    except ImportError:
+        raise InputError(f"--map: {path} needs the package pmtiles: pip install 'sidelong[map]'.") from None
+    except Exception as error:  # whatever two readers make of another's bytes
+        raise InputError(f"--map: {path} is no {suffix[1:]} file that can be read; is it whole?") from error
+    if media_type(data) is None:
+        raise InputError(f"--map: {path} holds no pictures; give raster tiles (PNG, JPEG or WebP), not vector ones.")
+    least, most = tiles.zooms
+    if not 0 <= least <= most <= _ZOOM_MAX:
+        raise InputError(f"--map: {path} tells zooms from {least} to {most}; 0 to {_ZOOM_MAX} make sense.")
+    return Background(path, zooms=tiles.zooms)
+
+
+def _picture(path: Path, bounds: str | None) -> Background:
+    with path.open("rb") as file:
+        start = file.read(16)
+    if media_type(start) is None:
+        raise InputError(f"--map: {path} is no map that can be shown; give a file that ends in {_SUFFIXES}.")
+    if path.stat().st_size > _PICTURE_MAX_BYTES:
+        raise InputError(f"--map: {path} is too large for one picture; cut it into tiles (gdal2tiles, .mbtiles).")
+    if bounds is None:
+        raise InputError(f"--map: {path} does not say where it lies; add --map-bounds S,W,N,E in degrees.")
+    with contextlib.suppress(ValueError):
+        south, west, north, east = map(float, bounds.split(","))
+        if -85.0 <= south < north <= 85.0 and -180.0 <= west < east <= 180.0:
+            return Background(path, (south, west, north, east))
+    raise InputError(f"--map-bounds: {bounds!r} is no S,W,N,E in degrees such as 47.3,8.4,47.5,8.6.")
+
+
+def media_type(data: bytes) -> str | None:
+    """Return what kind of picture this is; None if it is none."""
+    return next((media for begin, media in _FORMATS if data.startswith(begin)), None)
+
+
+def is_tile(zoom: int, column: int, row: int) -> bool:
+    """Tell whether there can be such a tile."""
+    return 0 <= zoom <= _ZOOM_MAX and max(column, row) < 1 << zoom and min(column, row) >= 0
