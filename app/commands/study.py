@@ -26,7 +26,7 @@ from app.study.fleet_study import fleet_json, fleet_table, fly_fleets
 from app.study.processes import on_processes
 from app.study.recorded import recorded_targets
 from app.study.report import study_json, study_table, study_title, sweep_json, sweep_table
-from app.study.settings import PlannerName, StudySettings
+from app.study.settings import AUTOPILOTS, PlannerName, StudySettings
 from app.study.store import ResultStore
 from app.study.study import Study, table_of
 from app.terrain.elevation_data import elevation_data
@@ -65,6 +65,9 @@ def study(
         ),
     ] = None,
     wind: Annotated[float | None, typer.Option(help="Steady wind, m/s.")] = None,
+    autopilot: Annotated[
+        str | None, typer.Option(help="Latency and lag as measured of this autopilot: arduplane or px4.")
+    ] = None,
     latency: Annotated[float | None, typer.Option(help="From a decision to the earliest departure, s; 0.2.")] = None,
     lag: Annotated[float | None, typer.Option(help="Time constant of the aircraft's bank, s; 0.")] = None,
     sweep: Annotated[
@@ -117,6 +120,8 @@ def study(
     Sweep: sidelong study --sweep aircraft.airspeed_m_s=12,15,18 --sweep requirement.range_max_m=300:600:50
     --planner predictive --store sweep.db --report sweep.html --export sweep.parquet
 
+    As an autopilot flies it: sidelong study --autopilot arduplane --wind 4
+
     Several aircraft: sidelong study --fleet 2 --runs 50
 
     Over hills: sidelong study --terrain dem --home 36.59,-84.24 --runs 50
@@ -125,6 +130,7 @@ def study(
     sidelong study --runs 10000 --scheduler tcp://HOST:8786 --store study.db
     """
     checked_output(json)
+    latency, lag = _answer(autopilot, latency, lag)
     _checked_file("--out", out, _FIGURES)
     _checked_file("--export", export, exporting.SUFFIXES)
     _checked_file("--report", report, (".html",))
@@ -368,6 +374,16 @@ def _checked_options(
             raise InputError(f"--wind: {wind_m_s:g} m/s is not from 0 to {0.7 * airspeed_m_s:g} m/s.")
     if duration_s is not None and not 10.0 <= duration_s <= 86400.0:
         raise InputError(f"--duration: {duration_s:g} s is not from 10 s to a day.")
+
+
+def _answer(autopilot: str | None, latency_s: float | None, lag_s: float | None) -> tuple[float | None, float | None]:
+    """Return latency and lag: as they were given, else as the autopilot has them."""
+    if autopilot is None:
+        return latency_s, lag_s
+    if autopilot not in AUTOPILOTS:
+        raise InputError(f"--autopilot: {autopilot!r} was not measured; these were: {', '.join(AUTOPILOTS)}.")
+    measured = AUTOPILOTS[autopilot]
+    return measured.latency_s if latency_s is None else latency_s, measured.lag_s if lag_s is None else lag_s
 
 
 def _legs(words: str) -> tuple[float, float]:

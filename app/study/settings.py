@@ -22,6 +22,18 @@ class PlannerName(StrEnum):
     PARK = "park"
 
 
+@dataclass(frozen=True, slots=True)
+class AutopilotAnswer:
+    """latency_s: what a flight counts with from a decision to the earliest departure. lag_s: of the bank."""
+
+    latency_s: float
+    lag_s: float
+
+
+# The lag is fitted to the bank that SITL flights asked for and flew, a quarter of an hour each (to 0.045 and 0.011 rad
+# RMS); the latency is that of uploads to the simulated vehicles, and what a flight begins with.
+AUTOPILOTS = {"arduplane": AutopilotAnswer(1.0, 0.45), "px4": AutopilotAnswer(1.0, 0.43)}
+
 # The study's laser has an unknown offset.
 STUDIED_SENSORS = SensorsSection(range_bias_sigma_m=0.5)  # type: ignore[call-arg]  # every field has a default
 

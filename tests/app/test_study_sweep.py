@@ -108,6 +108,7 @@ def test_what_cannot_be_flown_is_passed_over_and_told():
         (("--sweep", "aircraft.radius_m=300"), "radius_m"),
         (("--latency", "-1"), "--latency"),
         (("--lag", "nan"), "--lag"),
+        (("--autopilot", "inav"), "--autopilot: 'inav' was not measured; these were: arduplane, px4"),
         (("--run", "20"), "--run"),
         (("--export", "a.xlsx"), "--export"),
         (("--report", "a.pdf"), "--report"),
@@ -135,6 +136,16 @@ def test_a_configuration_is_studied_as_it_would_be_flown(command, tmp_path):
     told = json.loads(summary.read_text())["planners"]["lvfg"]
     assert told["min_range_m"]["worst"] == expected.min_range_m.min()
     assert told["time_on_side"]["mean"] == pytest.approx(expected.time_on_side.mean())
+
+
+def test_an_autopilot_stands_for_its_latency_and_lag(command, tmp_path):
+    def told(*words):
+        summary = tmp_path / "study.json"
+        assert command("--planner", "paper", *QUICK[2:], *words, "--json", str(summary)).exit_code == 0
+        return json.loads(summary.read_text())["planners"]["paper"]["max_range_m"]
+
+    assert told("--autopilot", "arduplane") == told("--latency", "1.0", "--lag", "0.45") != told()
+    assert told("--autopilot", "px4", "--latency", "0.2", "--lag", "0") == told()
 
 
 def test_latency_and_lag_shape_a_flight():
