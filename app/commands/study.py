@@ -26,11 +26,12 @@ from app.study.fleet_study import fleet_json, fleet_table, fly_fleets
 from app.study.processes import on_processes
 from app.study.recorded import recorded_targets
 from app.study.report import study_json, study_table, study_title, sweep_json, sweep_table
-from app.study.settings import AUTOPILOTS, PlannerName, StudySettings
+from app.study.settings import AUTOPILOTS, Hills, PlannerName, StudySettings
 from app.study.store import ResultStore
 from app.study.study import Study, table_of
 from app.terrain.elevation_data import elevation_data
 from estimators.frames import LocalPlane
+from mission.core.requirement import Requirement
 
 _LEGS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
 _FIGURES = (".png", ".pdf", ".svg")
@@ -159,13 +160,16 @@ def study(
         duration_s=1200.0 if duration is None else duration,
         noise_draws=noise_draws,
     )
+    if terrain is not None:
+        base = replace(base, planners=(PlannerName.PREDICTIVE,), hills=_hills(terrain, home, planner, fleet))
+        if all(key != "study.terrain" for key, _ in sweeps):
+            sweeps.append(parsed_sweep("study.terrain=known,ignored"))
     found = designs(base, given, sweeps, console.print)
+    if terrain is not None and any(_from_anywhere(design.settings.requirement()) for design in found):
+        raise InputError("--terrain watches from one side; set requirement.side to left or right.")
     if targets is not None:
         found = _recorded(found, targets, runs, math.inf if duration is None else duration)
     found = _only(found, run)
-    if terrain is not None:
-        _fly_over_hills(found[0].settings, len(found), terrain, home, jobs, json)
-        return
     if fleet > 1:
         _fly_fleet(replace(found[0].settings, fleet=fleet), len(found), jobs, json)
         return
@@ -184,6 +188,8 @@ def study(
         legs=legs if targets is None else None,
         duration=duration,
         perfect_sensors=perfect_sensors or None,
+        terrain=terrain,
+        home=home if terrain is not None else None,
     )
     kept = ResultStore(store)
     try:
@@ -204,31 +210,21 @@ def study(
         kept.close()
 
 
-def _fly_over_hills(
-    settings: StudySettings, designs: int, terrain: Path, home: str | None, jobs: int | None, json: Path | None
-) -> None:
-    if designs > 1:
-        raise InputError("--terrain flies one design; leave out --sweep.")
-    if settings.requirement().either_side or settings.requirement().sector is not None:
-        raise InputError("--terrain watches from one side; set requirement.side to left or right.")
+def _hills(terrain: Path, home: str | None, planners: list[PlannerName] | None, fleet: int) -> Hills:
+    if fleet > 1 or (planners and set(planners) != {PlannerName.PREDICTIVE}):
+        raise InputError("--terrain flies one aircraft by the default planner; leave out --fleet and other planners.")
     home_deg = latitude_longitude_deg("--home", home)
     if home_deg is None:
         raise InputError("--terrain needs a place within the elevation data; give --home LAT,LON.")
-    from app.study import hills  # noqa: PLC0415  # what is compiled takes a second to load
+    from app.study.hills import hills_of  # noqa: PLC0415  # what is compiled takes a second to load
 
-    ground = elevation_data(terrain).ground(LocalPlane(*home_deg), home_deg)
-    with _progress(2 * len(settings.numbers)) as (advance, computing):
-        flown = hills.fly_study(hills.HillSettings(settings, ground), table_of(settings, computing), jobs, advance)
-    if str(json) != "-":
-        console.print(f"{len(settings.numbers)} runs at {settings.height_m:g} m within 8 km of {home}")
-        console.print(hills.hill_table(flown))
-    write_json(json, hills.hill_json(flown))
+    return hills_of(elevation_data(terrain).ground(LocalPlane(*home_deg), home_deg))
 
 
 def _fly_fleet(settings: StudySettings, designs: int, jobs: int | None, json: Path | None) -> None:
     if designs > 1:
         raise InputError("--fleet flies one design; leave out --sweep.")
-    if settings.requirement().either_side or settings.requirement().sector is not None:
+    if _from_anywhere(settings.requirement()):
         raise InputError("--fleet shares the sides of a target; set requirement.side to left or right.")
     with _progress(len(settings.numbers)) as (advance, computing):
         table = table_of(settings, computing)
@@ -240,6 +236,10 @@ def _fly_fleet(settings: StudySettings, designs: int, jobs: int | None, json: Pa
         console.print(f"{settings.fleet} aircraft on each target, {settings.layer_m:g} m of height apart")
         console.print(fleet_table(flown))
     write_json(json, fleet_json(flown))
+
+
+def _from_anywhere(requirement: Requirement) -> bool:
+    return requirement.either_side or requirement.sector is not None
 
 
 def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:

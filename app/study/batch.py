@@ -30,4 +30,16 @@ Executor = Callable[[Designs, Iterable[tuple[Batch, ValueTable | None]]], Iterat
 
 def flown(designs: Designs, batch: Batch, table: ValueTable | None) -> Flown:
     """Fly a batch."""
-    return batch, [run(designs[batch.design], batch.planner, number, table) for number in batch.numbers]
+    return batch, [one_flown(designs[batch.design], batch.planner, number, table) for number in batch.numbers]
+
+
+def one_flown(
+    settings: StudySettings, planner: PlannerName, number: int, table: ValueTable | None, keep_track: bool = False
+) -> RunResult:
+    """Fly one run, over flat ground or over hills."""
+    if settings.hills is None:
+        return run(settings, planner, number, table, keep_track)
+    from app.study.hills import run_over  # noqa: PLC0415  # what is compiled takes a second to load
+
+    assert table is not None
+    return run_over(settings, number, table, keep_track)

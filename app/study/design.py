@@ -18,7 +18,10 @@ Overrides = dict[str, dict[str, Any]]
 
 # What of the configuration shapes a run; the rest is about links, fences and real vehicles.
 SHAPING = {
-    "aircraft": ("airspeed_m_s", "radius_m", "bank_max_deg", "roll_rate_max_deg_s", "height_m"),
+    "aircraft": (
+        *("airspeed_m_s", "radius_m", "bank_max_deg", "roll_rate_max_deg_s", "height_m"),
+        *("clearance_m", "climb_m_s", "descent_m_s"),
+    ),
     "requirement": ("range_min_m", "range_max_m", "side", "target_speed_max_m_s", "threshold", "course_horizon_s"),
     "planner": ("lost_after_s",),
     "sensors": (
@@ -26,7 +29,7 @@ SHAPING = {
         *("filter", "target_kind"),
     ),
     "simulation": ("wind_speed_m_s", "wind_from_deg"),
-    "study": ("latency_s", "lag_s"),
+    "study": ("latency_s", "lag_s", "terrain"),
 }
 _DESIGNS_MAX = 10_000
 _ROOMY_RADIUS_M = 105.0  # the widest circle that leaves room in the band of 100 to 500 m
@@ -153,6 +156,9 @@ def _settings(base: StudySettings, given: Overrides, name: str) -> StudySettings
         value = own.get(key, getattr(base, key))
         if not isinstance(value, float | int) or not 0.0 <= value <= bound_s:
             raise InputError(f"--{key.removesuffix('_s')}: {value} s is not from 0 to {bound_s:g} s.")
+    terrain = own.get("terrain", base.terrain)
+    if terrain not in ("known", "ignored") or (terrain != base.terrain and base.hills is None):
+        raise InputError("--sweep: study.terrain is known or ignored, and needs --terrain.")
     return replace(
         base,
         target_speed_max_m_s=speed_max_m_s,
@@ -172,4 +178,8 @@ def _settings(base: StudySettings, given: Overrides, name: str) -> StudySettings
         sensors=config.sensors,
         latency_s=float(own.get("latency_s", base.latency_s)),
         lag_s=float(own.get("lag_s", base.lag_s)),
+        terrain=terrain,
+        clearance_m=aircraft.clearance_m,
+        climb_m_s=aircraft.climb_m_s,
+        descent_m_s=aircraft.descent_m_s,
     )

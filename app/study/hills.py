@@ -1,33 +1,27 @@
-"""A study over hills: the predictive planner over known ground, and as if the ground were flat."""
+"""Runs of a study over hills: the predictive planner over known ground, and as if the ground were flat."""
 
 from __future__ import annotations
 
+import hashlib
 import math
-import multiprocessing
-import os
-import signal
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from rich import box
-from rich.table import Table
 
 from app.study.airframe import KinematicAircraft
 from app.study.judging import STEP_S, RunResult, judged
 from app.study.pilots import DECISION_PERIOD_S, EstimateAt, PlanFollower, StopWatch
-from app.study.processes import uninterrupted
-from app.study.report import spread
 from app.study.run import BANK_RESERVE, START_RANGE_M, fly, payload_of
 from app.study.scene import scene
 from app.study.sensors import PayloadSensing
-from app.study.settings import StudySettings
+from app.study.settings import Hills, StudySettings
 from app.study.target import TargetTruth
 from estimators.terrain.ground import Ground
 from mission.core.circle import Circle
 from mission.core.plan import AircraftState, Plan, settled_m
 from mission.core.requirement import Requirement
+from mission.geometry.wind import ground_speed_m_s
 from mission.predictive._sight_kernel import NOTHING_HIDDEN, Sight
 from mission.predictive.planner import PredictivePlanner
 from mission.predictive.value_table import ValueTable
@@ -40,52 +34,30 @@ _AZIMUTHS, _RING_M = 72, 20.0
 _TARGET_M = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class HillSettings:
-    """Over one ground. clearance_m, climb_m_s and descent_m_s are as a mission's."""
-
-    study: StudySettings
-    ground: Ground
-    clearance_m: float = 50.0
-    climb_m_s: float = 3.0
-    descent_m_s: float = 2.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class HillResult:
-    """One run. Shares 0..1: of all time, and of the time in which some place of side and band sees the target."""
-
-    result: RunResult
-    time_in_sight: float
-    time_in_sight_where_possible: float
-    min_clearance_m: float
-
-
 class HillFlight:
     """Sensing and pilot of one run: what hills hide is not measured, and each plan is flown at its own height.
 
-    heights None: as over flat ground, at one height above where the target starts.
+    Where the terrain is ignored it flies as over flat ground, at one height above where the target starts.
     """
 
     def __init__(
         self,
-        settings: HillSettings,
+        study: StudySettings,
         ground: Ground,
         table: ValueTable,
         circle: Circle,
         sensor_rng: np.random.Generator,
-        known: bool,
     ) -> None:
-        study = settings.study
-        self._settings, self._ground = settings, ground
+        known = study.terrain == "known"
+        self._study, self._ground = study, ground
         self._requirement: Requirement = study.requirement()
         rules = HeightRules(
             study.height_m,
             "ground",
-            settings.clearance_m,
+            study.clearance_m,
             study.airspeed_m_s,
-            settings.climb_m_s,
-            settings.descent_m_s,
+            study.climb_m_s,
+            study.descent_m_s,
         )
         self._heights = FlightHeights(ground, rules) if known else None
         self._field = SightField(ground, study.range_max_m + 4.0 * study.radius_m)
@@ -138,7 +110,7 @@ class HillFlight:
             estimate = estimate_at(aircraft.time_s)
             if estimate is not None:
                 self._target = (estimate.east_m, estimate.north_m)
-                wind, latency_s = self._settings.study.wind, self._settings.study.latency_s
+                wind, latency_s = self._study.wind, self._study.latency_s
                 decided = self.stopwatch(
                     lambda: self._planner.decide(aircraft, estimate, follower.plan, wind, latency_s)
                 ).plan
@@ -147,7 +119,7 @@ class HillFlight:
         curvature_per_m = follower.curvature_per_m(aircraft)
         heights = follower.plan.heights
         if heights is not None:
-            up_m, down_m = self._settings.climb_m_s * STEP_S, self._settings.descent_m_s * STEP_S
+            up_m, down_m = self._study.climb_m_s * STEP_S, self._study.descent_m_s * STEP_S
             self.height_m += min(max(heights.to_m - self.height_m, -down_m), up_m)
         return curvature_per_m
 
@@ -167,7 +139,7 @@ class HillFlight:
         return self._field.sight(east_m, north_m, velocity_east_m_s, velocity_north_m_s, height_m)
 
     def _some_place_sees(self, target: TargetTruth, target_m: float) -> bool:
-        study = self._settings.study
+        study = self._study
         rings = math.ceil(study.range_max_m / _RING_M)
         needed_m = self._ground.horizon_m(
             target.east_m, target.north_m, target_m + _TARGET_M, _AZIMUTHS, rings, _RING_M
@@ -177,35 +149,50 @@ class HillFlight:
         return bool((needed_m[np.cos(off_rad) >= 0.0] <= self.height_m).any())
 
 
-def fly_over(settings: HillSettings, number: int, table: ValueTable, known: bool) -> HillResult:
-    """Fly one run: its target starts at a place of its own about home."""
-    study = settings.study
-    flown = scene(study, number)
-    place_rng = np.random.default_rng(np.random.SeedSequence((study.seed, number, 1)))
-    ground = _moved(settings.ground, place_rng)
-    side = study.requirement().side
+def run_over(settings: StudySettings, number: int, table: ValueTable, keep_track: bool = False) -> RunResult:
+    """Fly one run of the predictive planner: its target starts at a place of its own about home."""
+    assert settings.hills is not None
+    flown = scene(settings, number)
+    place_rng = np.random.default_rng(np.random.SeedSequence((settings.seed, number, 1)))
+    ground = _moved(settings.hills.ground, place_rng)
+    side, aircraft = settings.requirement().side, settings.aircraft()
     normal_rad = flown.target.at(0.0).course_rad + side.normal_turn_rad
     circle = Circle(
-        START_RANGE_M * math.sin(normal_rad), START_RANGE_M * math.cos(normal_rad), study.radius_m, side.clockwise
+        START_RANGE_M * math.sin(normal_rad), START_RANGE_M * math.cos(normal_rad), settings.radius_m, side.clockwise
     )
     course_rad = float(flown.start_rng.uniform(-math.pi, math.pi))
     start = AircraftState(
-        0.0, *circle.position_at_course(course_rad), course_rad, study.airspeed_m_s, circle.curvature_per_m
+        0.0,
+        *circle.position_at_course(course_rad),
+        course_rad,
+        ground_speed_m_s(course_rad, aircraft.airspeed_m_s, settings.wind),
+        circle.curvature_per_m,
     )
     body = KinematicAircraft(
         start,
-        study.airspeed_m_s,
-        math.atan(BANK_RESERVE * math.tan(study.circle_bank_rad)),
-        study.aircraft().roll_rate_max_rad_s,
-        study.wind,
-        study.lag_s,
+        aircraft.airspeed_m_s,
+        math.atan(BANK_RESERVE * math.tan(settings.circle_bank_rad)),
+        aircraft.roll_rate_max_rad_s,
+        settings.wind,
+        settings.lag_s,
     )
-    flight = HillFlight(settings, ground, table, circle, flown.sensor_rng, known)
+    flight = HillFlight(settings, ground, table, circle, flown.sensor_rng)
     log = fly(flown.target, body, flight, flight, flown.duration_s)
-    result = judged(study, log, flight.changed_s, flight.stopwatch.taken_s, keep_track=False)
     seen, seeable = np.array(flight.seen), np.array(flight.seeable)
-    where_possible = float(seen[seeable].mean()) if seeable.any() else math.nan
-    return HillResult(result, float(seen.mean()), where_possible, min(flight.clearances_m, default=math.nan))
+    over_ground = (
+        float(seen.mean()),
+        float(seen[seeable].mean()) if seeable.any() else math.nan,
+        min(flight.clearances_m, default=math.nan),
+    )
+    # The first decision of a process waits for what is compiled to be loaded.
+    decision_s = flight.stopwatch.taken_s[1:] or flight.stopwatch.taken_s
+    return judged(settings, log, flight.changed_s, decision_s, keep_track, over_ground)
+
+
+def hills_of(ground: Ground) -> Hills:
+    """Return the ground with its digest."""
+    posts = (ground.west_m, ground.south_m, ground.step_east_m, ground.step_north_m, ground.sigma_m)
+    return Hills(ground, hashlib.sha256(repr(posts).encode() + ground.heights_m.tobytes()).hexdigest()[:16])
 
 
 def _moved(ground: Ground, rng: np.random.Generator) -> Ground:
@@ -214,81 +201,3 @@ def _moved(ground: Ground, rng: np.random.Generator) -> Ground:
         east_m, north_m = rng.uniform(-_SPREAD_M, _SPREAD_M, 2).tolist()
         if not math.isnan(ground.height_m(east_m, north_m)):
             return replace(ground, west_m=ground.west_m - east_m, south_m=ground.south_m - north_m)
-
-
-# -- many of them ------------------------------------------------------------------------------------------
-
-WAYS = {"over known ground": True, "as if it were flat": False}
-
-
-def fly_study(
-    settings: HillSettings, table: ValueTable, jobs: int | None, progress: Callable[[int], None]
-) -> dict[str, list[HillResult]]:
-    """Fly all runs both ways, on so many processes; progress hears of each that is done."""
-    tasks = [(way, number) for way in WAYS for number in settings.study.numbers]
-    found: dict[tuple[str, int], HillResult] = {}
-    with uninterrupted():
-        pool = multiprocessing.get_context("spawn").Pool(jobs or os.cpu_count() or 1, _begin, (settings, table))
-    with pool:
-        for task, result in pool.imap_unordered(_fly, tasks):
-            found[task] = result
-            progress(1)
-    return {way: [found[way, number] for number in settings.study.numbers] for way in WAYS}
-
-
-_worker: tuple[HillSettings, ValueTable]
-
-
-def _begin(settings: HillSettings, table: ValueTable) -> None:
-    global _worker  # noqa: PLW0603  # what a worker needs is too large to come with every task
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _worker = settings, table
-    brief = replace(settings, study=replace(settings.study, duration_s=5.0))
-    fly_over(brief, 0, table, known=True)  # loading what is compiled is no decision's time
-
-
-def _fly(task: tuple[str, int]) -> tuple[tuple[str, int], HillResult]:
-    return task, fly_over(_worker[0], task[1], _worker[1], WAYS[task[0]])
-
-
-def hill_table(flown: dict[str, list[HillResult]]) -> Table:
-    """Return the figures for people: mean and worst of each way."""
-    table = Table("", "", *flown, box=box.SIMPLE_HEAD)
-    rows: tuple[tuple[str, Callable[[HillResult], float], float, int], ...] = (
-        ("time in sight, %", lambda one: one.time_in_sight, 100.0, 1),
-        ("where some place sees it, %", lambda one: one.time_in_sight_where_possible, 100.0, 1),
-        ("time on side, %", lambda one: one.result.time_on_side, 100.0, 1),
-        ("time in band, %", lambda one: one.result.time_in_band, 100.0, 1),
-        ("least height over ground, m", lambda one: one.min_clearance_m, 1.0, 0),
-    )
-    for label, value, scale, digits in rows:
-        values = [scale * np.array([value(one) for one in runs]) for runs in flown.values()]
-        table.add_row(label, "mean", *(f"{np.nanmean(of):.{digits}f}" for of in values))
-        table.add_row("", "worst", *(f"{np.nanmin(of):.{digits}f}" for of in values))
-    for tail in (50, 99):
-        times_ms = (1e3 * np.concatenate([one.result.decision_s for one in runs]) for runs in flown.values())
-        row = (f"{np.percentile(of, tail):.2f}" for of in times_ms)
-        table.add_row("decision, ms" if tail == 50 else "", f"{tail} %", *row)
-    return table
-
-
-def hill_json(flown: dict[str, list[HillResult]]) -> dict[str, Any]:
-    """Return the summary that ``--json`` writes."""
-
-    def over(values: list[float]) -> dict[str, float | None]:
-        return spread(np.array(values), 5)
-
-    return {
-        way.replace(" ", "_"): {
-            "time_in_sight": over([one.time_in_sight for one in runs]),
-            "time_in_sight_where_possible": over([one.time_in_sight_where_possible for one in runs]),
-            "min_clearance_m": over([one.min_clearance_m for one in runs]),
-            "time_on_side": over([one.result.time_on_side for one in runs]),
-            "time_in_band": over([one.result.time_in_band for one in runs]),
-            "decision_ms": {
-                f"p{tail}": float(1e3 * np.percentile(np.concatenate([one.result.decision_s for one in runs]), tail))
-                for tail in (50, 99)
-            },
-        }
-        for way, runs in flown.items()
-    }

@@ -39,7 +39,9 @@ class RunResult:
 
     time_on_side: by the course of a random target's leg, or by the course that a recorded one made good in 30 s;
     time_on_side_5s by that of 5 s, for both. quick_changes_per_hour: changes of plan within 10 s of the last.
-    observation_histogram counts steps in bins of 5 degrees from -180.
+    time_in_sight, that of the time in which any place of side and band sees the target, and min_clearance_m, the
+    least height over the ground, are no numbers over flat ground. observation_histogram counts steps in bins of 5
+    degrees from -180.
     """
 
     time_in_band: float
@@ -51,6 +53,9 @@ class RunResult:
     quick_changes_per_hour: float
     observation_spread_deg: float
     duration_s: float
+    time_in_sight: float
+    time_in_sight_where_possible: float
+    min_clearance_m: float
     observation_histogram: npt.NDArray[np.int64]
     decision_s: npt.NDArray[np.float32]
     track: Track | None
@@ -62,10 +67,12 @@ def judged(
     changed_s: Sequence[float],
     decision_s: Sequence[float],
     keep_track: bool,
+    over_ground: tuple[float, float, float] = (math.nan, math.nan, math.nan),
 ) -> RunResult:
     """Sum up a run. changed_s: when each plan was departed to.
 
-    log (n, 6): time, aircraft (east, north), target (east, north), target's course.
+    log (n, 6): time, aircraft (east, north), target (east, north), target's course. over_ground: time in sight, the
+    same where that is possible, and the least clearance.
     """
     time_s, east_m, north_m, target_east_m, target_north_m, _ = log.T
     range_m = np.hypot(east_m - target_east_m, north_m - target_north_m)
@@ -82,6 +89,7 @@ def judged(
         int((np.diff(changed_s) < _QUICK_S - 1e-6).sum()) * per_hour,
         float(np.degrees(observation_rad).std()),
         STEP_S * len(log),
+        *over_ground,
         np.histogram(np.degrees(observation_rad), bins=72, range=(-180.0, 180.0))[0],
         np.asarray(decision_s, np.float32),
         Track(time_s, east_m, north_m, target_east_m, target_north_m, range_m, observation_rad)

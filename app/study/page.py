@@ -13,7 +13,7 @@ from app.report import html
 from app.report.plot_style import BAD, figure, legend_above, styled
 from app.study.design import Design
 from app.study.figure import draw_paths
-from app.study.report import SUMMARY, study_title, summary_row
+from app.study.report import study_title, summary_headings, summary_row
 from app.study.settings import PlannerName
 from app.study.store import RunId
 from app.study.study import PlannerResult, Study, StudyResult, flown_again
@@ -32,6 +32,8 @@ _DRAWN: tuple[tuple[str, Callable[[PlannerResult], FloatArray]], ...] = (
     ("least range, m", lambda p: p.min_range_m),
     ("moves per hour", lambda p: p.moves_per_hour),
     ("changes of plan within 10 s of the last, per hour", lambda p: p.quick_changes_per_hour),
+    ("time in sight, %", lambda p: 100.0 * p.time_in_sight),
+    ("least height over ground, m", lambda p: p.min_clearance_m),
 )
 _MAPPED = _DRAWN[0], _DRAWN[2], _DRAWN[4]
 
@@ -55,13 +57,13 @@ def write_page(study: Study, command: str, file: Path) -> None:
 
 def _tables(study: Study, keys: list[str]) -> str:
     rows = [
-        (*(_word(value) for _, value in design.swept), str(name), *summary_row(planner))
+        (*(_word(value) for _, value in design.swept), str(name), *summary_row(design.settings, planner))
         for design in study.designs[:_TABLED]
         for name, planner in study.result(design).planners.items()
     ]
     more = len(study.designs) - _TABLED
     left_out = f"<p>{more} more designs are not shown; --export writes all.</p>" if more > 0 else ""
-    return html.table((*keys, "planner", *(heading for heading, _ in SUMMARY)), rows) + left_out
+    return html.table((*keys, "planner", *summary_headings(study.designs[0].settings)), rows) + left_out
 
 
 def _word(value: float | str) -> str:

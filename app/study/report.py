@@ -16,13 +16,21 @@ from app.study.study import PlannerResult, Study, StudyResult
 
 FloatArray = npt.NDArray[np.float64]
 
+_Spread = tuple[str, Callable[[PlannerResult], FloatArray], int, Callable[[FloatArray], Any], int]
+_OVER_GROUND = ("time_in_sight", "time_in_sight_where_possible", "min_clearance_m")
 # The table's rows: label, the runs' values, percentile of the tail, which end is worst, digits.
-_SPREADS: tuple[tuple[str, Callable[[PlannerResult], FloatArray], int, Callable[[FloatArray], Any], int], ...] = (
+_SPREADS: tuple[_Spread, ...] = (
     ("time in band, %", lambda p: 100.0 * p.time_in_band, 5, np.min, 2),
     ("time on side, %", lambda p: 100.0 * p.time_on_side, 5, np.min, 1),
     ("by the course of 5 s, %", lambda p: 100.0 * p.time_on_side_5s, 5, np.min, 1),
     ("least range, m", lambda p: p.min_range_m, 5, np.min, 0),
     ("greatest range, m", lambda p: p.max_range_m, 95, np.max, 0),
+)
+# The same over hills.
+_SPREADS_OVER_GROUND: tuple[_Spread, ...] = (
+    ("time in sight, %", lambda p: 100.0 * p.time_in_sight, 5, np.min, 1),
+    ("where some place sees it, %", lambda p: 100.0 * p.time_in_sight_where_possible, 5, np.min, 1),
+    ("least height over ground, m", lambda p: p.min_clearance_m, 5, np.min, 0),
 )
 
 
@@ -48,7 +56,7 @@ def study_table(result: StudyResult) -> Table:
     for column in table.columns[2:]:
         column.justify = "right"
     planners = list(result.planners.values())
-    for label, values, tail, worst, digits in _SPREADS:
+    for label, values, tail, worst, digits in _SPREADS + (_SPREADS_OVER_GROUND if result.settings.hills else ()):
         known = [v[np.isfinite(v)] for v in map(values, planners)]
         for name, of in (("mean", np.mean), (f"{tail} %", partial(np.percentile, q=tail)), ("worst", worst)):
             words = (f"{of(v):.{digits}f}" if v.size else "-" for v in known)
@@ -65,7 +73,8 @@ def study_table(result: StudyResult) -> Table:
 def sweep_table(study: Study) -> Table:
     """Return the comparison of designs, a row for each and planner."""
     keys = [key.partition(".")[2] for key, _ in study.designs[0].swept]
-    table = Table(*keys, "planner", *(heading for heading, _ in SUMMARY), box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1))
+    headings = summary_headings(study.designs[0].settings)
+    table = Table(*keys, "planner", *headings, box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1))
     for column in table.columns:
         column.justify = "right"
     for column in table.columns[len(keys) :]:
@@ -73,13 +82,22 @@ def sweep_table(study: Study) -> Table:
     for design in study.designs:
         for name, planner in study.result(design).planners.items():
             swept = (f"{value:g}" if isinstance(value, float) else value for _, value in design.swept)
-            table.add_row(*swept, str(name), *summary_row(planner))
+            table.add_row(*swept, str(name), *summary_row(design.settings, planner))
     return table
 
 
-def summary_row(planner: PlannerResult) -> tuple[str, ...]:
-    """Return a planner's figures in the order of :data:`SUMMARY`."""
-    return tuple(words(planner) for _, words in SUMMARY)
+def summary_headings(settings: StudySettings) -> tuple[str, ...]:
+    """Return the headings over :func:`summary_row`."""
+    return tuple(heading for heading, _ in _summary(settings))
+
+
+def summary_row(settings: StudySettings, planner: PlannerResult) -> tuple[str, ...]:
+    """Return a planner's figures in one line."""
+    return tuple(words(planner) for _, words in _summary(settings))
+
+
+def _summary(settings: StudySettings) -> tuple[tuple[str, Callable[[PlannerResult], str]], ...]:
+    return _SUMMARY if settings.hills is None else _SUMMARY + _SUMMARY_OVER_GROUND
 
 
 def _mean_and_worst(values: FloatArray) -> str:
@@ -87,13 +105,18 @@ def _mean_and_worst(values: FloatArray) -> str:
     return f"{values.mean():.1f}/{values.min():.1f}" if values.size else "-"
 
 
-SUMMARY: tuple[tuple[str, Callable[[PlannerResult], str]], ...] = (
+_SUMMARY: tuple[tuple[str, Callable[[PlannerResult], str]], ...] = (
     ("in band, %", lambda p: _mean_and_worst(p.time_in_band)),
     ("on side, %", lambda p: _mean_and_worst(p.time_on_side)),
     ("5 s, %", lambda p: _mean_and_worst(p.time_on_side_5s)),
     ("least, m", lambda p: f"{p.min_range_m.min():.0f}"),
     ("moves/h", lambda p: f"{p.moves_per_hour.mean():.0f}"),
     ("quick/h", lambda p: f"{p.quick_changes_per_hour.mean():.1f}"),
+)
+_SUMMARY_OVER_GROUND: tuple[tuple[str, Callable[[PlannerResult], str]], ...] = (
+    ("in sight, %", lambda p: _mean_and_worst(p.time_in_sight)),
+    ("where possible, %", lambda p: _mean_and_worst(p.time_in_sight_where_possible)),
+    ("clear, m", lambda p: f"{np.nanmin(p.min_clearance_m):.0f}"),
 )
 
 
@@ -138,6 +161,7 @@ def _planner_json(planner: PlannerResult, settings: StudySettings) -> dict[str, 
         "max_range_m": spread(planner.max_range_m, 95),
         "moves_per_hour": spread(planner.moves_per_hour, 95),
         "quick_changes_per_hour": spread(planner.quick_changes_per_hour, 95),
+        **({name: spread(getattr(planner, name), 5) for name in _OVER_GROUND} if settings.hills else {}),
         "observation_spread_deg": float(planner.observation_spread_deg.mean()),
         "decision_ms": {"p50": 1e3 * float(p50_s), "p99": 1e3 * float(p99_s)},
     }

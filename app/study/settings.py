@@ -6,11 +6,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING, Literal
 
 from app.config import SensorsSection
 from app.study.recorded import RecordedTarget
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 from mission.viewpoint.side_policy import watching_from
+
+if TYPE_CHECKING:
+    from estimators.terrain.ground import Ground
 
 
 class PlannerName(StrEnum):
@@ -30,12 +34,20 @@ class AutopilotAnswer:
     lag_s: float
 
 
-# The lag is fitted to the bank that SITL flights asked for and flew, a quarter of an hour each (to 0.045 and 0.011 rad
-# RMS); the latency is that of uploads to the simulated vehicles, and what a flight begins with.
+# The lag is fitted to the bank that flights in SITL asked for and flew, a quarter of an hour each (to 0.045 and
+# 0.011 rad RMS); the latency is that of uploads to the simulated vehicles, and what a flight begins with.
 AUTOPILOTS = {"arduplane": AutopilotAnswer(1.0, 0.45), "px4": AutopilotAnswer(1.0, 0.43)}
 
 # The study's laser has an unknown offset.
 STUDIED_SENSORS = SensorsSection(range_bias_sigma_m=0.5)  # type: ignore[call-arg]  # every field has a default
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hills:
+    """The ground of a study about home, and a digest of it."""
+
+    ground: Ground
+    digest: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +59,9 @@ class StudySettings:
     alone. tracks: recorded targets in place of random ones, as many as runs, each flown to its end or for
     duration_s; skipped: (file, reason) of others. only: numbers of the runs to be flown, not all. fleet: aircraft on
     each target, each layer_m above the one before.
+
+    hills: what targets and aircraft move over, None: flat ground. terrain: whether planner and filter know it.
+    clearance_m, climb_m_s and descent_m_s are as a mission's.
     """
 
     planners: tuple[PlannerName, ...] = tuple(PlannerName)
@@ -77,6 +92,11 @@ class StudySettings:
     lost_after_s: float = 60.0
     fleet: int = 1
     layer_m: float = 60.0
+    hills: Hills | None = None
+    terrain: Literal["known", "ignored"] = "known"
+    clearance_m: float = 50.0
+    climb_m_s: float = 3.0
+    descent_m_s: float = 2.0
     sensors: SensorsSection = STUDIED_SENSORS
 
     @property

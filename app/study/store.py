@@ -25,9 +25,10 @@ from app.study.settings import PlannerName, StudySettings
 MEASURES = (
     *("time_in_band", "time_on_side", "time_on_side_5s", "min_range_m", "max_range_m"),
     *("moves_per_hour", "quick_changes_per_hour", "observation_spread_deg", "duration_s"),
+    *("time_in_sight", "time_in_sight_where_possible", "min_clearance_m"),
 )
 _APPLICATION_ID = 0x51DE1043
-_FORMAT = 1
+_FORMAT = 2
 _SCHEMA = f"""
 CREATE TABLE runs (
     key TEXT PRIMARY KEY, design TEXT NOT NULL, planner TEXT NOT NULL, target TEXT NOT NULL, draw INTEGER NOT NULL,
@@ -39,7 +40,7 @@ PRAGMA application_id = {_APPLICATION_ID};
 PRAGMA user_version = {_FORMAT};
 """
 # What is not of one run, or told by its target.
-_NOT_SHAPING = ("planners", "runs", "only", "tracks", "skipped", "noise_draws")
+_NOT_SHAPING = ("planners", "runs", "only", "tracks", "skipped", "noise_draws", "hills")
 
 
 @cache
@@ -65,6 +66,7 @@ def shape(settings: StudySettings) -> str:
         if field.name not in _NOT_SHAPING and not (field.name == "legs_s" and settings.tracks)
     }
     values |= {"sensors": settings.sensors.model_dump(mode="json"), "version": code_version()}
+    values["hills"] = None if settings.hills is None else settings.hills.digest
     values["duration_s"] = None if math.isinf(settings.duration_s) else settings.duration_s
     return json.dumps(values, sort_keys=True)
 

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.study.batch import Batch, Executor
+from app.study.batch import Batch, Executor, one_flown
 from app.study.design import Design
 from app.study.judging import RunResult, Track
 from app.study.processes import on_processes
-from app.study.run import run
 from app.study.settings import PlannerName, StudySettings
 from app.study.store import MEASURES, ResultStore, RunId, run_ids
 from app.value_cache import value_table
@@ -28,7 +27,8 @@ _TableOf = Callable[[StudySettings], ValueTable | None]
 class PlannerResult:
     """One planner's runs, in order: arrays (runs,); decision_s of all runs together.
 
-    Sides are not a number where a target never moved; one planner's values have the same gaps as another's.
+    Sides are not a number where a target never moved, nor sight and clearance over flat ground; one planner's values
+    have the same gaps as another's.
     """
 
     runs: tuple[RunId, ...]
@@ -41,6 +41,9 @@ class PlannerResult:
     quick_changes_per_hour: npt.NDArray[np.float64]
     observation_spread_deg: npt.NDArray[np.float64]
     duration_s: npt.NDArray[np.float64]
+    time_in_sight: npt.NDArray[np.float64]
+    time_in_sight_where_possible: npt.NDArray[np.float64]
+    min_clearance_m: npt.NDArray[np.float64]
     observation_histogram: npt.NDArray[np.int64]
     decision_s: npt.NDArray[np.float32]
 
@@ -148,7 +151,7 @@ def run_study(
 def flown_again(flown: RunId, settings: StudySettings) -> Track:
     """Return the path of a run, which is not kept: the run is flown again."""
     table = table_of(settings) if flown.planner is PlannerName.PREDICTIVE else None
-    track = run(settings, flown.planner, flown.number, table, keep_track=True).track
+    track = one_flown(settings, flown.planner, flown.number, table, keep_track=True).track
     assert track is not None
     return track
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from app.cli import app
 from app.errors import InputError
-from app.study.hills import HillSettings, fly_over
+from app.study.hills import hills_of, run_over
 from app.study.settings import PlannerName, StudySettings
 from estimators.terrain.ground import Ground
 from mission.predictive.planner import table_configuration
@@ -28,14 +28,14 @@ def table():
 
 def test_over_hills_the_clearance_is_kept_and_on_flat_ground_nothing_is_hidden(ground: Ground, table) -> None:
     for number in range(2):
-        flown = fly_over(HillSettings(SETTINGS, ground), number, table, known=True)
+        flown = run_over(replace(SETTINGS, hills=hills_of(ground)), number, table)
         assert flown.min_clearance_m >= 45.0  # the kinematic aircraft flies some metres beside its line
         assert flown.time_in_sight <= flown.time_in_sight_where_possible <= 1.0
     flat = replace(ground, heights_m=np.zeros_like(ground.heights_m))
-    flown = fly_over(HillSettings(SETTINGS, flat), 0, table, known=True)
+    flown = run_over(replace(SETTINGS, hills=hills_of(flat)), 0, table)
     assert flown.time_in_sight == 1.0
     assert flown.min_clearance_m == pytest.approx(100.0)
-    assert flown.result.time_in_band == 1.0
+    assert flown.time_in_band == 1.0
 
 
 def test_what_hills_hide_is_not_measured(ground: Ground, table) -> None:
@@ -47,9 +47,10 @@ def test_what_hills_hide_is_not_measured(ground: Ground, table) -> None:
     )[:, None]
     rng = np.random.default_rng(3)
     walls = np.where(about & (rng.random(pit.shape) < 0.5), 500.0, 0.0).astype(np.float32)
-    flown = fly_over(HillSettings(SETTINGS, replace(ground, heights_m=walls)), 1, table, known=False)
+    walled = hills_of(replace(ground, heights_m=walls))
+    flown = run_over(replace(SETTINGS, hills=walled, terrain="ignored"), 1, table)
     assert flown.time_in_sight < 0.3
-    assert flown.result.moves_per_hour < 60.0
+    assert flown.moves_per_hour < 60.0
 
 
 @pytest.mark.parametrize(
@@ -59,7 +60,10 @@ def test_what_hills_hide_is_not_measured(ground: Ground, table) -> None:
         (["--home", "a,b"], "--home"),
         (["--home", "95,8"], "latitudes go to 89"),
         (["--home", "47.4,8.5"], "N47E008"),
-        (["--home", "36.59,-84.24", "--sweep", "aircraft.airspeed_m_s=10,12"], "one design"),
+        (["--home", "36.59,-84.24", "--planner", "paper"], "the default planner"),
+        (["--home", "36.59,-84.24", "--fleet", "2"], "one aircraft"),
+        (["--home", "36.59,-84.24", "--sweep", "requirement.side=left,either"], "from one side"),
+        (["--home", "36.59,-84.24", "--sweep", "study.terrain=foggy"], "known or ignored"),
     ],
 )
 def test_wrong_options_are_one_sentence(hills_folder: Path, options: list[str], words: str) -> None:
@@ -68,14 +72,27 @@ def test_wrong_options_are_one_sentence(hills_folder: Path, options: list[str], 
     assert words in str(result.exception)
 
 
-def test_the_command_tells_both_ways(hills_folder: Path, tmp_path: Path) -> None:
-    summary = tmp_path / "hills.json"
+def test_a_study_over_hills_is_kept_and_goes_on_and_tells_both_ways(hills_folder: Path, tmp_path: Path) -> None:
+    summary, store, report, rows = (tmp_path / name for name in ("hills.json", "hills.db", "hills.html", "hills.csv"))
     arguments = ["study", "--terrain", str(hills_folder), "--home", "36.59,-84.24", "--runs", "1", "--duration", "30"]
-    result = CliRunner().invoke(app, [*arguments, "--jobs", "1", "--json", str(summary)])
+    arguments += ["--jobs", "1", "--json", str(summary), "--store", str(store)]
+    result = CliRunner().invoke(app, [*arguments, "--sweep", "study.terrain=known"])
     assert result.exit_code == 0, result.output
-    told = json.loads(summary.read_text())
-    assert set(told) == {"over_known_ground", "as_if_it_were_flat"}
-    for way in told.values():
-        assert 0.0 <= way["time_in_sight"]["mean"] <= 1.0
-        assert math.isfinite(way["min_clearance_m"]["worst"])
     assert "least height over ground" in result.output
+    told = json.loads(summary.read_text())["planners"]["predictive"]
+    assert 0.0 <= told["time_in_sight"]["mean"] <= 1.0
+    result = CliRunner().invoke(app, [*arguments, "--report", str(report), "--export", str(rows)])
+    assert result.exit_code == 0, result.output
+    assert "1 of 2 runs are in" in result.output
+    known, ignored = json.loads(summary.read_text())["designs"]
+    assert (known["swept"], ignored["swept"]) == ({"study.terrain": "known"}, {"study.terrain": "ignored"})
+    assert known["planners"]["predictive"] == told
+    assert math.isfinite(ignored["planners"]["predictive"]["min_clearance_m"]["worst"])
+    assert "time_in_sight" in rows.read_text().splitlines()[0]
+    assert "Time in sight, %" in report.read_text()
+
+
+def test_a_sweep_of_the_terrain_needs_one() -> None:
+    result = CliRunner().invoke(app, ["study", "--sweep", "study.terrain=ignored"])
+    assert isinstance(result.exception, InputError)
+    assert "--terrain" in str(result.exception)
