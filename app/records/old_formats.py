@@ -22,10 +22,10 @@ _UNIT_IN_1 = re.compile(r"_1_(m2|m|s)$")
 
 def upgraded(name: str, fields: dict[str, Any], written_format: int) -> tuple[str, dict[str, Any]]:
     """Return a record's type name and fields as the present format spells them."""
+    if name == "Announce" and fields.get("kind") == "swap":  # until late in format 2
+        fields = fields | {"kind": "plan"}
     if written_format > OLDEST_FORMAT:
         return name, fields
-    if name == "Announce" and fields.get("kind") == "swap":
-        fields = fields | {"kind": "plan"}
     return _NAMES_IN_1.get(name, name), _with_units(fields)
 
 

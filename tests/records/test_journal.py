@@ -201,3 +201,8 @@ def test_a_journal_of_the_first_format_is_read_in_todays_words(tmp_path):
     assert read[0] == PlanStatus(1.0, 2, "ready")
     assert read[1].plan.transition.curvature_per_m == [0.02]
     assert read[2] == Announce(2.0, "plan", "plan 2 was not taken")
+
+
+def test_what_format_2_said_of_plans_at_first_is_read_in_todays_words(tmp_path):
+    path = written(tmp_path / "journal.jsonl", [Announce(2.0, "swap", "plan 2 was not taken")])
+    assert list(JournalReader(path, (Announce,))) == [Announce(2.0, "plan", "plan 2 was not taken")]
