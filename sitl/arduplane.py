@@ -16,6 +16,7 @@ from sitl.arduplane_telemetry import DATA_STREAMS, DEFAULT_INTERVAL_S, ArduPlane
 from sitl.autopilot import Autopilot
 from sitl.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
 from sitl.fence import PointStore
+from sitl.file_server import FileServer
 from sitl.items import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item
 from sitl.place import Place
 from sitl.radio import Station
@@ -92,6 +93,7 @@ class ArduPlane(Autopilot):
             mavlink.MAV_CMD_NAV_TAKEOFF: lambda _: FAILED,  # only for quadplanes
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
         }
+        self.files = FileServer({"@PARAM/param.pck": self.parameters.packed})
         stores: tuple[Store, ...] = (self.mission, PointStore(False), PointStore(False))
         self.attach(stores, ArduPlaneTelemetry(self).builders())
 

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sitl.airframe import GRAVITY_M_S2, Airframe, AirframeParameters, true_over_equivalent_airspeed
 from sitl.commands import ACCEPTED, FAILED, UNSUPPORTED, Command, Handler
+from sitl.file_server import FileServer
 from sitl.geodesy import HomePlane
 from sitl.items import RELATIVE_FRAMES, Item
 from sitl.parameters import Parameters
@@ -67,6 +68,7 @@ class Autopilot(ABC):
         self.roll_goal_rad = 0.0
         self.gcs_heard_s: float | None = None
         self.transfers: dict[int, Transfer] = {}
+        self.files = FileServer({})
         self._navigate_s = 0.0
         self._builders: dict[int, Builder] = {}
         self._handlers: dict[int, Handler] = {
@@ -260,10 +262,18 @@ class Autopilot(ABC):
             self.parameters.handle(station, message, self.radio)
         elif kind == "SET_MODE":
             self._on_set_mode_message(message)
+        else:
+            self._answer(station, message, kind)
+
+    def _answer(self, station: Station, message: Any, kind: str) -> None:
+        """Answer what changes nothing here."""
+        source = (message.get_srcSystem(), message.get_srcComponent())
+        if kind == "FILE_TRANSFER_PROTOCOL":
+            for payload in self.files.answers(bytes(message.payload)):
+                self.radio.send(station, mavlink.MAVLink_file_transfer_protocol_message(0, *source, payload))
         elif kind == "TIMESYNC" and message.tc1 == 0:
             self.radio.send(station, mavlink.MAVLink_timesync_message(self.boot_us * 1000, message.ts1))
         elif kind == "PING" and message.target_system == 0:
-            source = (message.get_srcSystem(), message.get_srcComponent())
             self.radio.send(station, mavlink.MAVLink_ping_message(message.time_usec, message.seq, *source))
 
     def _on_setup_signing(self, message: Any) -> None:

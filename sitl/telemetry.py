@@ -253,6 +253,7 @@ class Telemetry:
             | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
             | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
             | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+            | mavlink.MAV_PROTOCOL_CAPABILITY_FTP
         )
         major, minor = self.software
         unnamed = [0] * 8
