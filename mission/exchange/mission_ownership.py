@@ -14,7 +14,8 @@ from mission.exchange.raw_item import RawItem, same_item, same_items
 from mission.exchange.reports import MissionCurrentReported, MissionItemReported, VehicleReport
 
 _AUDIT_S, _AUDIT_AGAIN_S = 3.0, 0.6  # between two looks at the item that is flown
-_READ_S = 10.0
+_READ_S = 30.0
+_READS = 2  # an item of the mission before may come late, once
 _CHANGED = "another station has changed the mission"
 
 
@@ -29,8 +30,10 @@ class MissionOwnership:
         self._outbox, self._quirks = outbox, quirks
         self._reports, self._contents = Suspicion(), Suspicion()
         self._identity = MissionIdentity()
-        self._written: tuple[RawItem, ...] = ()
+        self._doubtful: list[tuple[RawItem, ...]] = []  # what may have been written since the last that was
         self._read: MissionRead | None = None
+        self._read_of = (0, 0)  # total and id that were reported meanwhile
+        self._reads_unlike = 0  # of that mission, in a row
         self._in_doubt = False
         self._begun = False
         self._audit_s = math.inf
@@ -71,8 +74,12 @@ class MissionOwnership:
 
     def written(self, items: tuple[RawItem, ...], mission_id: int, accepted: bool) -> None:
         """Have written a mission, or perhaps written it."""
-        self._written, self._read = items, None
+        self._read = None
         self._in_doubt = self._begun and not accepted and not self._quirks.stores_items_one_by_one
+        if accepted:
+            self._doubtful.clear()
+        else:
+            self._doubtful.append(items)
         self._identity.written(len(items) - self._quirks.home_at_zero, mission_id, accepted)
 
     def switched(self) -> None:
@@ -85,7 +92,9 @@ class MissionOwnership:
             return
         if self._identity.is_open(report.total, report.mission_id):
             self._in_doubt = True
-            if self._read is None:
+            if self._read is None or self._read_of != (report.total, report.mission_id):
+                self._reads_unlike *= self._read_of == (report.total, report.mission_id)
+                self._read_of = report.total, report.mission_id
                 self._read = MissionRead(self._outbox, self._quirks, self._outbox.link_s + _READ_S)
             return
         self._read, self._in_doubt = None, False
@@ -114,10 +123,12 @@ class MissionOwnership:
         self._read = None  # without an answer the next report begins another
         if read.items is None:
             return
-        self._in_doubt = False
-        if same_items(self._written, read.items):
-            self._identity.written(len(read.items) - self._quirks.home_at_zero, read.mission_id)
-        else:
+        if any(same_items(written, read.items) for written in self._doubtful):
+            self._identity.ours.add(self._read_of)
+            self._in_doubt, self._reads_unlike = False, 0
+            return
+        self._reads_unlike += 1
+        if self._reads_unlike >= _READS:
             self._outbox.report(ExternalControl(self._outbox.time_s, _CHANGED))
 
     def item(self, report: MissionItemReported, layout: MissionLayout) -> None:

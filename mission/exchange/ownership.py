@@ -45,37 +45,40 @@ class MissionIdentity:
     """The missions of ours, each as (total, mission_id).
 
     ``expected``: a mission of so many items was written, and its id is learnt from the first report of it.
-    ``doubtful``: one of so many items may have been written; an id of it proves nothing, for others write as many.
+    ``doubtful``: missions of so many items may have been written since; an id of one proves nothing, for others write
+    as many.
     """
 
     ours: set[tuple[int, int]] = field(default_factory=set)
     expected: int | None = None
-    doubtful: int | None = None
+    doubtful: set[int] = field(default_factory=set)
     writing: int | None = None  # a mission of so many items is under way: it may be on board already
 
     def written(self, total: int, mission_id: int, accepted: bool = True) -> None:
         """Take over a mission that is on board, or may be. mission_id 0: not known yet."""
-        self.writing = self.expected = self.doubtful = None
+        self.writing = self.expected = None
+        if not accepted:
+            self.doubtful.add(total)
+            return
+        self.doubtful.clear()
         if mission_id:
             self.ours.add((total, mission_id))
-        elif accepted:
-            self.expected = total
         else:
-            self.doubtful = total
+            self.expected = total
 
     def is_open(self, total: int, mission_id: int) -> bool:
         """Tell whether only the items themselves show whose the mission of a report is."""
         unknown = mission_id != 0 and (total, mission_id) not in self.ours
-        return unknown and self.writing is None and total == self.doubtful
+        return unknown and self.writing is None and total in self.doubtful
 
     def is_ours(self, total: int, mission_id: int) -> bool:
         """Tell whether a report is of a mission of ours; learn its id where one is expected."""
         if (total, mission_id) in self.ours or self._is_under_way(total, mission_id):
             return True
-        if total not in (self.expected, self.doubtful):
+        if total != self.expected and total not in self.doubtful:
             return False
         self.ours.add((total, mission_id))
-        self.expected = self.doubtful = None
+        self.expected = None
         return True
 
     def _is_under_way(self, total: int, mission_id: int) -> bool:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from mission.upload.items import Item
 
+_TAKE_OFF = 22  # MAV_CMD_NAV_TAKEOFF
 _COMPARED_METRES_AS_DEGREES_E7 = 3  # stored coordinates may lose the last digit on the way
 _COMPARED_PARAM = 0.6  # ArduPlane keeps whole metres of radius
 
@@ -50,13 +51,13 @@ def at_place(x: int, y: int, item: RawItem) -> bool:
 
 
 def same_item(a: RawItem, b: RawItem) -> bool:
-    """Tell whether the items are the same up to the vehicle's rounding."""
+    """Tell whether the items are the same up to the vehicle's rounding; PX4 keeps nothing of a take-off's pitch."""
     return (
         a.command == b.command
         and at_place(a.x, a.y, b)
         and abs(a.z - b.z) <= _COMPARED_PARAM
         and all(
-            math.isnan(x) or math.isnan(y) or abs(x - y) <= _COMPARED_PARAM
+            a.command == _TAKE_OFF or math.isnan(x) or math.isnan(y) or abs(x - y) <= _COMPARED_PARAM
             for x, y in ((a.param1, b.param1), (a.param3, b.param3))
         )
     )

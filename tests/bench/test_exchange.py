@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from app.flight.simulated import free_udp_port
-from mission.core.events import ActivatePlan, PlanStatus, Yield
+from mission.core.events import ActivatePlan, Announce, PlanStatus, Yield
 from sitl.link import LinkFaults
 
 CHANGES, FLIGHTS = int(os.environ.get("CHANGES", "50")), int(os.environ.get("FLIGHTS", "4"))
@@ -61,6 +61,36 @@ def test_plan_changes_are_told_as_they_are_flown(harness, flavour, loss, duplica
     )
     assert told["departed"] == activated
     assert yields == 0
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+@pytest.mark.parametrize(("loss", "delay_s"), [(0.0, 0.01), (0.1, 0.3)])
+def test_one_of_two_links_is_cut(harness, flavour, loss, delay_s):
+    counts, seeds, cuts = Counter(), 5, 50
+    for seed in range(1, seeds + 1):
+        flight = harness.TwoLinkFlight(flavour, seed=seed, faults=LinkFaults(loss, 0.0, delay_s))
+        assert flight.run(300.0, lambda flight=flight: flight.has_control)
+        for number in range(cuts):
+            flight.cut = number % 2
+            flight.run(2.0)
+            flight.cut = None
+            flight.run(2.0)
+        flight.spoil(LinkFaults())
+        flight.run(15.0)
+        statuses = flight.found(PlanStatus)
+        numbers = {one.number for one in flight.found(ActivatePlan)}
+        counts["changes"] += flight.changes
+        counts["activated"] += len(numbers)
+        counts["departed"] += sum(one.stage == "departed" for one in statuses)
+        counts["ready"] += sum(one.stage == "ready" for one in statuses)
+        counts["uploads failed"] += sum(one.stage == "failed" and one.number not in numbers for one in statuses)
+        counts["late"] += sum(
+            "too late" in one.text or "does not depart" in one.text for one in flight.found(Announce)
+        )
+        counts["yields"] += len(flight.found(Yield))
+    print(f"\n{flavour:9} both {loss:4.0%}, {delay_s:5.3f} s each way, {seeds} x {cuts} cuts: {dict(counts)}")
+    assert counts["yields"] == 0
+    assert counts["departed"] == counts["activated"]
 
 
 @pytest.mark.parametrize("seed", range(1, FLIGHTS + 1))

@@ -14,7 +14,10 @@ from pymavlink.dialects.v20 import all as mavlink
 from app.assembly import mission_controller_of, tracker_of
 from app.autopilots.registry import autopilot_by_mav_autopilot
 from app.config import Config
+from app.link.frames import FrameSplitter
+from app.link.merger import LinkMerger
 from app.link.message import Message
+from app.link.quality import LinkQuality
 from app.link.reports import VehicleReports
 from app.link.telemetry import Telemetry
 from app.link.vehicle import Vehicle
@@ -192,10 +195,7 @@ class Flight:
 
     def step(self):
         self._step_simulation()
-        for address, frame in self.simulation.take():
-            if address == "us":
-                self._to_us.put(frame, self.link_s)
-        for frame in self._to_us.take(self.link_s):
+        for frame in self._arriving():
             if frame[_ID_BYTES] == _MISSION_CURRENT:
                 self._late.put(frame, self.link_s)
             else:
@@ -209,6 +209,12 @@ class Flight:
                 break
             self.put(TimerExpired(self.telemetry.now_s, self.link_s))
 
+    def _arriving(self):
+        for address, frame in self.simulation.take():
+            if address == "us":
+                self._to_us.put(frame, self.link_s)
+        return self._to_us.take(self.link_s)
+
     def to_vehicle(self, name, *, source=OURS, **fields):
         """Let a station say something, without faults."""
         kind = getattr(mavlink, f"MAVLink_{name.lower()}_message")
@@ -221,19 +227,25 @@ class Flight:
         self.simulation.receive("us" if source == OURS else "other", kind(**given).pack(packer))
 
     def _step_simulation(self):
-        for number, name, fields, frame in self._to_vehicle.take(self.link_s):
+        self._carry(self._to_vehicle, "us")
+        self.simulation.advance(self.simulation.time_s + STEP_S)
+
+    def _carry(self, link, address):
+        for number, name, fields, frame in link.take(self.link_s):
             if number not in self._seen:
                 self._seen.add(number)
                 self.arrived(name, fields)
-            self.simulation.receive("us", frame)
-        self.simulation.advance(self.simulation.time_s + STEP_S)
+            self.simulation.receive(address, frame)
 
     def _send(self, message):
         kind = getattr(mavlink, f"MAVLink_{message.name.lower()}_message")
         fields = {"target_system": self.vehicle.system_id, "target_component": 1} | dict(message.fields)
         self._carried += 1
         frame = kind(**fields).pack(self._packer)
-        self._to_vehicle.put((self._carried, message.name, fields, frame), self.link_s)
+        self._put((self._carried, message.name, fields, frame))
+
+    def _put(self, sent):
+        self._to_vehicle.put(sent, self.link_s)
 
     def _hear(self, frame):
         for got in self._parser.parse_buffer(frame) or ():
@@ -264,6 +276,60 @@ class Flight:
         return None if end is None else items[index : end + 1]
 
 
+class TwoLinkFlight(Flight):
+    """The same over two links at once, each with the faults: ``cut`` is the one that carries nothing, if any."""
+
+    def __init__(self, flavour, *, faults=NO_FAULTS, seed=1):
+        self._second = None  # the other link's (to the vehicle, to us)
+        super().__init__(flavour, faults=faults, seed=seed, begin=False)
+        self.cut: int | None = None
+        self.merger = LinkMerger(2)
+        self.changes = 0
+        self._qualities = [LinkQuality(self.link_s) for _ in range(2)]
+        self._choose_s = 0.0
+        rngs = [np.random.default_rng((seed, direction)) for direction in (3, 4)]
+        self._second = tuple(FaultyLink(faults, rng) for rng in rngs)
+        self.simulation.connect("second")
+        for message_id, rate_hz in _RATES_HZ.items():
+            given = {"command": 511, "param1": message_id, "param2": 1e6 / rate_hz}
+            fields = dict.fromkeys(mavlink.MAVLink_command_long_message.fieldnames, 0) | given
+            asked = mavlink.MAVLink_command_long_message(**fields | {"target_system": 1, "target_component": 1})
+            self.simulation.receive("second", asked.pack(self._packer))
+        self.take_over()
+
+    def spoil(self, faults, late_current_s=0.0):
+        super().spoil(faults, late_current_s)
+        for link in self._second:
+            link._faults = faults
+
+    def _arriving(self):
+        links = (self._to_us, self._second[1])
+        for address, frame in self.simulation.take():
+            index = ("us", "second").index(address)
+            if index != self.cut:
+                links[index].put(frame, self.link_s)
+        for index, link in enumerate(links):
+            for data in link.take(self.link_s):
+                (frame,) = FrameSplitter().split(data)
+                self._qualities[index].frame(frame.source, frame.sequence, len(data), self.link_s)
+                if self.merger.passes(index, frame, self.link_s):
+                    yield data
+        if self.link_s >= self._choose_s:
+            self._choose_s = self.link_s + 0.1
+            measured = [quality.measured(self.link_s) for quality in self._qualities]
+            self.changes += self.merger.choose(measured, self.link_s)
+
+    def _step_simulation(self):
+        if self._second is not None:
+            self._carry(self._second[0], "second")
+        super()._step_simulation()
+
+    def _put(self, sent):
+        if self.merger.in_use != self.cut:
+            link = self._second[0] if self.merger.in_use else self._to_vehicle
+            link.put(sent, self.link_s)
+
+
 @pytest.fixture(scope="session")
 def raw_items() -> Callable[[list], list[RawItem]]:
     """Return what makes a vehicle's items comparable with ours."""
@@ -278,6 +344,12 @@ def raw_items() -> Callable[[list], list[RawItem]]:
 def fly() -> Callable[..., Flight]:
     """Return what begins a flight."""
     return Flight
+
+
+@pytest.fixture
+def fly_on_two_links() -> Callable[..., TwoLinkFlight]:
+    """Return what begins a flight on two links."""
+    return TwoLinkFlight
 
 
 @pytest.fixture
