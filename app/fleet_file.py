@@ -215,6 +215,9 @@ def load_fleet(
         raise InputError(f"{name}: it has {len(aircraft)} aircraft; leave out --fleet {count}.")
     for section, keys in (overrides or {}).items():
         given = {key: value for key, value in keys.items() if value is not None}
+        if section == "aircraft":
+            values[section] = aircraft = [one | given if isinstance(one, dict) else one for one in aircraft]
+            continue
         autopilots = str(given.pop("autopilot", "")).split(",") if section == "simulation" else [""]
         for k, one in enumerate(aircraft if autopilots != [""] else ()):
             if isinstance(one, dict):

@@ -10,8 +10,9 @@ import typer
 from rich.table import Table
 
 from app.commands.output import JsonOption, checked_output, console, write_json
-from app.config import load_config
+from app.config import Config, load_config
 from app.errors import InputError
+from app.fleet_file import load_fleet, names_a_fleet
 from mission.paper.feasibility import Feasibility, feasibility
 from mission.paper.optimum import ThresholdBounds, threshold_bounds
 from mission.paper.optimum import optimise as optimum
@@ -41,28 +42,48 @@ def check(
 ) -> None:
     """Check whether the paper's method can keep the requirement, and say which number to change if not.
 
+    Of a fleet file each aircraft is checked, and what tells them apart.
     Example: sidelong check --airspeed 10 --radius 50 --target-speed 3 --dmin 100 --dmax 500 --threshold 1
     """
     checked_output(json)
-    settings = load_config(
-        config,
-        {
-            "aircraft": {"airspeed_m_s": airspeed, "radius_m": radius},
-            "requirement": {
-                "target_speed_max_m_s": target_speed,
-                "range_min_m": dmin,
-                "range_max_m": dmax,
-                "threshold": threshold,
-            },
+    overrides = {
+        "aircraft": {"airspeed_m_s": airspeed, "radius_m": radius},
+        "requirement": {
+            "target_speed_max_m_s": target_speed,
+            "range_min_m": dmin,
+            "range_max_m": dmax,
+            "threshold": threshold,
         },
-    )
+    }
+    airspeeds_m_s = (slowest, fastest) if optimise else None
+    if not names_a_fleet(config):
+        values, reasons = _checked(load_config(config, overrides), airspeeds_m_s)
+        write_json(json, values)
+        if reasons:
+            raise InputError(f"infeasible: {reasons}.")
+        console.print("feasible")
+        return
+    all_values, refused = [], []
+    for member in load_fleet(config, overrides).members:
+        console.print(f"{member.name}, at {member.config.aircraft.height_m:g} m:")
+        values, reasons = _checked(member.config, airspeeds_m_s)
+        all_values.append({"name": member.name, **values})
+        refused += [f"{member.name}: {reasons}"] if reasons else []
+    write_json(json, {"feasible": not refused, "aircraft": all_values})
+    if refused:
+        raise InputError(f"infeasible: {'; '.join(refused)}.")
+    console.print("feasible, names, links and heights too")
+
+
+def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tuple[dict[str, Any], str]:
+    """Print what one aircraft can do, also the best between two airspeeds; return the values, and why it cannot."""
     result = feasibility(settings.aircraft.aircraft(), settings.requirement.requirement())
     console.print(_table(result))
     values: dict[str, Any] = {key: getattr(result, key) for key in ("feasible", *_LABELS)}
-    if optimise:
+    if airspeeds_m_s is not None:
         aircraft, requirement = settings.aircraft.aircraft(), settings.requirement.requirement()
         here = threshold_bounds(aircraft, requirement)
-        best = optimum(aircraft, requirement, (slowest, fastest))
+        best = optimum(aircraft, requirement, airspeeds_m_s)
         console.print(_bounds_words("here", here))
         if best is not None:
             console.print(
@@ -72,10 +93,7 @@ def check(
         console.print(_bounds_words("there", best.bounds if best is not None else None))
         values["thresholds"] = asdict(here) if here is not None else None
         values["optimum"] = asdict(best) if best is not None else None
-    write_json(json, values)
-    if not result.feasible:
-        raise InputError("infeasible: " + "; ".join(map(str, result.reasons)) + ".")
-    console.print("feasible")
+    return values, "" if result.feasible else "; ".join(map(str, result.reasons))
 
 
 def _table(result: Feasibility) -> Table:

@@ -14,6 +14,8 @@ from app.autopilots.parameters import read_parameters
 from app.autopilots.queries import home_of, mode_of
 from app.commands.output import JsonOption, checked_output, console, write_json
 from app.config import Config, load_config
+from app.errors import InputError
+from app.fleet_file import load_fleet, names_a_fleet
 from app.flight.flight import connected
 from app.flight.preflight import Check, checks, listen
 from app.flight.streams import ask_for_streams
@@ -22,8 +24,12 @@ from app.shutdown import run
 
 def connect(
     urls: Annotated[
-        list[str], typer.Argument(help="MAVSDK URL of the vehicle; several links to one.", show_default=False)
-    ],
+        list[str] | None,
+        typer.Argument(
+            help="MAVSDK URL of the vehicle; several links to one; without it as the configuration has it.",
+            show_default=False,
+        ),
+    ] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML) to check against.")] = None,
     timeout: Annotated[float | None, typer.Option(help="Wait this long for a heartbeat, s.")] = None,
     listen_s: Annotated[float, typer.Option("--listen", min=0.5, help="Listen to the sensors this long, s.")] = 3.0,
@@ -37,14 +43,36 @@ def connect(
 ) -> None:
     """Tell what is there: autopilot, mode, position, sensors, parameters, and what is not ready yet and why.
 
-    Nothing is armed or changed. Example: sidelong connect udpin://0.0.0.0:14540
+    Nothing is armed or changed. Of a fleet file all aircraft are asked, one after the other.
+    Examples: sidelong connect udpin://0.0.0.0:14540; sidelong connect --config fleet.toml
     """
     checked_output(json)
-    settings = load_config(
-        config, {"link": {"heartbeat_timeout_s": timeout, "signing_key_file": signing_key, "system_id": system_id}}
-    )
-    report = run(_report(urls, settings, listen_s))
-    write_json(json, report)
+    overrides = {"link": {"heartbeat_timeout_s": timeout, "signing_key_file": signing_key, "system_id": system_id}}
+    if not names_a_fleet(config):
+        settings = load_config(config, overrides)
+        write_json(json, run(_report(urls or _links(settings), settings, listen_s)))
+        return
+    if urls or system_id is not None:
+        raise InputError(f"{config} has the links of its aircraft; leave out the URL and --system-id.")
+    reports, missing = [], []
+    for member in load_fleet(config, overrides).members:
+        console.print(f"{member.name}:")
+        try:
+            report = run(_report(_links(member.config), member.config, listen_s))
+        except InputError as error:
+            missing.append(f"{member.name}: {error}")
+            console.print(str(error))
+            continue
+        reports.append({"name": member.name, **report})
+    write_json(json, {"ready": not missing and all(one["ready"] for one in reports), "aircraft": reports})
+    if missing:
+        raise InputError(" ".join(missing))
+
+
+def _links(settings: Config) -> list[str]:
+    if not settings.link.connections:
+        raise InputError("no vehicle is named; give its URL, or a --config with link.url.")
+    return list(settings.link.connections)
 
 
 async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str, Any]:

@@ -13,8 +13,9 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic.fields import FieldInfo
 
 from app.commands.output import console
-from app.config import Config
+from app.config import AircraftSection, Config
 from app.errors import InputError
+from app.fleet_file import LAYER_M, MAX_AIRCRAFT, FleetAircraftSection, TargetSection
 from app.presets import PRESETS, Preset
 
 _WIDTH = 112
@@ -35,6 +36,12 @@ _EXAMPLES = {
     "terrain.folder": '"dem"',
     "simulation.home": "[36.59, -84.24]",
 }
+_FLEET_EXAMPLES = {
+    "urls": '["serial:///dev/ttyUSB0:57600", "udpin://0.0.0.0:14550"]',
+    "autopilot": '"px4"',
+    "side": '"left"',
+    "motion": '"walk"',
+}
 
 
 def init(
@@ -42,18 +49,22 @@ def init(
     preset: Annotated[
         str | None, typer.Option(help=f"Begin with an airframe: {', '.join(PRESETS)}.", show_default=False)
     ] = None,
+    fleet: Annotated[
+        int | None,
+        typer.Option(min=2, max=MAX_AIRCRAFT, help="Of so many aircraft about one target.", show_default=False),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
 ) -> None:
     """Write a configuration file with every key, its unit, limits and default, to be changed as needed.
 
-    Examples: sidelong init; sidelong init x8.toml --preset skywalker-x8
+    Examples: sidelong init; sidelong init x8.toml --preset skywalker-x8; sidelong init fleet.toml --fleet 2
     """
     if preset is not None and preset not in PRESETS:
         known = "; ".join(f"{name} ({known.about})" for name, known in PRESETS.items())
         raise InputError(f"--preset {preset!r} is not known; there are: {known}.")
     try:
         with file.open("w" if force else "x", encoding="utf-8") as out:
-            out.write(config_text(preset))
+            out.write(config_text(preset, fleet))
     except FileExistsError as error:
         raise InputError(f"{file} is there already; give another name, or --force to write over it.") from error
     except OSError as error:
@@ -61,24 +72,55 @@ def init(
     console.print(f"wrote {file}; then: sidelong check {file}; sidelong launch {file}", soft_wrap=True)
 
 
-def config_text(preset: str | None = None) -> str:
-    """Return the file's text, with the values of a preset where one is named."""
+def config_text(preset: str | None = None, fleet: int | None = None) -> str:
+    """Return the file's text, with the values of a preset where one is named; fleet: of so many aircraft."""
     chosen = PRESETS[preset] if preset is not None else None
-    return "\n".join(_lines(preset, chosen)) + "\n"
+    return "\n".join(_lines(preset, chosen, fleet)) + "\n"
 
 
-def _lines(name: str | None, preset: Preset | None) -> Iterator[str]:
+def _lines(name: str | None, preset: Preset | None, fleet: int | None) -> Iterator[str]:
     yield "# Configuration of sidelong. Every key may be left out; it then has the default told beside it."
     if preset is not None:
         yield from _comment(f"Preset {name}: {preset.about}. Figures from {preset.source}.")
     values = preset.values() if preset is not None else {}
     for section, about in Config.model_fields.items():
         kind: Any = about.annotation
+        if section == "aircraft" and fleet is not None:
+            yield from _fleet_lines(values.get(section, {}), fleet)
+            continue
         yield ""
         yield from _comment(kind.__doc__ or "")
         yield f"[{section}]"
         for key, field in kind.model_fields.items():
             yield from _entry(f"{section}.{key}", key, field, values.get(section, {}).get(key))
+
+
+def _fleet_lines(values: dict[str, float], count: int) -> Iterator[str]:
+    """Write the aircraft: every key explained with the first, the others with what tells them apart."""
+    lowest_m = AircraftSection.model_fields["height_m"].default
+    for number in range(count):
+        own = values | {"height_m": lowest_m + number * LAYER_M}
+        yield ""
+        if number == 0:
+            yield from _comment(f"{FleetAircraftSection.__doc__} One [[aircraft]] for each.")
+        yield "[[aircraft]]"
+        yield f'name = "aircraft-{number + 1}"'
+        for key, field in AircraftSection.model_fields.items():
+            if number == 0:
+                yield from _entry(f"aircraft.{key}", key, field, own.get(key))
+            elif key in own:
+                yield f"{key} = {_toml(own[key])}"
+        for key in ("url", "urls", "system_id", "autopilot"):
+            if number == 0:
+                yield from _comment(FleetAircraftSection.model_fields[key].description or "")
+            example = f'"udpin://0.0.0.0:{14540 + number}"' if key == "url" else _FLEET_EXAMPLES.get(key, number + 1)
+            yield f"# {key} = {example}"
+    yield ""
+    yield from _comment(f"{TargetSection.__doc__} One [[target]].")
+    yield "[[target]]"
+    for key, field in TargetSection.model_fields.items():
+        yield from _comment(field.description or "")
+        yield f"{key} = {_toml(field.default)}" if field.default is not None else f"# {key} = {_FLEET_EXAMPLES[key]}"
 
 
 def _entry(path: str, key: str, field: FieldInfo, chosen: float | None) -> Iterator[str]:

@@ -108,7 +108,6 @@ class FleetFlight:
             _Aircraft(member, folder.make(member.name), self._displays[member.name]) for member in fleet.members
         ]
         self._over = asyncio.Event()
-        self._left_out: dict[str, str] = {}
 
     @property
     def begun(self) -> bool:
@@ -164,55 +163,56 @@ class FleetFlight:
     async def _connect(
         self, stack: contextlib.AsyncExitStack, urls: Sequence[tuple[str, ...]], simulated: bool, life: Life
     ) -> None:
-        found, failures = [], []
-        for one, own_urls in zip(self._aircraft, urls, strict=True):
-            link = one.config.link
-            one.display.note(f"connecting to {' and '.join(own_urls)}")
-            try:
-                one.session = await stack.enter_async_context(
-                    connected(
-                        own_urls,
-                        link.heartbeat_timeout_s,
-                        one.recording.frame,
-                        link.signing_key_file,
-                        one.trouble,
-                        system_id=None if simulated else link.system_id,
-                        settling_s=0.0 if simulated else SETTLING_S,
-                    )
-                )
-            except InputError as error:
-                failures.append((one, error))
-                continue
-            one.display.note(f"connected to {one.session.autopilot.name}, system {one.session.vehicle.system_id}")
+        done = await asyncio.gather(
+            *(self._join(stack, one, own, simulated) for one, own in zip(self._aircraft, urls, strict=True)),
+            return_exceptions=True,
+        )
+        self._go_on_with(done)
+        for one in self._aircraft:
             life.watch(one.session.vehicle)
-            one.flight = Flight(
-                one.session, one.config, one.controller, one.recording, one.display, self._duration_s, self._sharing
+
+    async def _join(
+        self, stack: contextlib.AsyncExitStack, one: _Aircraft, urls: tuple[str, ...], simulated: bool
+    ) -> None:
+        link = one.config.link
+        one.display.note(f"connecting to {' and '.join(urls)}")
+        one.session = await stack.enter_async_context(
+            connected(
+                urls,
+                link.heartbeat_timeout_s,
+                one.recording.frame,
+                link.signing_key_file,
+                one.trouble,
+                system_id=None if simulated else link.system_id,
+                settling_s=0.0 if simulated else SETTLING_S,
             )
-            found.append(one)
-        self._go_on_with(found, failures)
+        )
+        one.display.note(f"connected to {one.session.autopilot.name}, system {one.session.vehicle.system_id}")
+        one.flight = Flight(
+            one.session, one.config, one.controller, one.recording, one.display, self._duration_s, self._sharing
+        )
 
     async def _prepare(self) -> None:
         """Check all, and let all fly in one plane."""
         done = await asyncio.gather(*(one.flight.prepare() for one in self._aircraft), return_exceptions=True)
-        ready, failures = [], []
-        for one, result in zip(self._aircraft, done, strict=True):
-            if isinstance(result, InputError):
-                failures.append((one, result))
-            elif isinstance(result, BaseException):
-                raise result
-            else:
-                ready.append(one)
-        self._go_on_with(ready, failures)
+        self._go_on_with(done)
         for one in self._aircraft[1:]:
             one.flight.share_plane(self._aircraft[0].flight.plane)
 
-    def _go_on_with(self, ready: list[_Aircraft], failures: list[tuple[_Aircraft, InputError]]) -> None:
-        """Leave out what is not ready where others fly already: they have nobody else. Raises InputError."""
-        for one, error in failures:
-            if not any(is_flying(other.session.vehicle) for other in ready):
-                raise InputError(f"aircraft {one.name!r}: {error}") from error
-            one.display.note(f"left out: {error}")
-            self._left_out[one.name] = str(error)
+    def _go_on_with(self, done: Sequence[BaseException | None]) -> None:
+        """Go on with those that are ready. done: for each aircraft what went wrong.
+
+        Where others fly already, what is not ready is left out: they have nobody else. Raises what went wrong else.
+        """
+        pairs = list(zip(self._aircraft, done, strict=True))
+        ready = [one for one, error in pairs if error is None]
+        for one, error in pairs:
+            if isinstance(error, InputError):
+                if not any(is_flying(other.session.vehicle) for other in ready):
+                    raise InputError(f"aircraft {one.name!r}: {error}") from error
+                one.display.note(f"left out: {error}")
+            elif error is not None:
+                raise error
         self._aircraft = ready
 
     @contextlib.contextmanager

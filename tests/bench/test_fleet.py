@@ -1,0 +1,188 @@
+"""Twenty minutes of an ArduPlane and a PX4 on one target, judged by the truth of both.
+
+``python -m pytest tests/bench/test_fleet.py -s``; SPEED=4 (times the clock) and SEED=1 may be set.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.analysis.score import judge
+from app.analysis.truth import read_truth
+from app.config import load_config
+from app.flight.simulated import free_udp_port
+from estimators.frames import LocalPlane
+
+SPEED, SEED = float(os.environ.get("SPEED", "4")), int(os.environ.get("SEED", "1"))
+DURATION_S = float(os.environ.get("DURATION", "1200"))
+REQUIREMENT = load_config(None).requirement.requirement()
+_STEP_S = 0.5
+_LEAST_M = 50.0
+
+FLEET = """
+[[aircraft]]
+name = "plane"
+url = "udpin://127.0.0.1:{}"
+[[aircraft]]
+name = "wing"
+url = "udpin://127.0.0.1:{}"
+"""
+
+
+class World:
+    """The simulation with both vehicles, and a fleet file that leads to them. lose: as ``sidelong sitl`` takes it."""
+
+    def __init__(self, folder: Path, *lose: str) -> None:
+        ports = [free_udp_port(), free_udp_port()]
+        self.folder, self.truths = folder, [folder / "plane.csv", folder / "wing.csv"]
+        self.fleet_file = folder / "fleet.toml"
+        self.fleet_file.write_text(FLEET.format(*ports), encoding="utf-8")
+        self._process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "sitl", "--autopilot", "arduplane,px4", "--speed", f"{SPEED:g}"),
+                *("--to", f"1@127.0.0.1:{ports[0]}", "--to", f"2@127.0.0.1:{ports[1]}", "--seed", str(SEED)),
+                *(part for truth in self.truths for part in ("--truth", str(truth))),
+                *(part for one in lose for part in ("--lose", one)),
+                "--while-input",
+            ],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline().startswith(b"ready")
+
+    def end(self) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait(10.0)
+
+    @property
+    def time_s(self) -> float:
+        """The latest time of the truth."""
+        with self.truths[0].open("rb") as file:
+            file.seek(-2000, os.SEEK_END)
+            return float(file.read().split(b"\n")[-2].split(b",")[0])
+
+    def wait_until(self, time_s: float) -> None:
+        while self.time_s < time_s:
+            time.sleep(0.2)
+
+
+class Launched:
+    """One run of the program."""
+
+    def __init__(self, world: World, duration_s: float) -> None:
+        self.log = world.folder / f"launch-{time.monotonic_ns()}.log"
+        self.begin_s = world.time_s if world.truths[0].stat().st_size > 4000 else 0.0
+        command = [Path(sys.executable).parent / "sidelong", "launch", world.fleet_file]
+        command += ["--duration", f"{duration_s:g}", "--out", world.folder / "runs"]
+        self.process = subprocess.Popen(
+            [*map(str, command), "--json", str(world.folder / "summary.json")],
+            stdout=self.log.open("w"),
+            stderr=subprocess.STDOUT,
+        )
+
+    def wait_for(self, pattern: str, count: int, wall_s: float = 300.0) -> None:
+        deadline_s = time.monotonic() + wall_s
+        while len(re.findall(pattern, self.log.read_text())) < count:
+            assert self.process.poll() is None, self.log.read_text()
+            assert time.monotonic() < deadline_s, self.log.read_text()
+            time.sleep(0.1)
+
+
+@pytest.fixture
+def world(tmp_path, request):
+    with contextlib.ExitStack() as stack:
+
+        def make(*lose: str) -> World:
+            made = World(tmp_path, *lose)
+            stack.callback(made.end)
+            return made
+
+        yield make
+
+
+def judged(world: World, begin_s: float, end_s: float) -> tuple[float, float, float]:
+    """Return the share of time on the wanted side by at least one, the longest time without, and the separation."""
+    plane, times_s, on_side, places = None, np.arange(begin_s, end_s, _STEP_S), [], []
+    for path in world.truths:
+        truth = read_truth(path)
+        plane = plane or LocalPlane(truth.positions_deg[2, 0], truth.positions_deg[3, 0])
+        flags = np.zeros(len(times_s), bool)
+        for one in judge(truth.moments(plane, begin_s, end_s, _STEP_S), [(-math.inf, REQUIREMENT)]):
+            flags[min(round((one.time_s - begin_s) / _STEP_S), len(flags) - 1)] = one.on_side
+        on_side.append(flags)
+        rows = np.genfromtxt(path, delimiter=",", names=True, usecols=("time_boot_s", "uav_relative_alt_m"))
+        at_s = np.arange(begin_s, end_s, 0.1)
+        flat = np.array([plane.east_north_m(*deg) for deg in truth.positions_deg[2:].T])
+        place = [np.interp(at_s, truth.time_s, column) for column in flat.T]
+        place.append(np.interp(at_s, rows["time_boot_s"], rows["uav_relative_alt_m"]))
+        known = at_s <= truth.time_s[-1]
+        places.append(np.where(known[:, None], np.column_stack(place), np.nan))
+    any_side = np.logical_or(*on_side)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], ~any_side, [0])).astype(int)))
+    longest_s = float((edges[1::2] - edges[::2]).max() * _STEP_S) if edges.size else 0.0
+    return float(any_side.mean()), longest_s, float(np.nanmin(np.linalg.norm(places[0] - places[1], axis=1)))
+
+
+def told(world: World, name: str, begin_s: float, end_s: float) -> tuple[float, float]:
+    share, longest_s, separation_m = judged(world, begin_s, end_s)
+    print(
+        f"\n{name}, {end_s - begin_s:.0f} s at {SPEED:g} x, seed {SEED}: wanted side by at least one "
+        f"{100.0 * share:.2f} %, longest without {longest_s:.1f} s, separation {separation_m:.0f} m"
+    )
+    return share, separation_m
+
+
+@pytest.mark.timeout(3600)
+def test_the_program_is_killed_half_way_and_takes_both_over_again(world):
+    flown = world()
+    first = Launched(flown, 2.0 * DURATION_S)
+    first.wait_for("circling: the target is watched", 2)
+    begin_s = flown.time_s + 60.0  # each has got to its side
+    flown.wait_until(begin_s + 0.5 * DURATION_S)
+    first.process.kill()
+    first.process.wait()
+    killed_s = flown.time_s
+    second = Launched(flown, 0.5 * DURATION_S)
+    second.wait_for("circling: the target is watched", 2)
+    print(f"\nboth taken over again {flown.time_s - killed_s:.1f} s of the vehicles' time after the kill")
+    assert second.process.wait() == 0, second.log.read_text()
+    share, separation_m = told(flown, "killed half-way", begin_s, begin_s + DURATION_S)
+    assert separation_m >= _LEAST_M
+    assert share >= 0.9, "the goal is 0.99"
+    summary = json.loads((flown.folder / "summary.json").read_text())
+    assert [one["name"] for one in summary["aircraft"]] == ["plane", "wing"]
+    for run in sorted((flown.folder / "runs").iterdir()):
+        verify = [str(Path(sys.executable).parent / "sidelong"), "replay", str(run), "--verify", "--quiet"]
+        done = subprocess.run(verify, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.timeout(3600)
+def test_one_aircraft_is_lost_half_way_and_the_other_closes_the_gap(world):
+    lost_s = 250.0 + 0.5 * DURATION_S
+    flown = world(f"2@{lost_s:g}")
+    only = Launched(flown, DURATION_S)
+    only.wait_for("circling: the target is watched", 2)
+    begin_s = flown.time_s + 60.0
+    only.wait_for("wing: is out", 1, wall_s=2.0 * lost_s / SPEED)
+    print(f"\ntold as out {flown.time_s - lost_s:.1f} s of the vehicles' time after it was lost")
+    flown.wait_until(lost_s + 60.0)
+    assert only.process.wait() == 0, only.log.read_text()
+    _, separation_m = told(flown, "before one was lost", begin_s, lost_s)
+    told(flown, "after it", lost_s, flown.time_s - 5.0)
+    share, longest_s, _ = judged(flown, lost_s + 60.0, flown.time_s - 5.0)
+    print(f"from 60 s after it: {100.0 * share:.2f} % by the one that is left, longest without {longest_s:.1f} s")
+    assert separation_m >= _LEAST_M
