@@ -24,6 +24,7 @@ from mission.fleet.events import (
     FleetAnnounce,
     FleetCommand,
     FleetEvent,
+    ForeignAircraftReported,
     LaunchRequested,
     PlansReported,
     Tell,
@@ -144,6 +145,10 @@ class Coordination:
             return
         participant.battery_percent = percent
         self._put(BatteryReported(participant.name, participant.now_s(), percent / 100.0))
+
+    def foreign(self, report: ForeignAircraftReported) -> None:
+        """Take an aircraft that is not ours."""
+        self._put(report)
 
     def lost(self, name: str, reason: str) -> None:
         """Take an aircraft out whose flight has ended."""

@@ -29,11 +29,18 @@ from app.fleet_file import FleetFile, Member
 from app.flight.coordination import Coordination, Participant
 from app.flight.display import FlightDisplay
 from app.flight.flight import Flight, Session, Sharing, connected
+from app.flight.foreign import ForeignAircraft
 from app.flight.life import Life, describe_aircraft
 from app.flight.link_log import link_log
 from app.flight.recording import Recording, beginning
 from app.flight.simulated import SimulatedVehicles
 from app.link.discovery import SETTLING_S
+from app.link.frames import Frame
+from app.link.mavsdk_link import OWN_SYSTEM_ID
+from app.link.message import Message
+from app.link.raw_links import opened_url
+from app.link.shared import sharing_opener
+from app.link.transport import Transport
 from app.records.journal import Header, JournalWriter
 from app.records.run_folder import FleetFolder, RunFolder
 from mission.control.controller import Phase, StandoffController
@@ -64,6 +71,12 @@ class _Aircraft:
         self.controller: StandoffController
         self.session: Session
         self.flight: Flight
+
+    def own_frame(self, data: bytes) -> None:
+        """Take a frame of a link that is shared, from any thread: the others' are theirs to record."""
+        frame = Frame(data)
+        if frame.source[0] in (self.config.link.system_id, OWN_SYSTEM_ID):
+            self.recording.frame(data)
 
     def trouble(self, text: str) -> None:
         """Tell of trouble, from any thread."""
@@ -163,8 +176,12 @@ class FleetFlight:
     async def _connect(
         self, stack: contextlib.AsyncExitStack, urls: Sequence[tuple[str, ...]], simulated: bool, life: Life
     ) -> None:
+        opener = sharing_opener(urls, opened_url)
         done = await asyncio.gather(
-            *(self._join(stack, one, own, simulated) for one, own in zip(self._aircraft, urls, strict=True)),
+            *(
+                self._join(stack, one, own, opener if _is_shared(own, urls) else None, simulated)
+                for one, own in zip(self._aircraft, urls, strict=True)
+            ),
             return_exceptions=True,
         )
         self._go_on_with(done)
@@ -172,19 +189,26 @@ class FleetFlight:
             life.watch(one.session.vehicle)
 
     async def _join(
-        self, stack: contextlib.AsyncExitStack, one: _Aircraft, urls: tuple[str, ...], simulated: bool
+        self,
+        stack: contextlib.AsyncExitStack,
+        one: _Aircraft,
+        urls: tuple[str, ...],
+        opener: Callable[[str], Transport] | None,
+        simulated: bool,
     ) -> None:
+        """Connect to one aircraft. opener: of a link that it shares."""
         link = one.config.link
         one.display.note(f"connecting to {' and '.join(urls)}")
         one.session = await stack.enter_async_context(
             connected(
                 urls,
                 link.heartbeat_timeout_s,
-                one.recording.frame,
+                one.recording.frame if opener is None else one.own_frame,
                 link.signing_key_file,
                 one.trouble,
                 system_id=None if simulated else link.system_id,
                 settling_s=0.0 if simulated else SETTLING_S,
+                open_transport=opener,
             )
         )
         one.display.note(f"connected to {one.session.autopilot.name}, system {one.session.vehicle.system_id}")
@@ -233,7 +257,16 @@ class FleetFlight:
     # -- in flight -----------------------------------------------------------------------------------------
 
     async def _watch(self, stack: contextlib.AsyncExitStack, coordination: Coordination, life: Life) -> None:
-        home_m = self._aircraft[0].flight.home.altitude_m
+        first = self._aircraft[0].flight
+        home_m = first.home.altitude_m
+        own_ids = {one.session.vehicle.system_id for one in self._aircraft}
+        foreign = ForeignAircraft(first.plane, home_m, own_ids, lambda: coordination.now_s)
+
+        def bystander(message: Message) -> None:
+            report = foreign.report(message)
+            if report is not None:
+                coordination.foreign(report)
+
         for one in self._aircraft:
             telemetry, vehicle = one.session.telemetry, one.session.vehicle
             await stack.enter_async_context(
@@ -243,6 +276,7 @@ class FleetFlight:
             coordination.add(
                 Participant(one.name, one.controller, one.flight.tell, lambda own=telemetry: own.now_s, above_m)  # type: ignore[misc]
             )
+            vehicle.bystanders.append(bystander)
             vehicle.listeners.append(lambda message, name=one.name: coordination.message(name, message))  # type: ignore[misc]
         time = asyncio.create_task(coordination.keep_time())
         flights: list[asyncio.Task[None]] = []
@@ -333,3 +367,7 @@ class FleetFlight:
         if not life.was_armed and all(isinstance(error, InputError) for error in errors.values()):
             return InputError(told)
         return FlightError(f"{told} Now {described}.")
+
+
+def _is_shared(own: Sequence[str], links: Sequence[Sequence[str]]) -> bool:
+    return any(sum(url in urls for urls in links) > 1 for url in own)

@@ -32,6 +32,7 @@ from app.link.discovery import SETTLING_S
 from app.link.mavsdk_link import FrameListener, MavsdkLink
 from app.link.senders import SenderCheck
 from app.link.telemetry import Telemetry
+from app.link.transport import Transport
 from app.link.vehicle import Vehicle
 from app.link.vehicle_status import VehicleStatus, vehicle_status
 from app.shutdown import ends_within
@@ -86,11 +87,12 @@ async def connected(
     note: Callable[[str], object] = lambda _text: None,
     system_id: int | None = None,
     settling_s: float = SETTLING_S,
+    open_transport: Callable[[str], Transport] | None = None,
 ) -> AsyncIterator[Session]:
     """Connect to the vehicle at ``urls``, several links to one. note hears of trouble with them, from any thread.
 
-    system_id names the vehicle where there are several; settling_s is how long to listen for others. Raises
-    InputError when there is none, or none that this can fly, or several and none is named.
+    system_id names the vehicle where there are several; settling_s is how long to listen for others; open_transport
+    opens URLs that others use as well. Raises InputError when there is none, or none that this can fly, or several and none is named.
     """
     senders = SenderCheck()
 
@@ -101,7 +103,14 @@ async def connected(
             on_frame(data)
 
     link = await MavsdkLink.open(
-        urls, timeout_s, frame, key_file=key_file, on_trouble=note, system_id=system_id, settling_s=settling_s
+        urls,
+        timeout_s,
+        frame,
+        key_file=key_file,
+        on_trouble=note,
+        system_id=system_id,
+        settling_s=settling_s,
+        open_transport=open_transport,
     )
     senders.system_id = link.system_id
     vehicle = Vehicle(link)

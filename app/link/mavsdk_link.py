@@ -34,10 +34,14 @@ from app.link.meter import LinkMeter
 from app.link.plain_text import plain_fields
 from app.link.quality import LinkReport
 from app.link.raw_links import RawLinks, opened_links
+from app.link.transport import Transport
 from app.link.url import checked_url
 
 _ASK_DELAY_S = 1.0
 _PENDING_AT_CLOSE_S, _DESTROY_S = 8.0, 5.0
+
+OWN_SYSTEM_ID = 245
+"""MAVLink system id that this program speaks as."""
 
 FrameListener = Callable[[bytes], None]
 
@@ -71,16 +75,17 @@ class MavsdkLink:
         urls: Sequence[str],
         timeout_s: float,
         on_frame: FrameListener | None = None,
-        own_system_id: int = 245,
+        own_system_id: int = OWN_SYSTEM_ID,
         own_component_id: int = 190,
         key_file: Path | None = None,
         on_trouble: Callable[[str], object] = lambda _text: None,
         system_id: int | None = None,
         settling_s: float = SETTLING_S,
+        open_transport: Callable[[str], Transport] | None = None,
     ) -> MavsdkLink:
         """Connect and wait for the heartbeat of an autopilot: of ``system_id``, or of the only one there.
 
-        on_frame gets every raw frame, received and sent, from several threads. With key_file every link is signed.
+        open_transport: of a URL that others use as well. on_frame gets every raw frame, received and sent, from several threads. With key_file every link is signed.
         on_trouble hears of refused frames and changes of link, from several threads as well. Raises InputError for a
         bad URL, a busy port, an unusable key, when no heartbeat comes within ``timeout_s``, and when several vehicles
         are heard (for ``settling_s`` after the first) and none is named.
@@ -91,10 +96,10 @@ class MavsdkLink:
         ours = contextlib.ExitStack()  # transports of our own
         try:
             raw, meter = None, LinkMeter(urls[0], own)
-            if key_file is None and len(urls) == 1:
+            if key_file is None and len(urls) == 1 and open_transport is None:
                 await _connect(instance, urls[0], _both(on_frame, meter.frame))
             else:
-                raw = ours.enter_context(opened_links(urls, own, key_file, on_frame, on_trouble))
+                raw = ours.enter_context(opened_links(urls, own, key_file, on_frame, on_trouble, open_transport))
                 # The asyncio wrapper does not offer the subscription, the object beneath it does.
                 instance._mavsdk.subscribe_raw_bytes_to_be_sent(raw.send)
                 await instance.add_any_connection("raw://", ForwardingOption.OFF)

@@ -254,6 +254,11 @@ def _radio_of(frame: Frame) -> tuple[int, int]:
     return payload[4], payload[5]
 
 
+def opened_url(url: str) -> Transport:
+    """Return the transport of a URL. Raises InputError for a bad URL or a port in use, OSError beyond that."""
+    return opened(checked_url(url))
+
+
 @contextlib.contextmanager
 def opened_links(
     urls: Sequence[str],
@@ -261,8 +266,9 @@ def opened_links(
     key_file: Path | None,
     on_frame: FrameListener | None = None,
     on_trouble: Callable[[str], object] = lambda _text: None,
+    open_transport: Callable[[str], Transport] | None = None,
 ) -> Iterator[RawLinks]:
-    """Open a transport for each URL; with a key file all are signed.
+    """Open a transport for each URL; with a key file all are signed. open_transport: other than by ``opened_url``.
 
     Raises InputError for a bad URL, a port or device that cannot be opened, and a key file that cannot be used.
     """
@@ -274,7 +280,7 @@ def opened_links(
         transports: list[tuple[str, Transport]] = []
         for url in urls:
             try:
-                transport = opened(checked_url(url))
+                transport = (open_transport or opened_url)(url)
             except OSError as error:
                 reason = error.strerror or error
                 raise InputError(f"{url!r} could not be opened ({reason}); check the address or device.") from error

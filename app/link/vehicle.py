@@ -46,6 +46,7 @@ class Vehicle:
         self.system_id = link.system_id
         self.latest: dict[str, Message] = {}
         self.listeners: list[Listener] = []
+        self.bystanders: list[Listener] = []  # hear what other systems say, too
         self._waiting: list[tuple[Callable[[Message], bool], asyncio.Future[Message]]] = []
 
     async def run(self) -> None:
@@ -54,7 +55,9 @@ class Vehicle:
             self.take(message)
 
     def take(self, message: Message) -> None:
-        """Hand a message to whoever waits or listens, if it is of this vehicle."""
+        """Hand a message to whoever waits or listens, if it is of this vehicle; to bystanders in any case."""
+        for bystander in self.bystanders:
+            bystander(message)
         if message.system_id != self.system_id:
             return
         if message.component_id == AUTOPILOT_COMPONENT:

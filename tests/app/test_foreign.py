@@ -1,0 +1,69 @@
+"""Aircraft that are not ours: who counts as one, where and how high it is."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from app.flight.foreign import ForeignAircraft
+from app.link.message import Message
+from estimators.frames import LocalPlane
+
+PLANE = LocalPlane(47.0, 8.0)
+
+
+def adsb(**other):
+    fields = {"ICAO_address": 0xABC, "lat": 470_100_000, "lon": 80_000_000, "altitude": 800_000, "heading": 9000}
+    return Message("ADSB_VEHICLE", 1, 156, fields | {"hor_velocity": 5000, "flags": 15} | other, 0.0)
+
+
+def position(system_id, component_id=1, **other):
+    fields = {"lat": 470_000_000, "lon": 80_100_000, "alt": 600_000, "vx": 0, "vy": 2000}
+    return Message("GLOBAL_POSITION_INT", system_id, component_id, fields | other, 0.0)
+
+
+@pytest.fixture
+def heard():
+    clock = [100.0]
+    return ForeignAircraft(PLANE, 500.0, {1, 2}, lambda: clock[0]), clock
+
+
+def test_an_aircraft_by_adsb_is_placed_above_our_home(heard):
+    told = heard[0].report(adsb())
+    assert told.identity == "ADS-B 000ABC"
+    assert (told.east_m, told.north_m) == pytest.approx((0.0, 1111.7), abs=2.0)
+    assert told.height_m == 300.0
+    assert (told.course_rad, told.speed_m_s) == pytest.approx((math.pi / 2, 50.0))
+
+
+def test_another_system_is_foreign_and_one_of_the_fleet_is_not(heard):
+    told = heard[0].report(position(7))
+    assert told.identity == "system 7"
+    assert (told.height_m, told.speed_m_s) == (100.0, 20.0)
+    assert told.course_rad == pytest.approx(math.pi / 2)
+    assert heard[0].report(position(2)) is None
+    assert heard[0].report(position(8, component_id=154)) is None
+
+
+def test_each_is_told_once_a_second(heard):
+    foreign, clock = heard
+    assert foreign.report(adsb()) is not None
+    assert foreign.report(adsb()) is None
+    assert foreign.report(adsb(ICAO_address=1)) is not None
+    clock[0] += 1.0
+    assert foreign.report(adsb()) is not None
+
+
+@pytest.mark.parametrize(
+    "message",
+    [adsb(flags=13), adsb(flags=14), adsb(lat=0, lon=0), adsb(lat=500_000_000), position(7, lat=0, lon=0)],
+    ids=["no altitude", "no place", "null island", "far away", "no fix"],
+)
+def test_what_tells_no_place_near_us_is_passed_over(heard, message):
+    assert heard[0].report(message) is None
+
+
+def test_an_unknown_course_is_an_aircraft_that_stands(heard):
+    assert heard[0].report(adsb(flags=3)).speed_m_s == 0.0
+    assert heard[0].report(adsb(ICAO_address=5, heading=65535)).speed_m_s == 0.0
