@@ -92,7 +92,8 @@ async def connected(
     """Connect to the vehicle at ``urls``, several links to one. note hears of trouble with them, from any thread.
 
     system_id names the vehicle where there are several; settling_s is how long to listen for others; open_transport
-    opens URLs that others use as well. Raises InputError when there is none, or none that this can fly, or several and none is named.
+    opens URLs that others use as well. Raises InputError when there is none, or none that this can fly, or several
+    and none is named.
     """
     senders = SenderCheck()
 

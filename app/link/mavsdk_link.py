@@ -85,10 +85,11 @@ class MavsdkLink:
     ) -> MavsdkLink:
         """Connect and wait for the heartbeat of an autopilot: of ``system_id``, or of the only one there.
 
-        open_transport: of a URL that others use as well. on_frame gets every raw frame, received and sent, from several threads. With key_file every link is signed.
-        on_trouble hears of refused frames and changes of link, from several threads as well. Raises InputError for a
-        bad URL, a busy port, an unusable key, when no heartbeat comes within ``timeout_s``, and when several vehicles
-        are heard (for ``settling_s`` after the first) and none is named.
+        open_transport: of a URL that others use as well. on_frame gets every raw frame, received and sent, from
+        several threads. With key_file every link is signed. on_trouble hears of refused frames and changes of link,
+        from several threads as well. Raises InputError for a bad URL, a busy port, an unusable key, when no heartbeat
+        comes within ``timeout_s``, and when several vehicles are heard (for ``settling_s`` after the first) and none
+        is named.
         """
         own = (own_system_id, own_component_id)
         mavsdk_log.silence()

@@ -47,7 +47,8 @@ class SharedTransport:
     def _received(self, data: bytes, peer: Peer) -> bool:
         with self._lock:
             receivers = list(self._receivers.values())
-        return any([receive(data, peer) for receive in receivers])  # each of them has to hear it
+        shown = [receive(data, peer) for receive in receivers]  # each of them has to hear it
+        return any(shown)
 
 
 class _User:
