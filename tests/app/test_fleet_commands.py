@@ -1,0 +1,82 @@
+"""The commands around a flight, given a fleet file."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+
+import pytest
+
+from app.cli import load_command
+from app.commands.init import config_text
+from app.errors import InputError
+from app.fleet_file import LAYER_M, FleetFile, load_fleet
+
+TWO = '[[aircraft]]\nname = "north"\n[[aircraft]]\nname = "south"\n'
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Return what runs a command beside ``fleet.toml`` and returns what it prints; what it raises comes through."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fleet.toml").write_text(TWO, encoding="utf-8")
+
+    def invoked(name, *arguments):
+        load_command(name).main([str(one) for one in arguments], standalone_mode=False)
+        return capsys.readouterr().out
+
+    return invoked
+
+
+@pytest.mark.parametrize("preset", [None, "skywalker-x8"])
+def test_init_writes_a_fleet_file_that_explains_every_key(run, tmp_path, preset):
+    run("init", "new.toml", "--fleet", 3, *(("--preset", preset) if preset else ()))
+    fleet = load_fleet(tmp_path / "new.toml")
+    heights_m = [member.config.aircraft.height_m for member in fleet.members]
+    assert heights_m == [100.0, 100.0 + LAYER_M, 100.0 + 2.0 * LAYER_M]
+    assert len({member.config.aircraft.airspeed_m_s for member in fleet.members}) == 1
+    uncommented = "\n".join(line.removeprefix("# ") for line in config_text(preset, 3).splitlines())
+    for key in ("url", "urls", "system_id", "autopilot", "motion", "side"):
+        assert f"\n{key} = " in uncommented
+
+
+def test_init_without_a_fleet_is_as_it_was():
+    assert "aircraft" in tomllib.loads(config_text())
+    assert isinstance(tomllib.loads(config_text())["aircraft"], dict)
+    FleetFile.model_validate(tomllib.loads(config_text(None, 2)))
+
+
+def test_check_looks_at_every_aircraft(run, tmp_path):
+    said = run("check", "fleet.toml", "--json", "found.json")
+    assert "north, at 100 m:" in said
+    assert "south, at 160 m:" in said
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert found["feasible"]
+    assert [one["name"] for one in found["aircraft"]] == ["north", "south"]
+
+
+def test_check_names_the_aircraft_that_cannot(run, tmp_path):
+    (tmp_path / "fleet.toml").write_text(TWO + "airspeed_m_s = 30\nradius_m = 120\nroll_rate_max_deg_s = 60\n")
+    with pytest.raises(InputError, match=r"^infeasible: south: ") as refused:
+        run("check", "fleet.toml")
+    assert "north: " not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("connect", "--config", "fleet.toml"), "no vehicle is named"),
+        (("connect", "udpin://127.0.0.1:1", "--config", "fleet.toml"), "leave out the URL"),
+        (("connect",), "no vehicle is named"),
+        (("launch", "fleet.toml", "--system-id", 1), "--system-id names one vehicle"),
+        (("launch", "fleet.toml", "--fleet", 3), "leave out --fleet 3"),
+        (("launch", "fleet.toml", "--connect", "udpin://127.0.0.1:1"), "give its system_id"),
+        (("launch", "--fleet", 2, "--side", "either"), "share the sides"),
+        (("launch", "--fleet", 2, "--autopilot", "px4,betaflight"), "aircraft.1.autopilot"),
+    ],
+    ids=lambda part: " ".join(map(str, part)) if isinstance(part, tuple) else "",
+)
+def test_what_does_not_go_with_a_fleet_is_refused_before_anything_is_begun(run, tmp_path, arguments, said):
+    with pytest.raises(InputError, match=said):
+        run(*arguments)
+    assert not (tmp_path / "runs").exists()
