@@ -9,6 +9,7 @@ import sys
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -47,7 +48,7 @@ from app.records.mcap_writer import mcap_writer_class
 from app.records.run_folder import RunFolder
 from app.shutdown import run
 from app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
-from app.view.display import ViewDisplay
+from app.view.display import ViewDisplay, served
 from app.view.panel import PanelDisplay
 
 _DURATION_S = 1200.0
@@ -172,12 +173,13 @@ def launch(
     sharing = Sharing(cot, point_gimbal)
     if mcap:
         mcap_writer_class()
+    address = page_address(view, view_host, view_port, view_cert, view_key, map_file, map_bounds)
     if fleet is not None or names_a_fleet(config):
         several = load_fleet(config, overrides, fleet)
         if len(several.aircraft) > 1:
-            _check_fleet(several, sharing, view, system_id)
+            _check_fleet(several, sharing, system_id)
             with shielded_output():
-                flown = fly_fleet(several, duration, out, quiet, sharing)
+                flown = fly_fleet(several, duration, out, quiet, sharing, address)
                 _tell(flown, json)
                 if flown.reason is not None:
                     raise flown.reason
@@ -189,7 +191,6 @@ def launch(
         settings = load_config(config, overrides)
     check_flyable(settings)
     _check_pointing(settings, sharing)
-    address = page_address(view, view_host, view_port, view_cert, view_key, map_file, map_bounds)
     with shielded_output():
         ended = _flown(settings, duration, out, quiet, address, sharing)
         _tell(ended, json)
@@ -206,11 +207,9 @@ def _check_pointing(settings: Config, sharing: Sharing) -> None:
         )
 
 
-def _check_fleet(fleet: FleetFile, sharing: Sharing, view: bool, system_id: int | None) -> None:
+def _check_fleet(fleet: FleetFile, sharing: Sharing, system_id: int | None) -> None:
     for member in fleet.members:
         _check_pointing(member.config, sharing)
-    if view:
-        raise InputError("--view: the live map shows one aircraft; leave it out for a fleet.")
     if system_id is not None:
         raise InputError("--system-id names one vehicle; give each aircraft of the fleet file its system_id.")
 
@@ -303,17 +302,8 @@ async def _displayed(config: Config, quiet: bool, address: Address | None) -> As
         if address is None:
             yield panel
             return
-        with ViewDisplay(panel, config, address) as view:
-            console.print(f"live map: {view.url}", soft_wrap=True)
-            if view.viewer_url != view.url:
-                console.print(f"to watch only: {view.viewer_url}", soft_wrap=True)
-                if address.cert is None:
-                    console.print("the map goes over the network unencrypted: --view-cert and --view-key encrypt it")
-            fresh = asyncio.create_task(view.keep_fresh())
-            try:
-                yield view
-            finally:
-                fresh.cancel()
+        async with served(ViewDisplay(panel, config, address), partial(console.print, soft_wrap=True)) as view:
+            yield view
 
 
 async def _fly(

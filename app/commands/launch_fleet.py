@@ -3,35 +3,46 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import shutil
+from collections.abc import AsyncIterator, Callable
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from app.commands.output import console, table_progress
 from app.errors import FlightError, Interrupted
 from app.fleet_file import FleetFile
+from app.flight.display import FlightDisplay
 from app.flight.fleet_flight import FleetEnded, FleetFlight
 from app.flight.flight import Sharing
 from app.flight.life import Life
 from app.records.run_folder import FleetFolder
 from app.shutdown import run
+from app.view.address import Address
+from app.view.display import served
 from app.view.fleet_panel import FleetPanel
+from app.view.fleet_view import FleetView
 
 
-def fly_fleet(fleet: FleetFile, duration_s: float, out: Path, quiet: bool, sharing: Sharing) -> FleetEnded:
-    """Fly a fleet to its end. Raises as ``launch`` does."""
+def fly_fleet(
+    fleet: FleetFile, duration_s: float, out: Path, quiet: bool, sharing: Sharing, address: Address | None
+) -> FleetEnded:
+    """Fly a fleet to its end; address: of the live map. Raises as ``launch`` does."""
     try:
-        return run(_fly(fleet, duration_s, out, quiet, sharing))
+        return run(_fly(fleet, duration_s, out, quiet, sharing, address))
     except (asyncio.CancelledError, KeyboardInterrupt) as interrupted:
         raise Interrupted("interrupted: nothing was commanded; no records are kept.") from interrupted
 
 
-async def _fly(fleet: FleetFile, duration_s: float, out: Path, quiet: bool, sharing: Sharing) -> FleetEnded:
+async def _fly(
+    fleet: FleetFile, duration_s: float, out: Path, quiet: bool, sharing: Sharing, address: Address | None
+) -> FleetEnded:
     folder = FleetFolder.create(out, datetime.now(UTC))
     keep, life = False, None
     try:
-        with FleetPanel(console, quiet) as panel:
-            flight = FleetFlight(fleet, folder, panel.of, panel.note, duration_s, sharing)
+        async with _displayed(fleet, quiet, address) as (panel, of):
+            flight = FleetFlight(fleet, folder, of, panel.note, duration_s, sharing)
             life = Life(lambda: flight.begun, panel.note)
             with life.heeding_signals():
                 try:
@@ -47,3 +58,18 @@ async def _fly(fleet: FleetFile, duration_s: float, out: Path, quiet: bool, shar
     finally:
         if not keep:
             shutil.rmtree(folder.path, ignore_errors=True)  # nothing has flown: leave nothing half-written
+
+
+@contextlib.asynccontextmanager
+async def _displayed(
+    fleet: FleetFile, quiet: bool, address: Address | None
+) -> AsyncIterator[tuple[FleetPanel, Callable[[str], FlightDisplay]]]:
+    """Show the flight on the terminal, and in the browser if it has an address there."""
+    with FleetPanel(console, quiet) as panel:
+        if address is None:
+            yield panel, panel.of
+            return
+        members = fleet.members
+        page = FleetView(panel, tuple(one.name for one in members), members[0].config, address)
+        async with served(page, partial(console.print, soft_wrap=True)) as view:
+            yield panel, view.of

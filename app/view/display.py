@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import math
 import secrets
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from types import TracebackType
+from typing import TypeVar
 
 from app.config import Config
 from app.errors import InputError
@@ -32,16 +34,26 @@ _TRAIL_STEP_S = 0.5  # of the vehicle's time
 _UNSENT_MAX = 2000  # trail points and words kept while the page takes none
 
 
+View = TypeVar("View", bound="ViewDisplay")
+
+
 class ViewDisplay:
     """A ``FlightDisplay`` around another. Use as ``with``; ``url`` and ``viewer_url`` are then the page's addresses.
 
     Whatever the page's process does, every call returns at once: the page gets what fits. name: of what is shown, by
-    default the vehicle's.
+    default the vehicle's. others: the rest of a fleet, as ``other_aircraft`` has each.
     """
 
-    def __init__(self, inner: FlightDisplay, config: Config, address: Address, name: str = "") -> None:
+    def __init__(
+        self,
+        inner: FlightDisplay,
+        config: Config,
+        address: Address,
+        name: str = "",
+        others: Callable[[], list[Json]] = list,
+    ) -> None:
         self.url = self.viewer_url = ""
-        self._inner, self._config, self._address = inner, config, address
+        self._inner, self._config, self._address, self._others = inner, config, address, others
         self._name = name or ", ".join(config.link.connections) or f"simulated {config.simulation.autopilot}"
         self._encoder = StateEncoder(config.aircraft.airspeed_m_s, config.aircraft.height_m)
         self._feed: Feed | None = None
@@ -94,6 +106,11 @@ class ViewDisplay:
             self._feed = None
         if self._shading is not None:
             self._shading.close()
+
+    @property
+    def encrypted(self) -> bool:
+        """Whether the page is served by TLS."""
+        return self._address.cert is not None
 
     async def keep_fresh(self) -> None:
         """Go on telling the page how things stand while nothing happens, until cancelled."""
@@ -180,7 +197,7 @@ class ViewDisplay:
             self._vehicle, self._vehicle_at_s = self._status(), time.monotonic()
         if self._snapshot is not None:
             silent_s = time.monotonic() - self._heard_at_s
-            told["state"] = self._encoder.state(self._snapshot, silent_s, self._vehicle)
+            told["state"] = self._encoder.state(self._snapshot, silent_s, self._vehicle) | {"others": self._others()}
         return told
 
     def _pressed(self, press: Json) -> None:
@@ -194,6 +211,22 @@ class ViewDisplay:
             return
         side = Side(press["side"]) if press["side"] is not None else None
         self._request(OperatorRequest(time_s, press["action"], side, who))
+
+
+@contextlib.asynccontextmanager
+async def served(view: View, tell: Callable[[str], object]) -> AsyncIterator[View]:
+    """Serve a page meanwhile; ``tell`` hears where it is."""
+    with view:
+        tell(f"live map: {view.url}")
+        if view.viewer_url != view.url:
+            tell(f"to watch only: {view.viewer_url}")
+            if not view.encrypted:
+                tell("the map goes over the network unencrypted: --view-cert and --view-key encrypt it")
+        fresh = asyncio.create_task(view.keep_fresh())
+        try:
+            yield view
+        finally:
+            fresh.cancel()
 
 
 def _line(values: Json) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from types import TracebackType
 
 from rich.console import Console
@@ -11,6 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from app.flight.display import Wish
 from app.link.plain_text import plain
 from app.link.vehicle_status import VehicleStatus
 from app.view.panel import REFRESH_HZ, STYLES, clock, target_motion, target_range_m
@@ -30,12 +32,18 @@ class AircraftDisplay:
         self._status: Callable[[], VehicleStatus] | None = None
         self._start_s: float | None = None
         self._told_s = -math.inf
+        self._request: Callable[[Wish], None] | None = None
 
     def connected(self, status: Callable[[], VehicleStatus]) -> None:
         self._status = status
 
-    def begin(self, plane: LocalPlane, request: Callable[[OperatorRequest], None]) -> None:
-        pass  # nothing is drawn to scale here, and there are no buttons
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
+        self._request = request
+
+    def ask(self, wish: OperatorRequest) -> None:
+        """Pass a person's wish on to the aircraft, at its own time."""
+        if self._request is not None and self.snapshot is not None and math.isfinite(self.snapshot.time_s):
+            self._request(replace(wish, time_s=self.snapshot.time_s))
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         self._start_s = start_s

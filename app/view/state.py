@@ -64,6 +64,20 @@ def _origin(plane: LocalPlane) -> Json:
     }
 
 
+def other_aircraft(name: str, snapshot: Snapshot) -> Json:
+    """Return another aircraft of a fleet, in the same plane."""
+    aircraft, circle = snapshot.aircraft, snapshot.present.circle if snapshot.present is not None else None
+    return {
+        "name": name,
+        "at_m": None if aircraft is None else _rounded(aircraft.east_m, aircraft.north_m),
+        "course_rad": None if aircraft is None else round(aircraft.course_rad, 4),
+        "height_m": _number(snapshot.sensor_status.height_m, 1),
+        "circle": None if circle is None else [*_rounded(circle.east_m, circle.north_m), round(circle.radius_m, 1)],
+        "phase": snapshot.phase,
+        "side": snapshot.side,
+    }
+
+
 class StateEncoder:
     """Turns snapshots into states; remembers the target's course through its stops, and lines already thinned."""
 

@@ -5,6 +5,7 @@ const PREDICTED_S = 60;
 const GRID_PX = 90;
 const TRAIL_KEPT = 2400;
 const SCALE_PX = 120;
+const AIRCRAFT = "M0 -11 L8 9 L0 4 L-8 9 Z";
 const EQUATOR_M_PER_PX = 156543.034; // of zoom 0, at 256 px a tile
 const TILES_MAX = 80;
 const KEY_PAN = 0.15; // of the map's width
@@ -59,6 +60,7 @@ export class FlightMap {
     this.rings = [0, 1].map(() => svg("circle", { class: "ring" }, this.about));
     this.trailLine = shape("polyline", "trail");
     this.targetLine = shape("polyline", "target-trail");
+    this.otherCircles = svg("g", {}, this.ground);
     this.circle = shape("circle", "circle");
     this.line = shape("polyline", "line");
     this.coming = shape("circle", "coming");
@@ -73,8 +75,9 @@ export class FlightMap {
     root.prepend(this.under, this.grid);
     this.scales = svg("g", {}, root);
     this.symbols = svg("g", {}, root);
+    this.others = svg("g", {}, this.symbols);
     this.target = svg("circle", { class: "target", r: 5 }, this.symbols);
-    this.aircraft = svg("path", { class: "aircraft", d: "M0 -11 L8 9 L0 4 L-8 9 Z" }, this.symbols);
+    this.aircraft = svg("path", { class: "aircraft", d: AIRCRAFT }, this.symbols);
     this.words = svg("text", { class: "label" }, this.symbols);
     this.followButton = followButton;
     followButton.addEventListener("click", () => this.follow());
@@ -229,7 +232,7 @@ export class FlightMap {
     const seen = [];
     const reach = (at, r) => seen.push([at[0] - r, at[1] - r], [at[0] + r, at[1] + r]);
     if (state?.target) reach(state.target.at_m, setting.band_m?.[1] ?? 100);
-    if (state?.aircraft) reach(state.aircraft.at_m, 30);
+    for (const one of [state?.aircraft, ...(state?.others ?? [])]) if (one?.at_m) reach(one.at_m, 30);
     for (const plan of [state?.present, state?.coming]) if (plan) reach(plan.circle, plan.circle[2]);
     if (!seen.length) reach([0, 0], 500);
     const [east, north] = [0, 1].map((k) => seen.map((p) => p[k]));
@@ -259,9 +262,21 @@ export class FlightMap {
     this.drawTarget(state, x, y);
     const aircraft = state?.aircraft;
     this.aircraft.toggleAttribute("hidden", !aircraft);
-    if (aircraft) {
-      const degrees = (aircraft.course_rad * 180) / Math.PI;
-      this.aircraft.setAttribute("transform", `translate(${x(aircraft.at_m[0])} ${y(aircraft.at_m[1])}) rotate(${degrees})`);
+    const placed = (one) => `translate(${x(one.at_m[0])} ${y(one.at_m[1])}) rotate(${(one.course_rad * 180) / Math.PI})`;
+    if (aircraft) this.aircraft.setAttribute("transform", placed(aircraft));
+    this.drawOthers((state?.others ?? []).filter((one) => one.at_m), placed, x, y);
+  }
+
+  // The other aircraft of a fleet: each with its circle and its name.
+  drawOthers(others, placed, x, y) {
+    this.others.replaceChildren();
+    this.otherCircles.replaceChildren();
+    for (const one of others) {
+      svg("path", { class: "aircraft other", d: AIRCRAFT, transform: placed(one) }, this.others);
+      const words = svg("text", { class: "label", x: x(one.at_m[0]) + 12, y: y(one.at_m[1]) + 4 }, this.others);
+      words.textContent = one.height_m === null ? one.name : `${one.name}, ${Math.round(one.height_m)} m`;
+      const [cx, cy, r] = one.circle ?? [0, 0, 0];
+      svg("circle", { class: "circle other", cx, cy, r }, this.otherCircles);
     }
   }
 
