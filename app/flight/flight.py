@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import math
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -26,6 +27,7 @@ from app.flight.loop import ControlLoop, Display, Stepped
 from app.flight.point_gimbal import GimbalPointer
 from app.flight.preflight import autopilot_of, checks, listen
 from app.flight.recording import Recording
+from app.flight.round_trip import RoundTripWatch
 from app.flight.streams import ask_for_streams, is_slow
 from app.flight.terrain_server import TerrainServer
 from app.link.discovery import SETTLING_S
@@ -39,7 +41,7 @@ from app.shutdown import ends_within
 from app.terrain.elevation_data import elevation_data
 from estimators.frames import LocalPlane
 from mission.control.controller import Phase, Snapshot, StandoffController
-from mission.core.events import Announce, ControlAcquired, Event, MissionChange
+from mission.core.events import Announce, ControlAcquired, Event, MissionChange, RoundTripReported
 from mission.exchange.dialect import Home
 from mission.exchange.outbox import TakeoverFailed
 from mission.exchange.reports import TakeoverRequested
@@ -47,6 +49,7 @@ from mission.exchange.reports import TakeoverRequested
 _CLOSE_S = 30.0
 _LISTEN_S = 1.0
 _POLL_S = 0.1
+_DELAY_EVERY_S = 1.0
 _READY_WITHIN_S = 60.0  # of the vehicle's time
 _READY_WALL_S = 20.0  # a fast simulation's minute is over before every question is answered
 
@@ -248,23 +251,35 @@ class Flight:
             changes.take(wish) if isinstance(wish, MissionChange) else loop.put(wish)
 
         self._display.begin(plane, request)
+        gc.collect()
+        gc.freeze()  # what was loaded before is not searched again and again for garbage: 0.1 s each time
+        shared.callback(gc.unfreeze)
         running = asyncio.create_task(loop.run())
         over = asyncio.create_task(self._until_over(ended))
         interrupt = asyncio.create_task(stopped.wait())
         flying, mode = is_flying(self._vehicle), mode_of(self._vehicle)
-        loop.put(TakeoverRequested(self._telemetry.now_s, loop.link_s, flying, mode, self._arm_period_s))
+        delay = asyncio.create_task(self._tell_delay(loop))
+        loop.put(TakeoverRequested(self._telemetry.now_s, loop.link_s, flying, mode, 1.0 / self._vehicle_rate))
         try:
             await asyncio.wait((running, over, interrupt), return_when=asyncio.FIRST_COMPLETED)
         finally:
-            for task in (over, interrupt):
+            for task in (over, interrupt, delay):
                 task.cancel()
             loop.stop()
-            await asyncio.gather(running, over, interrupt, return_exceptions=True)
+            await asyncio.gather(running, over, interrupt, delay, return_exceptions=True)
             shared.close()
         running.result()
         if loop.failed is not None:
             raise self._failure(loop.failed)
         return loop.outcome or ("interrupted" if stopped.is_set() else "completed")
+
+    async def _tell_delay(self, loop: ControlLoop) -> None:
+        watch = RoundTripWatch()
+        while True:
+            await asyncio.sleep(_DELAY_EVERY_S)
+            round_trip_s = watch.news(self._vehicle.link.recent())
+            if round_trip_s is not None:
+                loop.put(RoundTripReported(self._telemetry.now_s, round_trip_s * self._vehicle_rate))
 
     def _status(self) -> VehicleStatus:
         return vehicle_status(self._vehicle.latest, self._vehicle.link.recent())
@@ -282,8 +297,9 @@ class Flight:
         return FlightError(f"{failed.reason}{last_words}.")
 
     @property
-    def _arm_period_s(self) -> float:
-        return 1.0 if self._config.link.connections else 1.0 / self._config.simulation.speed
+    def _vehicle_rate(self) -> float:
+        """How much faster than ours the vehicle's clock runs."""
+        return 1.0 if self._config.link.connections else self._config.simulation.speed
 
     async def _check(self, values: Mapping[str, float]) -> tuple[Home, tuple[RequiredParameter, ...]]:
         self._display.note("checking the vehicle and its sensors")

@@ -61,6 +61,7 @@ from mission.core.events import (
     ModeReported,
     OperatorRequest,
     PlanStatus,
+    RoundTripReported,
     UploadPlan,
     WindReported,
     Yield,
@@ -87,8 +88,10 @@ _RADIUS_TOLERANCE = 0.03
 _WIND_MAX_SHARE = 0.9
 # A target unseen for less than this is no news: lasers miss for some seconds all the time.
 _NEWS_AFTER_S = 8.0
-# The latency expected is the longest of so many uploads but one: one that hung says nothing of the next.
+# The latency expected is the longest of so many uploads but one: one that hung says nothing of the next. Each took as
+# many round trips as the next will take, at least two of them: the announcement's and the items'.
 _LATENCY_UPLOADS, _LATENCY_MARGIN_S = 5, 0.1
+_UPLOAD_ROUND_TRIPS = 2.0
 _SENSED = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading)
 # What the fleet advised is followed for so long.
 _ADVICE_S = 5.0
@@ -215,7 +218,8 @@ class StandoffController:
     _not_taken: _PlanChange | None = None  # the last departure that failed: should it be flown after all
     _counts: _Counts = field(default_factory=_Counts)
     _latency_s: float = field(init=False)
-    _took_s: deque[float] = field(init=False)
+    _took_s: deque[tuple[float, float | None]] = field(init=False)  # and the round trip of then
+    _round_trip_s: float | None = None  # of the link, now
     _next_decision_s: float = -math.inf
     _number: int = 0
     _flown_radius: FlownRadius = field(default_factory=FlownRadius)
@@ -230,7 +234,7 @@ class StandoffController:
         self._requirement = self.settings.requirement
         self._planner = self.make_planner(self.settings.aircraft, self._requirement)
         self._latency_s = self.settings.latency_s
-        self._took_s = deque([self._latency_s], _LATENCY_UPLOADS)
+        self._took_s = deque([(self._latency_s, None)], _LATENCY_UPLOADS)
 
     def step(self, event: Event) -> tuple[Command, ...]:
         """Take one event; return what is to be done about it, in order."""
@@ -263,10 +267,8 @@ class StandoffController:
                     return self._yield(event.time_s, self.door.two_vehicles)
             case PlanStatus():
                 return self._plan_reported(event)
-            case LinkReported():
-                self._sensor_status.connected = event.connected
-                text = "the link is back" if event.connected else "link lost: the aircraft goes on circling"
-                return (Announce(event.time_s, "link", text),)
+            case LinkReported() | RoundTripReported():
+                return self._link_reported(event)
             case YieldRequested():
                 return self._yield(event.time_s, event.reason)
             case OperatorRequest():
@@ -537,11 +539,30 @@ class StandoffController:
             return self._drive(change)
         return self._departed(change, event.time_s)
 
+    def _link_reported(self, event: LinkReported | RoundTripReported) -> tuple[Command, ...]:
+        if isinstance(event, RoundTripReported):
+            self._round_trip_s = event.round_trip_s
+            self._expect_latency()
+            return ()
+        self._sensor_status.connected = event.connected
+        text = "the link is back" if event.connected else "link lost: the aircraft goes on circling"
+        return (Announce(event.time_s, "link", text),)
+
     def _note_latency(self, took_s: float) -> None:
         """Expect what an upload took of the next one; of one that was given up too, which would have taken longer."""
-        self._took_s.append(took_s)
-        if len(self._took_s) > 1:
-            self._latency_s = sorted(self._took_s)[-2] + _LATENCY_MARGIN_S
+        self._took_s.append((took_s, self._round_trip_s))
+        self._expect_latency()
+
+    def _expect_latency(self) -> None:
+        now_s = self._round_trip_s
+        expected = sorted(
+            took_s if now_s is None or then_s is None else took_s + _UPLOAD_ROUND_TRIPS * (now_s - then_s)
+            for took_s, then_s in self._took_s
+        )
+        if len(expected) > 1:
+            self._latency_s = expected[-2] + _LATENCY_MARGIN_S
+        if now_s is not None:
+            self._latency_s = max(self._latency_s, _UPLOAD_ROUND_TRIPS * now_s)
 
     def _departed(self, change: _PlanChange, time_s: float) -> tuple[Command, ...]:
         """Take over a plan that is flown: in good time, or one that was thought not to have been taken."""

@@ -87,6 +87,14 @@ class LinkReported:
 
 
 @dataclass(frozen=True, slots=True)
+class RoundTripReported:
+    """A question to the vehicle and its answer now take ``round_trip_s`` of the vehicle's clock."""
+
+    time_s: float
+    round_trip_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class YieldRequested:
     """Something outside the mode says that somebody else flies now (RC takeover, a foreign mission)."""
 
@@ -136,6 +144,7 @@ Event = (
     | ControlAcquired
     | PlanStatus
     | LinkReported
+    | RoundTripReported
     | YieldRequested
     | OperatorRequest
     | MissionChange

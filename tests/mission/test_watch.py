@@ -23,6 +23,7 @@ from mission.core.events import (
     ModeReported,
     OperatorRequest,
     PlanStatus,
+    RoundTripReported,
     UploadPlan,
     Yield,
     YieldRequested,
@@ -143,6 +144,21 @@ def test_a_plan_ready_too_late_is_dropped_and_decided_anew():
     (again,) = kinds(fly(controller, 5.0, 8.0), UploadPlan)
     assert again.number == prepare.number + 1
     assert controller.snapshot().latency_s > 1.0
+
+
+def test_the_latency_expected_follows_the_links_delay():
+    controller = make(Scripted([]), latency_s=1.0)
+    controller.step(RoundTripReported(1.0, 0.1))
+    assert controller.snapshot().latency_s == 1.0  # as configured, before anything was uploaded
+    controller.step(RoundTripReported(2.0, 1.5))
+    assert controller.snapshot().latency_s == 3.0  # the announcement's round trip and the items'
+    controller._took_s.extend([(0.4, 0.1)] * 5)
+    controller.step(RoundTripReported(3.0, 0.1))
+    assert controller.snapshot().latency_s == pytest.approx(0.5)
+    controller.step(RoundTripReported(4.0, 0.6))
+    assert controller.snapshot().latency_s == pytest.approx(1.5)  # two round trips more than what was measured
+    controller.step(RoundTripReported(5.0, 0.1))
+    assert controller.snapshot().latency_s == pytest.approx(0.5)
 
 
 def test_planning_looks_ahead_by_the_measured_latency():

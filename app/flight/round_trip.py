@@ -1,0 +1,27 @@
+"""The link's measured delay, told to the core as it changes: plans take so much longer to arrive."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from app.link.quality import LinkReport
+
+_CHANGED_S, _CHANGED_SHARE = 0.05, 0.2
+
+
+class RoundTripWatch:
+    """Tells which measures of a link are news."""
+
+    def __init__(self) -> None:
+        self._told_s: float | None = None
+
+    def news(self, links: Sequence[LinkReport]) -> float | None:
+        """Return the round trip of the link in use, s of the link's clock, where it is another than was told."""
+        now_s = next((link.measured.round_trip_s for link in links if link.in_use), None)
+        before_s = self._told_s
+        if now_s is None:
+            return None
+        if before_s is not None and abs(now_s - before_s) <= max(_CHANGED_S, _CHANGED_SHARE * before_s):
+            return None
+        self._told_s = now_s
+        return now_s
