@@ -18,7 +18,8 @@ def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda 
 
     It gives out the roles by the predictive planner's costs, whatever planner the aircraft fly by.
     """
-    configs = {member.name: member.config for member in fleet.members}
+    members = fleet.members
+    configs = {member.name: member.config for member in members}
     factories = {
         name: Predictive().factory(planner_needs(config, progress, lambda _plan: None, _all_in_sight))
         for name, config in configs.items()
@@ -30,12 +31,13 @@ def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda 
     return FleetCoordinator(
         [
             FleetMember(
-                name,
-                config.aircraft.aircraft(),
-                tracker_settings(config.sensors, config.planner.lost_after_s),
-                config.aircraft.height_m,
+                member.name,
+                member.config.aircraft.aircraft(),
+                tracker_settings(member.config.sensors, member.config.planner.lost_after_s),
+                member.config.aircraft.height_m,
+                reserve=member.reserve,
             )
-            for name, config in configs.items()
+            for member in members
         ],
         [FleetTarget(target.name, fleet.requirement.requirement()) for target in fleet.target],
         planner,

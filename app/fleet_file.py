@@ -40,6 +40,8 @@ class FleetAircraftSection(AircraftSection):
     """Its MAVLink system id; needed on a link that it shares."""
     autopilot: Literal["arduplane", "px4"] | None = None
     """Which autopilot it behaves like where it is simulated; none: as [simulation] has it."""
+    reserve: bool = False
+    """It waits on the ground until it is wanted: another is lost, or has to be relieved."""
     sensors: SensorsSection = SensorsSection()  # type: ignore[call-arg]  # every field has a default
     """What differs from [sensors] for its payload."""
 
@@ -61,6 +63,7 @@ class Member:
 
     name: str
     config: Config
+    reserve: bool = False
 
 
 class FleetFile(Config):
@@ -133,6 +136,12 @@ class FleetFile(Config):
         return self
 
     @model_validator(mode="after")
+    def _somebody_flies(self) -> Self:
+        if all(one.reserve for one in self.aircraft):
+            raise ValueError("aircraft.reserve: all of them wait on the ground; let one fly")
+        return self
+
+    @model_validator(mode="after")
     def _layers_apart(self) -> Self:
         ordered = sorted(self.aircraft, key=lambda one: one.height_m)
         for lower, upper in pairwise(ordered):
@@ -186,6 +195,7 @@ class FleetFile(Config):
                     terrain=self.terrain,
                     simulation=self.simulation.model_copy(update=simulated),
                 ),
+                one.reserve,
             )
 
 

@@ -71,6 +71,9 @@ def run(
     ] = None,
     home: Annotated[str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Degrees and metres above sea.")] = None,
     airspeed: Annotated[str, typer.Option(help="Cruise airspeed, m/s; of several vehicles in turn: A,B.")] = "15",
+    endurance: Annotated[
+        str, typer.Option(metavar="S", help="So long a battery lasts, s; of several vehicles in turn: A,B.")
+    ] = "10800",
     wind_speed: Annotated[float, typer.Option(help="m/s")] = 0.0,
     wind_from_deg: Annotated[float, typer.Option(help="Where the wind comes from, degrees.")] = 0.0,
     system_id: Annotated[
@@ -131,9 +134,11 @@ def run(
     """
     flavours = [_flavour(name) for name in autopilot.split(",")]
     airspeeds_m_s = _numbers("--airspeed", airspeed, range(1, MAX_VEHICLES + 1), "A or A,B")
-    count = vehicles or max(len(flavours), len(airspeeds_m_s))
-    if max(len(flavours), len(airspeeds_m_s)) > count:
-        _refuse("--vehicles", f"is {count}: more autopilots or airspeeds are named")
+    endurances_s = _numbers("--endurance", endurance, range(1, MAX_VEHICLES + 1), "A or A,B")
+    named = max(len(flavours), len(airspeeds_m_s), len(endurances_s))
+    count = vehicles or named
+    if named > count:
+        _refuse("--vehicles", f"is {count}: more autopilots, airspeeds or endurances are named")
     if count > 1 and (payload_for is not None or binary is not None):
         _refuse("--vehicles", "goes with the simulated vehicles alone, not with --payload-for or --binary")
     _check_ranges(
@@ -157,6 +162,7 @@ def run(
     )
     for airspeed_m_s in airspeeds_m_s:
         _check_ranges({"--airspeed": (airspeed_m_s, 5.0, 60.0, True)})
+    _check_ranges({"--endurance": (min(endurances_s), 0.0, math.inf, False)})
     sensors = PayloadSettings(
         range_sigma,
         range_outliers,
@@ -189,7 +195,7 @@ def run(
     with ExitStack() as stack:
         try:
             alone = payload_for is None and binary is None
-            simulations = [Simulation(one) for one in in_turn(settings, flavours, airspeeds_m_s, count)]
+            simulations = [Simulation(one) for one in in_turn(settings, flavours, airspeeds_m_s, endurances_s, count)]
             companion = None if alone else Companion(sensors, settings.target, seed, terrain, system_id)
         except TrackError as error:
             _refuse("--target", str(error))

@@ -75,6 +75,7 @@ class Settings:
     seed: int = 0
     target_seed: int | None = None  # of the target alone, where several vehicles watch one; none: seed
     airspeed_m_s: float = 15.0
+    endurance_s: float = 3.0 * 3600.0  # so long a battery lasts
     wind: Wind = field(default_factory=Wind)
     home: Home | None = None
     target: TargetSettings = field(default_factory=TargetSettings)

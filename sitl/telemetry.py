@@ -13,7 +13,6 @@ from sitl.geodesy import HomePlane
 from sitl.settings import Home, Settings
 
 NAN = math.nan
-_BATTERY_S = 3.0 * 3600.0
 
 Builder = Callable[[], Any]  # a message, a list of messages, or None when there is nothing to tell
 
@@ -102,7 +101,7 @@ class Telemetry:
 
     @property
     def battery_percent(self) -> int:
-        return max(5, 100 - int(100.0 * self._vehicle.now_s / _BATTERY_S))
+        return max(5, 100 - int(100.0 * self._vehicle.now_s / self._vehicle.settings.endurance_s))
 
     def _heartbeat(self) -> Any:
         vehicle = self._vehicle

@@ -13,12 +13,16 @@ _APART_M = 200.0  # more than the circles that are flown at home are wide
 
 
 def in_turn(
-    first: Settings, flavours: Sequence[Flavour], airspeeds_m_s: Sequence[float], count: int
+    first: Settings,
+    flavours: Sequence[Flavour],
+    airspeeds_m_s: Sequence[float],
+    endurances_s: Sequence[float],
+    count: int,
 ) -> list[Settings]:
     """Return the settings of ``count`` vehicles: the first at its home, the others in a row east of it.
 
-    Flavours and airspeeds are gone through again and again. System ids follow one another; the target is the first
-    one's, and in the same place for all.
+    Flavours, airspeeds and endurances are gone through again and again. System ids follow one another; the target is
+    the first one's, and in the same place for all.
     """
     home = first.home_or_default
     plane = HomePlane(home.latitude_deg, home.longitude_deg)
@@ -31,6 +35,7 @@ def in_turn(
             seed=first.seed + number,
             target_seed=first.seed,
             airspeed_m_s=airspeeds_m_s[number % len(airspeeds_m_s)],
+            endurance_s=endurances_s[number % len(endurances_s)],
             home=Home(*plane.latitude_longitude_deg(number * _APART_M, 0.0), home.altitude_m) if number else home,
             target=replace(first.target, start_m=(east_m - number * _APART_M, north_m)),
         )

@@ -39,6 +39,7 @@ _EXAMPLES = {
 _FLEET_EXAMPLES = {
     "urls": '["serial:///dev/ttyUSB0:57600", "udpin://0.0.0.0:14550"]',
     "autopilot": '"px4"',
+    "reserve": "true",
     "side": '"left"',
     "motion": '"walk"',
 }
@@ -110,7 +111,7 @@ def _fleet_lines(values: dict[str, float], count: int) -> Iterator[str]:
                 yield from _entry(f"aircraft.{key}", key, field, own.get(key))
             elif key in own:
                 yield f"{key} = {_toml(own[key])}"
-        for key in ("url", "urls", "system_id", "autopilot"):
+        for key in ("url", "urls", "system_id", "autopilot", "reserve"):
             if number == 0:
                 yield from _comment(FleetAircraftSection.model_fields[key].description or "")
             example = f'"udpin://0.0.0.0:{14540 + number}"' if key == "url" else _FLEET_EXAMPLES.get(key, number + 1)

@@ -6,7 +6,8 @@
 | one link, autopilot or payload is lost, a pilot takes over, a flight fails | | the others go on |
 | an interrupt, the end of the simulation | given up at once | all are wound up |
 
-Aircraft on the ground take off one after the other, the highest layer first: none climbs through another's.
+Aircraft on the ground take off one after the other, the highest layer first: none climbs through another's. A reserve
+waits until the coordinator wants it.
 """
 
 from __future__ import annotations
@@ -63,6 +64,9 @@ class _Aircraft:
 
     def __init__(self, member: Member, folder: RunFolder, display: FlightDisplay) -> None:
         self.name, self.config, self.folder, self.display = member.name, member.config, folder, display
+        self.wanted = asyncio.Event()  # in the air
+        if not member.reserve:
+            self.wanted.set()
         self._event_loop = asyncio.get_running_loop()
         self.recording = Recording(folder, member.config, self.trouble)
         self.track = FlownTrack()
@@ -83,14 +87,10 @@ class _Aircraft:
         self._event_loop.call_soon_threadsafe(self.display.note, text)
 
     @property
-    def is_ours(self) -> bool:
-        """Whether it flies by our commands."""
-        return self.controller.phase in (Phase.WATCHING, Phase.HOLDING)
-
-    @property
-    def ended(self) -> bool:
-        """Whether its flight is over."""
-        return bool(self.outcome)
+    def settled(self) -> bool:
+        """Whether nothing is waited for: it flies by our commands, its flight is over, or it is not wanted yet."""
+        ours = self.controller.phase in (Phase.WATCHING, Phase.HOLDING)
+        return ours or bool(self.outcome) or not self.wanted.is_set()
 
     def described(self, simulated: bool) -> str:
         session = self.session
@@ -145,7 +145,7 @@ class FleetFlight:
             await self._connect(stack, urls, simulated, life)
             await self._prepare()
             with self._journal() as journal:
-                coordination = Coordination(coordinator, journal, self._say)
+                coordination = Coordination(coordinator, journal, self._say, self._launch)
                 try:
                     await self._watch(stack, coordination, life)
                 finally:
@@ -159,6 +159,12 @@ class FleetFlight:
             self._displays[name].note(text)
         else:
             self._note(text)
+
+    def _launch(self, name: str) -> None:
+        """Let a reserve take off."""
+        for one in self._aircraft:
+            if one.name == name:
+                one.wanted.set()
 
     # -- before the flight ---------------------------------------------------------------------------------
 
@@ -283,8 +289,8 @@ class FleetFlight:
         timing = asyncio.create_task(self._until_over(coordination))
         try:
             for one in self._in_turn():
-                flights.append(asyncio.create_task(self._fly_one(one, coordination, life)))
-                while not (one.is_ours or one.ended or life.stopped.is_set()):
+                flights.append(asyncio.create_task(self._fly_one(one, coordination, life.stopped)))
+                while not (one.settled or life.stopped.is_set()):
                     await asyncio.sleep(_POLL_S)
             await asyncio.gather(*flights)
         finally:
@@ -296,12 +302,23 @@ class FleetFlight:
 
     def _in_turn(self) -> list[_Aircraft]:
         """Return who flies first: those in the air, then the rest from the highest layer down."""
+        for one in self._aircraft:
+            if is_flying(one.session.vehicle):
+                one.wanted.set()
         return sorted(
             self._aircraft,
             key=lambda one: (not is_flying(one.session.vehicle), -one.config.aircraft.height_m),
         )
 
-    async def _fly_one(self, one: _Aircraft, coordination: Coordination, life: Life) -> None:
+    async def _fly_one(self, one: _Aircraft, coordination: Coordination, stopped: asyncio.Event) -> None:
+        """Fly one aircraft, a reserve as soon as it is wanted."""
+        events = [asyncio.create_task(event.wait()) for event in (one.wanted, stopped, self._over)]
+        await asyncio.wait(events, return_when=asyncio.FIRST_COMPLETED)
+        for event in events:
+            event.cancel()
+        if stopped.is_set() or self._over.is_set():
+            one.outcome = "not flown"
+            return
         stepped = coordination.stepped(one.name)
 
         def heard(event: InboundEvent, outputs: Sequence[Output]) -> None:
@@ -312,7 +329,7 @@ class FleetFlight:
                 one.track.add(aircraft.time_s + offset_s, aircraft.east_m, aircraft.north_m, height_m)
 
         try:
-            one.outcome = await one.flight.watch(life.stopped, heard, self._over)
+            one.outcome = await one.flight.watch(stopped, heard, self._over)
             if not one.controller.snapshot().sensor_status.connected:
                 one.outcome = "lost: its link is silent"
         except Exception as error:  # whatever befalls one, the others go on
@@ -325,7 +342,7 @@ class FleetFlight:
         start_s = math.inf
         while coordination.now_s < start_s + self._duration_s:
             await asyncio.sleep(_POLL_S)
-            if start_s == math.inf and all(one.is_ours or one.ended for one in self._aircraft):
+            if start_s == math.inf and all(one.settled for one in self._aircraft):
                 start_s = coordination.now_s
         self._over.set()
 

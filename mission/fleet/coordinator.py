@@ -63,6 +63,7 @@ from mission.fleet.joint_track import JointTrack
 from mission.fleet.planner import FleetPlanner, Member
 
 _FOREIGN_FORGOTTEN_S = 30.0
+_STANDING_M_S = 0.3  # a slower target has no course
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,6 +237,8 @@ class FleetCoordinator:
             vehicle.lost = reason
             self._say(vehicle.member.name, f"is out: {reason}")
             self._next_s = -math.inf  # the others close the gap at once
+            if not any(self._takes_part(one) for one in self._vehicles.values() if one.target == vehicle.target):
+                self._launch_reserve(f"{vehicle.member.name} is out", vehicle.target)
 
     def _say(self, name: str, text: str) -> None:
         self._out.append(FleetAnnounce(self._now_s, name, text))
@@ -252,7 +255,7 @@ class FleetCoordinator:
         self._tell_refusals()
         for name, target in self._targets.items():
             self._assign_roles(target, estimates[name])
-        self._relieve()
+        self._relieve(estimates)
         self._foreign = {
             key: one for key, one in self._foreign.items() if self._now_s - one.mission_time_s < _FOREIGN_FORGOTTEN_S
         }
@@ -287,25 +290,36 @@ class FleetCoordinator:
         for name, decision in self._planners[target.name].decide(members, estimate, wind).items():
             self._vehicles[name].role = decision.role
 
-    def _relieve(self) -> None:
+    def _relieve(self, estimates: Mapping[str, TargetEstimate | None]) -> None:
         for vehicle in self._vehicles.values():
-            if not self._takes_part(vehicle):
-                continue
             low = vehicle.remaining < self.settings.relieve_below or vehicle.relief_asked
-            if not low:
+            if not low or not self._takes_part(vehicle):
                 continue
             others = [
                 one
                 for one in self._vehicles.values()
                 if one is not vehicle and one.target == vehicle.target and self._takes_part(one)
             ]
-            name = vehicle.member.name
-            if any(one.role is Role.WANTED for one in others):
+            if vehicle.role is Role.WANTED and others and not any(one.role is Role.WANTED for one in others):
+                others[0].role = Role.WANTED  # both, until it is there
+            estimate = estimates[vehicle.target]
+            if any(one.role is Role.WANTED and self._is_beside(one, estimate) for one in others):
                 self._leave(vehicle, "another aircraft has taken over")
             elif vehicle.remaining < self.settings.leave_below:
                 self._leave(vehicle, f"{100.0 * vehicle.remaining:.0f} % of the battery is left")
             else:
-                self._launch_reserve(f"{name} has to be relieved", vehicle.target)
+                self._launch_reserve(f"{vehicle.member.name} has to be relieved", vehicle.target)
+
+    def _is_beside(self, vehicle: _Vehicle, estimate: TargetEstimate | None) -> bool:
+        """Tell whether an aircraft is on the wanted side and in the band."""
+        requirement, report = self._targets[vehicle.target].requirement, vehicle.report
+        if report is None or estimate is None:
+            return False
+        east_m, north_m = report.state.east_m - estimate.east_m, report.state.north_m - estimate.north_m
+        normal_rad = estimate.course_rad + requirement.side.normal_turn_rad
+        beside = east_m * math.sin(normal_rad) + north_m * math.cos(normal_rad) >= 0.0
+        in_band = requirement.range_min_m <= math.hypot(east_m, north_m) <= requirement.range_max_m
+        return in_band and (beside or estimate.speed_m_s < _STANDING_M_S)
 
     def _leave(self, vehicle: _Vehicle, reason: str) -> None:
         vehicle.leaving, vehicle.role = True, Role.LEAVE

@@ -91,6 +91,20 @@ def test_timesync_counts_half_the_round_trip_and_only_where_there_is_no_utc():
     assert reader.report(answer) is None
 
 
+def test_without_either_the_positions_tell_the_clock_by_their_arrival(monkeypatch):
+    wall = [1000.0]
+    monkeypatch.setattr("app.flight.vehicle_clock.time.monotonic", lambda: wall[0])
+    reader = VehicleClockReader("a", lambda: 30.0)
+    position = said("GLOBAL_POSITION_INT", time_boot_ms=30_000)
+    assert reader.report(position) is None
+    wall[0] += 11.0
+    told = reader.report(position)
+    assert (told.time_s, told.mission_time_s) == (30.0, pytest.approx(time.time(), abs=5.0))
+    assert told.sigma_s >= 0.5
+    assert reader.report(said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=30_000)) is not None
+    assert reader.report(position) is None
+
+
 def test_mission_time_is_the_latest_of_any_aircraft_and_goes_on_when_all_are_silent(pair):
     coordination, coordinator, _, _, _, clocks = pair
     coordination.keep_up(0.0)

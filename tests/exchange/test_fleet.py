@@ -12,14 +12,16 @@ from app.assembly import controller_of, mission_controller_of
 from app.fleet_assembly import coordinator_of
 from app.fleet_file import FleetFile
 from app.flight.coordination import FLEET_JOURNAL_TYPES, Coordination, Participant
+from app.link.message import Message
 from app.records.journal import Header, JournalReader, JournalWriter, encode
+from mission.core.events import End
 from mission.core.fleet import Role
 from mission.exchange.dialect import Home
 from mission.fleet.events import PlansReported, SightingReported
 from sitl.settings import Flavour, Settings, TargetSettings
 from sitl.world import in_turn
 
-SYSTEM_TIME, SYS_STATUS = 2, 1
+SYSTEM_TIME = 2
 
 
 class Craft:
@@ -28,6 +30,7 @@ class Craft:
     def __init__(self, member, flight):
         self.name, self.config, self.flight = member.name, member.config, flight
         self.waiting: deque = deque()
+        self.grounded = member.reserve  # its core does not run yet
         home = flight.autopilot.home
         self.home = Home(home.latitude_deg, home.longitude_deg, home.altitude_m)
 
@@ -37,14 +40,13 @@ class Craft:
 
 
 class Fleet:
-    """An ArduPlane and a PX4 on one target; ``lose`` lets one vanish."""
+    """An ArduPlane and a PX4 on one target; the PX4 may be a reserve."""
 
-    def __init__(self, fly, tmp_path, seed=2):
-        self.file = FleetFile.model_validate(
-            {"aircraft": [{"name": "north"}, {"name": "south"}], "requirement": {"target_speed_max_m_s": 3.0}}
-        )
+    def __init__(self, fly, tmp_path, seed=2, reserve=False):
+        aircraft = [{"name": "north"}, {"name": "south", "reserve": reserve}]
+        self.file = FleetFile.model_validate({"aircraft": aircraft, "requirement": {"target_speed_max_m_s": 3.0}})
         first = Settings(seed=seed, target=TargetSettings("straight", 2.0))
-        settings = in_turn(first, [Flavour.ARDUPLANE, Flavour.PX4], [15.0], 2)
+        settings = in_turn(first, [Flavour.ARDUPLANE, Flavour.PX4], [15.0], [1e4], 2)
         self.crafts = [
             Craft(member, fly(one.flavour, settings=one, begin=False, seed=one.seed))
             for member, one in zip(self.file.members, settings, strict=True)
@@ -56,7 +58,7 @@ class Fleet:
         self.journal = JournalWriter(self.journal_path, header, pytest.fail)
         self.said: list[str] = []
         self.coordination = Coordination(
-            self.coordinator, self.journal, lambda name, text: self.said.append(f"{name} {text}")
+            self.coordinator, self.journal, lambda name, text: self.said.append(f"{name} {text}"), self._launch
         )
         for craft in self.crafts:
             self._join(craft, plane)
@@ -64,8 +66,7 @@ class Fleet:
     def _join(self, craft, plane):
         flight, name = craft.flight, craft.name
         flight.telemetry.plane = plane
-        for message_id in (SYSTEM_TIME, SYS_STATUS):
-            flight.to_vehicle("COMMAND_LONG", command=511, param1=message_id, param2=1e6)
+        flight.to_vehicle("COMMAND_LONG", command=511, param1=SYSTEM_TIME, param2=1e6)
         core = craft.make_core(plane)
         step = core.step
         self.coordination.add(
@@ -75,12 +76,26 @@ class Fleet:
 
         def heard(event):
             outputs = step(event)
-            stepped(event, outputs)
+            if not craft.grounded:
+                stepped(event, outputs)
             return outputs
 
         core.step = heard
         flight.core = core
-        flight.vehicle.listeners.append(lambda message: self.coordination.message(name, message))
+
+        def clock_only(message):
+            if message.name == "SYSTEM_TIME":
+                self.coordination.message(name, message)
+
+        flight.vehicle.listeners.append(clock_only)
+
+    def _launch(self, name):
+        craft = next(craft for craft in self.crafts if craft.name == name)
+        craft.grounded = False
+        craft.flight.take_over()
+
+    def charge(self, name, percent):
+        self.coordination.message(name, Message("SYS_STATUS", 1, 1, {"battery_remaining": percent}, 0.0))
 
     def run(self, seconds, until=lambda: False):
         end_s = self.crafts[0].flight.simulation.time_s + seconds
@@ -94,8 +109,8 @@ class Fleet:
                 return True
         return False
 
-    def take_off(self):
-        for craft in reversed(self.crafts):  # the highest layer first
+    def take_off(self, *crafts):
+        for craft in crafts or reversed(self.crafts):  # the highest layer first
             craft.flight.take_over()
             assert self.run(240.0, lambda craft=craft: craft.flight.has_control), craft.flight.outputs[-3:]
 
@@ -164,3 +179,21 @@ def test_each_core_replays_by_itself_to_the_last_bit(flown):
         core = craft.make_core(plane)
         for event, outputs in zip(craft.flight.events, craft.flight.outputs, strict=True):
             assert [encode(output) for output in core.step(event)] == [encode(output) for output in outputs]
+
+
+def test_a_reserve_takes_over_before_the_aircraft_with_a_low_battery_leaves(fly, tmp_path):
+    fleet = Fleet(fly, tmp_path, reserve=True)
+    north, south = fleet.crafts
+    fleet.take_off(north)
+    fleet.run(10.0)
+    assert not south.flight.autopilot.armed
+    fleet.charge("north", 25)
+    assert fleet.run(200.0, lambda: south.flight.has_control), fleet.said
+    assert any(said.startswith("south is wanted in the air: north") for said in fleet.said)
+    assert north.flight.core.controller.phase == "watching"
+    assert fleet.run(200.0, lambda: north.flight.found(End)), fleet.said
+    assert [end.action for end in north.flight.found(End)] == ["return"]
+    assert fleet.role("south") is Role.WANTED
+    assert south.flight.core.controller.phase == "watching"
+    assert fleet.separation_m() >= 50.0
+    fleet.journal.close()

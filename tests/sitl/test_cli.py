@@ -42,6 +42,7 @@ def invoke():
         ("--vehicles", "1", "--autopilot", "px4,arduplane"),
         ("--vehicles", "2", "--payload-for", "udpin://127.0.0.1:1"),
         ("--airspeed", "15,1"),
+        ("--endurance", "0"),
         ("--to", "2@127.0.0.1:14540"),
         ("--lose", "2@10"),
         ("--lose", "1"),

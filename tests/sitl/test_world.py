@@ -17,7 +17,9 @@ def pair():
     """Return two simulations with the rows of truth that each has written, 60 s long."""
     first = Settings(seed=4, target=TargetSettings("turning", 3.0))
     rows: list[list] = [[], []]
-    simulations = [Simulation(one) for one in in_turn(first, [Flavour.ARDUPLANE, Flavour.PX4], [15.0, 20.0], 2)]
+    simulations = [
+        Simulation(one) for one in in_turn(first, [Flavour.ARDUPLANE, Flavour.PX4], [15.0, 20.0], [1000.0, 100.0], 2)
+    ]
     for simulation, written in zip(simulations, rows, strict=True):
         simulation.on_truth = written.append
         simulation.advance(60.0)
@@ -29,6 +31,7 @@ def test_vehicles_stand_apart_and_look_at_one_target(pair):
     assert [one.settings.system_id for one in simulations] == [1, 2]
     assert [one.settings.flavour for one in simulations] == ["arduplane", "px4"]
     assert [one.settings.airspeed_m_s for one in simulations] == [15.0, 20.0]
+    assert [one.settings.endurance_s for one in simulations] == [1000.0, 100.0]
     plane = HomePlane(*rows[0][0].aircraft_deg)
     east_m, north_m = plane.east_north_m(*rows[1][0].aircraft_deg)
     assert math.hypot(east_m - 200.0, north_m) < 0.1
