@@ -19,17 +19,24 @@ from app.link.telemetry import Telemetry
 from app.records.journal import encode
 from app.records.log import Log
 from estimators.frames import LocalPlane
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
+from estimators.readings import (
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    Reading,
+    TargetFixReading,
+)
 from mission.control.controller import Snapshot, StandoffController
 from mission.core.circle import Circle
 from mission.core.events import (
     Announce,
     Command,
     ControlAcquired,
-    LinkReported,
-    ModeReported,
+    NavigationReported,
     PlanStatus,
     UploadPlan,
+    WindReported,
 )
 from mission.exchange.mission_controller import DERIVED, InboundEvent, MissionController, Output
 from mission.exchange.outbox import SendMessage, TakeoverFailed
@@ -39,7 +46,7 @@ _MODE = "as recorded"
 _EXCHANGE = (*get_args(ExchangeEvent), SendMessage, TakeoverFailed)
 # Between two positions these only feed the filter: nothing to show or to judge changes.
 _UNSEEN = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading, *get_args(ExchangeEvent))
-_OTHERS = (ModeReported, LinkReported)
+_READINGS = (*get_args(Reading), WindReported, NavigationReported)
 _MIN_BANKED_CURVATURE = 0.25  # of the circle's own; a straighter flight is taken as the circle
 
 
@@ -51,32 +58,19 @@ class Replayed(NamedTuple):
     snapshot: Snapshot
 
 
-class LogReplay:
-    """Steps a watch through the messages of a log; ``on_plane`` hears of the local plane as soon as it is known."""
+class Proposals:
+    """Steps a watch through a flight that it does not fly: what it would do from where the aircraft is."""
 
-    def __init__(
-        self, controller: StandoffController, telemetry: Telemetry, on_plane: Callable[[LocalPlane], None]
-    ) -> None:
+    def __init__(self, controller: StandoffController) -> None:
         self.controller = controller
-        self._telemetry, self._on_plane = telemetry, on_plane
         self._engaged_s = -math.inf
 
-    @property
-    def plane(self) -> LocalPlane | None:
-        return self._telemetry.plane
-
-    def run(self, messages: Iterable[Message]) -> Iterator[Replayed]:
-        """Yield the events of the log with what the step made of them; those that nobody sees are passed over."""
-        telemetry, controller = self._telemetry, self.controller
-        plane = None
-        for message in messages:
-            event = telemetry.event(message)
-            if telemetry.plane is not plane:
-                plane = telemetry.plane
-                assert plane is not None
-                self._on_plane(plane)
-            # Nobody else flies here: a change of mode in the log is not one of ours to yield to.
-            if event is None or isinstance(event, _OTHERS):
+    def follow(self, events: Iterable[InboundEvent]) -> Iterator[Replayed]:
+        """Yield what the step makes of readings that somebody sees; whatever else there is is passed over."""
+        controller = self.controller
+        for event in events:
+            # Nobody else flies here: a change of mode is not one of ours to yield to.
+            if not isinstance(event, _READINGS):
                 continue
             commands = controller.step(event)
             for command in commands:
@@ -101,6 +95,35 @@ class LogReplay:
             aircraft.east_m, aircraft.north_m, aircraft.course_rad, 1.0 / abs(curvature_per_m), curvature_per_m > 0.0
         )
         self.controller.step(ControlAcquired(snapshot.time_s, circle, _MODE))
+
+
+class LogReplay(Proposals):
+    """Steps a watch through the messages of a log; ``on_plane`` hears of the local plane as soon as it is known."""
+
+    def __init__(
+        self, controller: StandoffController, telemetry: Telemetry, on_plane: Callable[[LocalPlane], None]
+    ) -> None:
+        super().__init__(controller)
+        self._telemetry, self._on_plane = telemetry, on_plane
+
+    @property
+    def plane(self) -> LocalPlane | None:
+        return self._telemetry.plane
+
+    def run(self, messages: Iterable[Message]) -> Iterator[Replayed]:
+        """Yield the events of the log with what the step made of them; those that nobody sees are passed over."""
+        return self.follow(self._events(messages))
+
+    def _events(self, messages: Iterable[Message]) -> Iterator[InboundEvent]:
+        telemetry, plane = self._telemetry, None
+        for message in messages:
+            event = telemetry.event(message)
+            if telemetry.plane is not plane:
+                plane = telemetry.plane
+                assert plane is not None
+                self._on_plane(plane)
+            if event is not None:
+                yield event
 
 
 def require_sightings(sightings: int, log: Log) -> None:

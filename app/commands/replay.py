@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +12,7 @@ import typer
 from rich.progress import Progress
 from rich.text import Text
 
-from app.analysis.replay import JournalReplay, LogReplay, Replayed, announcements, require_sightings
+from app.analysis.replay import JournalReplay, LogReplay, Proposals, Replayed, announcements, require_sightings
 from app.analysis.summary import Summary, SummaryCollector, describe_calibration, summarise
 from app.analysis.truth import Truth, read_truth
 from app.assembly import controller_of, mission_controller_of, settle
@@ -27,10 +27,12 @@ from app.planners.registry import PLANNER_NAMES
 from app.records.journal import Header, JournalReader
 from app.records.log import open_log
 from app.records.run_folder import FleetFolder, RunFolder
-from app.view.address import DEFAULT_PORT, Address
-from app.view.display import ViewDisplay
-from app.view.panel import PanelDisplay, clock
-from app.view.playback import Playback
+from app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
+from app.view.frames import Frames
+from app.view.panel import clock
+from app.view.player import SPEED_MAX
+from app.view.replay_page import serve_replay
+from app.view.state import StateEncoder
 from estimators.frames import LocalPlane
 from mission.control.controller import StandoffController
 from mission.core.events import ControlAcquired
@@ -56,22 +58,37 @@ def replay(
     ] = False,
     view: Annotated[bool, typer.Option("--view", help="Show the replay on a live map in the browser.")] = False,
     view_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the live map.")] = DEFAULT_PORT,
-    view_speed: Annotated[float, typer.Option(min=0.1, help="Recorded time over wall time with --view.")] = 10.0,
+    view_speed: Annotated[
+        float, typer.Option(min=0.1, max=SPEED_MAX, help="Recorded time over wall time with --view.")
+    ] = 10.0,
+    map_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="FILE",
+            help="Lies under the map: raster tiles (.mbtiles, .pmtiles), or a picture with --map-bounds.",
+            show_default=False,
+        ),
+    ] = None,
+    map_bounds: Annotated[
+        str | None, typer.Option(metavar="S,W,N,E", help="Where that picture lies, degrees.", show_default=False)
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
 ) -> None:
     """Run the filter and the planner over a recorded flight: what was decided, and how far off the estimate was.
 
     Examples: sidelong replay flight.tlog --truth flight.truth.csv; sidelong replay runs/20261121T100000Z --verify;
-    sidelong replay flight.tlog --set requirement.side=right
+    sidelong replay flight.tlog --set requirement.side=right. With --view the page plays it, and what --set would have
+    decided is shown beside what was flown: sidelong replay runs/20261121T100000Z --view --set aircraft.radius_m=80
     """
     checked_output(json)
     changes = _changes(change or [], planner)
     if not log.exists():
         raise InputError(f"{log}: there is no such file; give the path of a run folder or a recorded log.")
     if view and verify:
-        raise InputError("--verify repeats the flight exactly; leave out --view, whose buttons would change it.")
-    shown = _Shown(f"replay of {log.name}", Address(port=view_port), view_speed) if view else None
+        raise InputError("--verify compares, --view shows; give one of them.")
+    address = page_address(view, LOOPBACK[0], view_port, None, None, map_file, map_bounds)
     fleet = FleetFolder(log)
     if fleet.journal.is_file():
         if view or config is not None:
@@ -80,18 +97,27 @@ def replay(
             )
 
         def one(folder: RunFolder) -> Summary:
-            return _replay_run(folder.path, truth, None, changes, verify, quiet, None)
+            return _replay_run(folder.path, truth, None, changes, verify, quiet)
 
         write_json(json, replay_fleet(fleet, one, verify))
         return
     if log.is_dir() or log.suffix == ".jsonl":
-        result = _replay_run(log, truth, config, changes, verify, quiet, shown)
+        if address is not None:
+            _show_run(log, truth, config, changes, _Shown(f"replay of {log.name}", address, view_speed, quiet, json))
+            return
+        result = _replay_run(log, truth, config, changes, verify, quiet)
     elif verify:
         raise InputError(f"{log}: --verify needs a run folder of ours; a log holds no decisions to compare.")
     else:
-        result = _replay_log(log, truth, load_config(config, changes), quiet, shown)
+        if address is not None:
+            _show_log(log, truth, config, changes, _Shown(f"replay of {log.name}", address, view_speed, quiet, json))
+            return
+        result = _replay_log(log, truth, load_config(config, changes), quiet)
     console.print(result.table())
     write_json(json, result.as_json())
+
+
+_Changes = dict[str, dict[str, Any]]
 
 
 def _changes(given: list[str], planner: str | None) -> dict[str, dict[str, Any]]:
@@ -105,7 +131,9 @@ def _changes(given: list[str], planner: str | None) -> dict[str, dict[str, Any]]
     return changes
 
 
-def _replay_log(path: Path, truth: Path | None, settings: Config, quiet: bool, shown: _Shown | None) -> Summary:
+def _replay_log(
+    path: Path, truth: Path | None, settings: Config, quiet: bool, frames: Frames | None = None
+) -> Summary:
     log = open_log(path)
     telemetry = Telemetry()
     controller = controller_of(settings, table_progress(console.print), console.print)
@@ -113,13 +141,16 @@ def _replay_log(path: Path, truth: Path | None, settings: Config, quiet: bool, s
     def fence(plane: LocalPlane) -> None:
         # A log does not tell where home is: the first position of an aircraft on the ground is near it.
         settle(controller, settings, plane, (plane.origin_latitude_deg, plane.origin_longitude_deg))
+        if frames is not None:
+            frames.plane = plane
 
     steps = LogReplay(controller, telemetry, fence)
     progress, task = progress_bar(path.name)
     with progress:
         messages = log.messages(telemetry.wanted, lambda share: progress.update(task, completed=share))
         judged = _Judged(settings, controller, progress, quiet)
-        _follow(judged, steps.run(messages), shown, settings, lambda: steps.plane)
+        replayed = steps.run(messages)
+        judged.follow(replayed if frames is None else frames.noted(replayed, _encoder(settings), proposals=True))
     require_sightings(controller.tracker.sightings, log)
     result = judged.summary(read_truth(truth) if truth is not None else None, steps.plane, judged.first_estimate_s)
     console.print(describe_calibration(controller.tracker.calibration))
@@ -134,7 +165,7 @@ def _replay_run(
     changes: dict[str, dict[str, Any]],
     verify: bool,
     quiet: bool,
-    shown: _Shown | None,
+    frames: Frames | None = None,
 ) -> Summary:
     folder = RunFolder.open(path if path.is_dir() else path.parent)
     progress, task = progress_bar(folder.path.name)
@@ -149,10 +180,13 @@ def _replay_run(
         if plane is not None:
             origin_deg = (plane.origin_latitude_deg, plane.origin_longitude_deg)
             settle(controller, settings, plane, journal.header.home_deg or origin_deg)
-        repeats = settings == flown and shown is None  # the buttons of a live map would change it
+        repeats = settings == flown
         steps = JournalReplay(controller, _exchange_of(settings, controller, journal.header) if repeats else None)
         judged = _Judged(settings, steps.controller, progress, quiet or verify)
-        _follow(judged, steps.run(journal), shown, settings, lambda: journal.header.plane)
+        replayed = steps.run(journal)
+        if frames is not None:
+            frames.plane = plane
+        judged.follow(replayed if frames is None else frames.noted(replayed, _encoder(settings)))
     if verify:
         if steps.difference is not None:
             raise FlightError(f"{folder.path}: the replay differs from the flight {steps.difference}")
@@ -176,28 +210,59 @@ def _exchange_of(settings: Config, controller: StandoffController, header: Heade
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """Where and how fast a replay is shown."""
+    """How a replay is shown on the page, and told besides."""
 
     name: str
     address: Address
     speed: float
+    quiet: bool
+    json: Path | None
+
+    def serve(self, result: Summary, frames: Frames, what_if: Frames | None, settings: Config) -> None:
+        """Tell the summary, then serve the page until it is left."""
+        console.print(result.table())
+        write_json(self.json, result.as_json())
+        if not frames.times_s:
+            raise InputError(f"{self.name}: there is nothing to show, the vehicle told no position.")
+        serve_replay(
+            frames,
+            what_if,
+            settings,
+            self.address,
+            self.name,
+            self.speed,
+            lambda text: console.print(text, soft_wrap=True),
+        )
 
 
-def _follow(
-    judged: _Judged,
-    steps: Iterable[Replayed],
-    shown: _Shown | None,
-    settings: Config,
-    plane: Callable[[], LocalPlane | None],
-) -> None:
-    """Follow the steps, on a live map if they are to be shown."""
-    if shown is None:
-        judged.follow(steps)
-        return
-    silent = PanelDisplay(console, quiet=True)
-    with ViewDisplay(silent, settings, shown.address, shown.name) as view:
-        console.print(f"live map: {view.url}", soft_wrap=True)
-        judged.follow(Playback(view, judged.controller, plane, shown.speed, view.pump_if_due).shown(steps))
+def _show_run(path: Path, truth: Path | None, config: Path | None, changes: _Changes, shown: _Shown) -> None:
+    frames, what_if = Frames(), None
+    result = _replay_run(path, truth, config, {}, False, shown.quiet, frames)
+    journal = JournalReader(RunFolder.open(path if path.is_dir() else path.parent).journal, JOURNAL_TYPES)
+    flown = load_config(config) if config is not None else journalled_config(journal)
+    changed = with_values(flown, changes, "--set")
+    if changed != flown:
+        what_if, controller = Frames(), controller_of(changed, table_progress(console.print), console.print)
+        plane, home_deg = journal.header.plane, journal.header.home_deg
+        if plane is not None:
+            settle(controller, changed, plane, home_deg or (plane.origin_latitude_deg, plane.origin_longitude_deg))
+        for _ in what_if.noted(Proposals(controller).follow(journal), _encoder(changed), proposals=True):
+            pass
+    shown.serve(result, frames, what_if, flown)
+
+
+def _show_log(path: Path, truth: Path | None, config: Path | None, changes: _Changes, shown: _Shown) -> None:
+    frames, what_if = Frames(), None
+    settings, changed = load_config(config), load_config(config, changes)
+    result = _replay_log(path, truth, settings, shown.quiet, frames)
+    if changed != settings:
+        what_if = Frames()
+        _replay_log(path, truth, changed, True, what_if)
+    shown.serve(result, frames, what_if, settings)
+
+
+def _encoder(settings: Config) -> StateEncoder:
+    return StateEncoder(settings.aircraft.airspeed_m_s, settings.aircraft.height_m)
 
 
 class _Judged:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MultipleLocator
 from scipy.stats import chi2
 
 from app.report import series
@@ -15,6 +16,9 @@ from app.report.html import Drawing
 from app.report.path_map import flown_path_figure
 from app.report.plot_style import AIRCRAFT, BAD, BAND, ESTIMATE, FAINT, TARGET, figure, legend_above
 
+_COURSE_WORDS = (
+    "Over the ground, clockwise from north, counted on through whole turns: rising, it circles to the right."
+)
 _TIME = "time, s"
 _BIN_DEG = 10.0
 _CONSISTENCY_TOP = 2.0  # of the bound: what lies above is drawn at the edge
@@ -142,19 +146,21 @@ def _curvature(history: History) -> Drawing:
         )
     reach = 1.6e3 / history.asked.airframe.radius_m
     axes.set_ylim(-reach, reach)
+    clipped = _beyond(1e3 * np.abs(flown.value), reach, "1/km")
     _over_time(axes, history, "curvature, 1/km")
-    return Drawing("curvature", "Curvature of the flown path", "Over the ground; positive turns right.", made)
+    return Drawing(
+        "curvature", "Curvature of the flown path", f"Over the ground; positive turns right{clipped}.", made
+    )
 
 
 def _course(history: History) -> Drawing:
     made, (axes,) = figure(2.7)
     flown = history.aircraft
-    course_deg = np.degrees(flown.course_rad) % 360.0
-    axes.plot(*_unjoined(flown.time_s - history.start_s, course_deg, 180.0), color=AIRCRAFT, linewidth=0.9)
-    axes.set_ylim(0.0, 360.0)
-    axes.set_yticks(range(0, 361, 90))
+    course_deg = np.degrees(np.unwrap(flown.course_rad))
+    axes.plot(flown.time_s - history.start_s, course_deg, color=AIRCRAFT, linewidth=0.9)
+    axes.yaxis.set_major_locator(MultipleLocator(360.0 * max(1, round(np.ptp(course_deg) / 360.0 / 8.0))))
     _over_time(axes, history, "course, °", legend=False)
-    return Drawing("course", "Course flown", "Over the ground, clockwise from north.", made)
+    return Drawing("course", "Course flown", _COURSE_WORDS, made)
 
 
 # -- how good the estimate was -------------------------------------------------------------------------------
@@ -177,13 +183,15 @@ def _errors(history: History) -> Drawing | None:
     )
     watched = errors.error_m[time_s >= 0.0]
     claimed_m = float(np.percentile(errors.radius95_m, 90.0))
-    axes.set_ylim(0.0, 1.2 * max(claimed_m, float(np.percentile(np.append(watched, 1.0), 99.8))))
+    top_m = 1.2 * max(claimed_m, float(np.percentile(np.append(watched, 1.0), 99.8)))
+    axes.set_ylim(0.0, top_m)
+    clipped = _beyond(np.append(errors.error_m, errors.radius95_m), top_m, "m")
     _over_time(axes, history, "position error, m")
     rms_m = float(np.sqrt(np.mean(np.square(watched)))) if len(watched) else math.nan
     return Drawing(
         "estimate-error",
         "Error of the estimate",
-        f"Horizontal distance from the true target, {rms_m:.2f} m RMS, beside what the estimate claims.",
+        f"Horizontal distance from the true target, {rms_m:.2f} m RMS, beside what the estimate claims{clipped}.",
         made,
     )
 
@@ -199,7 +207,7 @@ def _consistency(history: History) -> Drawing | None:
     if not rows:
         return None
     made, all_axes = figure(1.2 + 1.7 * len(rows), len(rows))
-    words = []
+    words, clipped = [], ""
     for axes, (name, at_s, value, freedom) in zip(all_axes, rows, strict=True):
         bound = float(chi2.ppf(0.95, freedom))
         top = _CONSISTENCY_TOP * bound
@@ -215,6 +223,7 @@ def _consistency(history: History) -> Drawing | None:
         axes.set_ylim(0.0, top)
         axes.set_ylabel(name)
         legend_above(axes)
+        clipped += _beyond(value, top, f"of {name}, drawn at its edge")
         words.append(f"{100.0 * float(np.mean(value[at_s >= history.start_s] <= bound)):.1f} % of the {name}")
     all_axes[-1].set_xlabel(_TIME)
     all_axes[-1].set_xlim(0.0, history.end_s - history.start_s)
@@ -226,7 +235,7 @@ def _consistency(history: History) -> Drawing | None:
         "consistency",
         "Consistency of the estimate",
         f"{' and '.join(words)} below the bound that 95 % should keep "
-        f"({'; '.join(f'{row[0]}: {relevant_parameters[row[0]]}, squared' for row in rows)}).",
+        f"({'; '.join(f'{row[0]}: {relevant_parameters[row[0]]}, squared' for row in rows)}){clipped}.",
         made,
     )
 
@@ -269,6 +278,14 @@ def _uploads(history: History) -> Drawing | None:
         "Below: how much later than planned the aircraft was told to leave its circle.",
         made,
     )
+
+
+def _beyond(value: FloatArray, limit: float, unit: str) -> str:
+    """Return in words what does not fit the frame, '' where all does."""
+    above = int(np.sum(value > limit))
+    if not above:
+        return ""
+    return f"; {100.0 * above / len(value):.1f} % lie beyond the frame, up to {float(np.nanmax(value)):.0f} {unit}"
 
 
 def _wanted(history: History) -> str:

@@ -11,22 +11,32 @@ from html import escape
 from matplotlib.figure import Figure
 
 _CSS = """
-:root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 62rem; margin: 2rem auto;
-  padding: 0 1rem; }
+:root { color-scheme: light dark; --ink: #222; --soft: #555; --paper: #fff; --line: #eee; --mark: #1f5f9e; }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e6eaef; --soft: #a9b4c0; --paper: #12161b; --line: #2b333c; --mark: #78b4f0; }
+  figure svg { filter: invert(1) hue-rotate(180deg); }
+}
+body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper);
+  max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.5rem; margin: 0; }
 h2 { font-size: 1.1rem; margin: 2.2rem 0 .2rem; }
-p { margin: .2rem 0 .6rem; color: #555; }
+p { margin: .2rem 0 .6rem; color: var(--soft); }
 svg { width: 100%; height: auto; }
 dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(11rem, 1fr)); gap: .6rem; margin: 1.2rem 0; }
-dl div { border-top: 2px solid #1f5f9e; padding: .3rem 0; }
-dt { color: #555; font-size: .85rem; }
+dl div { border-top: 2px solid var(--mark); padding: .3rem 0; }
+dt { color: var(--soft); font-size: .85rem; }
 dd { margin: 0; font-size: 1.15rem; font-variant-numeric: tabular-nums; }
 table { border-collapse: collapse; font-size: .9rem; }
-td, th { text-align: left; padding: .15rem .9rem .15rem 0; vertical-align: top; border-bottom: 1px solid #eee; }
+td, th { text-align: left; padding: .15rem .9rem .15rem 0; vertical-align: top;
+  border-bottom: 1px solid var(--line); }
 td:first-child { font-variant-numeric: tabular-nums; white-space: nowrap; }
 summary { cursor: pointer; font-weight: 600; margin-top: 1.5rem; }
 figure { margin: 0; break-inside: avoid; }
+.wide { overflow-x: auto; }
+@media (max-width: 700px) {
+  body { margin: 1rem auto; } .wide svg { min-width: 42rem; } dl { grid-template-columns: repeat(2, minmax(0, 1fr)); }
+  td { overflow-wrap: anywhere; }
+}
 """
 
 
@@ -74,14 +84,15 @@ def figure(drawing: Drawing) -> str:
     """Return the figure with its heading. Use within ``plot_style.styled()``."""
     return (
         f'<figure id="{drawing.name}"><h2>{escape(drawing.title)}</h2><p>{escape(drawing.caption)}</p>'
-        f"{_svg(drawing)}</figure>"
+        f'<div class="wide" tabindex="0" role="group" aria-label="{escape(drawing.title)}">{_svg(drawing)}</div>'
+        "</figure>"
     )
 
 
 def _svg(drawing: Drawing) -> str:
     """Return the figure as an element of HTML: without prolog, metadata, name spaces, or ids of its neighbours."""
     buffer = io.StringIO()
-    drawing.figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    drawing.figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)

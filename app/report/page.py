@@ -11,6 +11,7 @@ from app.report.plot_style import styled
 from app.report.results import rows
 from app.report.sources import Flown
 from mission.core.events import Announce
+from mission.viewpoint.side_policy import side_words
 
 _PNG_DPI = 150
 
@@ -43,8 +44,14 @@ def save_png(flown: Flown, folder: Path) -> list[Path]:
 def _asked(flown: Flown) -> str:
     requirement, airframe = flown.history.requirement, flown.history.asked.airframe
     return (
-        f"Asked: watch from the {requirement.side} at {requirement.range_min_m:g} to {requirement.range_max_m:g} m, "
+        f"Asked: watch from the {side_words(requirement)} "
+        f"at {requirement.range_min_m:g} to {requirement.range_max_m:g} m, "
         f"circles of {airframe.radius_m:g} m at {airframe.airspeed_m_s:g} m/s"
+        + "".join(
+            f"; from {since_s - flown.history.start_s:.0f} s on from the {side_words(one)} "
+            f"at {one.range_min_m:g} to {one.range_max_m:g} m"
+            for since_s, one in flown.history.requirements[1:]
+        )
     )
 
 

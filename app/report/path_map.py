@@ -12,7 +12,7 @@ from app.report.plot_style import AIRCRAFT, BAD, CIRCLE, ESTIMATE, FAINT, TARGET
 from mission.core.circle import Circle
 
 TICK_S = 50.0
-_LABELS_MAX = 14
+_LABELS_MAX = 60
 _SAMPLES_MAX = 6000
 
 
@@ -40,13 +40,12 @@ def flown_path_figure(history: History, *, width_in: float = WIDTH_IN, title: st
     for outline in history.asked.keep_out:
         axes.add_patch(Polygon(outline, facecolor=BAD, alpha=0.12, edgecolor=BAD, linewidth=1.0))
     axes.plot(*path.T, color=AIRCRAFT, linewidth=1.0, label="aircraft")
-    axes.plot(
-        *target.T, color=TARGET, linewidth=2.0, label="target" if history.judged_by_truth else "target (estimate)"
-    )
+    what = "target" if history.judged_by_truth else "target (estimate)"
+    axes.plot(*target.T, color=TARGET, linewidth=3.0, alpha=0.5, label=what)
     if history.judged_by_truth:
         estimate = np.array([(e.east_m, e.north_m) for e in history.estimates if e.time_s >= history.start_s])
         if len(estimate):
-            axes.plot(*estimate.T, color=ESTIMATE, linewidth=0.8, linestyle=":", label="estimate")
+            axes.plot(*estimate.T, color=ESTIMATE, linewidth=0.9, label="estimate")
     _circles(axes, [circle for _, circle in history.circles])
     _ticks(axes, time_s, aircraft, target)
     axes.set_xlabel("east, m")

@@ -1,7 +1,7 @@
 """``python -m app.view``: serves the page; states come in on standard input, buttons go out on standard output.
 
-The first line in is {"host", "port", "operator_token", "viewer_token", "cert", "key", "map"}, the first line out
-{"port"}. It ends when its input does.
+The first line in is {"host", "port", "operator_token", "viewer_token", "cert", "key", "map", "replay"}, the first
+line out {"port"}. It ends when its input does.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ async def _serve() -> None:
         print(json.dumps(pressed), flush=True)
 
     under = options["map"] and Background(Path(options["map"]["path"]), zooms=options["map"]["zooms"])
-    server = Server(Access(options["host"], options["operator_token"], options["viewer_token"]), press, under)
+    server = Server(
+        Access(options["host"], options["operator_token"], options["viewer_token"]), press, under, options["replay"]
+    )
     configured = uvicorn.Config(
         server.app,
         http=GuardedProtocol,

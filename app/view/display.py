@@ -6,8 +6,6 @@ import asyncio
 import contextlib
 import json
 import math
-import secrets
-import sys
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable
@@ -15,11 +13,11 @@ from types import TracebackType
 from typing import TypeVar
 
 from app.config import Config
-from app.errors import InputError
 from app.flight.display import FlightDisplay, Wish
 from app.link.vehicle_status import VehicleStatus
 from app.view.address import Address
-from app.view.feed import Feed, FeedError
+from app.view.feed import Feed
+from app.view.process import page_line, start_page, under_flight
 from app.view.shading import Shading
 from app.view.state import Json, StateEncoder, setting
 from estimators.frames import LocalPlane
@@ -27,7 +25,6 @@ from mission.control.controller import Snapshot
 from mission.core.events import Announce, MissionChange, OperatorRequest
 from mission.core.requirement import Side
 
-_UP_S = 5.0
 _SEND_EVERY_S = 0.125
 _STATUS_EVERY_S = 1.0
 _TRAIL_STEP_S = 0.5  # of the vehicle's time
@@ -76,23 +73,7 @@ class ViewDisplay:
 
     def __enter__(self) -> ViewDisplay:
         """Start the server and wait for it. Raises InputError when it does not come up (port in use)."""
-        address, (host, port) = self._address, (self._address.host, self._address.port)
-        token, viewer_token = ("", "") if address.is_local else (secrets.token_urlsafe(16), secrets.token_urlsafe(16))
-        self._feed = Feed((sys.executable, "-m", "app.view"))
-        options: Json = {"host": host, "port": port, "operator_token": token, "viewer_token": viewer_token}
-        under = address.map
-        options["map"] = under and {"path": str(under.path.absolute()), "zooms": under.zooms}
-        options |= {"cert": address.cert and str(address.cert), "key": address.key and str(address.key)}
-        self._feed.send(_line(options))
-        try:
-            ready = json.loads(self._feed.wait_for_line(_UP_S))
-        except FeedError as error:
-            raise InputError(
-                f"the page cannot be shown on {host}:{port}: {error}; try another --view-port."
-            ) from error
-        self.url = self.viewer_url = f"{address.scheme}://{host}:{ready['port']}/"
-        if token:
-            self.url, self.viewer_url = f"{self.url}?token={token}", f"{self.url}?token={viewer_token}"
+        self._feed, self.url, self.viewer_url = start_page(self._address)
         self._setting = self._set()
         self.pump()
         return self
@@ -174,7 +155,7 @@ class ViewDisplay:
             return
         for line in feed.lines():
             self._pressed(json.loads(line))
-        if feed.send(_line(self._told())):
+        if feed.send(page_line(self._told())):
             self._trail.clear()
             self._said.clear()
             self._setting = None
@@ -182,10 +163,8 @@ class ViewDisplay:
             self._inner.note("the page has stopped; the flight goes on without it")
 
     def _set(self) -> Json:
-        under, shade = self._address.map, None if self._shading is None else self._shading.edges_m
-        told = None if under is None else {"zooms": under.zooms, "bounds_deg": under.bounds_deg}
         base = setting(self._config, self._encoder.plane, self._name, self._requirement)
-        return base | {"map": told, "shade_m": shade}
+        return base | under_flight(self._address, self._shading)
 
     def _told(self) -> Json:
         told: Json = {"start_s": self._start_s, "trail": list(self._trail), "said": list(self._said)}
@@ -227,7 +206,3 @@ async def served(view: View, tell: Callable[[str], object]) -> AsyncIterator[Vie
             yield view
         finally:
             fresh.cancel()
-
-
-def _line(values: Json) -> bytes:
-    return json.dumps(values, separators=(",", ":"), allow_nan=False).encode()

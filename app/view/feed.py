@@ -44,6 +44,12 @@ class Feed:
         self.flush()
         return self.alive
 
+    @property
+    def ready(self) -> bool:
+        """Whether the last line has gone out whole, so that the next would be taken."""
+        self.flush()
+        return self.alive and not self._unsent
+
     def flush(self) -> None:
         """Send what is left of the last line, as far as it fits."""
         if not self._unsent:

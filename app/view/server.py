@@ -33,6 +33,7 @@ _MEDIA = {
     "index.html": "text/html",
     "page.css": "text/css",
     "page.js": "text/javascript",
+    "replay.js": "text/javascript",
     "map.js": "text/javascript",
     "plots.js": "text/javascript",
 }
@@ -60,8 +61,9 @@ _SERIES = ("nis", "range_age_s", "gimbal_age_s", "link_age_s")
 class History:
     """What a page that opens late has to be told."""
 
-    def __init__(self) -> None:
-        self.setting: Json = {}
+    def __init__(self, setting: Json | None = None) -> None:
+        self.setting: Json = setting or {}
+        self.replay: Json | None = None
         self.state: Json | None = None
         self.start_s: float | None = None
         self.trail: deque[list[float]] = deque(maxlen=_TRAIL_KEPT)
@@ -73,6 +75,7 @@ class History:
         self.start_s = told["start_s"]
         self.trail.extend(told["trail"])
         self.said.extend(told["said"])
+        self.replay = told.get("replay", self.replay)
         state = told.get("state")
         if state is not None:
             self.state = state
@@ -86,6 +89,7 @@ class History:
             "trail": list(self.trail),
             "said": list(self.said),
             "series": list(self.series),
+            "replay": self.replay,
             **({"state": self.state} if self.state is not None else {}),
         }
 
@@ -106,8 +110,11 @@ def _sample(state: Json) -> Json:
 class Server:
     """The application. ``tell`` passes a message of the flight on to all pages; ``press`` gets their buttons."""
 
-    def __init__(self, access: Access, press: Callable[[Json], None], under: Background | None = None) -> None:
+    def __init__(
+        self, access: Access, press: Callable[[Json], None], under: Background | None = None, replay: bool = False
+    ) -> None:
         self._access, self._press = access, press
+        self._known = replay_button_of if replay else button_of
         self._under, self._tiles = under, under.opened() if under is not None else None
         self._shade: Path | None = None
         self._history = History()
@@ -133,8 +140,15 @@ class Server:
         """Pass a message on to every page."""
         if "shade" in told:
             self._shade = Path(told.pop("shade"))
+        states = told.pop("states", None)
+        if told.get("anew"):  # a replay has jumped
+            self._history = History(self._history.setting)
+            told["series"] = [_sample(state) for state in states]
+            self._history.series.extend(told["series"])
         self._history.add(told)
-        event = _event(told | ({"series": [_sample(told["state"])]} if "state" in told else {}))
+        if "state" in told and "series" not in told:
+            told["series"] = [_sample(told["state"])]
+        event = _event({"setting": self._history.setting} | told if told.get("anew") else told)
         for page in list(self._pages):
             try:
                 page.put_nowait(event)
@@ -255,7 +269,7 @@ class Server:
         if body is None:
             return PlainTextResponse("that is no button: too long, or too slow", 413)
         try:
-            button = button_of(json.loads(body))
+            button = self._known(json.loads(body))
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             return PlainTextResponse("no such button", 400)
         if not self._presses.used(_client(request), time.monotonic()):
@@ -289,6 +303,15 @@ def button_of(press: Json) -> Json:
     if not values:
         raise ValueError
     return {"action": action, "values": values}
+
+
+def replay_button_of(press: Json) -> Json:
+    """Return a press on a replay's page as far as it is known: nothing there commands a flight. Raises as above."""
+    action, value = press["action"], press.get("value")
+    is_number = isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
+    if action not in {"play", "pause", "seek", "speed", "step"} or is_number != (action not in {"play", "pause"}):
+        raise ValueError
+    return {"action": action, "value": value}
 
 
 def _client(request: Request) -> str:

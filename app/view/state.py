@@ -98,6 +98,7 @@ class StateEncoder:
             "aircraft": self._aircraft(snapshot),
             "target": self._target(snapshot),
             "present": self._plan(snapshot.present, time_s, flown=True),
+            "proposed": self._plan(snapshot.decision.plan if snapshot.decision else None, time_s, flown=False),
             "coming": self._plan(snapshot.coming, time_s, flown=False),
             "reason": snapshot.decision.reason if snapshot.decision is not None else "",
             "wind_m_s": _rounded(snapshot.wind.east_m_s, snapshot.wind.north_m_s),

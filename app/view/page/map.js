@@ -65,6 +65,8 @@ export class FlightMap {
     this.line = shape("polyline", "line");
     this.coming = shape("circle", "coming");
     this.comingLine = shape("polyline", "coming");
+    this.whatIf = shape("circle", "what-if");
+    this.whatIfLine = shape("polyline", "what-if");
     this.sight = shape("polyline", "sight");
     this.measureLine = shape("polyline", "measure");
     this.predicted = shape("polyline", "predicted");
@@ -259,6 +261,7 @@ export class FlightMap {
     const { state } = this;
     this.plan(state?.present, this.circle, this.line);
     this.plan(state?.coming, this.coming, this.comingLine);
+    this.plan(state?.what_if?.proposed, this.whatIf, this.whatIfLine);
     this.drawTarget(state, x, y);
     const aircraft = state?.aircraft;
     this.aircraft.toggleAttribute("hidden", !aircraft);

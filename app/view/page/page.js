@@ -2,6 +2,7 @@
 
 import { FlightMap } from "./map.js";
 import { Plots } from "./plots.js";
+import { ReplayBar } from "./replay.js";
 
 const byId = (id) => document.getElementById(id);
 const degrees = (radians) => Math.round(((radians * 180) / Math.PI + 360) % 360);
@@ -15,6 +16,7 @@ const QUALITY_LOOKS = { good: "good", coasting: "warn", lost: "bad" };
 
 const map = new FlightMap(byId("map"), byId("follow"), byId("measure"), byId("cursor"));
 const plots = new Plots(byId("plots"), byId("inner-plots"));
+const bar = new ReplayBar(byId("replay"), (body) => press(body));
 let state = null;
 let startS = 0;
 let heardAt = performance.now();
@@ -38,6 +40,7 @@ function hear(told) {
   }
   if (told.start_s !== null) startS = told.start_s;
   if (told.setting?.band_m) set(told.setting);
+  if (told.replay) bar.show(told.replay);
   map.addTrail(told.trail);
   for (const sample of told.series ?? []) map.addTarget(sample.target_m);
   plots.add(told.series ?? []);
@@ -58,6 +61,11 @@ function set(setting) {
   map.drawFences();
   byId("legend").querySelector(".fence").hidden = !(setting.keep_in.length + setting.keep_out.length);
   byId("name").textContent = setting.name;
+  byId("buttons").hidden = Boolean(setting.replay);
+  if (setting.replay) {
+    bar.set(setting.replay, startS);
+    document.title = "sidelong: replay";
+  }
 }
 
 function say(timeS, kind, text) {
@@ -182,6 +190,7 @@ function draw() {
   lay(byId("inner-tiles"), innerTiles());
   seen();
   places();
+  byId("legend").querySelector("li.what-if").hidden = !state.what_if;
   buttons();
 }
 

@@ -1,0 +1,93 @@
+"""A replay as frames for the page: how things stood every fifth of a second, what was said, what was decided when."""
+
+from __future__ import annotations
+
+import bisect
+import json
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+from app.analysis.replay import Replayed, announcements
+from app.view.state import Json, StateEncoder
+from estimators.frames import LocalPlane
+from mission.core.events import DecisionRecord
+
+_STEP_S, _ROUNDING_S, _SAME_S = 0.2, 0.01, 3.0
+_FRAMES_MAX = 50_000  # beyond, only every other one is kept
+_TRAIL_MAX, _WORDS_MAX, _SAMPLES_MAX, _RECENT_S = 2000, 400, 1200, 180.0
+
+
+@dataclass(slots=True)
+class Frames:
+    """times_s and states (JSON) of the frames; said: (time_s, kind, text); decided_s: when a move was decided.
+
+    start_s: when watching began, None where it never did.
+    """
+
+    times_s: list[float] = field(default_factory=list)
+    states: list[bytes] = field(default_factory=list)
+    said: list[tuple[float, str, str]] = field(default_factory=list)
+    decided_s: list[float] = field(default_factory=list)
+    start_s: float | None = None
+    plane: LocalPlane | None = None
+
+    def noted(self, steps: Iterable[Replayed], encoder: StateEncoder, proposals: bool = False) -> Iterator[Replayed]:
+        """Pass the steps on, keeping what the page needs of them. proposals: made anew each second, told once."""
+        step_s, last_s, moved_s = _STEP_S, -math.inf, -math.inf
+        for step in steps:
+            snapshot, encoder.plane = step.snapshot, self.plane
+            if self.start_s is None and snapshot.estimate is not None:
+                self.start_s = snapshot.time_s
+            moves = [one.time_s for one in step.commands if isinstance(one, DecisionRecord) and one.moves]
+            again = bool(proposals and moves and moves[0] < moved_s + _SAME_S)
+            moved_s = moves[-1] if moves else moved_s
+            self.decided_s += [] if again else moves
+            said = announcements(step.commands)
+            self.said += [(one.time_s, one.kind, one.text) for one in said if not (again and one.kind == "decision")]
+            if snapshot.aircraft is not None and snapshot.time_s >= last_s + step_s - _ROUNDING_S:
+                last_s = snapshot.time_s
+                self.times_s.append(last_s)
+                self.states.append(json.dumps(encoder.state(snapshot, 0.0), separators=(",", ":")).encode())
+                if len(self.times_s) > _FRAMES_MAX:
+                    step_s *= 2.0
+                    del self.times_s[1::2], self.states[1::2]
+            yield step
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """When it begins and ends; there must be a frame."""
+        return self.times_s[0], self.times_s[-1]
+
+    def index(self, time_s: float) -> int:
+        """Return the last frame of up to a time, the first of before."""
+        return max(bisect.bisect_right(self.times_s, time_s) - 1, 0)
+
+    def state(self, index: int) -> Json:
+        """Return a frame's state."""
+        state: Json = json.loads(self.states[index])
+        return state
+
+    def trail(self, begin: int, end: int) -> list[list[float]]:
+        """Return where the aircraft was in frames [begin, end), as the page takes it, thinned."""
+        every = max(1, (end - begin) // _TRAIL_MAX)
+        places = ((self.times_s[k], self.state(k)["aircraft"]["at_m"]) for k in range(begin, end, every))
+        return [[round(time_s, 1), *at_m] for time_s, at_m in places]
+
+    def said_between(self, after_s: float, until_s: float) -> list[list[object]]:
+        """Return the latest words of a time, as the page takes them."""
+        begin, end = (bisect.bisect_right(self.said, time_s, key=lambda one: one[0]) for time_s in (after_s, until_s))
+        return [list(one) for one in self.said[max(begin, end - _WORDS_MAX) : end]]
+
+    def states_until(self, index: int) -> list[Json]:
+        """Return states up to a frame, thinned where they are long past: what plots and the target's path need."""
+        recent = self.index(self.times_s[index] - _RECENT_S)
+        chosen = (*range(0, recent, max(1, recent // _SAMPLES_MAX)), *range(recent, index + 1))
+        return [self.state(k) for k in chosen]
+
+    def decided_next(self, time_s: float, ahead: bool) -> float | None:
+        """Return the time of the next decision to move, or of the one before; None where there is none."""
+        times_s = self.decided_s
+        if ahead:
+            return next((one for one in times_s if one > time_s + _STEP_S), None)
+        return next((one for one in reversed(times_s) if one < time_s - _STEP_S), None)

@@ -1,0 +1,47 @@
+"""The page's process as it is begun, and what it is told alike of a flight and of a replay."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import sys
+
+from app.errors import InputError
+from app.view.address import Address
+from app.view.feed import Feed, FeedError
+from app.view.shading import Shading
+from app.view.state import Json
+
+_UP_S = 5.0
+
+
+def start_page(address: Address, replay: bool = False) -> tuple[Feed, str, str]:
+    """Start the server and wait for it; return its feed, and the addresses for the operator and for viewers.
+
+    replay: only a replay's buttons are taken. Raises InputError when it does not come up (port in use).
+    """
+    host, port, under = address.host, address.port, address.map
+    token, viewer_token = ("", "") if address.is_local else (secrets.token_urlsafe(16), secrets.token_urlsafe(16))
+    feed = Feed((sys.executable, "-m", "app.view"))
+    options: Json = {"host": host, "port": port, "operator_token": token, "viewer_token": viewer_token}
+    options["map"] = under and {"path": str(under.path.absolute()), "zooms": under.zooms}
+    options |= {"cert": address.cert and str(address.cert), "key": address.key and str(address.key), "replay": replay}
+    feed.send(page_line(options))
+    try:
+        ready = json.loads(feed.wait_for_line(_UP_S))
+    except FeedError as error:
+        raise InputError(f"the page cannot be shown on {host}:{port}: {error}; try another --view-port.") from error
+    url = f"{address.scheme}://{host}:{ready['port']}/"
+    return (feed, f"{url}?token={token}", f"{url}?token={viewer_token}") if token else (feed, url, url)
+
+
+def under_flight(address: Address, shading: Shading | None) -> Json:
+    """Return what the page's setting says of map and ground."""
+    under = address.map
+    told = None if under is None else {"zooms": under.zooms, "bounds_deg": under.bounds_deg}
+    return {"map": told, "shade_m": None if shading is None else shading.edges_m}
+
+
+def page_line(values: Json) -> bytes:
+    """Return a line for the page's process."""
+    return json.dumps(values, separators=(",", ":"), allow_nan=False).encode()

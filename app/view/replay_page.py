@@ -1,0 +1,56 @@
+"""A replay served on the page until it is left."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Callable
+
+from app.config import Config
+from app.view.address import Address
+from app.view.frames import Frames
+from app.view.player import Player
+from app.view.process import page_line, start_page, under_flight
+from app.view.shading import Shading
+from app.view.state import setting
+
+_EVERY_S = 0.125
+
+
+def serve_replay(
+    frames: Frames,
+    what_if: Frames | None,
+    config: Config,
+    address: Address,
+    name: str,
+    speed: float,
+    tell: Callable[[str], object],
+) -> None:
+    """Serve until Ctrl-C, or until the page's process ends. tell hears the page's address."""
+    player = Player(frames, speed, time.monotonic, what_if)
+    feed, url, _ = start_page(address, replay=True)
+    has_ground = config.terrain.folder is not None and frames.plane is not None
+    shading = Shading(config, frames.plane) if has_ground and frames.plane is not None else None
+    setting_told = False
+    tell(f"replay: {url} (Ctrl-C ends it)")
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            while feed.alive:
+                for line in feed.lines():
+                    player.pressed(json.loads(line))
+                if feed.ready:
+                    told = player.told()
+                    new_shade = shading is not None and shading.is_new()
+                    if not setting_told or new_shade:
+                        base = setting(config, frames.plane, name) | {"replay": player.setting}
+                        told["setting"] = base | under_flight(address, shading)
+                        setting_told = True
+                    if new_shade and shading is not None:
+                        told["shade"] = str(shading.file)
+                    feed.send(page_line(told))
+                time.sleep(_EVERY_S)
+    finally:
+        feed.close()
+        if shading is not None:
+            shading.close()

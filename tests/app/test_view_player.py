@@ -1,0 +1,124 @@
+"""A replay on the page: frames of a flight, and a player whose clock the test moves."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.analysis.replay import Proposals, Replayed
+from app.assembly import controller_of, settle
+from app.config import Config
+from app.view.frames import Frames
+from app.view.player import Player
+from app.view.server import replay_button_of
+from app.view.state import StateEncoder
+from estimators.frames import LocalPlane
+
+PLANE = LocalPlane(47.4, 8.5)
+
+
+@pytest.fixture(scope="module")
+def steps(flight):
+    return [Replayed(event, commands, controller.snapshot()) for event, commands, controller in flight(150.0)]
+
+
+@pytest.fixture(scope="module")
+def frames(steps):
+    found = Frames(plane=PLANE)
+    assert len(list(found.noted(steps, StateEncoder(15.0, 100.0)))) == len(steps)
+    return found
+
+
+class Clock:
+    now_s = 0.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+def test_frames_are_a_fifth_of_a_second_apart_and_decisions_are_known(frames):
+    begin_s, end_s = frames.span_s
+    assert len(frames.times_s) == pytest.approx((end_s - begin_s) * 5.0, abs=2)
+    assert len(frames.decided_s) >= 1
+    assert all(begin_s <= time_s <= end_s for time_s in frames.decided_s)
+
+
+def test_it_plays_at_its_speed_and_tells_only_what_came(frames, clock):
+    player = Player(frames, 10.0, clock)
+    first = player.told()
+    assert first["anew"]
+    clock.now_s += 1.0
+    second = player.told()
+    assert second["replay"]["at_s"] == pytest.approx(first["replay"]["at_s"] + 10.0)
+    assert "anew" not in second
+    assert len(second["trail"]) == pytest.approx(50, abs=1)
+
+
+def test_paused_it_stands_and_a_seek_begins_anew(frames, clock):
+    player = Player(frames, 10.0, clock)
+    player.told()
+    player.pressed({"action": "pause", "value": None})
+    clock.now_s += 5.0
+    player.pressed({"action": "seek", "value": 200.0})
+    told = player.told()
+    assert (told["replay"]["playing"], told["replay"]["at_s"], told["anew"]) == (False, 200.0, True)
+    assert told["state"]["time_s"] == pytest.approx(200.0, abs=0.2)
+    assert max(time_s for time_s, *_ in told["trail"]) <= 200.0
+    assert all(time_s is None or time_s <= 200.0 for time_s, *_ in told["said"])
+
+
+def test_it_steps_from_decision_to_decision(frames, clock):
+    player = Player(frames, 10.0, clock)
+    player.pressed({"action": "step", "value": 1})
+    told = player.told()
+    assert told["replay"] == {"playing": False, "speed": 10.0, "at_s": pytest.approx(frames.decided_s[0], abs=0.01)}
+    player.pressed({"action": "step", "value": -1})  # there is none before
+    assert player.told()["replay"]["at_s"] == pytest.approx(frames.decided_s[0], abs=0.01)
+
+
+def test_at_the_end_it_stops_and_play_begins_again(frames, clock):
+    player = Player(frames, 1000.0, clock)
+    clock.now_s += 10.0
+    assert player.told()["replay"]["playing"] is False
+    player.pressed({"action": "play", "value": None})
+    assert player.told()["replay"]["at_s"] == frames.span_s[0]
+
+
+def test_what_would_have_been_decided_otherwise_is_told_beside_it(frames, steps, clock, config):
+    other = Config.model_validate({"planner": {"name": "paper"}, "requirement": {"side": "right"}})
+    controller = controller_of(other)
+    settle(controller, other, PLANE, (47.4, 8.5))
+    what_if = Frames(plane=PLANE)
+    events = (step.event for step in steps)
+    assert list(what_if.noted(Proposals(controller).follow(events), StateEncoder(15.0, 100.0), proposals=True))
+    assert controller.snapshot().side == "right"
+    player = Player(frames, 10.0, clock, what_if)
+    player.pressed({"action": "seek", "value": 249.0})
+    told = player.told()
+    assert told["state"]["side"] == "left"
+    assert told["state"]["what_if"]["side"] == "right"
+    said = [text for _, kind, text in told["said"] if kind == "what-if"]
+    assert said
+    assert all(text.startswith("what if: ") for text in said)
+
+
+@pytest.mark.parametrize(
+    "press",
+    [
+        {"action": "hold"},
+        {"action": "end"},
+        {"action": "change", "values": {"radius_m": 80}},
+        {"action": "seek"},
+        {"action": "seek", "value": "12"},
+        {"action": "seek", "value": float("nan")},
+        {"action": "speed", "value": True},
+        {"action": "play", "value": 1},
+    ],
+)
+def test_no_button_of_a_flight_is_known_there(press):
+    with pytest.raises(ValueError):
+        replay_button_of(press)

@@ -1,0 +1,90 @@
+"""The replay's page in a real browser, served by the command itself."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+
+
+@contextmanager
+def serving(run_folder, *options):
+    """Yield the page's address; at the end the command is left as by Ctrl-C, and has nothing to complain of."""
+    command = (
+        sys.executable,
+        "-m",
+        "app",
+        "replay",
+        str(run_folder),
+        "--view",
+        "--view-port",
+        "0",
+        "--quiet",
+        *options,
+    )
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        url = next(match[1] for line in process.stdout if (match := re.search(r"replay: (http\S+)", line)))
+        yield url
+    finally:
+        process.send_signal(signal.SIGINT)
+        rest, _ = process.communicate(timeout=20)
+    assert process.returncode == 0, rest
+
+
+@pytest.fixture(scope="module")
+def replayed(run_folder):
+    with serving(run_folder, "--set", "requirement.side=right") as url:
+        yield url
+
+
+@pytest.fixture
+def page(browser, replayed):
+    page = browser.new_context(viewport={"width": 1280, "height": 860}, bypass_csp=True).new_page()
+    complaints: list[str] = []
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto(replayed)
+    page.locator("#phase", has_text="watching").wait_for()
+    yield page
+    assert complaints == []
+    page.context.close()
+
+
+def test_there_are_no_buttons_of_a_flight(page):
+    assert not page.locator("#buttons").is_visible()
+    assert page.locator("#replay").is_visible()
+
+
+def test_it_is_paused_sought_through_and_stepped_by_keys(page):
+    page.locator("#map").focus()
+    page.keyboard.press(" ")
+    page.locator("#play", has_text="Play").wait_for()
+    page.locator("#seek").fill("350")
+    page.locator("#at", has_text="of").wait_for()
+    page.wait_for_function("document.querySelector('#clock').textContent.startsWith('4:0')")
+    stood = page.locator("#clock").inner_text()
+    page.locator("#map").focus()
+    page.keyboard.press("[")
+    page.wait_for_function(f"document.querySelector('#clock').textContent !== '{stood}'")
+    page.locator("#speed").select_option("50")
+    page.locator("#play").click()
+    page.locator("#play", has_text="Pause").wait_for()
+
+
+def test_what_if_is_told_beside_it(page):
+    page.locator("#log .what-if", has_text="what if: ").first.wait_for()
+    assert page.locator("#legend li.what-if").is_visible()
+
+
+@pytest.mark.parametrize("size", [(1440, 900), (390, 844)], ids="{0[0]}".format)
+def test_everybody_can_read_it(page, size):
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    found = Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]})
+    assert found.violations_count == 0, found.generate_report()
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
