@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import signal
@@ -24,6 +25,7 @@ from sitl.geodesy import HomePlane
 from sitl.hills import Hills, HillsError
 from sitl.link import LinkFaults
 from sitl.motion import MOTIONS
+from sitl.pace import Pace
 from sitl.server import Address, serve
 from sitl.settings import (
     DEFAULT_HOMES,
@@ -41,6 +43,7 @@ from sitl.track import TrackError
 from sitl.truth import TruthFile
 from sitl.world import MAX_VEHICLES, in_turn
 
+_LINE_MAX = 100  # characters
 _DEFAULT_STATIONS = ("127.0.0.1:14540", "127.0.0.1:14550")
 
 
@@ -120,7 +123,11 @@ def run(
         typer.Option(metavar="FILE", help="Sign, and hear only what is signed with the key in this file."),
     ] = None,
     while_input: Annotated[
-        bool, typer.Option("--while-input", help="End when standard input does, and so with a program that dies.")
+        bool,
+        typer.Option(
+            "--while-input",
+            help="End when standard input does; go no further than a program that tells its time there.",
+        ),
     ] = False,
 ) -> None:
     """Fly a simulated vehicle that speaks MAVLink over UDP, with a laser and a gimbal on a moving target.
@@ -223,13 +230,15 @@ def run(
                 own = simulation.settings
                 print(f"ready system {own.system_id} component 1 {own.flavour} -> {where}", flush=True)
 
+        pace = Pace(speed) if while_input else None
         serve(
             list(zip(simulations, stations, strict=True)),
             speed=speed,
             duration_s=math.inf if duration is None else duration,
             faults=LinkFaults(loss, duplicate, delay_ms / 1000.0),
             on_ready=tell_ready,
-            stopped=_stop_signal(while_input),
+            stopped=_stop_signal(pace),
+            pace=pace,
         )
 
 
@@ -265,16 +274,22 @@ def _accompany(companion: Companion, url: str, stopped: Callable[[], bool], key:
         _refuse("--terrain", str(error))
 
 
-def _stop_signal(while_input: bool = False) -> Callable[[], bool]:
-    """Return what tells whether SIGINT or SIGTERM has come since now, or standard input has ended where it counts."""
+def _stop_signal(pace: Pace | None = None) -> Callable[[], bool]:
+    """Return what tells whether SIGINT or SIGTERM has come since now, or standard input has ended where it counts.
+
+    There a program may tell, line by line, what time of the simulation it has come to.
+    """
     received: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda caught, _frame: received.append(caught))
-    if while_input:
+    if pace is not None:
 
         def wait_for_end() -> None:
-            while os.read(0, 1):  # not through sys.stdin: its lock, held at the end, would be a fatal error
-                pass
+            line = b""
+            while heard := os.read(0, 4096):  # not sys.stdin: its lock, held at the end, would be a fatal error
+                *whole, line = (line[-_LINE_MAX:] + heard).split(b"\n")
+                with contextlib.suppress(ValueError, IndexError):
+                    pace.follow(float(whole[-1]), time.monotonic())
             received.append(0)
 
         threading.Thread(target=wait_for_end, daemon=True).start()

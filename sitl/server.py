@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from sitl.link import FaultyLink, LinkFaults
+from sitl.pace import Pace
 from sitl.simulation import STEP_S, Simulation
 
 Address = tuple[str, int]
@@ -73,10 +74,12 @@ def serve(
     faults: LinkFaults | None = None,
     on_ready: Callable[[], None] = lambda: None,
     stopped: Callable[[], bool] = lambda: False,
+    pace: Pace | None = None,
 ) -> None:
     """Fly until ``stopped`` or for duration_s, all vehicles on one clock.
 
     Each sends to its stations and to whoever speaks to its socket. speed is simulated over wall time.
+    pace tells how far it may go.
     """
     ports: dict[socket.socket, _Port] = {}
     try:
@@ -93,6 +96,8 @@ def serve(
             if lag_s > 0.0:
                 begin_s += lag_s / speed
                 goal_s -= lag_s
+            if pace is not None:
+                goal_s = min(goal_s, pace.limit_s(now_s))
             for port in ports.values():
                 port.advance(min(goal_s, duration_s), now_s)
             next_step_s = begin_s + (clock.time_s + STEP_S) / speed

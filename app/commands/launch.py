@@ -322,6 +322,8 @@ async def _fly(
         if not urls:
             display.note(f"starting a simulated {config.simulation.autopilot} and its target")
             vehicle = await stack.enter_async_context(SimulatedVehicles([config], [folder.truth], life.fail))
+            pace = asyncio.create_task(vehicle.keep_pace(lambda: controller.time_s))
+            stack.callback(pace.cancel)
             urls, truth = vehicle.urls, folder.truth
         display.note(f"connecting to {' and '.join(urls)}")
         link, loop = config.link, asyncio.get_running_loop()

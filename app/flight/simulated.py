@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import socket
 import sys
 from collections.abc import Callable, Sequence
@@ -14,6 +15,7 @@ from app.errors import FlightError, InputError
 
 _READY_S = 30.0
 _STOP_S = 5.0
+_PACE_S = 0.05
 
 
 def free_udp_port() -> int:
@@ -84,6 +86,23 @@ class SimulatedVehicles:
         self._vigil.cancel()
         await asyncio.gather(self._vigil, return_exceptions=True)
         await self._stop()
+
+    async def keep_pace(self, time_s: Callable[[], float]) -> None:
+        """Let the simulation wait for who flies it, where that falls behind; time_s: what it has come to.
+
+        Who comes no further, because nothing is flown any more, is silent, and not waited for.
+        """
+        assert self._process is not None
+        assert self._process.stdin is not None
+        told_s = -math.inf
+        with contextlib.suppress(ConnectionError):
+            while True:
+                await asyncio.sleep(_PACE_S)
+                now_s = time_s()
+                if now_s > told_s:
+                    told_s = now_s
+                    self._process.stdin.write(f"{now_s:.3f}\n".encode())
+                    await self._process.stdin.drain()
 
     async def _keep_vigil(self) -> None:
         why = await self.ended()
