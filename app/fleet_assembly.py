@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from app.assembly import planner_needs, tracker_settings
 from app.fleet_file import FleetFile
 from app.planners.predictive import Predictive
-from mission.core.plan import Planner
-from mission.core.requirement import Requirement
+from estimators.joint_track import JointTrack
+from estimators.settings import TrackerSettings
+from estimators.sighting import Sighting
+from mission.core.circle import Circle
+from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Requirement, Side, Wind
 from mission.fleet.coordinator import FleetCoordinator, FleetMember, FleetTarget
+from mission.fleet.team_planner import TeamPlanner
 from mission.predictive._sight_kernel import NOTHING_HIDDEN, Sight
 
 
@@ -25,9 +33,13 @@ def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda 
         for name, config in configs.items()
     }
 
-    def planner(name: str, wanted: Requirement) -> Planner:
-        return factories[name](configs[name].aircraft.aircraft(), wanted)
+    def judge(name: str, wanted: Requirement) -> TeamPlanner:
+        planner = factories[name](configs[name].aircraft.aircraft(), wanted)
+        assert isinstance(planner, TeamPlanner)  # a fleet's file has a side
+        return planner
 
+    for name in configs:
+        _warm_up(judge(name, fleet.requirement.requirement()))
     return FleetCoordinator(
         [
             FleetMember(
@@ -40,9 +52,25 @@ def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda 
             for member in members
         ],
         [FleetTarget(target.name, fleet.requirement.requirement()) for target in fleet.target],
-        planner,
+        judge,
     )
 
 
 def _all_in_sight(*_target: float) -> Sight:
     return NOTHING_HIDDEN
+
+
+def _warm_up(planner: TeamPlanner) -> None:
+    """Run once what a flight together calls, on what is thrown away: loading compiled code takes a moment."""
+    track = JointTrack({name: TrackerSettings() for name in ("west", "east")})
+    for name, east_m, bearing_rad in (("west", -250.0, 0.5 * math.pi), ("east", 250.0, -0.5 * math.pi)):
+        track.add(name, Sighting(0.0, 270.0, bearing_rad, 0.3, 1.0, 0.01, 0.01, east_m, 0.0, 80.0))
+    estimate = track.estimate(0.0)
+    assert estimate is not None
+    west, east = (Circle(east_m, 0.0, 60.0, clockwise=True) for east_m in (-250.0, 250.0))
+    state = AircraftState(0.0, *west.position_at_course(0.0), 0.0, 15.0, west.curvature_per_m)
+    other = Neighbour("east", replace(state, east_m=250.0), 160.0, ours=True, target="target")
+    planner.role_costs(state, estimate, Plan(west), Wind(), 0.5)
+    planner.advise(NeighbourPlanned(0.0, "east", Plan(east), None))
+    planner.advise(FleetAdvice(0.0, "target", Role.WANTED, Side.LEFT, estimate, 100.0, (other,)))
+    planner.decide(state, estimate, Plan(west), Wind(), 0.5)

@@ -49,9 +49,10 @@ class _Step(NamedTuple):
 class Track:
     """The target's track, from its first sighting on."""
 
-    def __init__(self, settings: TrackerSettings) -> None:
+    def __init__(self, settings: TrackerSettings, start: FilterStart | None = None) -> None:
+        """start: makes the filter, in place of the one that the settings name."""
         self._settings = settings
-        self._start = _filter_start(settings.filter)
+        self._start = start or _filter_start(settings.filter)
         self._filter: TargetFilter | None = None
         self._coasted: TargetFilter | None = None  # moved on from the last sighting by whole steps
         self._steps: list[_Step] = []

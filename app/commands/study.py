@@ -22,6 +22,7 @@ from app.config import load_config
 from app.errors import InputError
 from app.study import export as exporting
 from app.study.design import Design, Overrides, configured, designs, parsed_sweep
+from app.study.fleet import FleetPlannerName
 from app.study.fleet_study import fleet_json, fleet_table, fly_fleets
 from app.study.processes import on_processes
 from app.study.recorded import recorded_targets
@@ -83,7 +84,7 @@ def study(
         bool, typer.Option("--perfect-sensors", help="Let the planners know the truth.")
     ] = False,
     fleet: Annotated[
-        int, typer.Option(min=1, max=6, help="Aircraft on each target, by the default planner with shared roles.")
+        int, typer.Option(min=1, max=6, help="Aircraft on each target: joint decisions, and laws that hold phases.")
     ] = 1,
     terrain: Annotated[
         Path | None,
@@ -226,7 +227,7 @@ def _fly_fleet(settings: StudySettings, designs: int, jobs: int | None, json: Pa
         raise InputError("--fleet flies one design; leave out --sweep.")
     if _from_anywhere(settings.requirement()):
         raise InputError("--fleet shares the sides of a target; set requirement.side to left or right.")
-    with _progress(len(settings.numbers)) as (advance, computing):
+    with _progress(len(FleetPlannerName) * len(settings.numbers)) as (advance, computing):
         table = table_of(settings, computing)
         assert table is not None
         flown = fly_fleets(settings, table, jobs, advance)

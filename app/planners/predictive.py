@@ -1,4 +1,4 @@
-"""The default: decides every second by looking ahead."""
+"""The default: decides every second by looking ahead, in a fleet together with the others."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from app.planners.planner_kind import PlannerNeeds
 from estimators.compiled import is_kept
-from mission.core.plan import PlannerFactory
+from mission.core.plan import Planner, PlannerFactory
 from mission.core.requirement import Aircraft, Requirement
 from mission.paper.feasibility import Change, unflyable
 
@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 
 class Predictive:
-    """``PlannerKind`` for :class:`mission.predictive.planner.PredictivePlanner`."""
+    """``PlannerKind`` for :class:`mission.predictive.planner.PredictivePlanner`.
+
+    With a side to watch from, it is that of a fleet, which decides as for one until it is told of others.
+    """
 
     name = "predictive"
     about = "decides every second by looking ahead"
@@ -31,6 +34,7 @@ class Predictive:
 
     def factory(self, needs: PlannerNeeds) -> PlannerFactory:
         from app.value_cache import value_table  # noqa: PLC0415  # see PlannerKind
+        from mission.fleet.team_planner import TeamPlanner  # noqa: PLC0415
         from mission.predictive import planner  # noqa: PLC0415
 
         settings = planner.PredictiveSettings(lost_after_s=needs.lost_after_s)
@@ -42,9 +46,11 @@ class Predictive:
                 tables[one] = tables.get(one) or value_table(one, needs.progress)
             return [tables[one] for one in configurations]
 
-        def make(aircraft: Aircraft, wanted: Requirement) -> planner.PredictivePlanner:
+        def make(aircraft: Aircraft, wanted: Requirement) -> Planner:
             calm, *windy = tables_for(aircraft, wanted)
-            return planner.PredictivePlanner(aircraft, wanted, calm, settings, windy, needs.check, needs.sight)
+            sided = wanted.sector is None and not wanted.either_side
+            kind = TeamPlanner if sided else planner.PredictivePlanner
+            return kind(aircraft, wanted, calm, settings, windy, needs.check, needs.sight)
 
         tables_for(needs.aircraft, needs.requirement)
         return make

@@ -1,32 +1,79 @@
-"""One run of a study with several aircraft on one target: joint decisions, a joint estimate, height layers."""
+"""One run of a study with several aircraft on one target: joint decisions on a joint estimate, or a law with phases.
+
+Roles, plans and the filter are those that fly (:mod:`mission.fleet`, :mod:`estimators.joint`); only the coordinator's
+dealings with links and clocks are left out.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
 
 import numpy as np
 
+from app.study import _fleet_kernel as kernel
+from app.study._flight_kernel import (
+    CHANGES,
+    COMING,
+    COMMAND_PER_M,
+    DEPARTURE_S,
+    PRESENT,
+    Filtering,
+    Flight,
+    Payload,
+    Target,
+    new_flight,
+    plan_of,
+    take_plan,
+)
 from app.study.airframe import KinematicAircraft
 from app.study.judging import STEP_S, FloatArray, RunResult, judged, shares_of_any
-from app.study.pilots import PlanFollower, StopWatch
-from app.study.run import BANK_RESERVE, START_RANGE_M, sensing_of
+from app.study.pilots import StopWatch
+from app.study.run import BANK_RESERVE, START_RANGE_M, payload_of
 from app.study.scene import Scene, scene
-from app.study.sensors import Sensing
 from app.study.settings import StudySettings
-from estimators.estimate import TargetEstimate
-from estimators.fusion import fused
+from estimators._joint_kernel import combine
+from estimators._joint_kernel import predict as predict_joint
+from estimators.biases import Biases
+from estimators.estimate import TargetEstimate, TrackQuality
+from estimators.joint import JointImm, PayloadSighting, prior_of
+from estimators.motion import DENSITIES
+from estimators.target_filter import bias_drift
 from mission.core.circle import Circle
-from mission.core.plan import AircraftState, Plan, Planner
-from mission.core.requirement import Requirement, Side
-from mission.fleet.planner import FleetPlanner, Member, opposite
+from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from mission.core.path import Path
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Side
+from mission.fleet.roles import RoleAssignment
+from mission.fleet.team import TeamSettings
+from mission.fleet.team_planner import TeamPlanner
+from mission.geometry._line_kernel import Circling
+from mission.geometry.progress import line_of
 from mission.geometry.wind import ground_speed_m_s
-from mission.predictive.planner import PredictivePlanner
+from mission.laws.phased import CircularFormation, PhasedField
 from mission.predictive.value_table import ValueTable
 
-_DECISION_PERIOD_S = 1.0
+_STEPS = 10  # of a second, after which all decide
+
+
+class FleetPlannerName(StrEnum):
+    """Who steers the aircraft: this project's joint decisions, or laws of the literature that hold phases."""
+
+    JOINT = "joint"
+    FIELD = "phased field"
+    FORMATION = "circular formation"
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """One aircraft is lost at a moment: it flies on alone, sees nothing, and nobody counts on it."""
+
+    aircraft: int
+    time_s: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +81,8 @@ class FleetResult:
     """What several aircraft came to together. on_side_any, in_band_any: shares of time by at least one of them.
 
     min_separation_m: the least distance of two aircraft in three dimensions; handovers: of the wanted side.
-    aircraft: each by itself, judged as if it were alone.
+    position_error_m: root mean square of the joint estimate; in_ellipse: share of it within 95 %; 0 and 1 with
+    perfect sensors. aircraft: each by itself, judged as if it were alone. logs (aircraft, n, 6) as judged.
     """
 
     time_on_side_any: float
@@ -43,8 +91,11 @@ class FleetResult:
     min_separation_m: float
     min_range_m: float
     handovers: int
+    position_error_m: float
+    in_ellipse: float
     aircraft: tuple[RunResult, ...]
     decision_s: np.ndarray
+    logs: FloatArray
 
 
 @dataclass(slots=True)
@@ -53,111 +104,329 @@ class _Member:
 
     name: str
     height_m: float
+    flight: Flight
     body: KinematicAircraft
-    follower: PlanFollower
-    sensing: Sensing
+    planner: TeamPlanner
+    airspeed_m_s: float
+    lost: bool = False
+
+    @property
+    def state(self) -> AircraftState:
+        return AircraftState(*self.flight.body[:6].tolist())
+
+    @property
+    def busy(self) -> bool:
+        return bool(self.flight.counts[COMING] > 0)
+
+    def plan(self, coming: bool = False) -> Plan:
+        """Return the plan that is flown, or the one that comes."""
+        which = self.flight.counts[PRESENT]
+        line, circle = plan_of(self.flight, 1 - which if coming else which)
+        departure_s = float(self.flight.numbers[DEPARTURE_S]) if coming or not self.busy else 0.0
+        ring = Circle(circle.east_m, circle.north_m, abs(circle.radius_m), circle.radius_m > 0.0)
+        return Plan(ring, Path(*line.copy()) if line.size else None, departure_s)
 
 
-def run_fleet(settings: StudySettings, number: int, table: ValueTable, keep_track: bool = False) -> FleetResult:
-    """Fly one run with ``settings.fleet`` aircraft. Target and noise depend on the seed and ``number`` only."""
-    flown = scene(settings, number)
-    members = _members(settings, flown)
-    requirement, aircraft = settings.requirement(), settings.aircraft()
+class FleetRun:
+    """One run, with ``settings.fleet`` aircraft. Target and noise depend on the seed and ``number`` only."""
 
-    def planner(_name: str, wanted: Requirement) -> Planner:
-        return PredictivePlanner(aircraft, wanted, table)
+    def __init__(
+        self, settings: StudySettings, number: int, table: ValueTable, team: TeamSettings | None = None
+    ) -> None:
+        self._settings, self._scene = settings, scene(settings, number)
+        self._steps = round(self._scene.duration_s / STEP_S)
+        time_s = np.add.accumulate(np.append(0.0, np.full(self._steps - 1, STEP_S)))
+        self._target = Target(np.ascontiguousarray(self._scene.target.sampled(time_s)), np.zeros((1, 3)))
+        self._members = self._set_up(table, team)
+        self._roles = RoleAssignment()
+        self._handovers = 0
+        self._sight = None if settings.perfect_sensors else _JointSight(settings, self._scene, self._members)
+        self._watch = StopWatch(1)
+        self._errors: list[tuple[float, float]] = []
 
-    fleet = FleetPlanner(tuple(member.name for member in members), requirement, planner)
-    stopwatch = StopWatch()
-    steps = round(flown.duration_s / STEP_S)
-    logs = np.empty((len(members), steps, 6))
-    holder, handovers, next_s = None, 0, 0.0
-    for k in range(steps):
-        time_s = members[0].body.state.time_s
-        truth = flown.target.at(time_s)
-        for log, member in zip(logs, members, strict=True):
-            state = member.body.state
-            member.sensing.observe(state, member.body.bank_rad, truth)
-            log[k] = (time_s, state.east_m, state.north_m, truth.east_m, truth.north_m, truth.course_rad)
-        if time_s >= next_s - 1e-6:
-            next_s = time_s + _DECISION_PERIOD_S
-            estimate = _estimate(members, time_s)
+    def joint(self, losses: Sequence[Loss] = ()) -> FleetResult:
+        """Fly with joint decisions."""
+        return self._flown(self._decide, _STEPS, losses)
+
+    def by_law(self, name: FleetPlannerName) -> FleetResult:
+        """Fly a law that holds the aircraft at equal phases about the target."""
+        settings, clockwise = self._settings, self._settings.requirement().side.clockwise
+        make = PhasedField if name is FleetPlannerName.FIELD else CircularFormation
+        law = make(clockwise=clockwise, airspeed_m_s=settings.airspeed_m_s)
+
+        def steer(estimate: TargetEstimate) -> None:
+            states = [member.state for member in self._members]
+            for member, told in zip(self._members, self._watch(lambda: law.steer(states, estimate)), strict=True):
+                member.flight.numbers[COMMAND_PER_M] = told.curvature_per_m
+                member.airspeed_m_s = told.airspeed_m_s
+
+        return self._flown(steer, 2, ())
+
+    # -- the run ---------------------------------------------------------------------------------------------
+
+    def _flown(self, decide: Callable[[TargetEstimate], None], steps: int, losses: Sequence[Loss]) -> FleetResult:
+        at = 0
+        while at < self._steps:
+            time_s = float(self._members[0].flight.body[0])
+            for loss in losses:
+                if time_s >= loss.time_s:
+                    self._members[loss.aircraft].lost = True
+            estimate = self._estimate(at, time_s)
             if estimate is not None:
-                _decide(fleet, members, estimate, settings, stopwatch)
-            handovers += holder is not None and fleet.assignment.holder != holder
-            holder = fleet.assignment.holder
-        for member in members:
-            member.body.step(member.follower.curvature_per_m(member.body.state), STEP_S)
-    results = tuple(
-        judged(settings, log, member.follower.changed_s, [], keep_track)
-        for log, member in zip(logs, members, strict=True)
-    )
-    side, side_5s, band = shares_of_any(settings, logs)
-    return FleetResult(
-        side,
-        side_5s,
-        band,
-        _separation_m(logs, [member.height_m for member in members]),
-        min(result.min_range_m for result in results),
-        handovers,
-        results,
-        np.asarray(stopwatch.taken_s, np.float32),
-    )
+                decide(estimate)
+            for member in self._members:
+                frame = member.body.frame(STEP_S)._replace(airspeed_m_s=member.airspeed_m_s)
+                kernel.fly_on(member.flight, self._target, frame, steps)
+            if self._sight is not None:
+                self._sight.see(self._members, self._target, at, min(at + steps, self._steps))
+            at += steps
+        return self._result()
 
+    def _estimate(self, step: int, time_s: float) -> TargetEstimate | None:
+        truth = self._target.sampled[step].tolist()
+        if self._sight is None:
+            east, north, velocity_e, velocity_n, _ = truth
+            return TargetEstimate(
+                time_s, east, north, velocity_e, velocity_n, np.zeros((4, 4)), TrackQuality.GOOD, time_s
+            )
+        found = self._sight.estimate(time_s)
+        if found is not None:
+            off = np.array((found.east_m - truth[0], found.north_m - truth[1]))
+            self._errors.append((float(off @ off), float(off @ np.linalg.solve(found.covariance[:2, :2], off))))
+        return found
 
-def _decide(
-    fleet: FleetPlanner,
-    members: Sequence[_Member],
-    estimate: TargetEstimate,
-    settings: StudySettings,
-    stopwatch: StopWatch,
-) -> None:
-    told = {
-        member.name: Member(
-            member.body.state, member.follower.plan, settings.latency_s, busy=member.follower.coming is not None
+    def _decide(self, estimate: TargetEstimate) -> None:
+        settings, wind = self._settings, self._settings.wind
+        flying = [member for member in self._members if not member.lost]
+        costs = {
+            one.name: one.planner.role_costs(one.state, estimate, one.plan(), wind, settings.latency_s)
+            for one in flying
+        }
+        before = self._roles.holder
+        roles = self._roles.assign(estimate.time_s, costs)
+        self._handovers += before is not None and self._roles.holder != before
+        neighbours = {
+            one.name: Neighbour(one.name, one.state, one.height_m, True, role=roles[one.name]) for one in flying
+        }
+        for member in flying:
+            told = NeighbourPlanned(
+                estimate.time_s, member.name, member.plan(), member.plan(coming=True) if member.busy else None
+            )
+            for other in flying:
+                if other is not member:
+                    other.planner.advise(told)
+        wanted = settings.requirement().side
+        for member in sorted(flying, key=lambda one: roles[one.name] is not Role.WANTED):
+            role = roles[member.name]
+            side = wanted if role is Role.WANTED else _other(wanted)
+            others = tuple(one for name, one in neighbours.items() if name != member.name)
+            member.planner.advise(FleetAdvice(estimate.time_s, "", role, side, estimate, member.height_m, others))
+            if member.busy:
+                continue
+            arguments = member.state, estimate, member.plan(), wind, settings.latency_s
+            plan = self._watch(partial(member.planner.decide, *arguments)).plan
+            if plan is None:
+                continue
+            take_plan(member.flight, plan.departure_s, *line_of(plan))
+            for other in flying:
+                if other is not member:
+                    other.planner.advise(NeighbourPlanned(estimate.time_s, member.name, member.plan(), plan))
+
+    def _result(self) -> FleetResult:
+        settings, logs = self._settings, np.stack([member.flight.log for member in self._members])
+        results = tuple(
+            judged(
+                settings,
+                member.flight.log,
+                member.flight.changed_s[: member.flight.counts[CHANGES]].tolist(),
+                [],
+                False,
+            )
+            for member in self._members
         )
-        for member in members
-    }
-    decided = stopwatch(lambda: fleet.decide(told, estimate, settings.wind))
-    for member in members:
-        decision = decided[member.name].decision
-        if decision is not None and decision.plan is not None:
-            member.follower.take_up(decision.plan)
+        side, side_5s, band = shares_of_any(settings, logs)
+        squared = np.array(self._errors) if self._errors else np.zeros((1, 2))
+        return FleetResult(
+            side,
+            side_5s,
+            band,
+            _separation_m(logs, [member.height_m for member in self._members]),
+            min(result.min_range_m for result in results),
+            self._handovers,
+            math.sqrt(float(squared[:, 0].mean())),
+            float((squared[:, 1] < _CHI2_95).mean()),
+            results,
+            np.asarray(self._watch.taken_s, np.float32),
+            logs,
+        )
+
+    def _set_up(self, table: ValueTable, team: TeamSettings | None) -> list[_Member]:
+        """Set the aircraft up in turn on the wanted and the opposite side, each in a height layer of its own."""
+        settings, flown = self._settings, self._scene
+        requirement, aircraft = settings.requirement(), settings.aircraft()
+        members = []
+        for k in range(settings.fleet):
+            side = requirement.side if k % 2 == 0 else _other(requirement.side)
+            circle = _start_circle(settings, flown, side, k // 2)
+            course_rad = float(flown.start_rng.uniform(-math.pi, math.pi))
+            start = AircraftState(
+                0.0,
+                *circle.position_at_course(course_rad),
+                course_rad,
+                ground_speed_m_s(course_rad, settings.airspeed_m_s, settings.wind),
+                circle.curvature_per_m,
+            )
+            body = KinematicAircraft(
+                start,
+                settings.airspeed_m_s,
+                math.atan(BANK_RESERVE * math.tan(settings.circle_bank_rad)),
+                aircraft.roll_rate_max_rad_s,
+                settings.wind,
+                settings.lag_s,
+            )
+            signed_m = circle.radius_m if circle.clockwise else -circle.radius_m
+            ring = Circling(circle.east_m, circle.north_m, signed_m)
+            members.append(
+                _Member(
+                    f"aircraft {k + 1}",
+                    settings.height_m + k * settings.layer_m,
+                    new_flight(body.body, ring, np.zeros((1, 1)), self._steps, 1),
+                    body,
+                    TeamPlanner(aircraft, requirement, table, team=team),
+                    settings.airspeed_m_s,
+                )
+            )
+        return members
 
 
-def _estimate(members: Sequence[_Member], time_s: float) -> TargetEstimate | None:
-    estimates = {member.name: member.sensing.estimate(time_s) for member in members}
-    return fused({name: estimate for name, estimate in estimates.items() if estimate is not None}).estimate
+_CHI2_95 = 5.991
 
 
-def _members(settings: StudySettings, flown: Scene) -> list[_Member]:
-    """Set the aircraft up in turn on the wanted and the opposite side, each in a height layer of its own."""
-    requirement = settings.requirement()
-    seeds = flown.sensor_rng.spawn(settings.fleet)
-    members = []
-    for k in range(settings.fleet):
-        wanted = requirement if k % 2 == 0 else opposite(requirement)
-        height_m = settings.height_m + k * settings.layer_m
-        circle = _start_circle(settings, flown, wanted.side, k // 2)
-        course_rad = float(flown.start_rng.uniform(-math.pi, math.pi))
-        start = AircraftState(
+class _JointSight:
+    """All payloads of a run, feeding one joint filter."""
+
+    def __init__(self, settings: StudySettings, flown: Scene, members: Sequence[_Member]) -> None:
+        errors, told = payload_of(settings)
+        self._told, count, steps = told, len(members), len(members[0].flight.log)
+        self._noise = np.stack([rng.normal(size=(steps, 3)) for rng in flown.sensor_rng.spawn(count)])
+        self._heights_m = np.array([member.height_m for member in members])
+        self._payload = Payload(
+            False,
             0.0,
-            *circle.position_at_course(course_rad),
-            course_rad,
-            ground_speed_m_s(course_rad, settings.airspeed_m_s, settings.wind),
-            circle.curvature_per_m,
+            errors.range_sigma_m,
+            errors.angle_sigma_rad,
+            errors.yaw_bias_rad,
+            told.range_sigma_m,
+            told.yaw_sigma_rad,
+            told.pitch_sigma_rad,
+            told.position_sigma_m,
         )
-        body = KinematicAircraft(
-            start,
-            settings.airspeed_m_s,
-            math.atan(BANK_RESERVE * math.tan(settings.circle_bank_rad)),
-            settings.aircraft().roll_rate_max_rad_s,
-            settings.wind,
-            settings.lag_s,
+        yaw, pitch, offset = bias_drift(np.arange(3)).tolist()
+        self._filtering = Filtering(
+            told.gate_nis,
+            told.soft_nis,
+            DENSITIES[told.target_kind],
+            (yaw, pitch, offset),
+            told.reacquire_after,
+            told.lost_after_s,
+            told.lost_sigma_m,
         )
-        sensing = sensing_of(replace(settings, height_m=height_m), seeds[k])
-        members.append(_Member(f"aircraft {k + 1}", height_m, body, PlanFollower(Plan(circle)), sensing))
-    return members
+        self._prior = prior_of([told] * count, [0.0] * count)
+        self._state: FloatArray | None = None
+        self._clock, self._rejections = np.zeros(2), np.zeros(1, np.int64)
+
+    def see(self, members: Sequence[_Member], target: Target, at: int, until: int) -> None:
+        """Take in what is seen from step ``at`` on."""
+        logs = np.stack([member.flight.log[at:until] for member in members])
+        seeing = np.array([not member.lost for member in members], np.int64)
+        window = Target(target.sampled[at:until], target.noise)
+        noise = np.ascontiguousarray(self._noise[:, at:until])
+        step, last = 0, until - at
+        while step < last:
+            if self._state is None:
+                one = int(np.argmax(seeing))
+                self._state = self._begun(one, logs[one, step], window.sampled[step], noise[one, step])
+                self._clock[:], self._rejections[0] = logs[one, step, 0], 0
+            step = kernel.see(
+                self._state,
+                np.empty_like(self._state),
+                self._clock,
+                logs,
+                window,
+                noise,
+                self._heights_m,
+                self._payload,
+                self._filtering,
+                seeing,
+                self._rejections,
+                step,
+                last,
+            )
+            if self._rejections[0] >= self._filtering.reacquire_after * len(members):
+                mean, covariance = self._moments(self._state, self._state_size)
+                self._prior, self._state = Biases(mean[6:], covariance[6:, 6:]), None
+
+    @property
+    def _state_size(self) -> int:
+        return 6 + self._prior.mean.size
+
+    @staticmethod
+    def _moments(state: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
+        mean, covariance = np.empty(size), np.empty((size, size))
+        combine(state, mean, covariance)
+        return mean, covariance
+
+    def _begun(self, payload: int, row: FloatArray, truth: FloatArray, noise: FloatArray) -> FloatArray:
+        """Return the filter begun with what one payload sees."""
+        p, height_m = self._payload, float(self._heights_m[payload])
+        east_m, north_m = float(truth[0] - row[1]), float(truth[1] - row[2])
+        level_m = math.hypot(east_m, north_m)
+        sighting = PayloadSighting(
+            float(row[0]),
+            math.hypot(level_m, height_m) + p.range_sigma_m * noise[0],
+            math.atan2(east_m, north_m) + p.yaw_bias_rad + p.angle_sigma_rad * noise[1],
+            math.atan2(height_m, level_m) - p.angle_sigma_rad * noise[2],
+            p.told_range_sigma_m,
+            p.told_yaw_sigma_rad,
+            p.told_pitch_sigma_rad,
+            float(row[1]),
+            float(row[2]),
+            height_m,
+            payload=payload,
+        )
+        return JointImm(self._told, sighting, self._prior).state
+
+    def estimate(self, time_s: float) -> TargetEstimate | None:
+        """Return the joint estimate; None before the first sighting."""
+        if self._state is None:
+            return None
+        ahead, step_s = self._state, time_s - float(self._clock[0])
+        if step_s > 1e-6:
+            ahead, f = np.empty_like(self._state), self._filtering
+            predict_joint(self._state, min(step_s, 1.0), f.densities, f.drift_per_s, ahead)
+        mean, covariance = self._moments(ahead, 4)
+        sigma_m, seen_s = math.sqrt(covariance[0, 0] + covariance[1, 1]), float(self._clock[1])
+        lost = time_s - seen_s > self._filtering.lost_after_s or sigma_m > self._filtering.lost_sigma_m
+        quality = TrackQuality.LOST if lost else TrackQuality.GOOD
+        east, north, velocity_e, velocity_n = mean.tolist()
+        return TargetEstimate(time_s, east, north, velocity_e, velocity_n, covariance, quality, seen_s)
+
+
+def run_fleet(
+    settings: StudySettings,
+    number: int,
+    table: ValueTable,
+    planner: FleetPlannerName = FleetPlannerName.JOINT,
+    losses: Sequence[Loss] = (),
+    team: TeamSettings | None = None,
+) -> FleetResult:
+    """Fly one run. losses count for joint decisions only."""
+    flown = FleetRun(settings, number, table, team)
+    return flown.joint(losses) if planner is FleetPlannerName.JOINT else flown.by_law(planner)
+
+
+def _other(side: Side) -> Side:
+    return Side.RIGHT if side is Side.LEFT else Side.LEFT
 
 
 def _start_circle(settings: StudySettings, flown: Scene, side: Side, row: int) -> Circle:

@@ -1,11 +1,11 @@
-"""A study with several aircraft on each target."""
+"""A study with several aircraft on each target: joint decisions, and beside them laws that hold phases."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from app.study.fleet import FleetResult, run_fleet
+from app.study.fleet import FleetPlannerName, FleetResult, run_fleet
 from app.study.processes import uninterrupted
 from app.study.report import spread
 from app.study.settings import StudySettings
@@ -28,77 +28,73 @@ _OF_EACH = {
     "moves_per_hour": 95,
     "quick_changes_per_hour": 95,
 }
+# What is told of all together.
+_OF_ALL = {
+    "time_on_side_any": 5,
+    "time_on_side_any_5s": 5,
+    "time_in_band_any": 5,
+    "min_separation_m": 5,
+    "min_range_m": 5,
+    "handovers": 95,
+    "position_error_m": 95,
+    "in_ellipse": 5,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetStudy:
-    """All runs, in order."""
+    """All runs of each planner, in order."""
 
     settings: StudySettings
-    runs: tuple[FleetResult, ...]
+    runs: dict[FleetPlannerName, tuple[FleetResult, ...]]
 
 
 def fly_fleets(
-    settings: StudySettings, table: ValueTable, jobs: int | None, progress: Callable[[int], None]
+    settings: StudySettings,
+    table: ValueTable,
+    jobs: int | None,
+    progress: Callable[[int], None],
+    planners: Sequence[FleetPlannerName] = tuple(FleetPlannerName),
 ) -> FleetStudy:
     """Fly all runs on so many processes, one for each core by default. progress hears of each run that is done."""
-    numbers = settings.numbers
-    found: dict[int, FleetResult] = {}
+    tasks = [(planner, number) for number in settings.numbers for planner in planners]
+    found: dict[tuple[FleetPlannerName, int], FleetResult] = {}
     with uninterrupted():
         pool = multiprocessing.get_context("spawn").Pool(jobs or os.cpu_count() or 1, _begin, (settings, table))
     with pool:
-        for number, result in pool.imap_unordered(_fly, numbers):
-            found[number] = result
+        for task, result in pool.imap_unordered(_fly, tasks):
+            found[task] = result
             progress(1)
-    return FleetStudy(settings, tuple(found[number] for number in numbers))
+    return FleetStudy(
+        settings, {planner: tuple(found[planner, number] for number in settings.numbers) for planner in planners}
+    )
 
 
 def fleet_table(study: FleetStudy) -> Table:
-    """Return the figures for people."""
-    table = Table("", "mean", "worst", box=box.SIMPLE_HEAD)
-    for label, values, scale, digits in (
-        ("side seen by at least one, %", [run.time_on_side_any for run in study.runs], 100.0, 2),
-        ("by the course of 5 s, %", [run.time_on_side_any_5s for run in study.runs], 100.0, 2),
-        ("one in the band, %", [run.time_in_band_any for run in study.runs], 100.0, 2),
-        ("least separation, m", [run.min_separation_m for run in study.runs], 1.0, 0),
-        ("least range, m", [run.min_range_m for run in study.runs], 1.0, 0),
+    """Return the figures for people: means, and the worst of all runs."""
+    table = Table("mean / worst", *study.runs, box=box.SIMPLE_HEAD)
+    for label, name, scale, digits, worst in (
+        ("wanted side seen by at least one, %", "time_on_side_any", 100.0, 2, np.min),
+        ("by the course of 5 s, %", "time_on_side_any_5s", 100.0, 2, np.min),
+        ("one in the band, %", "time_in_band_any", 100.0, 2, np.min),
+        ("least separation, m", "min_separation_m", 1.0, 0, np.min),
+        ("least range, m", "min_range_m", 1.0, 0, np.min),
+        ("handovers of the side per run", "handovers", 1.0, 1, np.max),
+        ("position error, m", "position_error_m", 1.0, 2, np.max),
     ):
-        known = scale * np.array([value for value in values if np.isfinite(value)])
-        row = (f"{known.mean():.{digits}f}", f"{known.min():.{digits}f}") if known.size else ("-", "-")
-        table.add_row(label, *row)
-    table.add_row("handovers of the side per run", f"{np.mean([run.handovers for run in study.runs]):.1f}", "")
+        cells = []
+        for runs in study.runs.values():
+            known = scale * np.array([value for run in runs if np.isfinite(value := getattr(run, name))])
+            cells.append(f"{known.mean():.{digits}f} / {worst(known):.{digits}f}" if known.size else "-")
+        table.add_row(label, *cells)
     return table
 
 
 def fleet_json(study: FleetStudy) -> dict[str, Any]:
     """Return the summary that ``--json`` writes."""
-    settings, runs = study.settings, study.runs
-
-    def over(name: str, tail: int = 5) -> dict[str, float | None]:
-        return spread(np.array([getattr(run, name) for run in runs]), tail)
-
-    aircraft = [
-        {
-            name: spread(np.array([getattr(run.aircraft[k], name) for run in runs]), tail)
-            for name, tail in _OF_EACH.items()
-        }
-        for k in range(settings.fleet)
-    ]
-    decision_ms = 1e3 * np.percentile(np.concatenate([run.decision_s for run in runs]), (50, 99))
-    figures = {
-        "targets": settings.runs,
-        "skipped": len(settings.skipped),
-        "time_on_side_any": over("time_on_side_any"),
-        "time_on_side_any_5s": over("time_on_side_any_5s"),
-        "time_in_band_any": over("time_in_band_any"),
-        "min_separation_m": over("min_separation_m"),
-        "min_range_m": over("min_range_m"),
-        "handovers": over("handovers", 95),
-        "decision_ms": {"p50": float(decision_ms[0]), "p99": float(decision_ms[1])},
-        "aircraft": aircraft,
-    }
+    settings = study.settings
     return {
-        "planners": {"predictive": figures},
+        "planners": {planner.value: _figures(settings, runs) for planner, runs in study.runs.items()},
         "fleet": settings.fleet,
         "runs": settings.runs,
         "noise_draws": settings.noise_draws,
@@ -106,6 +102,22 @@ def fleet_json(study: FleetStudy) -> dict[str, Any]:
         "targets": settings.runs,
         "skipped": len(settings.skipped),
         "skipped_targets": [{"file": file, "reason": reason} for file, reason in settings.skipped],
+    }
+
+
+def _figures(settings: StudySettings, runs: Sequence[FleetResult]) -> dict[str, Any]:
+    decision_ms = 1e3 * np.percentile(np.concatenate([run.decision_s for run in runs]), (50, 99))
+    aircraft = [
+        {
+            name: spread(np.array([getattr(run.aircraft[k], name) for run in runs]), tail)
+            for name, tail in _OF_EACH.items()
+        }
+        for k in range(settings.fleet)
+    ]
+    return {
+        **{name: spread(np.array([getattr(run, name) for run in runs]), tail) for name, tail in _OF_ALL.items()},
+        "decision_ms": {"p50": float(decision_ms[0]), "p99": float(decision_ms[1])},
+        "aircraft": aircraft,
     }
 
 
@@ -118,6 +130,7 @@ def _begin(settings: StudySettings, table: ValueTable) -> None:
     _worker = settings, table
 
 
-def _fly(number: int) -> tuple[int, FleetResult]:
+def _fly(task: tuple[FleetPlannerName, int]) -> tuple[tuple[FleetPlannerName, int], FleetResult]:
     settings, table = _worker
-    return number, run_fleet(settings, number, table)
+    planner, number = task
+    return task, run_fleet(settings, number, table, planner)

@@ -604,8 +604,16 @@ class StandoffController:
             return ()
         self._requirement = replace(self._requirement, side=told.side)
         if not isinstance(self._planner, CooperativePlanner):
-            self._planner = self.make_planner(self.settings.aircraft, self._requirement)
+            self._planner = self._new_planner()
         return (Announce(told.time_s, "decision", f"watching from the {told.side}: {told.reason}"),)
+
+    def _new_planner(self) -> Planner:
+        """Return a planner for what is asked now, told of the fleet what the one before it was."""
+        planner = self.make_planner(self.settings.aircraft, self._requirement)
+        if isinstance(planner, CooperativePlanner):
+            for told in (*self.separation.plans.values(), *(() if self._advice is None else (self._advice,))):
+                planner.advise(told)
+        return planner
 
     def _joint_estimate(self) -> TargetEstimate | None:
         """Return the fleet's estimate of the target, while it is fresh and not lost."""
@@ -643,7 +651,7 @@ class StandoffController:
                 return (Announce(event.time_s, "operator", f"side refused: {why}"),)
             case "side":
                 self._requirement = replace(self._requirement, side=event.side)
-                self._planner = self.make_planner(self.settings.aircraft, self._requirement)
+                self._planner = self._new_planner()
         text = f"operator: {event.action}" + (f" {event.side}" if event.action == "side" else "")
         told = Announce(event.time_s, "operator", text)
         if event.action == "end":
@@ -671,7 +679,7 @@ class StandoffController:
         aircraft = aircraft_after(event, self.settings.aircraft)
         self._requirement = requirement_after(event, self._requirement)
         self.settings = replace(self.settings, aircraft=aircraft, requirement=self._requirement)
-        self._planner = self.make_planner(aircraft, self._requirement)
+        self._planner = self._new_planner()
         if event.height_m is not None:
             self.heights, self._height_asked_m = self._heights_at(event.height_m), event.height_m
         self._changed_s = self.time_s

@@ -9,7 +9,7 @@ How it is used
 --------------
 ::
 
-    coordinator = FleetCoordinator(members, targets, make_planner)
+    coordinator = FleetCoordinator(members, targets, make_judge)
     # after each step of a vehicle's core, in the order in which the steps were made:
     for news in reporters[name].after(core.controller, event, outputs, mission_time_s):  # mission.fleet.reports
         for command in coordinator.step(news):
@@ -25,10 +25,12 @@ Rules
 -----
 1. Only what was reported lately counts: an aircraft silent for ``silent_after_s`` has lost its role to the others.
 2. Roles are given out each second by expected cost; see :mod:`mission.fleet.roles`.
-3. Relief: an aircraft whose battery is below ``relieve_below`` (or whose relief is asked for) leaves as soon as the
-   target is watched without it; a reserve is asked for. Below ``leave_below`` it leaves whatever happens.
-4. Several targets: aircraft are given out to the targets by the time to get there, with hysteresis.
-5. Each aircraft keeps the height layer that it was set up with.
+3. Relief: an aircraft whose battery is below ``relieve_below``, which has watched for its ``endurance_s``, or whose
+   relief is asked for gives the wanted side away, but holds it with the other one until that one is there; a reserve
+   is asked for. Below ``leave_below`` it leaves whatever happens. A reserve is asked for too when nobody is left.
+4. Several targets: aircraft are given out by the time to get there, those that are free or with a target that is lost
+   at once, others only where all together gain ``reassign_gain_s``.
+5. Each aircraft keeps the height layer that it was set up with, so layers are never swapped.
 """
 
 from __future__ import annotations
@@ -36,11 +38,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from estimators.estimate import TargetEstimate, TrackQuality
+from estimators.joint_track import JointTrack
 from estimators.settings import TrackerSettings
 from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
-from mission.core.plan import AircraftState, Planner
+from mission.core.plan import AircraftState, Plan
 from mission.core.requirement import Aircraft, Requirement, Side, Wind
 from mission.fleet.clocks import VehicleTime, shifted_estimate, shifted_plan, shifted_state
 from mission.fleet.events import (
@@ -59,16 +66,21 @@ from mission.fleet.events import (
     VehicleLost,
     VehicleReported,
 )
-from mission.fleet.joint_track import JointTrack
-from mission.fleet.planner import FleetPlanner, Member
+from mission.fleet.roles import RoleAssignment, RoleCosts
 
 _FOREIGN_FORGOTTEN_S = 30.0
 _STANDING_M_S = 0.3  # a slower target has no course
+# An aircraft that is to be relieved pays so much more for the wanted side.
+_RELIEVED_S = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
 class FleetMember:
-    """One aircraft as the fleet file has it. height_m: of its layer, above the common home. target: to begin with."""
+    """One aircraft as the fleet file has it.
+
+    height_m: of its layer, above the common home. target: to begin with. reserve: it waits until it is asked for.
+    endurance_s: it is relieved after watching for so long.
+    """
 
     name: str
     aircraft: Aircraft
@@ -76,6 +88,7 @@ class FleetMember:
     height_m: float
     target: str = ""
     reserve: bool = False
+    endurance_s: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +101,23 @@ class FleetTarget:
 
 @dataclass(frozen=True, slots=True)
 class FleetSettings:
-    """See the rules of this module. Shares are of the battery's charge."""
+    """See the rules of this module. relieve_below, leave_below: shares of the battery's charge."""
 
     period_s: float = 1.0
     silent_after_s: float = 5.0
     relieve_below: float = 0.3
     leave_below: float = 0.15
+    reassign_gain_s: float = 30.0
+
+
+class RoleJudge(Protocol):
+    """Tells what the roles cost an aircraft; see :meth:`mission.fleet.team_planner.TeamPlanner.role_costs`."""
+
+    def role_costs(
+        self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
+    ) -> RoleCosts:
+        """Return what this aircraft would pay in each role."""
+        ...
 
 
 @dataclass(slots=True, eq=False)
@@ -107,6 +131,7 @@ class _Vehicle:
     lost: str = ""
     remaining: float = 1.0
     relief_asked: bool = False
+    since_s: float = math.inf  # it watches
     leaving: bool = False
     target: str = ""
     role: Role = Role.WANTED
@@ -115,16 +140,16 @@ class _Vehicle:
 
 
 class FleetCoordinator:
-    """See the module. make_planner builds one aircraft's planner for a requirement, from what is at hand.
+    """See the module. make_judge builds what tells one aircraft's costs for a requirement, from what is at hand.
 
-    Raises ValueError where names repeat, there is no target, or a requirement has no sides.
+    Raises ValueError where names repeat, there is no aircraft or no target, or a requirement has no sides.
     """
 
     def __init__(
         self,
         members: Sequence[FleetMember],
         targets: Sequence[FleetTarget],
-        make_planner: Callable[[str, Requirement], Planner],
+        make_judge: Callable[[str, Requirement], RoleJudge],
         settings: FleetSettings | None = None,
     ) -> None:
         names = [one.name for one in members]
@@ -137,9 +162,14 @@ class FleetCoordinator:
         self._targets = {one.name: one for one in targets}
         payloads = {one.name: one.tracker for one in members}
         self._tracks = {one.name: JointTrack(payloads) for one in targets}
-        self._planners = {one.name: FleetPlanner(tuple(names), one.requirement, make_planner) for one in targets}
+        for one in targets:
+            if one.requirement.either_side or one.requirement.sector is not None:
+                raise ValueError("several aircraft share the sides of a target: side has to be left or right")
+        self._judges = {(name, one.name): make_judge(name, one.requirement) for name in names for one in targets}
+        self._assignments = {one.name: RoleAssignment() for one in targets}
         self._foreign: dict[str, ForeignAircraftReported] = {}
         self._refused: dict[str, Mapping[str, str]] = {}
+        self._asked: set[str] = set()
         self._now_s, self._next_s = -math.inf, -math.inf
         self._out: list[FleetCommand] = []
 
@@ -193,8 +223,11 @@ class FleetCoordinator:
             state=shifted_state(event.state, by_s),
         )
         self._now_s = max(self._now_s, vehicle.report.time_s)
+        if event.watching:
+            vehicle.since_s = min(vehicle.since_s, vehicle.report.time_s)
         if vehicle.lost and event.watching:
             vehicle.lost = ""
+            self._asked.discard(f"{event.name} is out")
             self._say(event.name, "is back")
         if before is None:
             for other in self._vehicles.values():
@@ -253,8 +286,9 @@ class FleetCoordinator:
         self._next_s = self._now_s + self.settings.period_s
         estimates = {name: track.estimate(self._now_s) for name, track in self._tracks.items()}
         self._tell_refusals()
-        for name, target in self._targets.items():
-            self._assign_roles(target, estimates[name])
+        self._assign_targets(estimates)
+        for name in self._targets:
+            self._assign_roles(name, estimates[name])
         self._relieve(estimates)
         self._foreign = {
             key: one for key, one in self._foreign.items() if self._now_s - one.mission_time_s < _FOREIGN_FORGOTTEN_S
@@ -274,34 +308,61 @@ class FleetCoordinator:
     def _takes_part(self, vehicle: _Vehicle) -> bool:
         return vehicle.report is not None and vehicle.report.watching and not vehicle.lost and not vehicle.leaving
 
-    def _assign_roles(self, target: FleetTarget, estimate: TargetEstimate | None) -> None:
+    def _assign_targets(self, estimates: Mapping[str, TargetEstimate | None]) -> None:
+        """Give the aircraft out to the targets that are seen, as evenly as can be."""
+        known = {
+            name: one for name, one in estimates.items() if one is not None and one.quality is not TrackQuality.LOST
+        }
+        free = [one for one in self._vehicles.values() if self._takes_part(one) and estimates[one.target] is not None]
+        if len(self._targets) < 2 or not known or not free:
+            return
+        names = list(known)
+        slots = [names[k % len(names)] for k in range(len(free))]
+        to_s = np.array([[_way_s(one, known[name]) for name in slots] for one in free])
+        rows, columns = linear_sum_assignment(to_s)
+        at = [slots.index(one.target) if one.target in known else -1 for one in free]
+        bound = all(k >= 0 for k in at) and sorted(one.target for one in free) == sorted(slots)
+        present_s = sum(to_s[row, k] for row, k in enumerate(at))
+        if bound and present_s - float(to_s[rows, columns].sum()) < self.settings.reassign_gain_s:
+            return
+        for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+            if free[row].target != slots[column]:
+                free[row].target = slots[column]
+                self._say(free[row].member.name, f"goes to {slots[column]}")
+
+    def _assign_roles(self, target: str, estimate: TargetEstimate | None) -> None:
         if estimate is None or estimate.quality is TrackQuality.LOST:
             return
-        members: dict[str, Member] = {}
-        wind = Wind()
+        costs: dict[str, RoleCosts] = {}
         for name, vehicle in self._vehicles.items():
             report, plans = vehicle.report, vehicle.plans
-            if vehicle.target != target.name or report is None or not self._takes_part(vehicle):
+            if vehicle.target != target or report is None or plans is None or not self._takes_part(vehicle):
                 continue
-            present = shifted_plan(plans.present, vehicle.clock.offset_s) if plans is not None else None
-            if plans is not None and present is not None:
-                members[name] = Member(report.state, present, report.latency_s, plans.coming is not None)
-                wind = report.wind
-        for name, decision in self._planners[target.name].decide(members, estimate, wind).items():
-            self._vehicles[name].role = decision.role
+            present = shifted_plan(plans.present, vehicle.clock.offset_s)
+            if present is None:
+                continue
+            judge = self._judges[name, target]
+            found = judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
+            more_s = _RELIEVED_S if self._is_to_be_relieved(vehicle) else 0.0
+            costs[name] = RoleCosts(found.wanted_s + more_s, found.opposite_s)
+        for name, role in self._assignments[target].assign(self._now_s, costs).items():
+            self._vehicles[name].role = role
+
+    def _is_to_be_relieved(self, vehicle: _Vehicle) -> bool:
+        watched_s = self._now_s - vehicle.since_s
+        low = vehicle.remaining < self.settings.relieve_below or watched_s > vehicle.member.endurance_s
+        return low or vehicle.relief_asked
 
     def _relieve(self, estimates: Mapping[str, TargetEstimate | None]) -> None:
         for vehicle in self._vehicles.values():
-            low = vehicle.remaining < self.settings.relieve_below or vehicle.relief_asked
-            if not low or not self._takes_part(vehicle):
+            if not self._takes_part(vehicle) or not self._is_to_be_relieved(vehicle):
                 continue
             others = [
                 one
                 for one in self._vehicles.values()
                 if one is not vehicle and one.target == vehicle.target and self._takes_part(one)
             ]
-            if vehicle.role is Role.WANTED and others and not any(one.role is Role.WANTED for one in others):
-                others[0].role = Role.WANTED  # both, until it is there
+            vehicle.role = Role.WANTED  # with who takes over, until that one is there
             estimate = estimates[vehicle.target]
             if any(one.role is Role.WANTED and self._is_beside(one, estimate) for one in others):
                 self._leave(vehicle, "another aircraft has taken over")
@@ -326,9 +387,13 @@ class FleetCoordinator:
         self._say(vehicle.member.name, f"goes home: {reason}")
 
     def _launch_reserve(self, reason: str, target: str) -> None:
+        """Ask for one reserve for each reason, if there is one left."""
+        if reason in self._asked:
+            return
         for name, reserve in self._vehicles.items():
             if reserve.member.reserve and reserve.report is None and not reserve.launch_asked:
                 reserve.launch_asked, reserve.target = True, target
+                self._asked.add(reason)
                 self._out.append(LaunchRequested(name, self._now_s, reason))
                 return
 
@@ -359,6 +424,14 @@ class FleetCoordinator:
         ]
         foreign = [_neighbour(one, by_s) for one in self._foreign.values()]
         return (*ours, *foreign)
+
+
+def _way_s(vehicle: _Vehicle, target: TargetEstimate) -> float:
+    """Return about how long an aircraft needs to a target."""
+    assert vehicle.report is not None
+    state = vehicle.report.state
+    way_m = math.hypot(state.east_m - target.east_m, state.north_m - target.north_m)
+    return way_m / vehicle.member.aircraft.airspeed_m_s
 
 
 def _other(side: Side) -> Side:

@@ -31,11 +31,11 @@ _LONGEST_S = 180.0
 
 @dataclass(slots=True)
 class Separation:
-    """What is known of the others, all on the own clock. min_m: in three dimensions."""
+    """What is known of the others, all on the own clock. min_m: in three dimensions; plans: by whose they are."""
 
     min_m: float = MIN_SEPARATION_M
     _others: dict[str, Neighbour] = field(default_factory=dict)
-    _plans: dict[str, NeighbourPlanned] = field(default_factory=dict)
+    plans: dict[str, NeighbourPlanned] = field(default_factory=dict)
 
     def note(self, neighbours: tuple[Neighbour, ...]) -> None:
         """Take where the others are; who is not among them is no longer there."""
@@ -43,7 +43,7 @@ class Separation:
 
     def planned(self, told: NeighbourPlanned) -> None:
         """Take what another one flies."""
-        self._plans[told.name] = told
+        self.plans[told.name] = told
 
     def breach(
         self,
@@ -60,7 +60,7 @@ class Separation:
         heights = {height_m, *_heights_of(plan)}
         own: FloatArray | None = None
         for name, other in self._others.items():
-            told = self._plans.get(name) if other.ours else None
+            told = self.plans.get(name) if other.ours else None
             vertical_m = _gap_m(heights, {other.height_m, *_heights_of(*_flown(told))})
             if vertical_m >= self.min_m:
                 continue

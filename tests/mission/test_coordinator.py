@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from estimators.sighting import Sighting
 from estimators.tracker import Tracker, TrackerSettings
 from mission.control.controller import Phase, StandoffController, StandoffSettings
 from mission.core.circle import Circle
 from mission.core.events import Command, ControlAcquired, End, UploadPlan
 from mission.core.fleet import Role
-from mission.core.plan import Decision, Plan
+from mission.core.plan import AircraftState, Decision, Plan
 from mission.core.requirement import Aircraft, Requirement, Side
 from mission.fleet.coordinator import FleetCoordinator, FleetMember, FleetTarget
 from mission.fleet.events import (
@@ -22,10 +24,15 @@ from mission.fleet.events import (
     FleetEvent,
     ForeignAircraftReported,
     LaunchRequested,
+    PlansReported,
+    ReliefRequested,
+    SightingReported,
     Tell,
     Tick,
+    VehicleReported,
 )
 from mission.fleet.reports import FleetReporter
+from mission.fleet.roles import RoleCosts
 
 RADIUS_M, SPEED_M_S = 50.0, 15.0
 AIRCRAFT = Aircraft(SPEED_M_S, RADIUS_M)
@@ -37,14 +44,16 @@ TARGET_SPEED_M_S = 1.0
 
 
 class Aside:
-    """Stays; its cost is how far the aircraft is from the middle of its side of a target that goes north."""
+    """Stays; a role costs it as much as it is from the middle of that side of a target that goes north."""
 
     def __init__(self, requirement: Requirement) -> None:
         self.middle_m = WEST if requirement.side is Side.LEFT else EAST
 
     def decide(self, aircraft, target, present, wind, latency_s):
-        off_m = abs(aircraft.east_m - self.middle_m)
-        return Decision(aircraft.time_s, None, "", {"stay_cost_s": off_m, "move_cost_s": off_m + 1.0})
+        return Decision(aircraft.time_s, None, "")
+
+    def role_costs(self, aircraft, target, present, wind, latency_s):
+        return RoleCosts(abs(aircraft.east_m - self.middle_m) / 5.0, abs(aircraft.east_m + self.middle_m) / 5.0)
 
 
 class Vehicle:
@@ -60,7 +69,7 @@ class Vehicle:
             lambda _aircraft, wanted: Aside(wanted),
         )
         self.commands: list[Command] = []
-        self.sees = True
+        self.sees, self.shift_m = True, 0.0  # of what it sees, towards east
 
     def fly(self, mission_time_s: float) -> list[FleetEvent]:
         time_s = mission_time_s + self.ahead_s
@@ -69,8 +78,9 @@ class Vehicle:
         velocity = SPEED_M_S * math.sin(course_rad), SPEED_M_S * math.cos(course_rad)
         bank_rad = math.atan(SPEED_M_S**2 / (9.80665 * RADIUS_M))
         target_m = TARGET_SPEED_M_S * mission_time_s
-        yaw_rad = math.atan2(-east_m, target_m - north_m)
-        slant_m = math.hypot(east_m, target_m - north_m, self.height_m)
+        off_m = self.shift_m - east_m
+        yaw_rad = math.atan2(off_m, target_m - north_m)
+        slant_m = math.hypot(off_m, target_m - north_m, self.height_m)
         pitch_rad = -math.asin(self.height_m / slant_m)
         half = 0.5 * yaw_rad, 0.5 * pitch_rad
         sight = (
@@ -102,9 +112,8 @@ class Fleet:
         members = [FleetMember(one.name, AIRCRAFT, TrackerSettings(), one.height_m) for one in vehicles]
         if reserve:
             members.append(FleetMember(reserve, AIRCRAFT, TrackerSettings(), 250.0, reserve=True))
-        self.coordinator = FleetCoordinator(
-            members, [FleetTarget("boat", REQUIREMENT)], lambda _name, requirement: Aside(requirement)
-        )
+        self.members = members
+        self.coordinator = self.new_coordinator()
         self.journal: list[FleetEvent] = []
         self.said: list[FleetAnnounce | LaunchRequested] = []
         self.time_s = 0.0
@@ -112,6 +121,10 @@ class Fleet:
             self.tell(ClockReported(one.name, one.ahead_s, 0.0, 0.01))
             for news in one.take(ControlAcquired(one.ahead_s, one.circle, "AUTO"), 0.0):
                 self.tell(news)
+
+    def new_coordinator(self) -> FleetCoordinator:
+        targets = [FleetTarget("boat", REQUIREMENT)]
+        return FleetCoordinator(self.members, targets, lambda _name, requirement: Aside(requirement))
 
     def tell(self, event: FleetEvent) -> None:
         self.journal.append(event)
@@ -161,21 +174,77 @@ def test_the_one_left_takes_the_wanted_side_when_the_other_falls_silent():
     assert any(said.text == "is back" for said in fleet.said)
 
 
-def test_a_low_battery_is_relieved_by_the_other_and_a_reserve_is_asked_for_where_there_is_none():
+def test_a_low_battery_gives_up_the_side_and_goes_home_once_another_one_watches():
     fleet = pair()
     fleet.fly(10.0)
     fleet.tell(BatteryReported("a", 0.0, 0.25))
     fleet.fly(10.0)
-    assert fleet.role("b") is Role.WANTED or fleet.vehicles["a"].core.phase is Phase.WATCHING
+    assert fleet.role("a") is fleet.role("b") is Role.WANTED  # b is still on the other side
+    assert fleet.vehicles["a"].core.phase is Phase.WATCHING
+    fleet = Fleet(Vehicle("a", WEST, 0.0), Vehicle("b", WEST - 30.0, 0.0, 160.0))
+    fleet.fly(10.0)
+    assert fleet.role("a") is Role.WANTED
+    fleet.tell(BatteryReported("a", 0.0, 0.25))
+    fleet.fly(5.0)
+    assert [command.action for command in fleet.vehicles["a"].commands if isinstance(command, End)] == ["return"]
+    assert (fleet.role("b"), fleet.vehicles["b"].core.phase) == (Role.WANTED, Phase.WATCHING)
+
+
+def test_who_is_alone_asks_for_a_reserve_and_leaves_without_one_only_when_it_must():
     alone = Fleet(Vehicle("a", WEST, 0.0), reserve="c")
     alone.fly(5.0)
-    alone.tell(BatteryReported("a", 0.0, 0.25))
+    alone.tell(ReliefRequested("a", alone.time_s))
     alone.fly(5.0)
     assert [said.name for said in alone.said if isinstance(said, LaunchRequested)] == ["c"]
     assert alone.vehicles["a"].core.phase is Phase.WATCHING
     alone.tell(BatteryReported("a", 0.0, 0.1))
     alone.fly(2.0)
     assert [command.action for command in alone.vehicles["a"].commands if isinstance(command, End)] == ["return"]
+
+
+def test_a_reserve_is_asked_for_when_nobody_is_left():
+    fleet = Fleet(Vehicle("a", WEST, 0.0), Vehicle("b", EAST, 0.0, 160.0), reserve="c")
+    fleet.fly(5.0)
+    fleet.fly(8.0, "b")
+    assert not any(isinstance(said, LaunchRequested) for said in fleet.said)
+    fleet.fly(8.0, "a", "b")
+    assert [said.name for said in fleet.said if isinstance(said, LaunchRequested)] == ["c"]
+
+
+def test_aircraft_are_given_out_to_the_targets_and_a_lost_target_frees_its_own():
+    members = [FleetMember(name, AIRCRAFT, TrackerSettings(), 100.0 + 60.0 * k) for k, name in enumerate("abcd")]
+    targets = [FleetTarget(name, REQUIREMENT) for name in ("boat", "bike")]
+    members = [replace(one, target="bike" if one.name == "d" else "boat") for one in members]
+    coordinator = FleetCoordinator(members, targets, lambda _name, requirement: Aside(requirement))
+    places = {"a": (-300.0, 0.0), "b": (300.0, 0.0), "c": (2700.0, 0.0), "d": (3300.0, 0.0)}
+
+    def fly(from_s: int, until_s: int, unseen: str = "") -> None:
+        for k in range(from_s, until_s):
+            coordinator.step(Tick(float(k)))
+            for name, (east_m, north_m) in places.items():
+                state = AircraftState(float(k), east_m, north_m, 0.0, SPEED_M_S, 1.0 / RADIUS_M)
+                coordinator.step(VehicleReported(name, float(k), state, 100.0, watching=True))
+                target = coordinator.roles[name][0]
+                off_m = (0.0 if target == "boat" else 3000.0) - east_m
+                slant_m, drop_rad = math.hypot(off_m, 100.0), math.atan2(100.0, abs(off_m))
+                bearing_rad = math.copysign(math.pi / 2, off_m)
+                if target != unseen:
+                    seen = Sighting(float(k), slant_m, bearing_rad, drop_rad, 1.0, 0.01, 0.01, east_m, north_m, 100.0)
+                    coordinator.step(SightingReported(name, seen))
+
+    for name, place in places.items():
+        coordinator.step(ClockReported(name, 0.0, 0.0, 0.01))
+        circle = Circle(*place, RADIUS_M, True)
+        coordinator.step(PlansReported(name, Plan(circle)))
+    fly(0, 10)
+    assert {name: target for name, (target, _) in coordinator.roles.items()} == {
+        "a": "boat",
+        "b": "boat",
+        "c": "bike",
+        "d": "bike",
+    }
+    fly(10, 80, unseen="bike")
+    assert {target for target, _ in coordinator.roles.values()} == {"boat"}
 
 
 def test_no_plan_leads_near_another_at_the_same_height():
@@ -202,10 +271,22 @@ def test_a_foreign_aircraft_counts_as_an_obstacle_while_it_is_heard():
     assert isinstance(core.cleared(here), Plan)
 
 
+def test_a_payload_that_sees_something_else_is_told():
+    fleet = Fleet(*(Vehicle(name, east_m, 0.0, 100.0 + 60.0 * k) for k, (name, east_m) in enumerate(
+        (("a", WEST), ("b", EAST), ("c", EAST + 80.0)))))  # fmt: skip
+    fleet.fly(10.0)
+    fleet.vehicles["c"].shift_m = 60.0
+    fleet.fly(15.0)
+    assert any("left out" in said.text for said in fleet.said if said.name == "c")
+    estimate = fleet.coordinator.estimate("boat")
+    assert estimate is not None
+    assert math.hypot(estimate.east_m, estimate.north_m - TARGET_SPEED_M_S * estimate.time_s) < 2.0
+
+
 def test_the_same_events_lead_to_the_same_commands():
     fleet = pair()
     fleet.fly(10.0)
-    again = pair().coordinator
+    again = fleet.new_coordinator()
     for event in fleet.journal:
         again.step(event)
     first, second = fleet.coordinator.estimate("boat"), again.estimate("boat")

@@ -1,19 +1,25 @@
-"""Roles of several aircraft on one target."""
+"""Roles of several aircraft on one target, and what each decides beside the others."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from app.value_cache import value_table
+from estimators.estimate import TargetEstimate, TrackQuality
 from mission.core.circle import Circle
+from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from mission.core.plan import AircraftState, Decision, Plan
-from mission.core.requirement import Requirement, Side, Wind
-from mission.fleet.planner import FleetPlanner, Member, opposite
-from mission.fleet.roles import Role, RoleAssignment, RoleCosts
+from mission.core.requirement import Aircraft, Requirement, Side, Wind
+from mission.fleet import _team_kernel as kernel
+from mission.fleet.roles import RoleAssignment, RoleCosts
+from mission.fleet.team_planner import TeamPlanner
+from mission.predictive.planner import PredictivePlanner, table_configuration
 
-REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0)
+REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0, course_horizon_s=0.0)
 
 
 def costs(a: float, b: float) -> dict[str, RoleCosts]:
@@ -52,35 +58,104 @@ def test_somebody_always_holds_the_wanted_side():
         assert list(roles.assign(float(t), told).values()).count(Role.WANTED) >= 1
 
 
-class Costing:
-    """A planner whose cost is how far the aircraft is from its side of a target that goes north."""
+# -- one aircraft's decisions beside another's -----------------------------------------------------------------------
 
-    def __init__(self, requirement: Requirement) -> None:
-        self.side = requirement.side
-
-    def decide(self, aircraft, target, present, wind, latency_s):
-        off_m = aircraft.east_m + 300.0 if self.side is Side.LEFT else 300.0 - aircraft.east_m
-        return Decision(aircraft.time_s, None, "", {"stay_cost_s": abs(off_m), "move_cost_s": abs(off_m) + 1.0})
+AIRCRAFT = Aircraft(10.0, 50.0)
+TABLE = value_table(table_configuration(AIRCRAFT, REQUIREMENT))
 
 
-def member(east_m: float, busy: bool = False) -> Member:
-    state = AircraftState(0.0, east_m, 0.0, 0.0, 15.0, 0.02)
-    return Member(state, Plan(Circle(east_m, 0.0, 50.0, True)), 0.5, busy)
+def planner(check=lambda _plan: None) -> TeamPlanner:
+    return TeamPlanner(AIRCRAFT, REQUIREMENT, TABLE, check=check)
 
 
-def test_each_is_planned_for_in_its_role_and_left_alone_while_a_plan_is_under_way():
-    fleet = FleetPlanner(("west", "east"), REQUIREMENT, lambda _name, requirement: Costing(requirement))
-    decided = fleet.decide({"west": member(-280.0), "east": member(310.0, busy=True)}, None, Wind())
-    assert decided["west"].role is Role.WANTED
-    assert decided["east"].role is Role.OPPOSITE
-    assert decided["west"].decision is not None
-    assert decided["east"].decision is None
+def on_circle(east_m: float, north_m: float, clockwise: bool) -> tuple[AircraftState, Plan]:
+    circle = Circle(east_m, north_m, 50.0, clockwise)
+    state = AircraftState(100.0, *circle.position_at_course(0.3), 0.3, 10.0, circle.curvature_per_m)
+    return state, Plan(circle)
 
 
-def test_the_opposite_of_the_opposite_is_what_was_asked_for():
-    assert opposite(opposite(REQUIREMENT)) == REQUIREMENT
+def going(course_deg: float) -> TargetEstimate:
+    """A target at the origin that goes at 4 m/s."""
+    east, north = 4.0 * math.sin(math.radians(course_deg)), 4.0 * math.cos(math.radians(course_deg))
+    return TargetEstimate(100.0, 0.0, 0.0, east, north, 0.04 * np.eye(4), TrackQuality.GOOD, 100.0)
+
+
+def advised(team: TeamPlanner, other: tuple[AircraftState, Plan] | None, role: Role, side: Side) -> TeamPlanner:
+    neighbours = ()
+    if other is not None:
+        team.advise(NeighbourPlanned(100.0, "b", other[1], None))
+        neighbours = (Neighbour("b", other[0], 160.0, ours=True, target="t"),)
+    team.advise(FleetAdvice(100.0, "t", role, side, None, 100.0, neighbours))
+    return team
+
+
+def test_alone_it_decides_as_the_planner_of_one_does():
+    state, plan = on_circle(-280.0, 40.0, True)
+    lone = PredictivePlanner(AIRCRAFT, REQUIREMENT, TABLE).decide(state, going(0.0), plan, Wind(), 0.5)
+    for team in (planner(), advised(planner(), None, Role.WANTED, Side.LEFT)):
+        mine = team.decide(state, going(0.0), plan, Wind(), 0.5)
+        assert (mine.reason, mine.values) == (lone.reason, lone.values)
+
+
+def test_the_wanted_side_costs_most_where_it_is_farthest():
+    team = planner()
+    left = team.role_costs(*_looked(on_circle(-300.0, 0.0, True), going(0.0)))
+    right = team.role_costs(*_looked(on_circle(300.0, 0.0, False), going(0.0)))
+    assert left.regret_s < -10.0
+    assert right.regret_s > 10.0
+
+
+def _looked(flown, target):
+    return flown[0], target, flown[1], Wind(), 0.5
+
+
+def flown_lap(team: TeamPlanner, other_east_m: float, role: Role, side: Side) -> list[Decision]:
+    """What is decided each second of a lap east of a target that goes north, up to the first plan."""
+    found: list[Decision] = []
+    for k in range(32):
+        circle = Circle(300.0, 4.0 * k, 50.0, True)
+        state = AircraftState(100.0 + k, *circle.position_at_course(0.2 * k), 0.2 * k, 10.0, circle.curvature_per_m)
+        other = Circle(other_east_m, 4.0 * k, 50.0, True)
+        beside = replace(state, east_m=state.east_m + other_east_m - 300.0)
+        target = replace(going(0.0), time_s=state.time_s, north_m=4.0 * k, last_sighting_s=state.time_s)
+        team.advise(NeighbourPlanned(state.time_s, "b", Plan(other), None))
+        neighbour = Neighbour("b", beside, 160.0, ours=True, target="t")
+        team.advise(FleetAdvice(state.time_s, "t", role, side, target, 100.0, (neighbour,)))
+        found.append(team.decide(state, target, Plan(circle), Wind(), 0.5))
+        if found[-1].plan is not None:
+            break
+    return found
+
+
+def test_who_is_off_the_wanted_side_hurries_only_when_nobody_else_sees_it():
+    alone = flown_lap(planner(), 360.0, Role.WANTED, Side.LEFT)
+    assert alone[-1].plan is not None
+    seen = flown_lap(planner(), -300.0, Role.OPPOSITE, Side.RIGHT)
+    assert max(one.values["stay_cost_s"] for one in seen) < min(one.values["stay_cost_s"] for one in alone)
+
+
+def test_a_move_that_is_refused_gives_way_to_the_next():
+    refused = []
+
+    def check(found: Plan) -> str | None:
+        refused.append(found)
+        return "it would come near b" if len(refused) < 3 else None
+
+    decisions = flown_lap(planner(check), 360.0, Role.WANTED, Side.LEFT)
+    assert decisions[-1].plan is refused[-1]
+    assert len(refused) >= 3
+    never = flown_lap(planner(lambda _plan: "a fence"), 360.0, Role.WANTED, Side.LEFT)
+    assert any(one.reason == "staying: a fence" for one in never)
+
+
+@pytest.mark.parametrize(
+    ("bearings_deg", "share"), [((0, 180), 0.0), ((0, 90), 0.25), ((0, 120, 240), 0.0), ((10, 20, 30), 160 / 360)]
+)
+def test_the_courses_that_nobody_covers_are_the_gap_beyond_half_a_turn(bearings_deg, share):
+    first, *others = np.radians(bearings_deg)
+    assert kernel.uncovered(float(first), np.array(others)) == pytest.approx(share, abs=1e-9)
 
 
 def test_a_requirement_without_sides_is_refused():
     with pytest.raises(ValueError, match="left or right"):
-        FleetPlanner(("a",), replace(REQUIREMENT, either_side=True), lambda _name, requirement: Costing(requirement))
+        TeamPlanner(AIRCRAFT, replace(REQUIREMENT, either_side=True), TABLE)

@@ -1,0 +1,52 @@
+"""What joint decisions are made with: how much counts what all see together, and what each would alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mission.core.requirement import Side
+from mission.fleet._team_kernel import Team
+from mission.predictive.value_table import ValueTable
+
+
+@dataclass(frozen=True, slots=True)
+class TeamSettings:
+    """alone_running, alone_end: shares of what an aircraft would pay alone, on its line and after it.
+
+    opposite: per second, of the share of courses for which nobody would be on the wanted side.
+    together: weight of the time without anybody on the wanted side. price: share of an aircraft's prices of changes.
+    futures: 1 to foretell the target by its velocity alone, 3 to count on turns too.
+    """
+
+    alone_running: float = 0.2
+    alone_end: float = 0.2
+    together: float = 1.0
+    price: float = 0.3
+    opposite: float = 0.3
+    futures: int = 1
+
+
+def team_of(table: ValueTable, wanted: Side, settings: TeamSettings | None = None) -> Team:
+    """Return what the loops decide with. Raises ValueError for a table of a sector."""
+    configuration, own = table.configuration, settings or TeamSettings()
+    if not configuration.follows_course:
+        raise ValueError("several aircraft share the sides of a target, not a sector")
+    habits = configuration.habits
+    weights = habits.speed_weights()
+    rings = table.values.reshape(len(weights), -1, *table.values.shape[1:])
+    return Team(
+        1.0 if wanted is Side.LEFT else -1.0,
+        np.ascontiguousarray(np.tensordot(weights, rings, axes=1).astype(np.float32)),
+        np.ascontiguousarray(rings[0]),
+        np.radians(habits.turns_deg),
+        np.array(habits.chances),
+        habits.stop,
+        own.alone_running,
+        own.alone_end,
+        own.together,
+        own.price,
+        own.opposite,
+        own.futures,
+    )

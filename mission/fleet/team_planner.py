@@ -1,0 +1,196 @@
+"""One aircraft's planner in a fleet: it counts on what the others will see, and moves where all together gain.
+
+Without fresh advice, or alone on its target, it decides as the planner of a single aircraft does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from estimators.estimate import TargetEstimate, TrackQuality
+from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from mission.core.path import FloatArray, Path
+from mission.core.plan import AircraftState, Decision, Plan
+from mission.core.requirement import Aircraft, Requirement, Side, Wind
+from mission.fleet import _team_kernel as kernel
+from mission.fleet._team_kernel import Team
+from mission.fleet.roles import RoleCosts
+from mission.fleet.team import TeamSettings, team_of
+from mission.geometry.progress import line_of
+from mission.geometry.trapezoid import end_circle
+from mission.predictive._decision_kernel import Looker
+from mission.predictive._moves_kernel import MOVES, move_line
+from mission.predictive._sight_kernel import NOTHING_HIDDEN, SightAt
+from mission.predictive.planner import PredictivePlanner, PredictiveSettings
+from mission.predictive.value_table import ValueTable
+from mission.viewpoint._viewpoint_kernel import SIDE
+from mission.viewpoint.course_hold import known
+from mission.viewpoint.descriptions import describe_move
+
+_ADVICE_S = 5.0  # advice is followed for so long
+_MAX_TRIES = 30  # so many moves are tried against fences and other aircraft, the cheapest first
+_FORETOLD = 160  # seconds of the others' lines: longer than any line, and what their reports may be late
+_NO_LINE = np.empty((5, 0))
+
+
+class TeamPlanner:
+    """Implements :class:`mission.core.fleet.CooperativePlanner`.
+
+    requirement: how the target is to be watched; its side is the wanted one until advice tells otherwise. Raises
+    ValueError where that has no side, either side or a sector. The rest is as for a single aircraft.
+    """
+
+    def __init__(
+        self,
+        aircraft: Aircraft,
+        requirement: Requirement,
+        table: ValueTable,
+        settings: PredictiveSettings | None = None,
+        windy: Sequence[ValueTable] = (),
+        check: Callable[[Plan], str | None] = lambda _plan: None,
+        sight: SightAt = lambda *_target: NOTHING_HIDDEN,
+        team: TeamSettings | None = None,
+    ) -> None:
+        if requirement.either_side or requirement.sector is not None:
+            raise ValueError("several aircraft share the sides of a target: side has to be left or right")
+        self._alone = PredictivePlanner(aircraft, requirement, table, settings, windy, check, sight)
+        self._settings, self._check = settings or PredictiveSettings(), check
+        self._wanted, self._airspeed_m_s = 1.0 if requirement.side is Side.LEFT else -1.0, aircraft.airspeed_m_s
+        self._teams = [team_of(one, requirement.side, team) for one in (table, *windy)]
+        self._advice: FleetAdvice | None = None
+        self._plans: dict[str, NeighbourPlanned] = {}
+
+    def advise(self, told: FleetAdvice | NeighbourPlanned) -> None:
+        """See :class:`mission.core.fleet.CooperativePlanner`."""
+        if isinstance(told, NeighbourPlanned):
+            self._plans[told.name] = told
+        else:
+            self._advice = told
+            held = 1.0 if told.side is Side.LEFT else -1.0
+            self._wanted = -held if told.role is Role.OPPOSITE else held
+            self._alone.lookers[0].memory[SIDE] = held  # of all lookers
+
+    def role_costs(
+        self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
+    ) -> RoleCosts:
+        """Return what this aircraft would pay alone in each role, from its next departure on."""
+        looker, team = self._for(wind)
+        line, circle = line_of(present)
+        return RoleCosts(
+            *kernel.role_values(
+                aircraft.time_s,
+                aircraft.east_m,
+                aircraft.north_m,
+                aircraft.course_rad,
+                aircraft.ground_speed_m_s,
+                aircraft.curvature_per_m,
+                known(target),
+                line,
+                circle,
+                wind.east_m_s,
+                wind.north_m_s,
+                latency_s,
+                looker,
+                team,
+            )
+        )
+
+    def decide(
+        self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
+    ) -> Decision:
+        """Decide at ``aircraft.time_s``; see :class:`mission.core.plan.Planner`."""
+        others = self._others(aircraft.time_s)
+        unseen_s = aircraft.time_s - target.last_sighting_s
+        lost = target.quality is TrackQuality.LOST or unseen_s > self._settings.lost_after_s
+        if not others or lost or wind.speed_m_s >= self._airspeed_m_s:
+            return self._alone.decide(aircraft, target, present, wind, latency_s)
+        looker, team = self._for(wind)
+        line, circle = line_of(present)
+        costs, age_s = np.empty(MOVES), aircraft.time_s - present.departure_s
+        scene, stay_cost, bar = kernel.team_decide(
+            aircraft.time_s,
+            aircraft.east_m,
+            aircraft.north_m,
+            aircraft.course_rad,
+            aircraft.ground_speed_m_s,
+            aircraft.curvature_per_m,
+            known(target),
+            line,
+            circle,
+            wind.east_m_s,
+            wind.north_m_s,
+            latency_s,
+            age_s,
+            np.stack([self._foretold(one, wind) for one in others]),
+            np.array([one.state.time_s for one in others]),
+            looker,
+            team,
+            costs,
+        )
+        order, broken = np.argsort(costs, kind="stable"), ""
+        values = {"stay_cost_s": float(stay_cost), "move_cost_s": float(costs[order[0]])}
+        for move in order[: min(np.count_nonzero(costs < bar), _MAX_TRIES)].tolist():
+            path = Path(*move_line(scene, looker.craft, move))
+            plan = Plan(end_circle(path, scene.radius_m), path, scene.departure_s)
+            rejection = self._check(plan)
+            if rejection is None:
+                moved_m = plan.circle.east_m - present.circle.east_m, plan.circle.north_m - present.circle.north_m
+                reason = f"moving {describe_move(*moved_m)}: better beside {_names(others)}"
+                return Decision(aircraft.time_s, plan, reason, {**values, "move": float(move)})
+            broken = broken or rejection
+        reason = f"staying: {broken}" if broken else f"staying beside {_names(others)}"
+        return Decision(aircraft.time_s, None, reason, values)
+
+    def _for(self, wind: Wind) -> tuple[Looker, Team]:
+        """Return what to decide with in this wind."""
+        lookers = self._alone.lookers
+        k = min(range(len(lookers)), key=lambda i: abs(lookers[i].motions.wind_speed_m_s - wind.speed_m_s))
+        return lookers[k], self._teams[k]._replace(wanted=self._wanted)
+
+    def _others(self, time_s: float) -> list[Neighbour]:
+        """Return who else watches the same target and is to be counted on."""
+        advice = self._advice
+        if advice is None or time_s - advice.time_s > _ADVICE_S:
+            return []
+        return [
+            one
+            for one in advice.neighbours
+            if one.ours
+            and one.target == advice.target
+            and one.role is not Role.LEAVE
+            and time_s - one.state.time_s <= _ADVICE_S
+            and (told := self._plans.get(one.name)) is not None
+            and told.present is not None
+        ]
+
+    def _foretold(self, other: Neighbour, wind: Wind) -> FloatArray:
+        told, state = self._plans[other.name], other.state
+        assert told.present is not None
+        present, present_circle = line_of(told.present)
+        coming, coming_circle = (_NO_LINE, present_circle) if told.coming is None else line_of(told.coming)
+        east_m_s = state.ground_speed_m_s * math.sin(state.course_rad) - wind.east_m_s
+        north_m_s = state.ground_speed_m_s * math.cos(state.course_rad) - wind.north_m_s
+        found = np.empty((3, _FORETOLD))
+        kernel.foretold(
+            state.time_s,
+            state.east_m,
+            state.north_m,
+            state.course_rad,
+            present,
+            present_circle,
+            coming,
+            coming_circle,
+            math.inf if told.coming is None else told.coming.departure_s,
+            max(math.hypot(east_m_s, north_m_s), 1.01 * wind.speed_m_s),
+            wind.east_m_s,
+            wind.north_m_s,
+            found,
+        )
+        return found
+
+
+def _names(others: Sequence[Neighbour]) -> str:
+    return " and ".join(one.name for one in others)

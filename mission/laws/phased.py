@@ -1,0 +1,87 @@
+"""Several aircraft on one circle about a moving target at equal phases, by two laws of the literature.
+
+phased field         the Lyapunov vector field; who is behind its phase flies faster, who is ahead of it slower (Frew,
+                     Lawrence, Morris: "Coordinated standoff tracking of moving targets using Lyapunov guidance vector
+                     fields", Journal of Guidance, Control, and Dynamics 31(2), 2008)
+circular formation   constant speed; who is behind its phase flies a smaller circle, who is ahead of it a larger one
+                     (Garcia de Marina, Sun, Bronz, Hattenberger: "Circular formation control of fixed-wing UAVs with
+                     constant speeds", IROS 2017; Paparazzi flies it)
+
+For comparison: both watch from all sides in turn, and know no wanted one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from estimators.estimate import TargetEstimate
+from mission.core.plan import AircraftState
+from mission.laws.vector_field import VectorField
+
+# The radius and gain of the laws of one aircraft; the gains of the phase settle it within about a lap.
+_RADIUS_M, _GAIN_PER_S = 350.0, 0.25
+_SPEED_GAIN_PER_S, _SPEED_SHARE = 0.05, 0.2
+_RADIUS_GAIN, _RADIUS_SHARE = 0.3, 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Steering:
+    """What one aircraft is to fly now."""
+
+    curvature_per_m: float
+    airspeed_m_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class PhasedField:
+    """airspeed_m_s: in the middle; it is changed by a fifth at most."""
+
+    clockwise: bool
+    airspeed_m_s: float
+
+    def steer(self, aircraft: Sequence[AircraftState], target: TargetEstimate) -> list[Steering]:
+        """Return what each is to fly."""
+        field = VectorField(_RADIUS_M, self.clockwise, _GAIN_PER_S)
+        found = []
+        for state, behind_rad in zip(aircraft, behind(aircraft, target, self.clockwise), strict=True):
+            share = _SPEED_GAIN_PER_S * behind_rad * _RADIUS_M / self.airspeed_m_s
+            speed_m_s = self.airspeed_m_s * (1.0 + min(max(share, -_SPEED_SHARE), _SPEED_SHARE))
+            found.append(Steering(field.curvature_per_m(state, target), speed_m_s))
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class CircularFormation:
+    """airspeed_m_s: of all, all the time."""
+
+    clockwise: bool
+    airspeed_m_s: float
+
+    def steer(self, aircraft: Sequence[AircraftState], target: TargetEstimate) -> list[Steering]:
+        """Return what each is to fly."""
+        found = []
+        for state, behind_rad in zip(aircraft, behind(aircraft, target, self.clockwise), strict=True):
+            share = min(max(_RADIUS_GAIN * behind_rad, -_RADIUS_SHARE), _RADIUS_SHARE)
+            field = VectorField(_RADIUS_M * (1.0 - share), self.clockwise, _GAIN_PER_S)
+            found.append(Steering(field.curvature_per_m(state, target), self.airspeed_m_s))
+        return found
+
+
+def behind(aircraft: Sequence[AircraftState], target: TargetEstimate, clockwise: bool) -> list[float]:
+    """Return by how much each is behind its place between those before and after it, rad; they keep their order.
+
+    Alone, nobody is behind.
+    """
+    n, sense = len(aircraft), 1.0 if clockwise else -1.0
+    phase_rad = [sense * math.atan2(one.east_m - target.east_m, one.north_m - target.north_m) for one in aircraft]
+    order = sorted(range(n), key=lambda k: phase_rad[k] % math.tau)
+    found = [0.0] * n
+    for place, k in enumerate(order):
+        before, after = order[place - 1], order[(place + 1) % n]
+        if before != k:
+            gap_back_rad = (phase_rad[k] - phase_rad[before]) % math.tau
+            gap_ahead_rad = (phase_rad[after] - phase_rad[k]) % math.tau
+            found[k] = 0.5 * (gap_ahead_rad - gap_back_rad)
+    return found

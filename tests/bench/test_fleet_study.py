@@ -1,0 +1,137 @@
+"""Several aircraft on one target: python -m pytest tests/bench/test_fleet_study.py -s; RUNS=200 for so many targets.
+
+How much of the time one of two watches from the wanted side, beside laws that hold phases; what the loss of one
+costs; and what the decisions of four aircraft on two targets take.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from time import process_time
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from app.study.fleet import FleetPlannerName, FleetResult, Loss, run_fleet
+from app.study.fleet_study import fleet_table, fly_fleets
+from app.study.settings import PlannerName, StudySettings
+from app.value_cache import value_table
+from estimators.settings import TrackerSettings
+from estimators.sighting import Sighting
+from mission.core.circle import Circle
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Wind
+from mission.fleet.coordinator import FleetCoordinator, FleetMember, FleetTarget
+from mission.fleet.events import (
+    ClockReported,
+    FleetEvent,
+    PlansReported,
+    SightingReported,
+    Tell,
+    Tick,
+    VehicleReported,
+)
+from mission.fleet.team_planner import TeamPlanner
+from mission.predictive.planner import table_configuration
+from mission.predictive.value_table import ValueTable
+
+RUNS = int(os.environ.get("RUNS", "20"))
+
+
+@pytest.fixture(scope="module")
+def settings() -> StudySettings:
+    return StudySettings(planners=(PlannerName.PREDICTIVE,), runs=RUNS, fleet=2)
+
+
+@pytest.fixture(scope="module")
+def table(settings: StudySettings) -> ValueTable:
+    return value_table(table_configuration(settings.aircraft(), settings.requirement()))
+
+
+def test_one_of_two_watches_from_the_wanted_side(settings, table):
+    study = fly_fleets(settings, table, None, lambda _runs: None)
+    Console().print(fleet_table(study))
+    joint = study.runs[FleetPlannerName.JOINT]
+    assert np.mean([run.time_on_side_any for run in joint]) > 0.99
+    assert min(run.min_separation_m for run in joint) >= 50.0
+    assert np.mean([run.in_ellipse for run in joint]) > 0.9
+
+
+def regained_s(run: FleetResult, loss: Loss) -> float:
+    """Return how long after a loss the other one is first on the wanted side, the left one."""
+    log = run.logs[1 - loss.aircraft]
+    bearing = np.arctan2(log[:, 1] - log[:, 3], log[:, 2] - log[:, 4]) - log[:, 5]
+    on_side = np.remainder(bearing, math.tau) > math.pi
+    first = round(10 * loss.time_s)
+    return float(np.argmax(on_side[first:])) / 10.0 if on_side[first:].any() else math.inf
+
+
+def test_one_aircraft_lost_at_a_random_moment(table):
+    settings = StudySettings(planners=(PlannerName.PREDICTIVE,), runs=50, fleet=2, duration_s=420.0)
+    took_s, errors_m = [], []
+    for number in range(50):
+        rng = np.random.default_rng(number)
+        loss = Loss(int(rng.integers(2)), float(rng.uniform(60.0, 300.0)))
+        run = run_fleet(settings, number, table, losses=[loss])
+        took_s.append(regained_s(run, loss))
+        errors_m.append(run.position_error_m)
+    late = sum(one > 60.0 for one in took_s)
+    print(f"\nside again after {np.median(took_s):.0f} s (median), {max(took_s):.0f} s (worst), late {late} of 50")
+    print(f"position error {np.mean(errors_m):.2f} m, worst {max(errors_m):.2f} m")
+    assert late == 0
+    assert max(errors_m) < 10.0
+
+
+def test_decisions_of_four_on_two_targets(settings, table):
+    aircraft, requirement = settings.aircraft(), settings.requirement()
+    names = ("a", "b", "c", "d")
+    coordinator = FleetCoordinator(
+        [
+            FleetMember(name, aircraft, TrackerSettings(), 100.0 + 60.0 * k, "boat" if k < 2 else "bike")
+            for k, name in enumerate(names)
+        ],
+        [FleetTarget(name, requirement) for name in ("boat", "bike")],
+        lambda _name, wanted: TeamPlanner(aircraft, wanted, table),
+    )
+    planners = {name: TeamPlanner(aircraft, requirement, table) for name in names}
+    circles = {
+        name: Circle(3000.0 * (k // 2) + (-300.0, 300.0)[k % 2], 0.0, 50.0, k % 2 == 0)
+        for k, name in enumerate(names)
+    }
+    taken_ms: list[float] = []
+    for name in names:
+        coordinator.step(ClockReported(name, 0.0, 0.0, 0.01))
+        coordinator.step(PlansReported(name, Plan(circles[name])))
+    for k in range(300):
+        spent_s = 0.0
+        states = {}
+        for name in names:
+            course_rad = 0.2 * k * (1.0 if circles[name].clockwise else -1.0)
+            place = circles[name].position_at_course(course_rad)
+            state = states[name] = AircraftState(float(k), *place, course_rad, 10.0, circles[name].curvature_per_m)
+            target_m = 0.0 if name in "ab" else 3000.0
+            off_m = target_m - state.east_m
+            level_m = math.hypot(off_m, state.north_m)
+            measured = math.hypot(level_m, 100.0), math.atan2(off_m, -state.north_m), math.atan2(100.0, level_m)
+            seen = Sighting(float(k), *measured, 0.8, 0.006, 0.006, state.east_m, state.north_m, 100.0)
+            told: list[FleetEvent] = [
+                SightingReported(name, seen),
+                VehicleReported(name, float(k), state, 100.0 + 60.0 * "abcd".index(name), watching=True),
+            ]
+            for event in told:
+                coordinator.step(event)
+        spent_s -= process_time()
+        commands = coordinator.step(Tick(k + 0.5))
+        for command in commands:
+            if isinstance(command, Tell):
+                planners[command.name].advise(command.event)
+        for name in names:
+            estimate = coordinator.estimate(coordinator.roles[name][0])
+            assert estimate is not None
+            planners[name].decide(states[name], estimate, Plan(circles[name]), Wind(), 0.5)
+        taken_ms.append(1e3 * (spent_s + process_time()))
+    settled = taken_ms[20:]
+    print(f"\nfour aircraft, two targets: {np.median(settled):.2f} ms, p99 {np.percentile(settled, 99):.2f} ms")
+    assert np.median(settled) < 10.0
