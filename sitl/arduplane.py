@@ -13,6 +13,7 @@ from sitl.arduplane_modes import SELF_FLYING, Mode
 from sitl.arduplane_navigator import ArduPlaneNavigator
 from sitl.arduplane_parameters import arduplane_parameters
 from sitl.arduplane_telemetry import DATA_STREAMS, DEFAULT_INTERVAL_S, ArduPlaneTelemetry
+from sitl.arduplane_terrain import TerrainDatabase
 from sitl.autopilot import Autopilot
 from sitl.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
 from sitl.fence import PointStore
@@ -94,6 +95,8 @@ class ArduPlane(Autopilot):
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
         }
         self.files = FileServer({"@PARAM/param.pck": self.parameters.packed})
+        # One that has no heights asks for them; here only where there are hills to ask about.
+        self.terrain = TerrainDatabase(home.latitude_deg, home.longitude_deg) if settings.terrain else None
         stores: tuple[Store, ...] = (self.mission, PointStore(False), PointStore(False))
         self.attach(stores, ArduPlaneTelemetry(self).builders())
 
@@ -150,6 +153,8 @@ class ArduPlane(Autopilot):
             interval_s = 1.0 / message.req_message_rate if message.start_stop and message.req_message_rate else 0.0
             for message_id in DATA_STREAMS.get(message.req_stream_id, ()):
                 station.stream(message_id, interval_s, self.now_s)
+        elif kind == "TERRAIN_DATA" and self.terrain is not None:
+            self.terrain.take(message)
         else:
             super().handle_own(station, message, kind)
 

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sitl.arduplane_mission import ArduPlaneMission
 from sitl.arduplane_modes import Mode
 from sitl.arduplane_navigator import ArduPlaneNavigator
+from sitl.arduplane_terrain import TerrainDatabase
 from sitl.place import Place
 from sitl.telemetry import NAN, Builder, Reported, Telemetry
 
@@ -40,6 +41,8 @@ _GROUPS: dict[int, tuple[int, ...]] = {
         mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
         mavlink.MAVLINK_MSG_ID_WIND,
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+        mavlink.MAVLINK_MSG_ID_TERRAIN_REQUEST,
+        mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT,
     ),
 }
 _STREAMED = tuple(message_id for group in _GROUPS.values() for message_id in group)
@@ -58,6 +61,8 @@ class ReportedPlane(Reported, Protocol):
     def roll_goal_rad(self) -> float: ...
     @property
     def here(self) -> Place: ...
+    @property
+    def terrain(self) -> TerrainDatabase | None: ...
     @property
     def height_goal_m(self) -> float: ...
     @property
@@ -84,6 +89,8 @@ class ArduPlaneTelemetry(Telemetry):
             mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self._position_target,
             mavlink.MAVLINK_MSG_ID_WIND: self._wind,
             mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: self._ekf_status,
+            mavlink.MAVLINK_MSG_ID_TERRAIN_REQUEST: self._terrain_request,
+            mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT: self._terrain_report,
         }
 
     def _sys_status(self) -> Any:
@@ -134,6 +141,18 @@ class ArduPlaneTelemetry(Telemetry):
         wind = self._craft.wind
         from_deg = math.degrees(math.atan2(-wind.east_m_s, -wind.north_m_s))
         return mavlink.MAVLink_wind_message(from_deg, math.hypot(wind.east_m_s, wind.north_m_s), 0.0)
+
+    def _terrain_request(self) -> Any:
+        terrain = self._plane.terrain
+        return None if terrain is None else terrain.request(*self._place_deg)
+
+    def _terrain_report(self) -> Any:
+        terrain = self._plane.terrain
+        return None if terrain is None else terrain.report(*self._place_deg, self.altitude_m(self._craft.height_m))
+
+    @property
+    def _place_deg(self) -> tuple[float, float]:
+        return self._plane.plane.latitude_longitude_deg(self._craft.east_m, self._craft.north_m)
 
     def _ekf_status(self) -> Any:
         flags = 831 if self._plane.ready else 167  # position known absolutely, or only attitude

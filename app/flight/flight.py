@@ -152,6 +152,7 @@ class Flight:
         self._start_s = math.inf
         self._battery_percent: int | None = None  # when watching began
         self._ready: _Ready | None = None
+        self._terrain: TerrainServer | None = None
         self._loop: ControlLoop | None = None
 
     async def fly(self, stopped: asyncio.Event) -> str:
@@ -163,6 +164,8 @@ class Flight:
         """Check the vehicle: nothing is armed or changed. Raises InputError when it is not ready."""
         self._vehicle.listeners.append(self._telemetry.event)  # the clock and the plane, from the start
         self._display.connected(self._status)
+        if self._config.terrain.folder is not None:  # the autopilot may want heights before it takes off
+            self._terrain = TerrainServer(self._vehicle, elevation_data(Path(self._config.terrain.folder)))
         link = self._config.link
         few = is_slow(link.connections) if link.few_messages is None else link.few_messages
         # Beside one another: over a slow link each waits for its answers.
@@ -236,9 +239,8 @@ class Flight:
             pointer = GimbalPointer(self._vehicle, plane, home.altitude_m, self._display.note)
             shared.callback(pointer.stop)
             observers.append(pointer)
-        if self._config.terrain.folder is not None:
-            data = elevation_data(Path(self._config.terrain.folder))
-            shared.callback(TerrainServer(self._vehicle, data).stop)
+        if self._terrain is not None:
+            shared.callback(self._terrain.stop)
         observed = _Observed(observers, self._collector)
         loop = ControlLoop(self._vehicle, self._telemetry, core, self._recording, observed, self._acquired, stepped)
         self._loop = loop

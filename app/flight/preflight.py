@@ -25,6 +25,7 @@ from mission.exchange.dialect import Home
 _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
 _HOME_OFF_MAX_M = 60.0  # geoid models differ by a metre, a GPS height by some, terrain data by twenty
+_TERRAIN_OFF_MAX_M = 40.0  # other posts, other sources
 _SENSORS = {
     0x1: "gyroscope",
     0x2: "accelerometer",
@@ -128,6 +129,7 @@ def checks(
         _position_check(vehicle),
         Check("home", home is not None, "known" if home else "not known", "wait for the GPS fix that sets it"),
         _ground_check(config, home),
+        *_terrain_checks(config, vehicle),
         *_limit_checks(config, aircraft, limits),
         *(
             Check(need.name, False, f"{need.present:g}: {need.why}", f"set {need.value:g}, or give --set-parameters")
@@ -171,6 +173,20 @@ def _ground_check(config: Config, home: Home | None) -> Check:
     found = f"{told_m:.0f} m above sea at home by the elevation data, {home.altitude_m:.0f} m by the autopilot"
     remedy = "see which of the two is wrong: home, or the tiles"
     return Check("ground", abs(told_m - home.altitude_m) <= _HOME_OFF_MAX_M, found, remedy)
+
+
+def _terrain_checks(config: Config, vehicle: Vehicle) -> tuple[Check, ...]:
+    """Compare the elevation data with what the autopilot's own terrain database has below it, where it has any."""
+    message = vehicle.latest.get("TERRAIN_REPORT")
+    if config.terrain.folder is None or message is None or not message.fields["spacing"]:
+        return ()
+    fields = message.fields
+    own_m = elevation_data(Path(config.terrain.folder)).height_above_sea_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
+    if math.isnan(own_m):
+        return ()  # told by the check of home, or beside the data: what is flown over is checked by each plan
+    found = f"{own_m:.0f} m above sea below the aircraft, {fields['terrain_height']:.0f} m by the autopilot's own data"
+    remedy = "see which of the two is wrong: the tiles, or the autopilot's terrain data (TERRAIN folder of its card)"
+    return (Check("terrain data", abs(own_m - fields["terrain_height"]) <= _TERRAIN_OFF_MAX_M, found, remedy),)
 
 
 def _limit_checks(config: Config, aircraft: Aircraft, limits: Limits) -> tuple[Check, ...]:

@@ -10,12 +10,18 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from app.autopilots.autopilot import Limits
+from app.config import Config
+from app.flight.preflight import checks
 from app.flight.terrain_server import TerrainServer
 from app.link.message import Message
 from app.link.vehicle import Vehicle
 from app.terrain.elevation_data import ElevationData
 from app.terrain.terrain_data import answers
+from sitl.settings import Home, Settings
+from sitl.simulation import Simulation
 
+HOME_DEG = 36.59, -84.24
 CORNER_E7 = 365_500_000, -842_800_000
 EVERY = (1 << 56) - 1
 
@@ -76,3 +82,49 @@ def test_a_vehicle_that_asks_is_answered(hills_folder: Path) -> None:
     decoded = [mavlink.MAVLink(None).parse_buffer(frame)[0] for frame in link.sent]
     assert [one.gridbit for one in decoded] == [0, 1, 3]
     assert all(200 < height_m < 1100 for one in decoded for height_m in one.data)
+
+
+def test_a_plane_without_heights_asks_and_then_reports_the_ground_below(hills_folder: Path) -> None:
+    """The simulated ArduPlane asks for what is below it; its report agrees with the tiles, and is checked by them."""
+    data = ElevationData(hills_folder)
+    home_m = data.height_above_sea_m(*HOME_DEG)
+    simulation = Simulation(Settings(home=Home(*HOME_DEG, home_m), terrain=hills_folder, payload=None))
+    simulation.connect("ground")
+    heard, speaks = mavlink.MAVLink(None), mavlink.MAVLink(None, 255, 190)
+    stream = mavlink.MAVLink_request_data_stream_message(1, 1, mavlink.MAV_DATA_STREAM_EXTRA3, 2, 1)
+    simulation.receive("ground", stream.pack(speaks))
+    requests, reports = 0, []
+    for second in range(1, 21):
+        simulation.advance(float(second))
+        for _, sent in simulation.take():
+            for message in heard.parse_buffer(sent) or ():
+                if message.get_type() == "TERRAIN_REPORT":
+                    reports.append(message)
+                elif message.get_type() == "TERRAIN_REQUEST":
+                    requests += 1
+                    for fields in answers(message.to_dict(), data):
+                        simulation.receive("ground", mavlink.MAVLink_terrain_data_message(**fields).pack(speaks))
+    first, last = reports[0], reports[-1]
+    assert first.spacing == 0 and first.pending > 0
+    assert last.spacing == 100 and last.pending == 0 and 0 < requests < len(reports)
+    assert last.terrain_height == pytest.approx(home_m, abs=10.0)  # its posts are coarser
+    assert last.current_height == pytest.approx(home_m - last.terrain_height, abs=1.0)  # it stands at home's height
+
+
+@pytest.mark.parametrize(("off_m", "spacing", "ready"), [(5.0, 100, [True]), (90.0, 100, [False]), (90.0, 0, [])])
+def test_the_autopilots_own_data_are_compared_before_the_flight(
+    hills_folder: Path, off_m: float, spacing: int, ready: list[bool]
+) -> None:
+    class Silent:
+        system_id = 1
+
+    told_m = ElevationData(hills_folder).height_above_sea_m(*HOME_DEG) + off_m
+    lat, lon = (round(1e7 * degrees) for degrees in HOME_DEG)
+    fields = {"lat": lat, "lon": lon, "spacing": spacing, "terrain_height": told_m}
+    vehicle = Silent()
+    vehicle.latest = {"TERRAIN_REPORT": Message("TERRAIN_REPORT", 1, 1, fields, 0.0)}  # type: ignore[attr-defined]
+    config = Config(terrain={"folder": str(hills_folder)})  # type: ignore[arg-type]
+    found = checks(config, vehicle, Limits(None, None, None, None), None, ())  # type: ignore[arg-type]
+    compared = [check for check in found if check.name == "terrain data"]
+    assert [check.ready for check in compared] == ready
+    assert all(f"{told_m:.0f} m by the autopilot" in check.found for check in compared)
