@@ -201,17 +201,20 @@ def fence_check(config: Config, plane: LocalPlane) -> Callable[[Plan], str | Non
     return built.check(config.aircraft.height_m)
 
 
-def settle(controller: StandoffController, config: Config, plane: LocalPlane, home_deg: tuple[float, float]) -> None:
+def settle(
+    controller: StandoffController, config: Config, plane: LocalPlane, home_deg: tuple[float, float]
+) -> Ground | None:
     """Tell the control step of fences and ground, once the plane and home (latitude, longitude) are known.
 
-    Raises InputError naming a fence that is no polygon, or elevation data that does not serve.
+    Returns the ground, None where no elevation data is configured. Raises InputError naming a fence that is no polygon,
+    or elevation data that does not serve.
     """
     controller.check = fence_check(config, plane)
     aircraft = config.aircraft
     controller.heights = OneHeight(ClimbRates(aircraft.airspeed_m_s, aircraft.climb_m_s, aircraft.descent_m_s))
     ground = ground_of(config, plane, home_deg)
     if ground is None:
-        return
+        return None
     # What is compiled takes a second to load: only who has elevation data waits for it.
     from mission.terrain.heights import FlightHeights, HeightRules  # noqa: PLC0415
     from mission.terrain.sight import SightField  # noqa: PLC0415
@@ -237,6 +240,7 @@ def settle(controller: StandoffController, config: Config, plane: LocalPlane, ho
 
     controller.sight = sight
     controller.tracker.stand_on(ground, config.sensors.angles_alone)
+    return ground
 
 
 def ground_of(config: Config, plane: LocalPlane, home_deg: tuple[float, float]) -> Ground | None:

@@ -60,7 +60,7 @@ class TerrainDatabase:
     def _block(
         self, latitude_deg: float, longitude_deg: float
     ) -> tuple[tuple[int, int], npt.NDArray[np.float64], float, float]:
-        """Return the corner (1e-7 degrees) and posts of the block about a place, and where that is among the posts."""
+        """Return corner (1e-7 degrees) and posts of the block about a place, and where among the posts that is."""
         rows, columns = _UP * _SQUARE - 1, _ACROSS * _SQUARE - 1
         y = (latitude_deg - self._origin_deg[0]) / self._step_deg
         row = math.floor(y / rows)

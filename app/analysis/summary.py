@@ -13,10 +13,12 @@ from app.analysis.score import Asked, Moment, Score, asked_at, score
 from app.analysis.truth import Truth
 from estimators.biases import Calibration
 from estimators.frames import LocalPlane
+from estimators.terrain.ground import Ground
 from mission.control.controller import Snapshot
 from mission.core.requirement import Requirement
 
 _TRUTH_STEP_S = 0.5
+_EYE_M = 1.0  # of the target over its ground
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +98,8 @@ class SummaryCollector:
         self._estimated: list[Moment] = []
         self._asked: list[tuple[float, Requirement]] = [(-math.inf, requirement)]
         self._last_s = -math.inf
+        self._over_ground: list[tuple[float, bool, float]] = []  # time, whether the target is seen, clearance
+        self.ground: Ground | None = None  # what they are over, once it is known
 
     def observe(self, snapshot: Snapshot) -> None:
         """Take a snapshot; those without a new estimate are passed over."""
@@ -116,6 +120,29 @@ class SummaryCollector:
                 estimate.velocity_north_m_s,
             )
         )
+        if self.ground is not None:
+            self._look(self.ground, snapshot)
+
+    def _look(self, ground: Ground, snapshot: Snapshot) -> None:
+        aircraft, target, height_m = snapshot.aircraft, snapshot.estimate, snapshot.sensor_status.height_m
+        assert aircraft is not None
+        assert target is not None
+        target_m = ground.height_m(target.east_m, target.north_m)
+        if not math.isnan(target_m):
+            here = aircraft.east_m, aircraft.north_m, height_m
+            seen = ground.sees(here, (target.east_m, target.north_m, target_m + _EYE_M))
+            self._over_ground.append(
+                (target.time_s, seen, height_m - ground.height_m(aircraft.east_m, aircraft.north_m))
+            )
+
+    def over_ground(self, start_s: float) -> tuple[float | None, float | None]:
+        """Return the share of time since ``start_s`` in which no hill hides the estimated place, and the clearance.
+
+        As :meth:`app.analysis.truth.Truth.over_ground` has them; None without elevation data.
+        """
+        since = [(seen, clear_m) for time_s, seen, clear_m in self._over_ground if time_s >= start_s]
+        clear = [clear_m for _, clear_m in since if not math.isnan(clear_m)]
+        return sum(seen for seen, _ in since) / len(since) if since else None, min(clear, default=None)
 
     def rmse_m(self, truth: Truth, plane: LocalPlane, start_s: float) -> float | None:
         """Return the root mean square of the estimate's distance from the truth since ``start_s``."""
@@ -166,7 +193,7 @@ def summarise(
     """Return the summary of a mission that ended at ``snapshot``."""
     result = gatherer.scored(truth, plane, start_s)
     rmse_m = gatherer.rmse_m(truth, plane, start_s) if truth is not None and plane is not None else None
-    in_sight, clearance_m = truth.over_ground(start_s) if truth is not None else (None, None)
+    in_sight, clearance_m = (truth or gatherer).over_ground(start_s)
     return Summary(
         **asdict(result),
         moves=snapshot.moves,

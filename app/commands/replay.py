@@ -140,7 +140,8 @@ def _replay_log(
 
     def fence(plane: LocalPlane) -> None:
         # A log does not tell where home is: the first position of an aircraft on the ground is near it.
-        settle(controller, settings, plane, (plane.origin_latitude_deg, plane.origin_longitude_deg))
+        origin_deg = (plane.origin_latitude_deg, plane.origin_longitude_deg)
+        judged.collector.ground = settle(controller, settings, plane, origin_deg)
         if frames is not None:
             frames.plane = plane
 
@@ -176,13 +177,14 @@ def _replay_run(
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")
         controller = controller_of(settings, table_progress(console.print), console.print)
-        plane = journal.header.plane
+        plane, ground = journal.header.plane, None
         if plane is not None:
             origin_deg = (plane.origin_latitude_deg, plane.origin_longitude_deg)
-            settle(controller, settings, plane, journal.header.home_deg or origin_deg)
+            ground = settle(controller, settings, plane, journal.header.home_deg or origin_deg)
         repeats = settings == flown
         steps = JournalReplay(controller, _exchange_of(settings, controller, journal.header) if repeats else None)
         judged = _Judged(settings, steps.controller, progress, quiet or verify)
+        judged.collector.ground = ground
         replayed = steps.run(journal)
         if frames is not None:
             frames.plane = plane
@@ -272,11 +274,11 @@ class _Judged:
         self.first_estimate_s: float | None = None
         self.engaged_s: float | None = None
         self.controller, self._progress, self._quiet = controller, progress, quiet
-        self._collector = SummaryCollector(settings.requirement.requirement())
+        self.collector = SummaryCollector(settings.requirement.requirement())
 
     def follow(self, steps: Iterable[Replayed]) -> None:
         for step in steps:
-            self._collector.observe(step.snapshot)
+            self.collector.observe(step.snapshot)
             if self.first_estimate_s is None and step.snapshot.estimate is not None:
                 self.first_estimate_s = step.snapshot.time_s
             if self.engaged_s is None and isinstance(step.event, ControlAcquired):
@@ -288,7 +290,7 @@ class _Judged:
     def summary(self, truth: Truth | None, plane: LocalPlane | None, start_s: float | None) -> Summary:
         tracker = self.controller.tracker
         return summarise(
-            self._collector,
+            self.collector,
             self.controller.snapshot(),
             truth=truth,
             plane=plane,

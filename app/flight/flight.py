@@ -228,7 +228,7 @@ class Flight:
     ) -> str:
         plane, home = ready.plane, ready.home
         home_deg = (home.latitude_deg, home.longitude_deg)
-        settle(self._controller, self._config, plane, home_deg)
+        self._collector.ground = settle(self._controller, self._config, plane, home_deg)
         self._recording.begin(plane, home_deg, self._autopilot.name, home.altitude_m)
         core = mission_controller_of(self._config, self._controller, self._autopilot, plane, home)
         observers: list[Display] = [self._display]

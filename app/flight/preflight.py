@@ -184,9 +184,10 @@ def _terrain_checks(config: Config, vehicle: Vehicle) -> tuple[Check, ...]:
     own_m = elevation_data(Path(config.terrain.folder)).height_above_sea_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
     if math.isnan(own_m):
         return ()  # told by the check of home, or beside the data: what is flown over is checked by each plan
-    found = f"{own_m:.0f} m above sea below the aircraft, {fields['terrain_height']:.0f} m by the autopilot's own data"
-    remedy = "see which of the two is wrong: the tiles, or the autopilot's terrain data (TERRAIN folder of its card)"
-    return (Check("terrain data", abs(own_m - fields["terrain_height"]) <= _TERRAIN_OFF_MAX_M, found, remedy),)
+    told_m = fields["terrain_height"]
+    found = f"{own_m:.0f} m above sea below the aircraft, {told_m:.0f} m by the autopilot's own data"
+    remedy = "see which of the two is wrong: the tiles, or the autopilot's terrain data (on its card)"
+    return (Check("terrain data", abs(own_m - told_m) <= _TERRAIN_OFF_MAX_M, found, remedy),)
 
 
 def _limit_checks(config: Config, aircraft: Aircraft, limits: Limits) -> tuple[Check, ...]:

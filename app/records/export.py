@@ -224,12 +224,14 @@ def _kml(flight: Flight) -> str:
         style = Xml.SubElement(Xml.SubElement(document, "Style", {"id": name}), "LineStyle")
         Xml.SubElement(style, "color").text = colour
         Xml.SubElement(style, "width").text = "2"
+    # Heights are above home: over hills they mean something above the sea only.
+    base_m = flight.home_altitude_m
     _kml_track(
         document,
         flight,
         "aircraft",
-        "relativeToGround",
-        [(p.time_s, p.east_m, p.north_m, p.height_m) for p in flight.aircraft],
+        "relativeToGround" if base_m is None else "absolute",
+        [(p.time_s, p.east_m, p.north_m, (base_m or 0.0) + p.height_m) for p in flight.aircraft],
     )
     _kml_track(
         document, flight, "target", "clampToGround", [(e.time_s, e.east_m, e.north_m, 0.0) for e in flight.estimates]

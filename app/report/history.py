@@ -25,6 +25,7 @@ from estimators.readings import (
     TargetFixReading,
 )
 from estimators.sighting import SightingOutcome
+from estimators.terrain.ground import Ground
 from estimators.tracker import Tracker
 from mission.control.mission_change import requirement_after
 from mission.control.plausibility import Plausibility
@@ -85,6 +86,7 @@ class FlightRequirements:
     airframe: Aircraft
     keep_in: tuple[Outline, ...] = ()
     keep_out: tuple[Outline, ...] = ()
+    ground: Ground | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -9,15 +11,18 @@ from matplotlib.patches import Polygon
 
 from app.report.history import FloatArray, History
 from app.report.plot_style import AIRCRAFT, BAD, CIRCLE, ESTIMATE, FAINT, TARGET, WIDTH_IN, legend_above
+from estimators.terrain.ground import Ground
 from mission.core.circle import Circle
 
 TICK_S = 50.0
 _LABELS_MAX = 60
 _SAMPLES_MAX = 6000
+_CONTOUR_POSTS, _CONTOURS_MAX = 200, 25
+_CONTOUR_STEPS_M = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
 
 
 def flown_path_figure(history: History, *, width_in: float = WIDTH_IN, title: str = "") -> Figure:
-    """Return the map: paths with a tick every 50 s, joined by the line of sight; circles flown; fences.
+    """Return the map: paths with a tick every 50 s, joined by the line of sight; circles flown; fences; contours.
 
     Make and save it within ``ink.styled()``.
     """
@@ -48,12 +53,30 @@ def flown_path_figure(history: History, *, width_in: float = WIDTH_IN, title: st
             axes.plot(*estimate.T, color=ESTIMATE, linewidth=0.9, label="estimate")
     _circles(axes, [circle for _, circle in history.circles])
     _ticks(axes, time_s, aircraft, target)
+    if history.asked.ground is not None:
+        _contours(axes, history.asked.ground)
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     if title:
         axes.set_title(title, loc="right", fontsize=10)
     legend_above(axes)
     return made
+
+
+def _contours(axes: Axes, ground: Ground) -> None:
+    """Draw lines of equal height above home behind all that is drawn already, and as far as the axes may grow."""
+    limits_m = axes.get_xlim(), axes.get_ylim()
+    reach_m = max(high_m - low_m for low_m, high_m in limits_m)
+    x_m, y_m = (np.linspace(-reach_m, reach_m, _CONTOUR_POSTS) + np.mean(axis) for axis in limits_m)
+    heights_m = np.ma.masked_invalid(ground.heights_at_m(*np.meshgrid(x_m, y_m)))
+    span_m = float(np.ptp(heights_m.compressed())) if heights_m.count() else 0.0
+    step_m = next((step_m for step_m in _CONTOUR_STEPS_M if span_m / step_m <= _CONTOURS_MAX), None)
+    if span_m <= _CONTOUR_STEPS_M[0] or step_m is None:
+        return
+    levels_m = np.arange(math.floor(heights_m.min() / step_m), heights_m.max() / step_m) * step_m
+    drawn = axes.contour(x_m, y_m, heights_m, levels_m, colors=FAINT, linewidths=0.5, alpha=0.7, zorder=0)
+    axes.clabel(drawn, fmt="%g m", fontsize=6)
+    axes.set(xlim=limits_m[0], ylim=limits_m[1])
 
 
 def _circles(axes: Axes, circles: list[Circle]) -> None:

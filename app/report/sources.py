@@ -9,7 +9,7 @@ from typing import Protocol
 from app.analysis.replay import require_sightings
 from app.analysis.summary import Summary
 from app.analysis.truth import read_truth
-from app.assembly import fence_outlines, tracker_of
+from app.assembly import fence_outlines, ground_of, tracker_of
 from app.config import Config, load_config
 from app.errors import InputError
 from app.flight.recording import JOURNAL_TYPES, journalled_config
@@ -21,6 +21,7 @@ from app.records.windows import Progress
 from app.report.history import FlightRequirements, History, HistoryBuilder
 from app.report.results import read_summary, summary_of
 from estimators.frames import LocalPlane
+from estimators.terrain.ground import Ground
 from mission.core.events import Command, Event
 
 
@@ -95,7 +96,7 @@ def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: P
     _feed_journal(reader, builder)
     if truth is None and folder.truth.exists():
         truth = folder.truth
-    history = _built(builder, settings, folder.path, reader.header.plane, truth)
+    history = _built(builder, settings, folder.path, reader.header.plane, truth, reader.header.home_deg)
     # The figures of a run that was cut off are worth having all the same.
     whole = folder.summary.exists()
     result = read_summary(folder.read_summary(), str(folder.summary)) if whole else summary_of(history, "cut off")
@@ -118,19 +119,34 @@ def _log(
 
 
 def _built(
-    builder: HistoryBuilder, config: Config, path: Path, plane: LocalPlane | None, truth: Path | None
+    builder: HistoryBuilder,
+    config: Config,
+    path: Path,
+    plane: LocalPlane | None,
+    truth: Path | None,
+    home_deg: tuple[float, float] | None = None,
 ) -> History:
     if plane is None or builder.positions < 2:
         raise InputError(f"{path} holds no flight: the vehicle told fewer than two positions.")
-    return builder.build(asked(config, plane), plane, read_truth(truth) if truth is not None else None)
+    wanted = asked(config, plane, home_deg)
+    return builder.build(wanted, plane, read_truth(truth) if truth is not None else None)
 
 
-def asked(config: Config, plane: LocalPlane) -> FlightRequirements:
-    """Return what a configuration asks for, with its fences in the plane."""
+def asked(config: Config, plane: LocalPlane, home_deg: tuple[float, float] | None = None) -> FlightRequirements:
+    """Return what a configuration asks for, with its fences and its ground in the plane."""
     keep_in, keep_out = fence_outlines(config, plane)
     return FlightRequirements(
         config.requirement.requirement(),
         config.aircraft.aircraft(),
         tuple(map(tuple, keep_in)),
         tuple(map(tuple, keep_out)),
+        _ground(config, plane, home_deg),
     )
+
+
+def _ground(config: Config, plane: LocalPlane, home_deg: tuple[float, float] | None) -> Ground | None:
+    """Return the ground about home, or about the plane's origin; None where its data are not at hand any more."""
+    try:
+        return ground_of(config, plane, home_deg or (plane.origin_latitude_deg, plane.origin_longitude_deg))
+    except InputError:
+        return None

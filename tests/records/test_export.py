@@ -126,7 +126,8 @@ def test_kml_tracks_have_a_time_for_each_place(written):
     assert root.findtext("k:Document/k:name", namespaces=names) == "a flight <&>"
     aircraft, target = root.findall(".//gx:Track", names)
     assert len(aircraft.findall("k:when", names)) == len(aircraft.findall("gx:coord", names)) == 50
-    assert aircraft.findtext("gx:coord", namespaces=names) == "8.50000000 47.40000000 120.00"
+    assert aircraft.findtext("k:altitudeMode", namespaces=names) == "absolute"
+    assert aircraft.findtext("gx:coord", namespaces=names) == "8.50000000 47.40000000 608.00"
     assert len(target.findall("gx:coord", names)) == 40
     rings = root.findall(".//k:LineString/k:coordinates", names)
     assert [len(ring.text.split()) for ring in rings] == [73, 73]
@@ -136,6 +137,7 @@ def test_without_the_time_of_day_the_tracks_are_plain_lines(written):
     flight = replace(FLIGHT, booted=None, home_altitude_m=None)
     assert "<when>" not in written(Format.KML, flight)
     assert Xml.fromstring(written(Format.KML, flight)) is not None
+    assert "relativeToGround" in written(Format.KML, flight)  # the best where home's altitude is not known
     assert "<time>" not in written(Format.GPX, flight)
     assert "<ele>" not in written(Format.GPX, flight)
     aircraft = json.loads(written(Format.GEOJSON, flight))["features"][0]

@@ -1,0 +1,63 @@
+"""What is told of a flight over hills without a truth: sight and clearance in the summary, contours on the map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from app.analysis.summary import SummaryCollector
+from app.report.path_map import _contours
+from estimators.terrain.ground import Ground
+from mission.core.requirement import Requirement, Side
+
+REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
+
+
+def snapshot(time_s: float, aircraft_m: tuple[float, float, float], target_m: tuple[float, float]) -> SimpleNamespace:
+    return SimpleNamespace(
+        requirement=REQUIREMENT,
+        aircraft=SimpleNamespace(east_m=aircraft_m[0], north_m=aircraft_m[1]),
+        sensor_status=SimpleNamespace(height_m=aircraft_m[2]),
+        estimate=SimpleNamespace(
+            time_s=time_s, east_m=target_m[0], north_m=target_m[1], velocity_east_m_s=1.0, velocity_north_m_s=0.0
+        ),
+    )
+
+
+def test_sight_and_clearance_are_told_without_a_truth() -> None:
+    heights_m = np.zeros((41, 41), np.float32)
+    heights_m[:, 20] = 80.0  # a ridge along the middle, 20 m to either side
+    ground = Ground(heights_m, -400.0, -400.0, 20.0, 20.0)
+    collector = SummaryCollector(REQUIREMENT)
+    collector.observe(snapshot(0.0, (-200.0, 0.0, 50.0), (200.0, 0.0)))  # before the ground was known
+    collector.ground = ground
+    for time_s, aircraft_m in (
+        (1.0, (-200.0, 0.0, 10.0)),  # behind the ridge, and low; before the watch begins
+        (2.0, (-200.0, 0.0, 60.0)),  # behind the ridge
+        (3.0, (-40.0, 0.0, 200.0)),  # above it
+        (4.0, (100.0, 0.0, 60.0)),  # on the target's side
+        (5.0, (0.0, 0.0, 130.0)),  # over the ridge itself
+    ):
+        collector.observe(snapshot(time_s, aircraft_m, (200.0, 0.0)))  # type: ignore[arg-type]
+    assert collector.over_ground(2.0) == (0.75, pytest.approx(50.0))
+    assert SummaryCollector(REQUIREMENT).over_ground(0.0) == (None, None)
+
+
+def test_contours_lie_behind_what_is_drawn_and_change_no_limits(ground: Ground) -> None:
+    axes = Figure().subplots()
+    axes.plot([0.0, 900.0], [0.0, 700.0])
+    limits = axes.get_xlim(), axes.get_ylim()
+    _contours(axes, ground)
+    (drawn,) = axes.collections
+    assert (axes.get_xlim(), axes.get_ylim()) == limits
+    assert drawn.get_zorder() == 0 and len(drawn.levels) > 3
+    for level_m, path in zip(drawn.levels, drawn.get_paths(), strict=True):
+        for east_m, north_m in path.vertices[::50]:
+            assert ground.height_m(east_m, north_m) == pytest.approx(level_m, abs=6.0)
+    flat = Figure().subplots()
+    _contours(flat, replace(ground, heights_m=np.zeros_like(ground.heights_m)))
+    assert not flat.collections
