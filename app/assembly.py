@@ -206,8 +206,8 @@ def settle(
 ) -> Ground | None:
     """Tell the control step of fences and ground, once the plane and home (latitude, longitude) are known.
 
-    Returns the ground, None where no elevation data is configured. Raises InputError naming a fence that is no polygon,
-    or elevation data that does not serve.
+    Returns the ground, None where no elevation data is configured. Raises InputError naming a fence that is no
+    polygon, or elevation data that does not serve.
     """
     controller.check = fence_check(config, plane)
     aircraft = config.aircraft
