@@ -13,6 +13,7 @@ from pydantic_core import ErrorDetails
 
 from app.errors import InputError
 from app.planners.registry import PLANNER_NAMES, PLANNERS, planner_by_name
+from app.sharing.address import Address
 from app.text_file import read_toml
 from mission.core.requirement import Aircraft, Requirement, Side
 from mission.viewpoint.side_policy import watching_from
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 else:
     PlannerName = Literal[PLANNER_NAMES]
 
+_COT_TYPE = r"^[a-z](-[A-Za-z0-9.]+)+$"
 _SHOWN_CHARACTERS = 80  # of a wrong value
 
 LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
@@ -228,6 +230,51 @@ class TerrainSection(Section):
     """Standard deviation of its heights against that at home, m."""
 
 
+def _address(*schemes: str) -> AfterValidator:
+    def check(text: str) -> str:
+        Address.read(text, schemes)
+        return text
+
+    return AfterValidator(check)
+
+
+class SharingSection(Section):
+    """Who else is told of target and aircraft, and a beacon that the target carries."""
+
+    cot: Annotated[str, _address("udp", "tcp", "tls")] | None = None
+    """Cursor on target (CoT), target and aircraft, to udp://, tcp:// or tls://HOST:PORT; none: not sent."""
+    cot_certificate_file: Path | None = None
+    """By TLS: the own certificate (PEM); none: the server asks for none."""
+    cot_key_file: Path | None = None
+    """By TLS: its key (PEM, without a password); none: in the certificate's file."""
+    cot_authority_file: Path | None = None
+    """By TLS: who has signed the server's certificate (PEM); none: whom the system believes."""
+    cot_server_name: str | None = None
+    """By TLS: the name in the server's certificate; none: the host's."""
+    cot_type: str = Field("a-n-G", pattern=_COT_TYPE)
+    """Type of the target in the CoT schema: a-n-G is a neutral thing on the ground."""
+    cot_callsign: str = Field("target", min_length=1, max_length=40)
+    """Call sign of the target."""
+    cot_own_type: str = Field("a-f-A-C-F", pattern=_COT_TYPE)
+    """Type of the aircraft: a-f-A-C-F is a civil aeroplane of the own side."""
+    cot_own_callsign: str = Field("sidelong", min_length=1, max_length=40)
+    """Call sign of the aircraft."""
+    cot_team: str = Field("Cyan", min_length=1, max_length=40)
+    """Team of the aircraft, by its colour."""
+    follow_target: Annotated[str, _address("udp")] | None = None
+    """FOLLOW_TARGET of the target, for another autopilot's follow mode, to udp://HOST:PORT; none: not sent."""
+    follow_target_system_id: int = Field(240, ge=1, le=255)
+    """MAVLink system id that FOLLOW_TARGET is sent with (ArduPilot: FOLL_SYSID)."""
+    nmea: Annotated[str, _address("udp")] | None = None
+    """The target as a GPS receiver's NMEA sentences (RMC, GGA), to udp://HOST:PORT; none: not sent."""
+    beacon: Annotated[str, _address("udp")] | None = None
+    """Listen at udp://ADDRESS:PORT to a beacon that the target carries, FOLLOW_TARGET or CoT; none: there is none."""
+    beacon_name: str | None = None
+    """Its system id, uid or call sign; none: the only one that is heard."""
+    beacon_sigma_m: float = Field(5.0, gt=0, le=200)
+    """Standard deviation of its place, each axis, where it does not tell, m."""
+
+
 class SimulationSection(Section):
     """The simulated vehicle that is flown when no link is given."""
 
@@ -257,6 +304,7 @@ class Config(Section):
     link: LinkSection = LinkSection()  # type: ignore[call-arg]
     fences: FencesSection = FencesSection()  # type: ignore[call-arg]
     terrain: TerrainSection = TerrainSection()  # type: ignore[call-arg]
+    sharing: SharingSection = SharingSection()  # type: ignore[call-arg]
     simulation: SimulationSection = SimulationSection()  # type: ignore[call-arg]
 
     @model_validator(mode="after")

@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+BEACON_MESSAGES = ("FOLLOW_TARGET", "COT")
+
 
 @dataclass(frozen=True, slots=True)
 class Source:
@@ -77,7 +79,10 @@ class GimbalReading:
 
 @dataclass(frozen=True, slots=True)
 class TargetFixReading:
-    """A target position from a camera's own tracker (CAMERA_TRACKING_GEO_STATUS), in the plane."""
+    """A target position in the plane: from a camera's own tracker (CAMERA_TRACKING_GEO_STATUS), or from a beacon.
+
+    A beacon is a receiver that the target carries; its source's message is one of ``BEACON_MESSAGES``.
+    """
 
     time_s: float
     east_m: float

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
+from estimators.beacon import BeaconErrors
 from estimators.biases import Calibration
 from estimators.estimate import TargetEstimate
 from estimators.pairing import Pairing
 from estimators.pose import PoseHistory
 from estimators.readings import (
+    BEACON_MESSAGES,
     AttitudeReading,
     GimbalReading,
     PositionReading,
@@ -44,6 +46,7 @@ class Tracker:
         self._ranges = SourceSelector(range_rank, settings.range_source)
         self._gimbals = SourceSelector(sight_rank, settings.gimbal_source)
         self._fixes = SourceSelector(sight_rank, settings.fix_source)
+        self._beacon = BeaconErrors()
         self._track = Track(settings)
         self.sightings = 0
         self.rejected = 0
@@ -82,7 +85,10 @@ class Tracker:
         self._pairing.add_range(self._measured(reading))
 
     def _add_fix(self, reading: TargetFixReading) -> tuple[SightingOutcome, ...]:
-        """Use a camera's fix where it was asked for, or while there is no laser that it may be made from."""
+        """Use a beacon's fix; a camera's where asked for, or while there is no laser that it may be made from."""
+        if reading.source.message in BEACON_MESSAGES:
+            sigma_m = self._beacon.sigma_m(reading.time_s, reading.sigma_m)
+            return (self._take(Fix(reading.time_s, reading.east_m, reading.north_m, sigma_m)),)
         laser_speaks = reading.time_s - self._ranges.heard_s < self._ranges.silent_after_s
         if laser_speaks and self._settings.fix_source is None:
             return ()

@@ -34,6 +34,15 @@ _EXAMPLES = {
     "fences.floor_m": "60.0",
     "fences.ceiling_m": "150.0",
     "terrain.folder": '"dem"',
+    "sharing.cot": '"tls://tak.example.org:8089"',
+    "sharing.cot_certificate_file": '"client.pem"',
+    "sharing.cot_key_file": '"client.key"',
+    "sharing.cot_authority_file": '"authority.pem"',
+    "sharing.cot_server_name": '"takserver"',
+    "sharing.follow_target": '"udp://192.168.1.20:14555"',
+    "sharing.nmea": '"udp://192.168.1.30:14401"',
+    "sharing.beacon": '"udp://0.0.0.0:6969"',
+    "sharing.beacon_name": '"ranger 7"',
     "simulation.home": "[36.59, -84.24]",
 }
 _FLEET_EXAMPLES = {

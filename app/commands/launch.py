@@ -39,6 +39,7 @@ from app.flight.fleet_flight import FleetEnded
 from app.flight.flight import Flight, Sharing, connected
 from app.flight.life import Life, describe_aircraft
 from app.flight.link_log import link_log
+from app.flight.outputs import check_sharing
 from app.flight.recording import Recording
 from app.flight.simulated import SimulatedVehicles
 from app.link.discovery import SETTLING_S
@@ -118,7 +119,34 @@ def launch(
         str | None, typer.Option(metavar="S,W,N,E", help="Where that picture lies, degrees.", show_default=False)
     ] = None,
     cot: Annotated[
-        str | None, typer.Option(help="Send the estimate as cursor on target: udp://HOST:PORT.", show_default=False)
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Send target and aircraft as cursor on target: udp://, tcp:// or tls://HOST:PORT.",
+            show_default=False,
+        ),
+    ] = None,
+    follow_target: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Send the target as FOLLOW_TARGET, for another autopilot: udp://HOST:PORT.",
+            show_default=False,
+        ),
+    ] = None,
+    nmea: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Send the target as NMEA sentences: udp://HOST:PORT.", show_default=False
+        ),
+    ] = None,
+    beacon: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Listen to a beacon that the target carries (FOLLOW_TARGET, cursor on target): udp://0.0.0.0:PORT.",
+            show_default=False,
+        ),
     ] = None,
     point_gimbal: Annotated[
         bool, typer.Option("--point-gimbal", help="Tell the vehicle's gimbal where the target is.")
@@ -169,8 +197,9 @@ def launch(
         "requirement": {"side": side, "target_speed_max_m_s": target_speed},
         "terrain": {"folder": None if terrain is None else str(terrain)},
         "planner": {"name": planner, "guidance": guidance},
+        "sharing": {"cot": cot, "follow_target": follow_target, "nmea": nmea, "beacon": beacon},
     }
-    sharing = Sharing(cot, point_gimbal)
+    sharing = Sharing(point_gimbal)
     if mcap:
         mcap_writer_class()
     address = page_address(view, view_host, view_port, view_cert, view_key, map_file, map_bounds)
@@ -190,6 +219,7 @@ def launch(
     else:
         settings = load_config(config, overrides)
     check_flyable(settings)
+    check_sharing(settings.sharing)
     _check_pointing(settings, sharing)
     with shielded_output():
         ended = _flown(settings, duration, out, quiet, address, sharing)
@@ -209,6 +239,7 @@ def _check_pointing(settings: Config, sharing: Sharing) -> None:
 
 def _check_fleet(fleet: FleetFile, sharing: Sharing, system_id: int | None) -> None:
     for member in fleet.members:
+        check_sharing(member.config.sharing)
         _check_pointing(member.config, sharing)
     if system_id is not None:
         raise InputError("--system-id names one vehicle; give each aircraft of the fleet file its system_id.")

@@ -21,9 +21,9 @@ from app.autopilots.queries import home_of, is_flying, mode_of
 from app.config import Config
 from app.errors import FlightError, InputError
 from app.flight.changes import MissionChanges
-from app.flight.cot import CotOutput
 from app.flight.display import FlightDisplay, Wish
 from app.flight.loop import ControlLoop, Display, Stepped
+from app.flight.outputs import outputs
 from app.flight.point_gimbal import GimbalPointer
 from app.flight.preflight import autopilot_of, checks, listen
 from app.flight.recording import Recording
@@ -37,6 +37,8 @@ from app.link.telemetry import Telemetry
 from app.link.transport import Transport
 from app.link.vehicle import Vehicle
 from app.link.vehicle_status import VehicleStatus, vehicle_status
+from app.sharing.address import Address
+from app.sharing.beacon import BeaconInput
 from app.shutdown import ends_within
 from app.terrain.elevation_data import elevation_data
 from estimators.frames import LocalPlane
@@ -56,9 +58,8 @@ _READY_WALL_S = 20.0  # a fast simulation's minute is over before every question
 
 @dataclass(frozen=True, slots=True)
 class Sharing:
-    """Who else is told of the estimate. cot: udp://HOST:PORT; point_gimbal: the vehicle, for its gimbal."""
+    """Who is told of the estimate beside those that the configuration names: the vehicle, for its gimbal."""
 
-    cot: str | None = None
     point_gimbal: bool = False
 
 
@@ -233,8 +234,9 @@ class Flight:
         core = mission_controller_of(self._config, self._controller, self._autopilot, plane, home)
         observers: list[Display] = [self._display]
         shared = contextlib.ExitStack()
-        if self._sharing.cot is not None:
-            observers.append(shared.enter_context(CotOutput(self._sharing.cot, plane)))
+        for output in outputs(self._config.sharing, plane, home.altitude_m, self._vehicle.latest, self._display.note):
+            shared.callback(output.stop)
+            observers.append(output)
         if self._sharing.point_gimbal:
             pointer = GimbalPointer(self._vehicle, plane, home.altitude_m, self._display.note)
             shared.callback(pointer.stop)
@@ -244,6 +246,10 @@ class Flight:
         observed = _Observed(observers, self._collector)
         loop = ControlLoop(self._vehicle, self._telemetry, core, self._recording, observed, self._acquired, stepped)
         self._loop = loop
+        if self._config.sharing.beacon is not None:
+            beacon = self._beacon(plane, loop)
+            shared.callback(beacon.stop)
+            await beacon.listen(Address.read(self._config.sharing.beacon, ("udp",)))
         changes = MissionChanges(
             self._config, self._controller, lambda: self._telemetry.now_s, loop.put, self._display.say
         )
@@ -282,6 +288,11 @@ class Flight:
             round_trip_s = watch.news(self._vehicle.link.recent())
             if round_trip_s is not None:
                 loop.put(RoundTripReported(self._telemetry.now_s, round_trip_s * self._vehicle_rate))
+
+    def _beacon(self, plane: LocalPlane, loop: ControlLoop) -> BeaconInput:
+        sharing = self._config.sharing
+        now_s, note = lambda: self._telemetry.now_s, self._display.note
+        return BeaconInput(plane, sharing.beacon_name, sharing.beacon_sigma_m, now_s, loop.put, note)
 
     def _status(self) -> VehicleStatus:
         return vehicle_status(self._vehicle.latest, self._vehicle.link.recent())

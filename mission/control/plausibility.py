@@ -26,6 +26,7 @@ from typing import Any, Literal
 
 from estimators.clock import PROOF_S, SILENCE_MAX_S, SourceClock, Stamp, VehicleClock
 from estimators.readings import (
+    BEACON_MESSAGES,
     AttitudeReading,
     GimbalReading,
     PositionReading,
@@ -247,7 +248,8 @@ class Plausibility:
             if len(self._sources) >= _SOURCES_MAX:
                 return None
             source = self._sources[key] = SourceClock()
-        name = f"the {_NAMES[type(reading)]}'s clock (component {reading.source.component_id})"
+        device = _NAMES[type(reading)] if reading.source.message not in BEACON_MESSAGES else "beacon"
+        name = f"the {device}'s clock (component {reading.source.component_id})"
         before_s = source.ahead_s
         time_s = source.corrected_s(reading.time_s, self.clock)
         if source.ahead_s != before_s:

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import math
 import socket
+import ssl
+import subprocess
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from app.config import load_config
 from app.errors import InputError
-from app.flight.cot import CotOutput, cot_event
+from app.sharing.address import Address
+from app.sharing.cot import CotNames, CotOutput, aircraft_event, target_event
+from app.sharing.senders import DatagramSender, StreamSender, tls_context
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.frames import LocalPlane
 
@@ -28,7 +36,7 @@ def parsed(event: bytes):
 
 
 def test_the_event_says_where_the_target_is_now_and_how_well_that_is_known():
-    event = parsed(cot_event(ESTIMATE, PLANE, 205.0, NOW, "sidelong-1"))
+    event = parsed(target_event(ESTIMATE, PLANE, 205.0, NOW, "sidelong-1"))
     assert PLANE.east_north_m(event.lat, event.lon) == pytest.approx((290.0, -400.0), abs=0.02)
     assert event.ce == pytest.approx(4.0, abs=0.05)  # one sigma along the long axis
     assert event.hae == event.le == 9999999.0
@@ -38,7 +46,7 @@ def test_the_event_says_where_the_target_is_now_and_how_well_that_is_known():
 
 
 def test_the_type_is_neutral_and_the_event_goes_stale():
-    event = parsed(cot_event(ESTIMATE, PLANE, 200.0, NOW, "sidelong-1"))
+    event = parsed(target_event(ESTIMATE, PLANE, 200.0, NOW, "sidelong-1"))
     assert (event.type, event.how, event.uid) == ("a-n-G", "m-f", "sidelong-1")
     assert event.sendTime == event.startTime == NOW.timestamp() * 1000
     assert event.staleTime - event.sendTime == 10_000
@@ -59,8 +67,8 @@ def snapshot(flight):
     return last.snapshot()
 
 
-def address_of(receiver: socket.socket) -> str:
-    return f"udp://127.0.0.1:{receiver.getsockname()[1]}"
+def output_to(receiver: socket.socket) -> CotOutput:
+    return CotOutput(DatagramSender(Address("udp", *receiver.getsockname()), "sharing.cot"), PLANE)
 
 
 def waiting(receiver: socket.socket) -> list[bytes]:
@@ -73,34 +81,172 @@ def waiting(receiver: socket.socket) -> list[bytes]:
         return got
 
 
-def test_it_is_sent_once_a_second_at_most(receiver, snapshot):
-    with CotOutput(address_of(receiver), PLANE) as output:
-        for _ in range(20):
-            output.show(snapshot)
-    event = parsed(receiver.recv(65536))
+def test_target_and_aircraft_are_sent_once_a_second_at_most(receiver, snapshot):
+    output = output_to(receiver)
+    for _ in range(20):
+        output.show(snapshot)
+    own, event = parsed(receiver.recv(65536)), parsed(receiver.recv(65536))
     assert waiting(receiver) == []
-    estimate = snapshot.estimate
+    estimate, aircraft = snapshot.estimate, snapshot.aircraft
     at_m = PLANE.east_north_m(event.lat, event.lon)
     assert math.dist(at_m, (estimate.east_m, estimate.north_m)) < 10.0
-    assert event.uid.startswith("sidelong-")
+    assert PLANE.east_north_m(own.lat, own.lon) == pytest.approx((aircraft.east_m, aircraft.north_m), abs=0.02)
+    assert own.uid == f"{event.uid}-aircraft"
+    output.stop()
 
 
 @pytest.mark.parametrize("lost", [True, False])
 def test_a_lost_or_unseen_target_is_not_sent(receiver, snapshot, lost):
     estimate = replace(snapshot.estimate, quality=TrackQuality.LOST) if lost else None
-    with CotOutput(address_of(receiver), PLANE) as output:
-        output.show(replace(snapshot, estimate=estimate))
-    assert waiting(receiver) == []
+    output = output_to(receiver)
+    output.show(replace(snapshot, estimate=estimate))
+    (only,) = waiting(receiver)
+    assert parsed(only).uid.endswith("-aircraft")
+    output.stop()
 
 
 def test_nobody_listening_does_no_harm(receiver, snapshot):
-    address = address_of(receiver)
+    output = output_to(receiver)
     receiver.close()
-    with CotOutput(address, PLANE) as output:
+    output.show(snapshot)
+    output.stop()
+
+
+def test_types_call_signs_and_team_are_those_asked_for(snapshot):
+    names = CotNames("a-u-G-U", "cow 3", "a-f-A-M-F-Q", "uav 1", "Magenta")
+    target = parsed(target_event(ESTIMATE, PLANE, 200.0, NOW, "sidelong-1", names))
+    assert (target.type, target.detail.contact.callsign) == ("a-u-G-U", "cow 3")
+    own = parsed(aircraft_event(snapshot.aircraft, PLANE, NOW, "sidelong-1-aircraft", 540.0, names))
+    assert (own.type, own.detail.contact.callsign, own.hae) == ("a-f-A-M-F-Q", "uav 1", 540.0)
+    assert (own.detail.group.name, own.detail.group.role) == ("Magenta", "Team Member")
+    assert own.detail.track.speed == pytest.approx(snapshot.aircraft.ground_speed_m_s, abs=0.01)
+
+
+@pytest.mark.parametrize("address", ["239.2.3.1:6969", "ssl://127.0.0.1:1", "udp://host", "udp://127.0.0.1:70000"])
+def test_a_bad_address_is_told_with_the_configuration(address):
+    with pytest.raises(InputError, match=r"sharing\.cot: .*give one like"):
+        load_config(None, {"sharing": {"cot": address}})
+
+
+# -- TCP and TLS, against real servers on the loopback ---------------------------------------------------------
+
+
+def openssl(*words: str, cwd: Path) -> None:
+    subprocess.run(["openssl", *words], cwd=cwd, check=True, capture_output=True, timeout=30)
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory) -> Path:
+    """Make an authority with a server's and a client's certificate, and a stranger's."""
+    folder = tmp_path_factory.mktemp("certificates")
+    curve = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2")
+    for name in ("authority", "stranger"):
+        openssl(
+            "req",
+            "-x509",
+            *curve,
+            "-keyout",
+            f"{name}.key",
+            "-out",
+            f"{name}.pem",
+            "-subj",
+            f"/CN={name}",
+            cwd=folder,
+        )
+    for name in ("takserver", "client"):
+        openssl("req", *curve, "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}", cwd=folder)
+        (folder / "names").write_text(f"subjectAltName=DNS:{name}\n")
+        signed = ("-CA", "authority.pem", "-CAkey", "authority.key", "-CAcreateserial", "-extfile", "names")
+        openssl("x509", "-req", "-in", f"{name}.csr", *signed, "-days", "2", "-out", f"{name}.pem", cwd=folder)
+    return folder
+
+
+class Server:
+    """Keeps what comes, and says something to whoever connects, as a TAK server does."""
+
+    def __init__(self) -> None:
+        self.got, self.connections = b"", 0
+        self.enough, self.left = asyncio.Event(), asyncio.Event()
+
+    async def __call__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.connections += 1
+        writer.write(b"<event/>" * 1000)
+        with contextlib.suppress(OSError):
+            while data := await reader.read(65536):
+                self.got += data
+                if self.got.count(b"</event>") >= 2:
+                    self.enough.set()
+        writer.close()
+        self.left.set()
+
+
+async def told_to(server: Server, snapshot, tls_server=None, **sender) -> list[str]:
+    """Show a snapshot to who is connected to the server; return what was told."""
+    told: list[str] = []
+    settled = asyncio.Event()
+
+    def tell(text: str) -> None:
+        told.append(text)
+        settled.set()
+
+    listening = await asyncio.start_server(server, "127.0.0.1", 0, ssl=tls_server)
+    async with listening:
+        port = listening.sockets[0].getsockname()[1]
+        scheme = "tcp" if tls_server is None else "tls"
+        connection = StreamSender(
+            Address(scheme, "127.0.0.1", port), sender.get("tls"), sender.get("server_name"), tell
+        )
+        output = CotOutput(connection, PLANE)
+        await asyncio.wait_for(settled.wait(), 20.0)
         output.show(snapshot)
+        if told[0].startswith("sending"):
+            await asyncio.wait_for(server.enough.wait(), 20.0)
+        output.stop()
+        if server.got:
+            await asyncio.wait_for(server.left.wait(), 20.0)
+    return told
 
 
-@pytest.mark.parametrize("address", ["239.2.3.1:6969", "tcp://127.0.0.1:1", "udp://host", "udp://127.0.0.1:70000"])
-def test_a_bad_address_is_told(address):
-    with pytest.raises(InputError, match="--cot"):
-        CotOutput(address, PLANE)
+def server_context(certificates: Path) -> ssl.SSLContext:
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=certificates / "authority.pem")
+    context.load_cert_chain(certificates / "takserver.pem", certificates / "takserver.key")
+    context.verify_mode = ssl.CERT_REQUIRED
+    return context
+
+
+def test_it_goes_by_tcp(snapshot):
+    server = Server()
+    assert [text.split(":")[0] for text in asyncio.run(told_to(server, snapshot))] == ["sending to tcp"]
+    events = [b"<?xml" + event for event in server.got.split(b"<?xml")[1:]]
+    assert [parsed(event).type for event in events] == ["a-f-A-C-F", "a-n-G"]
+
+
+def test_it_goes_by_tls_with_a_certificate_of_its_own(snapshot, certificates):
+    server = Server()
+    tls = tls_context(
+        certificates / "client.pem", certificates / "client.key", certificates / "authority.pem", "sharing.cot"
+    )
+    told = asyncio.run(told_to(server, snapshot, server_context(certificates), tls=tls, server_name="takserver"))
+    assert told[0].startswith("sending to tls://127.0.0.1:")
+    assert server.got.count(b"</event>") == 2
+
+
+@pytest.mark.parametrize(("authority", "server_name"), [("stranger", "takserver"), ("authority", "elsewhere")])
+def test_a_server_that_is_not_the_one_is_told_nothing(snapshot, certificates, authority, server_name):
+    server = Server()
+    tls = tls_context(
+        certificates / "client.pem", certificates / "client.key", certificates / f"{authority}.pem", "sharing.cot"
+    )
+    told = asyncio.run(told_to(server, snapshot, server_context(certificates), tls=tls, server_name=server_name))
+    assert "cannot be reached" in told[0]
+    assert server.got == b""
+
+
+def test_files_that_do_not_serve_are_named(certificates, tmp_path):
+    (tmp_path / "nothing.pem").write_text("nothing")
+    with pytest.raises(InputError, match=r"sharing\.cot: .*nothing\.pem holds no certificates"):
+        tls_context(None, None, tmp_path / "nothing.pem", "sharing.cot")
+    with pytest.raises(InputError, match=r"client\.pem and its key cannot be used"):
+        tls_context(certificates / "client.pem", certificates / "stranger.key", None, "sharing.cot")
+    with pytest.raises(InputError, match="without its certificate"):
+        tls_context(None, certificates / "client.key", None, "sharing.cot")

@@ -1,0 +1,79 @@
+"""The displays of others that a configuration asks for."""
+
+from __future__ import annotations
+
+import ssl
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+from app.config import SharingSection
+from app.link.message import Message
+from app.sharing.address import Address
+from app.sharing.cot import CotNames, CotOutput
+from app.sharing.follow import FollowTargetOutput, NmeaOutput
+from app.sharing.senders import DatagramSender, Sender, StreamSender, tls_context
+from estimators.frames import LocalPlane
+
+_COT, _FOLLOW_TARGET, _NMEA = "sharing.cot", "sharing.follow_target", "sharing.nmea"
+
+
+class Latest(Protocol):
+    """What is read of a vehicle: the latest message of each name."""
+
+    def get(self, name: str) -> Message | None: ...
+
+
+Output = CotOutput | FollowTargetOutput | NmeaOutput
+
+
+def check_sharing(sharing: SharingSection) -> None:
+    """Raise InputError for a host that is not known or a certificate that does not serve, before anything flies."""
+    for name, text in ((_COT, sharing.cot), (_FOLLOW_TARGET, sharing.follow_target), (_NMEA, sharing.nmea)):
+        if text is not None:
+            Address.read(text, ("udp", "tcp", "tls")).resolved(name)
+    _tls(sharing)
+
+
+def outputs(
+    sharing: SharingSection, plane: LocalPlane, home_altitude_m: float, latest: Latest, tell: Callable[[str], None]
+) -> Iterator[Output]:
+    """Yield the displays, each to be stopped at the end; to be called in the running event loop.
+
+    tell hears how connections fare. Raises InputError as :func:`check_sharing`.
+    """
+    if sharing.cot is not None:
+        address = Address.read(sharing.cot, ("udp", "tcp", "tls"))
+        sender: Sender
+        if address.scheme == "udp":
+            sender = DatagramSender(address, _COT)
+        else:
+            sender = StreamSender(address, _tls(sharing), sharing.cot_server_name, tell)
+        names = CotNames(
+            sharing.cot_type,
+            sharing.cot_callsign,
+            sharing.cot_own_type,
+            sharing.cot_own_callsign,
+            sharing.cot_team,
+        )
+        yield CotOutput(sender, plane, names, lambda: height_above_ellipsoid_m(latest))
+    if sharing.follow_target is not None:
+        udp = DatagramSender(Address.read(sharing.follow_target, ("udp",)), _FOLLOW_TARGET)
+        yield FollowTargetOutput(udp, plane, home_altitude_m, sharing.follow_target_system_id)
+    if sharing.nmea is not None:
+        udp = DatagramSender(Address.read(sharing.nmea, ("udp",)), _NMEA)
+        yield NmeaOutput(udp, plane, home_altitude_m)
+
+
+def height_above_ellipsoid_m(latest: Latest) -> float | None:
+    """Return the aircraft's, None where its receiver does not tell how high the geoid is there."""
+    gps, position = latest.get("GPS_RAW_INT"), latest.get("GLOBAL_POSITION_INT")
+    if gps is None or position is None or not gps.fields.get("alt_ellipsoid"):
+        return None
+    geoid_mm = gps.fields["alt_ellipsoid"] - gps.fields["alt"]
+    return float(position.fields["alt"] + geoid_mm) * 1e-3
+
+
+def _tls(sharing: SharingSection) -> ssl.SSLContext | None:
+    if sharing.cot is None or not sharing.cot.startswith("tls:"):
+        return None
+    return tls_context(sharing.cot_certificate_file, sharing.cot_key_file, sharing.cot_authority_file, _COT)

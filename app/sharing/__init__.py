@@ -1,0 +1,1 @@
+"""Who else is told of target and aircraft, and what a target that co-operates tells itself."""

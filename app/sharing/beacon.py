@@ -1,0 +1,163 @@
+"""What a target that co-operates says of its own place: FOLLOW_TARGET or cursor on target (CoT), by UDP.
+
+It is one more measurement of the target, through the same door as laser and camera. Its place is that of the moment
+it came, less the age that a CoT event tells of itself. One beacon is listened to: the one that is named (by system
+id, uid or call sign), or the only one that is there; where two speak and none is named, neither is believed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from xml.etree import ElementTree
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from app.errors import InputError
+from app.sharing.address import Address
+from estimators.frames import LocalPlane
+from estimators.readings import BEACON_MESSAGES, Source, TargetFixReading
+
+_FOLLOW_TARGET, _COT = BEACON_MESSAGES
+_UNKNOWN_ERROR_M = 9_999_999.0
+_AGE_MAX_S = 2.0
+_AGE_USED_S = 0.9  # a stamp that is always older the door takes for a clock that is off
+_DATAGRAM_MAX = 8192
+_POSITION_TOLD = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """One beacon's word. names: any of them may be the one that is asked for; sigma_m: 0 where it is not told."""
+
+    message: str
+    names: tuple[str, ...]
+    latitude_deg: float
+    longitude_deg: float
+    sigma_m: float
+    age_s: float = 0.0
+
+
+def decode(data: bytes, now: datetime) -> list[Heard]:
+    """Return what a datagram tells of places; nothing for what is damaged, or something else."""
+    if data.lstrip()[:1] == b"<":
+        heard = _cot(data, now)
+        return [heard] if heard is not None else []
+    parser = mavlink.MAVLink(None)
+    parser.robust_parsing = True
+    return [
+        Heard(
+            _FOLLOW_TARGET,
+            (str(message.get_srcSystem()),),
+            message.lat * 1e-7,
+            message.lon * 1e-7,
+            message.position_cov[0] if math.isfinite(message.position_cov[0]) else 0.0,
+        )
+        for message in parser.parse_buffer(data) or ()
+        if message.get_type() == _FOLLOW_TARGET and message.est_capabilities & _POSITION_TOLD
+    ]
+
+
+def _cot(data: bytes, now: datetime) -> Heard | None:
+    if b"<!" in data:  # no event has a need of entities
+        return None
+    with suppress(ElementTree.ParseError, ValueError, KeyError, UnicodeError, LookupError):
+        event = ElementTree.fromstring(data)
+        point, contact = event.find("point"), event.find("detail/contact")
+        if event.tag != "event" or point is None:
+            return None
+        told = datetime.fromisoformat(event.attrib["time"])
+        error_m = float(point.attrib.get("ce", "nan"))
+        return Heard(
+            _COT,
+            (event.attrib["uid"], contact.attrib.get("callsign", "") if contact is not None else ""),
+            float(point.attrib["lat"]),
+            float(point.attrib["lon"]),
+            error_m if 0.0 < error_m < _UNKNOWN_ERROR_M else 0.0,
+            (now - told.astimezone(UTC)).total_seconds(),
+        )
+    return None
+
+
+class BeaconInput(asyncio.DatagramProtocol):
+    """Hands on the readings of one beacon, and tells in words what is not believed, each thing once.
+
+    sigma_m is that of a beacon that does not tell its own; now_s is the vehicle's clock.
+    """
+
+    def __init__(
+        self,
+        plane: LocalPlane,
+        name: str | None,
+        sigma_m: float,
+        now_s: Callable[[], float],
+        put: Callable[[TargetFixReading], object],
+        tell: Callable[[str], object],
+        now: Callable[[], datetime] = lambda: datetime.now(UTC),
+    ) -> None:
+        self._plane, self._name, self._sigma_m = plane, name, sigma_m
+        self._now_s, self._put, self._tell, self._now = now_s, put, tell, now
+        self._first: str | None = None
+        self._several = False
+        self._told: set[str] = set()
+        self._transport: asyncio.BaseTransport | None = None
+
+    async def listen(self, address: Address) -> None:
+        """Begin to listen. Raises InputError when the address is not free or not here."""
+        try:
+            self._transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+                lambda: self, local_addr=(address.host, address.port)
+            )
+        except OSError as error:
+            reason = error.strerror or "it is not known"
+            raise InputError(
+                f"sharing.beacon: {address.host}:{address.port} cannot be listened to ({reason})."
+            ) from error
+
+    def stop(self) -> None:
+        if self._transport is not None:
+            self._transport.close()
+
+    def datagram_received(self, data: bytes, addr: object) -> None:
+        if len(data) <= _DATAGRAM_MAX:
+            for heard in decode(data, self._now()):
+                self._take(heard)
+
+    def _take(self, heard: Heard) -> None:
+        if not self._is_ours(heard) or self._now_s() == -math.inf:
+            return
+        if not -_AGE_MAX_S <= heard.age_s <= _AGE_MAX_S:
+            self._tell_once("the beacon's clock is off, or its words are late, by more than 2 s: it is not believed")
+            return
+        if not (abs(heard.latitude_deg) <= 90.0 and abs(heard.longitude_deg) <= 180.0):
+            return
+        east_m, north_m = self._plane.east_north_m(heard.latitude_deg, heard.longitude_deg)
+        self._tell_once(f"the beacon {heard.names[-1] or heard.names[0]} tells where the target is")
+        self._put(
+            TargetFixReading(
+                self._now_s() - min(max(heard.age_s, 0.0), _AGE_USED_S),
+                east_m,
+                north_m,
+                heard.sigma_m or self._sigma_m,
+                Source(heard.message, 0),
+            )
+        )
+
+    def _is_ours(self, heard: Heard) -> bool:
+        if self._name is not None:
+            return self._name in heard.names
+        if self._first is None:
+            self._first = heard.names[0]
+        if heard.names[0] != self._first:
+            self._several = True
+            self._tell_once("several beacons are heard: none is believed; name one by sharing.beacon_name")
+        return not self._several
+
+    def _tell_once(self, text: str) -> None:
+        if text not in self._told:
+            self._told.add(text)
+            self._tell(text)

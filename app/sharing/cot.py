@@ -1,0 +1,139 @@
+"""Target and aircraft for other displays, as cursor on target (CoT): one small XML event each a second.
+
+``ce`` is what the schema wants where it stands for an error: one sigma, here along the long axis of the estimate's
+ellipse. Nothing is sent of a lost track: the last event then goes stale by itself.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from uuid import uuid4
+from xml.etree import ElementTree
+
+from app.sharing.senders import Sender
+from estimators.ellipse import confidence_ellipse
+from estimators.estimate import TargetEstimate, TrackQuality
+from estimators.frames import LocalPlane
+from mission.control.controller import Snapshot
+from mission.core.events import Announce
+from mission.core.plan import AircraftState
+
+_MACHINE_FUSED, _MACHINE_GPS = "m-f", "m-g"
+_UNKNOWN = "9999999.0"
+_ONE_SIGMA = 1.0 - math.exp(-0.5)  # so much of a two-dimensional Gaussian lies within one sigma
+_SEND_EVERY_S = 1.0
+_STALE_AFTER = timedelta(seconds=10.0)
+
+
+@dataclass(frozen=True, slots=True)
+class CotNames:
+    """How target and aircraft are to be shown: types of the CoT schema, call signs, and the team of the aircraft."""
+
+    type: str = "a-n-G"
+    callsign: str = "target"
+    own_type: str = "a-f-A-C-F"
+    own_callsign: str = "sidelong"
+    team: str = "Cyan"
+
+
+def target_event(
+    estimate: TargetEstimate, plane: LocalPlane, time_s: float, now: datetime, uid: str, names: CotNames = CotNames()
+) -> bytes:
+    """Return the event for the target at ``time_s`` of the vehicle's clock, which is ``now`` by the wall's."""
+    position = estimate.covariance[:2, :2]
+    event = _event(uid, names.type, _MACHINE_FUSED, now)
+    error_m = confidence_ellipse(position, _ONE_SIGMA).semi_major_m
+    _point(event, plane, estimate.position_m(time_s), ce=f"{error_m:.1f}")
+    detail = _detail(event, names.callsign, estimate.course_rad, estimate.speed_m_s)
+    remarks = ElementTree.SubElement(detail, "remarks")
+    within_m = confidence_ellipse(position).semi_major_m
+    remarks.text = f"sidelong: track {estimate.quality}, within {within_m:.1f} m with 95 %"
+    return _encoded(event)
+
+
+def aircraft_event(
+    aircraft: AircraftState,
+    plane: LocalPlane,
+    now: datetime,
+    uid: str,
+    height_above_ellipsoid_m: float | None,
+    names: CotNames = CotNames(),
+) -> bytes:
+    """Return the event for the aircraft itself."""
+    event = _event(uid, names.own_type, _MACHINE_GPS, now)
+    hae = _UNKNOWN if height_above_ellipsoid_m is None else f"{height_above_ellipsoid_m:.1f}"
+    _point(event, plane, (aircraft.east_m, aircraft.north_m), hae=hae)
+    detail = _detail(event, names.own_callsign, aircraft.course_rad, aircraft.ground_speed_m_s)
+    ElementTree.SubElement(detail, "__group", name=names.team, role="Team Member")
+    return _encoded(event)
+
+
+def _event(uid: str, kind: str, how: str, now: datetime) -> ElementTree.Element:
+    at, stale = _utc(now), _utc(now + _STALE_AFTER)
+    return ElementTree.Element("event", version="2.0", uid=uid, type=kind, how=how, time=at, start=at, stale=stale)
+
+
+def _point(
+    event: ElementTree.Element,
+    plane: LocalPlane,
+    place_m: tuple[float, float],
+    ce: str = _UNKNOWN,
+    hae: str = _UNKNOWN,
+) -> None:
+    latitude_deg, longitude_deg = plane.latitude_longitude_deg(*place_m)
+    place = {"lat": f"{latitude_deg:.7f}", "lon": f"{longitude_deg:.7f}"}
+    ElementTree.SubElement(event, "point", place, hae=hae, ce=ce, le=_UNKNOWN)
+
+
+def _detail(event: ElementTree.Element, callsign: str, course_rad: float, speed_m_s: float) -> ElementTree.Element:
+    detail = ElementTree.SubElement(event, "detail")
+    ElementTree.SubElement(detail, "contact", callsign=callsign)
+    course = f"{math.degrees(course_rad) % 360.0:.1f}"
+    ElementTree.SubElement(detail, "track", course=course, speed=f"{speed_m_s:.2f}")
+    return detail
+
+
+def _encoded(event: ElementTree.Element) -> bytes:
+    text: bytes = ElementTree.tostring(event, encoding="utf-8", xml_declaration=True)
+    return text + b"\n"
+
+
+def _utc(at: datetime) -> str:
+    return at.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+
+
+class CotOutput:
+    """A ``Display`` that sends both by ``sender``. height_m tells the aircraft's above the ellipsoid, where known."""
+
+    def __init__(
+        self,
+        sender: Sender,
+        plane: LocalPlane,
+        names: CotNames = CotNames(),
+        height_m: Callable[[], float | None] = lambda: None,
+        now: Callable[[], datetime] = lambda: datetime.now(UTC),
+    ) -> None:
+        self._sender, self._plane, self._names, self._height_m, self._now = sender, plane, names, height_m, now
+        self._uid = f"sidelong-{uuid4().hex[:8]}"
+        self._next_s = -math.inf
+
+    def say(self, announcement: Announce) -> None:
+        pass
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Send what is known if it is time to."""
+        estimate, now_s = snapshot.estimate, time.monotonic()
+        if now_s < self._next_s or snapshot.aircraft is None:
+            return
+        self._next_s, now = now_s + _SEND_EVERY_S, self._now()
+        own = f"{self._uid}-aircraft"
+        self._sender.send(aircraft_event(snapshot.aircraft, self._plane, now, own, self._height_m(), self._names))
+        if estimate is not None and estimate.quality is not TrackQuality.LOST:
+            self._sender.send(target_event(estimate, self._plane, snapshot.time_s, now, self._uid, self._names))
+
+    def stop(self) -> None:
+        self._sender.stop()

@@ -1,0 +1,190 @@
+"""A beacon that the target carries, and the estimate for other autopilots' follow modes, in frames of pymavlink."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import socket
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from app.errors import InputError
+from app.sharing.address import Address
+from app.sharing.beacon import BeaconInput, decode
+from app.sharing.cot import CotNames, target_event
+from app.sharing.follow import FollowTargetOutput, NmeaOutput
+from app.sharing.senders import DatagramSender
+from estimators.estimate import TargetEstimate, TrackQuality
+from estimators.frames import LocalPlane
+from estimators.readings import TargetFixReading
+
+PLANE = LocalPlane(47.4, 8.5)
+NOW = datetime(2026, 11, 21, 12, 0, 0, tzinfo=UTC)
+ESTIMATE = TargetEstimate(200.0, 300.0, -400.0, -2.0, 1.0, np.diag([16.0, 9.0, 0.1, 0.1]), TrackQuality.GOOD, 200.0)
+
+
+def follow_target(east_m: float, north_m: float, system_id: int = 30, sigma_m: float = 3.0, told: int = 3) -> bytes:
+    latitude_deg, longitude_deg = PLANE.latitude_longitude_deg(east_m, north_m)
+    place = round(latitude_deg * 1e7), round(longitude_deg * 1e7), 480.0
+    rest = [0.0] * 3, [0.0] * 3, [1.0, 0.0, 0.0, 0.0], [0.0] * 3, [sigma_m, 0.0, 0.0], 0
+    message = mavlink.MAVLink_follow_target_message(1000, told, *place, *rest)
+    return bytes(message.pack(mavlink.MAVLink(None, srcSystem=system_id)))
+
+
+def cot(east_m: float, north_m: float, callsign: str = "ranger 7", at: datetime = NOW) -> bytes:
+    moved = TargetEstimate(0.0, east_m, north_m, 0.0, 0.0, ESTIMATE.covariance, TrackQuality.GOOD, 0.0)
+    return target_event(moved, PLANE, 0.0, at, f"ANDROID-{callsign}", CotNames(callsign=callsign))
+
+
+class Input:
+    """A beacon's input with what it has put and told; the vehicle's clock is at 500 s."""
+
+    def __init__(self, name: str | None = None) -> None:
+        self.put: list[TargetFixReading] = []
+        self.told: list[str] = []
+        self.beacon = BeaconInput(PLANE, name, 5.0, lambda: 500.0, self.put.append, self.told.append, lambda: NOW)
+
+    def hear(self, *datagrams: bytes) -> None:
+        for datagram in datagrams:
+            self.beacon.datagram_received(datagram, None)
+
+
+def test_follow_target_becomes_a_fix_of_its_own_accuracy():
+    heard = Input()
+    heard.hear(follow_target(100.0, -50.0))
+    (fix,) = heard.put
+    assert (fix.east_m, fix.north_m) == pytest.approx((100.0, -50.0), abs=0.02)
+    assert (fix.time_s, fix.sigma_m, fix.source.message) == (500.0, 3.0, "FOLLOW_TARGET")
+    heard.hear(follow_target(100.0, -50.0, sigma_m=0.0))
+    assert heard.put[-1].sigma_m == 5.0  # as configured: it does not tell
+
+
+def test_cursor_on_target_becomes_a_fix_of_the_time_it_tells():
+    heard = Input("ranger 7")
+    heard.hear(cot(100.0, -50.0, at=NOW - timedelta(seconds=0.5)), cot(0.0, 0.0, callsign="somebody else"))
+    (fix,) = heard.put
+    assert (fix.east_m, fix.north_m) == pytest.approx((100.0, -50.0), abs=0.02)
+    assert (fix.time_s, fix.source.message) == (499.5, "COT")
+    assert fix.sigma_m == pytest.approx(4.0, abs=0.1)
+
+
+def test_two_beacons_without_a_name_are_both_left():
+    heard = Input()
+    heard.hear(follow_target(0.0, 0.0, 30), follow_target(900.0, 0.0, 31), follow_target(0.0, 0.0, 30))
+    assert len(heard.put) == 1
+    assert any("several beacons" in text for text in heard.told)
+    named = Input("31")
+    named.hear(follow_target(0.0, 0.0, 30), follow_target(900.0, 0.0, 31))
+    assert [round(fix.east_m) for fix in named.put] == [900]
+
+
+def test_what_is_late_or_no_place_is_left():
+    heard = Input()
+    heard.hear(cot(0.0, 0.0, at=NOW - timedelta(hours=1)), cot(0.0, 0.0, at=NOW + timedelta(seconds=30)))
+    heard.hear(follow_target(0.0, 0.0, told=2))
+    assert heard.put == []
+    assert len(heard.told) == 1
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"<",
+        b"<event/>",
+        b"<event uid='a' time='x'><point lat='1' lon='2' ce='3'/></event>",
+        b"<event uid='a' time='2026-11-21T12:00:00Z'><point lat='nan' lon='2' ce='3'/></event>",
+        b"<!DOCTYPE a [<!ENTITY b 'c'>]><event/>",
+        bytes(range(256)) * 8,
+        follow_target(0.0, 0.0)[:-1],
+    ],
+)
+def test_nonsense_is_passed_over(data):
+    heard = Input()
+    heard.hear(data, data[::-1])
+    assert heard.put == []
+
+
+def test_random_bytes_lead_to_nothing():
+    rng = np.random.default_rng(3)
+    base = [follow_target(0.0, 0.0), cot(0.0, 0.0)]
+    for _ in range(2000):
+        damaged = bytearray(base[int(rng.integers(2))])
+        for at in rng.integers(len(damaged), size=3):
+            damaged[at] = int(rng.integers(256))
+        for one in decode(bytes(damaged), NOW):
+            assert isinstance(one.latitude_deg, float)
+
+
+def test_it_listens_by_udp(free_port):
+    async def run() -> list[TargetFixReading]:
+        got: asyncio.Queue[TargetFixReading] = asyncio.Queue()
+        beacon = BeaconInput(PLANE, None, 5.0, lambda: 500.0, got.put_nowait, lambda _: None)
+        port = free_port()
+        await beacon.listen(Address("udp", "127.0.0.1", port))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(follow_target(100.0, -50.0), ("127.0.0.1", port))
+        fix = await asyncio.wait_for(got.get(), 20.0)
+        with pytest.raises(InputError, match="cannot be listened to"):
+            await BeaconInput(PLANE, None, 5.0, lambda: 0.0, got.put_nowait, print).listen(
+                Address("udp", "127.0.0.1", port)
+            )
+        beacon.stop()
+        return [fix]
+
+    assert asyncio.run(run())[0].east_m == pytest.approx(100.0, abs=0.02)
+
+
+# -- for other autopilots ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def receiver():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(20.0)
+        yield receiver
+
+
+@pytest.fixture
+def snapshot(flight):
+    for _, _, controller in flight(5.0):
+        last = controller
+    return last.snapshot()
+
+
+def sender_to(receiver: socket.socket) -> DatagramSender:
+    return DatagramSender(Address("udp", *receiver.getsockname()), "test")
+
+
+def test_follow_target_is_what_pymavlink_reads(receiver, snapshot):
+    output = FollowTargetOutput(sender_to(receiver), PLANE, 488.0, 240)
+    output.show(snapshot)
+    parser = mavlink.MAVLink(None)
+    heartbeat, told = (parser.parse_buffer(receiver.recv(4096))[0] for _ in range(2))
+    assert (heartbeat.type, told.get_srcSystem()) == (mavlink.MAV_TYPE_ONBOARD_CONTROLLER, 240)
+    estimate = snapshot.estimate
+    at_m = PLANE.east_north_m(told.lat * 1e-7, told.lon * 1e-7)
+    assert math.dist(at_m, estimate.position_m(snapshot.time_s)) < 0.05
+    assert told.vel[:2] == pytest.approx([estimate.velocity_north_m_s, estimate.velocity_east_m_s], abs=1e-5)
+    assert (told.alt, told.est_capabilities) == (488.0, 3)
+    output.stop()
+
+
+def test_nmea_is_what_a_gps_library_reads(receiver, snapshot):
+    pynmeagps = pytest.importorskip("pynmeagps", reason="pynmeagps is not installed (the dev extra has it)")
+    output = NmeaOutput(sender_to(receiver), PLANE, 488.0, lambda: NOW)
+    output.show(snapshot)
+    rmc, gga = (pynmeagps.NMEAReader.parse(line + b"\r\n") for line in receiver.recv(4096).splitlines())
+    estimate = snapshot.estimate
+    for sentence in (rmc, gga):
+        at_m = PLANE.east_north_m(sentence.lat, sentence.lon)
+        assert math.dist(at_m, estimate.position_m(snapshot.time_s)) < 0.05
+        assert sentence.time == NOW.time()
+    assert rmc.spd == pytest.approx(estimate.speed_m_s / 0.514444, abs=0.01)
+    assert rmc.cog == pytest.approx(math.degrees(estimate.course_rad) % 360.0, abs=0.01)
+    assert (rmc.date, gga.alt, gga.quality) == (NOW.date(), 488.0, 1)
+    output.stop()
