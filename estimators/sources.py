@@ -22,7 +22,7 @@ from estimators.readings import Source
 from estimators.settings import SourceChoice
 
 _AUTOPILOT_COMPONENT = 1
-_LOOKS_DOWN = 25
+LOOKS_DOWN = 25
 _CUSTOM_ORIENTATION = 100
 
 Rank = Callable[[Source], int | None]
@@ -31,7 +31,7 @@ Rank = Callable[[Source], int | None]
 def range_rank(source: Source) -> int | None:
     """Return the preference for a range, lower is better; None for one that cannot be the payload's."""
     from_autopilot = source.component_id == _AUTOPILOT_COMPONENT
-    if source.orientation == _LOOKS_DOWN or (from_autopilot and source.message == "RANGEFINDER"):
+    if source.orientation == LOOKS_DOWN or (from_autopilot and source.message == "RANGEFINDER"):
         return None
     fixed = source.message == "DISTANCE_SENSOR" and source.orientation != _CUSTOM_ORIENTATION
     return 2 * from_autopilot + fixed

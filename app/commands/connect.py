@@ -18,6 +18,7 @@ from app.errors import InputError
 from app.fleet_file import load_fleet, names_a_fleet
 from app.flight.flight import connected
 from app.flight.preflight import Check, checks, listen
+from app.flight.source_use import describe_use
 from app.flight.streams import ask_for_streams
 from app.shutdown import run
 
@@ -105,8 +106,13 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
         for note in notes:
             parameters.add_row(note.name, "-" if note.value is None else f"{note.value:g}", note.note)
         console.print(parameters)
-        for rate in rates:
-            console.print(f"{rate.kind}: {rate}")
+        uses: dict[str, str] = {}
+        for kind in dict.fromkeys(rate.kind for rate in rates):
+            of_kind = [rate for rate in rates if rate.kind == kind]
+            described = describe_use(config, kind, [rate.source for rate in of_kind])
+            for rate in of_kind:
+                uses[str(rate)] = described[rate.source]
+                console.print(f"{kind}: {rate}: {described[rate.source]}", soft_wrap=True)
         return {
             "autopilot": autopilot.name,
             "system_id": vehicle.system_id,
@@ -115,5 +121,5 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
             "checks": [asdict(check) for check in found],
             "parameters": {note.name: note.value for note in notes},
             "limits": asdict(limits),
-            "sources": [asdict(rate) for rate in rates],
+            "sources": [{**asdict(rate), "use": uses[str(rate)]} for rate in rates],
         }
