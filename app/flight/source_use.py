@@ -1,4 +1,4 @@
-"""Which of the lasers and gimbals that are heard will be used, and why: the rules of ``estimators.sources`` in words."""
+"""Which of the lasers and gimbals heard will be used, and why: the rules of ``estimators.sources`` in words."""
 
 from __future__ import annotations
 
