@@ -29,10 +29,12 @@ def refused(*arguments: object) -> str:
 
 
 @contextmanager
-def heartbeats(port: int, kind: int, autopilot: int) -> Iterator[None]:
-    """Something that says ten times a second what it is, to a UDP port of the loopback."""
+def heartbeats(port: int, kind: int, autopilot: int, text: bytes | None = None) -> Iterator[None]:
+    """Something that says ten times a second what it is, and a text, to a UDP port of the loopback."""
     encoder = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     frame = mavlink.MAVLink_heartbeat_message(kind, autopilot, 81, 0, 3, 3).pack(encoder)
+    if text is not None:
+        frame += mavlink.MAVLink_statustext_message(4, text).pack(encoder)
     over = threading.Event()
 
     def talk() -> None:
@@ -75,6 +77,16 @@ def test_a_vehicle_that_this_cannot_fly(kind, autopilot, named, free_port):
     port = free_port()
     with heartbeats(port, kind, autopilot):
         assert named in refused("connect", f"udpin://127.0.0.1:{port}", "--timeout", 5)
+
+
+@pytest.mark.udp
+def test_a_vehicle_s_texts_reach_the_terminal_as_words_only(free_port):
+    port = free_port()
+    command = [str(SIDELONG), "connect", f"udpin://127.0.0.1:{port}", "--timeout", "5"]
+    with heartbeats(port, 2, 3, text=b"\xff\x1b[2Jgone"):
+        done = subprocess.run(command, capture_output=True, timeout=60, check=False)
+    assert b"no fixed wing" in done.stderr
+    assert not [text for text in (b"\x1b", b"\xff", b"gone") if text in done.stdout + done.stderr]
 
 
 @pytest.mark.parametrize("content", [b"", b"not a log at all\n" * 100])
