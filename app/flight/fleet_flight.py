@@ -120,20 +120,21 @@ class FleetFlight:
         self._aircraft = [
             _Aircraft(member, folder.make(member.name), self._displays[member.name]) for member in fleet.members
         ]
+        self._recordings = [one.recording for one in self._aircraft]
         self._over = asyncio.Event()
 
     @property
     def begun(self) -> bool:
         """Whether a vehicle may have been commanded something."""
-        return any(one.recording.begun for one in self._aircraft)
+        return any(recording.begun for recording in self._recordings)
 
     async def fly(self, life: Life, progress: Callable[[float], None]) -> FleetEnded:
         """Connect, check, take off, watch and wind up."""
         try:
             return await self._fly(life, progress)
         finally:
-            for one in self._aircraft:
-                one.recording.close()
+            for recording in self._recordings:
+                recording.close()
 
     async def _fly(self, life: Life, progress: Callable[[float], None]) -> FleetEnded:
         async with contextlib.AsyncExitStack() as stack:
@@ -284,9 +285,8 @@ class FleetFlight:
             )
             vehicle.bystanders.append(bystander)
             vehicle.listeners.append(lambda message, name=one.name: coordination.message(name, message))  # type: ignore[misc]
-        time = asyncio.create_task(coordination.keep_time())
         flights: list[asyncio.Task[None]] = []
-        timing = asyncio.create_task(self._until_over(coordination))
+        clocks = [asyncio.create_task(coordination.keep_time()), asyncio.create_task(self._until_over(coordination))]
         try:
             for one in self._in_turn():
                 flights.append(asyncio.create_task(self._fly_one(one, coordination, life.stopped)))
@@ -296,9 +296,9 @@ class FleetFlight:
         finally:
             self._over.set()
             await asyncio.gather(*flights, return_exceptions=True)
-            for task in (time, timing):
-                task.cancel()
-            await asyncio.gather(time, timing, return_exceptions=True)
+            for clock in clocks:
+                clock.cancel()
+            await asyncio.gather(*clocks, return_exceptions=True)
 
     def _in_turn(self) -> list[_Aircraft]:
         """Return who flies first: those in the air, then the rest from the highest layer down."""
@@ -333,8 +333,9 @@ class FleetFlight:
             if not one.controller.snapshot().sensor_status.connected:
                 one.outcome = "lost: its link is silent"
         except Exception as error:  # whatever befalls one, the others go on
-            one.error, one.outcome = error, f"failed: {error}"
-            one.display.note(f"its flight has ended: {error}")
+            known = isinstance(error, FlightError | InputError)
+            one.error, one.outcome = error, f"failed: {error if known else f'a fault of the program, {error!r}'}"
+            one.display.note(f"its flight has {one.outcome}")
         coordination.lost(one.name, one.outcome)
 
     async def _until_over(self, coordination: Coordination) -> None:
