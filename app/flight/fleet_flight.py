@@ -178,7 +178,18 @@ class FleetFlight:
         truths = [one.folder.truth for one in self._aircraft]
         vehicles = SimulatedVehicles([one.config for one in self._aircraft], truths, life.fail)
         await stack.enter_async_context(vehicles)
+        pace = asyncio.create_task(vehicles.keep_pace(self._come_to_s))
+        stack.callback(pace.cancel)
         return [(url,) for url in vehicles.urls], True
+
+    def _come_to_s(self) -> float:
+        """Return the time of the simulation that all have come to whose flights run and who are heard."""
+        running = [
+            one.controller.time_s
+            for one in self._aircraft
+            if not one.outcome and one.controller.snapshot().sensor_status.connected
+        ]
+        return min((time_s for time_s in running if math.isfinite(time_s)), default=-math.inf)
 
     async def _connect(
         self, stack: contextlib.AsyncExitStack, urls: Sequence[tuple[str, ...]], simulated: bool, life: Life
