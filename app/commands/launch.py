@@ -43,6 +43,7 @@ from app.flight.outputs import check_sharing
 from app.flight.recording import Recording
 from app.flight.simulated import SimulatedVehicles
 from app.link.discovery import SETTLING_S
+from app.link.url import checked_url
 from app.planners.registry import PLANNER_NAMES
 from app.records.export import Format
 from app.records.mcap_writer import mcap_writer_class
@@ -220,6 +221,10 @@ def launch(
         settings = load_config(config, overrides)
     check_flyable(settings)
     check_sharing(settings.sharing)
+    for url in settings.link.connections:
+        checked_url(url)
+    if not settings.link.connections:
+        _check_target(settings.simulation.target)
     _check_pointing(settings, sharing)
     with shielded_output():
         ended = _flown(settings, duration, out, quiet, address, sharing)
@@ -227,6 +232,20 @@ def launch(
         if ended.reason is not None:
             raise ended.reason
         _write_more(ended.folder, mcap, report)
+
+
+def _check_target(target: str) -> None:
+    from sitl.motion import MOTIONS  # noqa: PLC0415  # only a simulated flight needs them
+    from sitl.track import TrackError, read_track  # noqa: PLC0415
+
+    if target in MOTIONS:
+        return
+    if Path(target).suffix.lower() not in (".gpx", ".csv"):
+        raise InputError(f"--target is one of {', '.join(MOTIONS)} or a .gpx or .csv file, not {target!r}.")
+    try:
+        read_track(Path(target))
+    except TrackError as error:
+        raise InputError(f"--target {target}: {error}") from error
 
 
 def _check_pointing(settings: Config, sharing: Sharing) -> None:

@@ -88,6 +88,8 @@ def replay(
         raise InputError(f"{log}: there is no such file; give the path of a run folder or a recorded log.")
     if view and verify:
         raise InputError("--verify compares, --view shows; give one of them.")
+    if truth is not None:
+        read_truth(truth)  # a wrong one is told before anything is computed
     address = page_address(view, LOOPBACK[0], view_port, None, None, map_file, map_bounds)
     fleet = FleetFolder(log)
     if fleet.journal.is_file():

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from app.analysis.truth import read_truth
 from app.commands.output import console, progress_bar
 from app.errors import InputError
 
@@ -32,6 +33,8 @@ def report(
     """
     if out is None:
         out = run / "report.html" if run.is_dir() else run.with_suffix(".report.html")
+    if truth is not None:
+        read_truth(truth)  # a wrong one is told before anything is computed
     write_report(run, out, png, truth, config)
 
 

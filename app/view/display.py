@@ -186,7 +186,10 @@ class ViewDisplay:
         self.note(f"{press['action']} by {press['who']}")
         time_s, who = self._snapshot.time_s, press["who"]
         if press["action"] == "change":
-            self._request(MissionChange(time_s, **press["values"], who=who))
+            # JSON's whole numbers come as int: what is compiled for floats would be compiled anew for them.
+            given: Json = press["values"]
+            values: Json = {key: value if key == "side" else float(value) for key, value in given.items()}
+            self._request(MissionChange(time_s, **values, who=who))
             return
         side = Side(press["side"]) if press["side"] is not None else None
         self._request(OperatorRequest(time_s, press["action"], side, who))

@@ -221,6 +221,7 @@ def test_what_is_flown_is_changed_after_one_question(page, display):
         display.pump()
     (change,) = got
     assert (change.radius_m, change.side, change.height_m) == (80.0, "120-200", None)
+    assert isinstance(change.radius_m, float)  # an int would have the planner compiled anew, in flight
     assert change.who == "operator at this machine"
 
 

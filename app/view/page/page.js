@@ -110,9 +110,11 @@ function tiles() {
     ["ground speed", aircraft ? `${aircraft.ground_speed_m_s.toFixed(1)} m/s` : "–", ""],
     ["height", known(aircraft?.height_m, (v) => `${Math.round(v)} m`), ""],
     ["wind", `${Math.hypot(...state.wind_m_s).toFixed(1)} m/s`, ""],
-    ["battery", known(vehicle?.battery_percent, (v) => `${v} %${volts(vehicle.battery_v)}`), vehicle?.battery_percent < 25 ? "bad" : ""],
-    ["GPS", known(vehicle?.gps, (v) => v), vehicle?.gps_good === false ? "bad" : ""],
-    ["link", known(vehicle?.link_percent, (v) => `${v} %${delay(vehicle.round_trip_s)}`), vehicle?.link_percent < 80 ? "warn" : ""],
+    ...(vehicle ? [
+      ["battery", known(vehicle.battery_percent, (v) => `${v} %${volts(vehicle.battery_v)}`), vehicle.battery_percent < 25 ? "bad" : ""],
+      ["GPS", known(vehicle.gps, (v) => v), vehicle.gps_good === false ? "bad" : ""],
+      ["link", known(vehicle.link_percent, (v) => `${v} %${delay(vehicle.round_trip_s)}`), vehicle.link_percent < 80 ? "warn" : ""],
+    ] : []), // a recording does not tell
   ];
 }
 
