@@ -8,14 +8,23 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    model_validator,
+)
 from pydantic_core import ErrorDetails
 
 from app.errors import InputError
 from app.planners.registry import PLANNER_NAMES, PLANNERS, planner_by_name
 from app.sharing.address import Address
 from app.text_file import read_toml
-from mission.core.requirement import Aircraft, Requirement, Side
+from mission.core.requirement import Aircraft, Requirement, Side, widest_radius_m
 from mission.viewpoint.side_policy import watching_from
 
 if TYPE_CHECKING:
@@ -25,6 +34,9 @@ else:
 
 _COT_TYPE = r"^[a-z](-[A-Za-z0-9.]+)+$"
 _SHOWN_CHARACTERS = 80  # of a wrong value
+# A circle that is chosen by itself is flown round in 22 s, as recorded targets are watched best, if the band
+# has room for it; such a share is left to the bank limit.
+_AUTO_RADIUS_S, _BANK_RESERVE = 3.5, 1.1
 
 LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
 Model = TypeVar("Model", bound=BaseModel)
@@ -62,7 +74,7 @@ class AircraftSection(Section):
     airspeed_m_s: float = Field(15.0, gt=3, le=80)
     """Airspeed while circling, m/s."""
     radius_m: float = Field(50.0, ge=10, le=2000)
-    """Radius of the circle flown beside the target, m."""
+    """Radius of the circle flown beside the target, m; "auto": 3.5 s of flight, with room in the range band."""
     bank_max_deg: float = Field(45.0, ge=10, le=70)
     """Bank limit of the autopilot (ArduPlane ROLL_LIMIT_DEG, PX4 FW_R_LIM), degrees."""
     roll_rate_max_deg_s: float = Field(30.0, ge=2, le=180)
@@ -307,6 +319,18 @@ class Config(Section):
     sharing: SharingSection = SharingSection()  # type: ignore[call-arg]
     simulation: SimulationSection = SimulationSection()  # type: ignore[call-arg]
 
+    @model_validator(mode="wrap")
+    @classmethod
+    def _radius_fitted(cls, values: Any, validated: ModelWrapValidatorHandler[Config]) -> Config:
+        """Put a number for aircraft.radius_m = "auto": all that flies needs one."""
+        match values:
+            case {"aircraft": {"radius_m": "auto", **others}}:
+                config = validated({**values, "aircraft": others})
+                radius_m = _fitting_radius_m(config.aircraft, config.requirement)
+                aircraft = config.aircraft.model_copy(update={"radius_m": radius_m})
+                return config.model_copy(update={"aircraft": aircraft})
+        return validated(values)
+
     @model_validator(mode="after")
     def _ground_known(self) -> Config:
         if self.aircraft.height_above == "ground" and self.terrain.folder is None:
@@ -314,6 +338,27 @@ class Config(Section):
                 'aircraft.height_above = "ground" needs elevation data; give terrain.folder, or "home" instead'
             )
         return self
+
+
+def _fitting_radius_m(aircraft: AircraftSection, requirement: RequirementSection) -> float:
+    """Return the radius that goes with the airspeed, or the band's room, but no tighter than the bank allows."""
+    best_m = _AUTO_RADIUS_S * aircraft.airspeed_m_s
+    widest_m = widest_radius_m(requirement.range_min_m, requirement.range_max_m)
+    tightest_m = _BANK_RESERVE * aircraft.aircraft().min_radius_m
+    return float(min(max(math.floor(min(best_m, widest_m)), math.ceil(tightest_m), 10), 2000))
+
+
+def room_warning(config: Config) -> str | None:
+    """Return in a sentence that the circle leaves too little room in the band, None where it does not."""
+    radius_m, near_m, far_m = config.aircraft.radius_m, config.requirement.range_min_m, config.requirement.range_max_m
+    widest_m = widest_radius_m(near_m, far_m)
+    if radius_m <= 1.05 * widest_m:
+        return None
+    return (
+        f"aircraft.radius_m = {radius_m:g} leaves little room to move the circle between {near_m:g} and {far_m:g} m, "
+        f"and the side is kept for less of the time; make it {widest_m:.0f} m at most, or requirement.range_max_m "
+        f"{near_m + (far_m - near_m) * radius_m / widest_m:.0f} m at least"
+    )
 
 
 def check_flyable(config: Config) -> None:

@@ -40,6 +40,8 @@ class Summary:
     outcome: str
     time_in_sight: float | None = None
     min_clearance_m: float | None = None
+    time_on_side_now: float | None = None
+    """By the target's present course; ``time_on_side`` is by the course it made good."""
     battery_percent: tuple[int, int] | None = None
     """When watching began, and at the end."""
     links: tuple[dict[str, Any], ...] = ()
@@ -56,6 +58,7 @@ class Summary:
             ("watched", f"{self.duration_s:.0f} s"),
             ("time in band", _percent(self.time_in_band)),
             ("time on side", _percent(self.time_on_side)),
+            ("by the target's present course", _percent(self.time_on_side_now)),
             ("range", _between(self.min_range_m, self.max_range_m)),
             ("time in sight", _percent(self.time_in_sight)),
             (

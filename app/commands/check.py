@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 
 from app.commands.output import JsonOption, checked_output, console, write_json
+from app.commands.radius import RadiusOption, warn_of_little_room
 from app.config import Config, load_config
 from app.errors import InputError
 from app.fleet_file import load_fleet, names_a_fleet
@@ -30,7 +31,7 @@ _LABELS = {
 def check(
     config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).", show_default=False)] = None,
     airspeed: Annotated[float | None, typer.Option(help="Airspeed, m/s.")] = None,
-    radius: Annotated[float | None, typer.Option(help="Radius of the circle, m.")] = None,
+    radius: RadiusOption = None,
     target_speed: Annotated[float | None, typer.Option(help="Highest speed of the target, m/s.")] = None,
     dmin: Annotated[float | None, typer.Option(help="Least allowed range, m.")] = None,
     dmax: Annotated[float | None, typer.Option(help="Greatest allowed range, m.")] = None,
@@ -79,6 +80,7 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
     """Print what one aircraft can do, also the best between two airspeeds; return the values, and why it cannot."""
     result = feasibility(settings.aircraft.aircraft(), settings.requirement.requirement())
     console.print(_table(result))
+    warn_of_little_room(settings)
     values: dict[str, Any] = {key: getattr(result, key) for key in ("feasible", *_LABELS)}
     if airspeeds_m_s is not None:
         aircraft, requirement = settings.aircraft.aircraft(), settings.requirement.requirement()

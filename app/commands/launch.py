@@ -30,6 +30,7 @@ from app.commands.output import (
     table_progress,
     write_json,
 )
+from app.commands.radius import warn_of_little_room
 from app.commands.report import write_report
 from app.config import Config, check_flyable, load_config
 from app.errors import FlightError, InputError, Interrupted
@@ -225,6 +226,7 @@ def launch(
         checked_url(url)
     if not settings.link.connections:
         _check_target(settings.simulation.target)
+    warn_of_little_room(settings)
     _check_pointing(settings, sharing)
     with shielded_output():
         ended = _flown(settings, duration, out, quiet, address, sharing)

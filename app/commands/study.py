@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from app.commands.output import JsonOption, checked_output, console, latitude_longitude_deg, write_json
+from app.commands.radius import RadiusOption
 from app.config import load_config
 from app.errors import InputError
 from app.study import export as exporting
@@ -55,10 +56,7 @@ def study(
     seed: Annotated[int, typer.Option(min=0, help="Of all targets and noise.")] = 1,
     planner: Annotated[list[PlannerName] | None, typer.Option(help="Compare only this one (repeatable).")] = None,
     airspeed: Annotated[float | None, typer.Option(help="Of the aircraft, m/s; 10 by default.")] = None,
-    radius: Annotated[
-        float | None,
-        typer.Option(help="Of its circles, m; by default 50 at 10 m/s, to 105 at more; grown with wind."),
-    ] = None,
+    radius: RadiusOption = None,
     target_speed_max: Annotated[
         float | None,
         typer.Option(

@@ -14,7 +14,7 @@ from pathlib import Path
 from app.analysis.score import Moment
 from app.analysis.summary import Summary, SummaryCollector, summarise
 from app.analysis.truth import Truth
-from app.assembly import mission_controller_of, settle
+from app.assembly import mission_controller_of, settle, winds_m_s
 from app.autopilots.autopilot import Autopilot
 from app.autopilots.parameters import RequiredParameter, read_parameters, temporary_parameters
 from app.autopilots.queries import home_of, is_flying, mode_of
@@ -30,6 +30,7 @@ from app.flight.recording import Recording
 from app.flight.round_trip import RoundTripWatch
 from app.flight.streams import ask_for_streams, is_slow
 from app.flight.terrain_server import TerrainServer
+from app.flight.wind_tables import WindTables
 from app.link.discovery import SETTLING_S
 from app.link.mavsdk_link import FrameListener, MavsdkLink
 from app.link.senders import SenderCheck
@@ -37,6 +38,7 @@ from app.link.telemetry import Telemetry
 from app.link.transport import Transport
 from app.link.vehicle import Vehicle
 from app.link.vehicle_status import VehicleStatus, vehicle_status
+from app.planners.registry import planner_by_name
 from app.sharing.address import Address
 from app.sharing.beacon import BeaconInput
 from app.shutdown import ends_within
@@ -254,6 +256,9 @@ class Flight:
             self._config, self._controller, lambda: self._telemetry.now_s, loop.put, self._display.say
         )
         shared.callback(changes.stop)
+        tables = self._wind_tables(loop)
+        shared.callback(tables.stop)
+        observers.append(tables)
 
         def request(wish: Wish) -> None:
             changes.take(wish) if isinstance(wish, MissionChange) else loop.put(wish)
@@ -280,6 +285,10 @@ class Flight:
         if loop.failed is not None:
             raise self._failure(loop.failed)
         return loop.outcome or ("interrupted" if stopped.is_set() else "completed")
+
+    def _wind_tables(self, loop: ControlLoop) -> WindTables:
+        kind, winds = planner_by_name(self._config.planner.name), winds_m_s(self._config)
+        return WindTables(kind, self._controller, winds, loop.put, self._display.note)
 
     async def _tell_delay(self, loop: ControlLoop) -> None:
         watch = RoundTripWatch()

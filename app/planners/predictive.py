@@ -40,19 +40,22 @@ class Predictive:
         settings = planner.PredictiveSettings(lost_after_s=needs.lost_after_s)
         tables: dict[TableConfiguration, ValueTable] = {}  # a change of side needs no other one
 
-        def tables_for(aircraft: Aircraft, wanted: Requirement) -> list[ValueTable]:
-            configurations = _configurations(aircraft, wanted, needs.winds_m_s)
+        def tables_for(aircraft: Aircraft, wanted: Requirement, winds_m_s: Sequence[float]) -> list[ValueTable]:
+            configurations = _configurations(aircraft, wanted, winds_m_s)
             for one in configurations:
                 tables[one] = tables.get(one) or value_table(one, needs.progress)
             return [tables[one] for one in configurations]
 
         def make(aircraft: Aircraft, wanted: Requirement) -> Planner:
-            calm, *windy = tables_for(aircraft, wanted)
+            def table_at(wind_m_s: float) -> ValueTable:
+                return tables_for(aircraft, wanted, [wind_m_s])[-1]
+
+            calm, *windy = tables_for(aircraft, wanted, needs.winds_m_s)
             sided = wanted.sector is None and not wanted.either_side
             kind = TeamPlanner if sided else planner.PredictivePlanner
-            return kind(aircraft, wanted, calm, settings, windy, needs.check, needs.sight)
+            return kind(aircraft, wanted, calm, settings, windy, needs.check, needs.sight, table_at=table_at)
 
-        tables_for(needs.aircraft, needs.requirement)
+        tables_for(needs.aircraft, needs.requirement, needs.winds_m_s)
         return make
 
     async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:

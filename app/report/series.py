@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.analysis.score import Moment
+from app.analysis.score import STANDING_M_S, Moment
+from app.analysis.target_course import TargetCourse
 from app.report.history import AircraftTrack, FloatArray, History
 from estimators.ellipse import confidence_ellipse
 from estimators.frames import wrap_rad
 from mission.core.requirement import Requirement
 
 _CURVATURE_SPAN_S = 1.0
-_STANDING_M_S = 0.3  # as in the score: a slower target keeps its last course
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,15 +49,16 @@ def range_m(moments: Sequence[Moment]) -> Series:
 def observation_rad(history: History) -> Series:
     """Return the angle of the target-aircraft line, in [-pi, pi), clockwise from the direction to watch from.
 
-    That is the target's normal on the side asked for (NaN until the target has moved), or the middle of the sector.
+    That is the normal of the course that the target made good, on the side asked for (NaN until it has moved), or the
+    middle of the sector.
     The aircraft is where it should be while the angle is within ``allowed_rad``.
     """
-    angles, course_rad = [], math.nan
+    angles, course = [], TargetCourse(STANDING_M_S)
     for m in history.moments:
-        velocity = (m.target_velocity_east_m_s, m.target_velocity_north_m_s)
-        if math.hypot(*velocity) >= _STANDING_M_S:
-            course_rad = math.atan2(*velocity)
         asked = history.requirement_at(m.time_s)
+        velocity_m_s = (m.target_velocity_east_m_s, m.target_velocity_north_m_s)
+        course.take(m.time_s, (m.target_east_m, m.target_north_m), velocity_m_s, asked.course_horizon_s)
+        course_rad = math.nan if course.made_good_rad is None else course.made_good_rad
         sector = asked.sector
         middle_rad = course_rad + asked.side.normal_turn_rad if sector is None else sector.middle_rad
         sight_rad = math.atan2(m.aircraft_east_m - m.target_east_m, m.aircraft_north_m - m.target_north_m)

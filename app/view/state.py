@@ -9,6 +9,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
+from app.analysis.target_course import TargetCourse
 from app.config import Config
 from app.link.vehicle_status import VehicleStatus
 from estimators.ellipse import confidence_ellipse
@@ -84,7 +85,7 @@ class StateEncoder:
     def __init__(self, airspeed_m_s: float, height_m: float) -> None:
         self._airspeed_m_s, self._height_m = airspeed_m_s, height_m
         self.plane: LocalPlane | None = None  # set once it is known: places are then told in degrees too
-        self._course_rad: float | None = None
+        self._course = TargetCourse(_STANDING_M_S)
         self._thinned: dict[int, tuple[Path, list[list[float]]]] = {}
 
     def state(self, snapshot: Snapshot, silent_s: float, vehicle: VehicleStatus | None = None) -> Json:
@@ -145,15 +146,16 @@ class StateEncoder:
         estimate, aircraft = snapshot.estimate, snapshot.aircraft
         if estimate is None or aircraft is None:
             return None
-        if estimate.speed_m_s >= _STANDING_M_S:
-            self._course_rad = estimate.course_rad
         at_m = estimate.position_m(snapshot.time_s)
+        velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
+        self._course.take(snapshot.time_s, at_m, velocity_m_s, snapshot.requirement.course_horizon_s)
         ellipse = confidence_ellipse(estimate.covariance[:2, :2])
         return {
             "at_m": _rounded(*at_m),
             "at_deg": self._degrees(*at_m),
             "velocity_m_s": _rounded(estimate.velocity_east_m_s, estimate.velocity_north_m_s),
-            "course_rad": _number(self._course_rad, 4),
+            "course_rad": _number(self._course.present_rad, 4),
+            "watch_course_rad": _number(self._watch_course_rad, 4),
             "ellipse": [
                 round(ellipse.semi_major_m, 2),
                 round(ellipse.semi_minor_m, 2),
@@ -178,9 +180,15 @@ class StateEncoder:
         sector = snapshot.requirement.sector
         if sector is not None:
             return wrap_rad(sight_rad - sector.middle_rad)
-        if self._course_rad is None:
+        if self._watch_course_rad is None:
             return None
-        return wrap_rad(sight_rad - self._course_rad - snapshot.side.normal_turn_rad)
+        return wrap_rad(sight_rad - self._watch_course_rad - snapshot.side.normal_turn_rad)
+
+    @property
+    def _watch_course_rad(self) -> float | None:
+        """The course whose sides count, until it is known the present one."""
+        made_good_rad = self._course.made_good_rad
+        return self._course.present_rad if made_good_rad is None else made_good_rad
 
     def _plan(self, plan: Plan | None, time_s: float, *, flown: bool) -> Json | None:
         if plan is None:

@@ -63,13 +63,14 @@ from mission.core.events import (
     PlanStatus,
     RoundTripReported,
     UploadPlan,
+    WindPrepared,
     WindReported,
     Yield,
     YieldRequested,
 )
 from mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned, Role
 from mission.core.heights import ClimbRates, Heights, OneHeight
-from mission.core.plan import AircraftState, Decision, Plan, Planner, PlannerFactory, settled_m
+from mission.core.plan import AircraftState, Decision, Plan, Planner, PlannerFactory, WindPlanner, settled_m
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 from mission.geometry.approach import approach
 from mission.geometry.progress import nearest_arc_m, off_track, point_at
@@ -203,6 +204,7 @@ class StandoffController:
     estimate: TargetEstimate | None = None
     present: Plan | None = None
     door: Plausibility = field(init=False)
+    prepared_winds_m_s: list[float] = field(default_factory=list)  # in flight
     separation: Separation = field(default_factory=Separation)
     sighted: tuple[SightingOutcome, ...] = ()
     _advice: FleetAdvice | None = None
@@ -232,7 +234,7 @@ class StandoffController:
     def __post_init__(self) -> None:
         self.door = Plausibility(_WIND_MAX_SHARE * self.settings.aircraft.airspeed_m_s)
         self._requirement = self.settings.requirement
-        self._planner = self.make_planner(self.settings.aircraft, self._requirement)
+        self._planner = self._new_planner()
         self._latency_s = self.settings.latency_s
         self._took_s = deque([(self._latency_s, None)], _LATENCY_UPLOADS)
 
@@ -252,8 +254,8 @@ class StandoffController:
         match event:
             case PositionReading():
                 return self._position(event)
-            case WindReported():
-                self._wind = Wind(event.east_m_s, event.north_m_s)
+            case WindReported() | WindPrepared():
+                return self._wind_told(event)
             case ModeReported():
                 return self._mode_reported(event)
             case ControlAcquired() if self.phase in (Phase.WAITING, Phase.WATCHING):
@@ -414,6 +416,16 @@ class StandoffController:
             return (decided, told, *self._circle_as_changed(self._aircraft, self.present))
         changed = self._circle_as_changed(self._aircraft, self.present)
         return (decided, *(changed or self._corrected_radius(self.present)))
+
+    def _wind_told(self, event: WindReported | WindPrepared) -> tuple[Command, ...]:
+        if isinstance(event, WindReported):
+            self._wind = Wind(event.east_m_s, event.north_m_s)
+            return ()
+        if event.speed_m_s in self.prepared_winds_m_s or not isinstance(self._planner, WindPlanner):
+            return ()
+        self.prepared_winds_m_s.append(event.speed_m_s)
+        self._planner.prepare(event.speed_m_s)
+        return (Announce(event.time_s, "decision", f"ready for a wind of {event.speed_m_s:g} m/s"),)
 
     def _arrival_s(self, plan: Plan) -> float:
         """Return about when a plan's circle is reached."""
@@ -608,8 +620,11 @@ class StandoffController:
         return (Announce(told.time_s, "decision", f"watching from the {told.side}: {told.reason}"),)
 
     def _new_planner(self) -> Planner:
-        """Return a planner for what is asked now, told of the fleet what the one before it was."""
+        """Return a planner for what is asked now, told of fleet and winds what the one before it was."""
         planner = self.make_planner(self.settings.aircraft, self._requirement)
+        if isinstance(planner, WindPlanner):
+            for speed_m_s in self.prepared_winds_m_s:
+                planner.prepare(speed_m_s)
         if isinstance(planner, CooperativePlanner):
             for told in (*self.separation.plans.values(), *(() if self._advice is None else (self._advice,))):
                 planner.advise(told)

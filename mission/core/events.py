@@ -33,6 +33,14 @@ class WindReported:
 
 
 @dataclass(frozen=True, slots=True)
+class WindPrepared:
+    """What a planner has to know of winds of this speed is at hand: from now on it may use it."""
+
+    time_s: float
+    speed_m_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class NavigationReported:
     """What GPS or EKF say of the vehicle's own position: ``fault`` in words, empty where it is good."""
 
@@ -139,6 +147,7 @@ Event = (
     | GimbalReading
     | TargetFixReading
     | WindReported
+    | WindPrepared
     | NavigationReported
     | ModeReported
     | ControlAcquired

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from estimators.estimate import TargetEstimate
 from mission.core.circle import Circle
@@ -95,6 +95,15 @@ class Planner(Protocol):
         latency_s is how long a new plan takes to reach the autopilot: a plan departs no earlier than
         ``aircraft.time_s + latency_s``.
         """
+        ...
+
+
+@runtime_checkable
+class WindPlanner(Planner, Protocol):
+    """A planner that knows winds of some speeds better than others."""
+
+    def prepare(self, wind_speed_m_s: float) -> None:
+        """Use what is at hand for winds of this speed, from the next decision on."""
         ...
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 GRAVITY_M_S2 = 9.80665
+# A circle wider than this share of the band leaves no room to move it in: it was found on recorded targets.
+_WIDEST_OF_BAND = 1.0 / 3.8
 
 
 class Side(StrEnum):
@@ -81,6 +83,11 @@ class Aircraft:
     def min_radius_m(self) -> float:
         """Coordinated turn at the bank limit, in still air."""
         return self.airspeed_m_s**2 / (GRAVITY_M_S2 * math.tan(self.bank_max_rad))
+
+
+def widest_radius_m(range_min_m: float, range_max_m: float) -> float:
+    """Return the radius of the widest circle that leaves room to move it within a range band."""
+    return _WIDEST_OF_BAND * (range_max_m - range_min_m)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -53,13 +54,15 @@ class TeamPlanner:
         check: Callable[[Plan], str | None] = lambda _plan: None,
         sight: SightAt = lambda *_target: NOTHING_HIDDEN,
         team: TeamSettings | None = None,
+        table_at: Callable[[float], ValueTable] | None = None,
     ) -> None:
         if requirement.either_side or requirement.sector is not None:
             raise ValueError("several aircraft share the sides of a target: side has to be left or right")
-        self._alone = PredictivePlanner(aircraft, requirement, table, settings, windy, check, sight)
+        self._alone = PredictivePlanner(aircraft, requirement, table, settings, windy, check, sight, table_at)
         self._settings, self._check = settings or PredictiveSettings(), check
         self._wanted, self._airspeed_m_s = 1.0 if requirement.side is Side.LEFT else -1.0, aircraft.airspeed_m_s
-        self._teams = [team_of(one, requirement.side, team) for one in (table, *windy)]
+        self._team_with = partial(team_of, wanted=requirement.side, settings=team)
+        self._teams, self._table_at = [self._team_with(one) for one in (table, *windy)], table_at
         self._advice: FleetAdvice | None = None
         self._plans: dict[str, NeighbourPlanned] = {}
 
@@ -72,6 +75,12 @@ class TeamPlanner:
             held = 1.0 if told.side is Side.LEFT else -1.0
             self._wanted = -held if told.role is Role.OPPOSITE else held
             self._alone.lookers[0].memory[SIDE] = held  # of all lookers
+
+    def prepare(self, wind_speed_m_s: float) -> None:
+        """See :class:`mission.core.plan.WindPlanner`."""
+        self._alone.prepare(wind_speed_m_s)
+        if self._table_at is not None and len(self._alone.lookers) > len(self._teams):
+            self._teams.append(self._team_with(self._table_at(wind_speed_m_s)))
 
     def role_costs(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float

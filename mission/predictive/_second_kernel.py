@@ -40,6 +40,7 @@ STAY_BRANCHES = np.array([1, 2, 4, 6, 9, 12])
 # A circle that is flown on may be valued after so many seconds.
 _VALUED = np.array([15, 22, 30])
 _SAMPLES = 64  # of a second move; longer ones are left out
+_HEADINGS = 48
 _STRIDE = 4  # of looking at what a turn of the target would cost
 
 # Rows of what is foretold, each at whole seconds.
@@ -269,6 +270,12 @@ def laid_from(
     """Fill in (x, y, heading) (3, lines, k) of the second moves, so many seconds of each, from a place."""
     calm = air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0
     sin_h, cos_h = math.sin(heading_rad), math.cos(heading_rad)
+    speeds = np.empty(
+        _HEADINGS + 1
+    )  # over the ground, in airspeeds: the wind triangle takes too long for each sample
+    for h in range(0 if calm else _HEADINGS + 1):
+        ground_m_s = ground_speed_m_s(h * 2.0 * math.pi / _HEADINGS, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
+        speeds[h] = ground_m_s / air.airspeed_m_s
     for j in range(SECONDS):
         if n[j] > 0 and calm:
             for k in range(n[j] + 1):
@@ -290,8 +297,10 @@ def laid_from(
                 placed[0, j, k] = x_m + across_m * cos_h + along_m * sin_h
                 placed[1, j, k] = y_m - across_m * sin_h + along_m * cos_h
                 placed[2, j, k] = heading_rad + turned
-                ground_m_s = ground_speed_m_s(placed[2, j, k], air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
-                flown += ground_m_s / air.airspeed_m_s
+                at = (heading_rad + turned) * (_HEADINGS / (2.0 * math.pi))
+                at -= _HEADINGS * math.floor(at / _HEADINGS)
+                h = min(int(at), _HEADINGS - 1)
+                flown += speeds[h] + (at - h) * (speeds[h + 1] - speeds[h])
 
 
 @compiled

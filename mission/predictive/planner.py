@@ -31,6 +31,7 @@ from mission.predictive import _decision_kernel as kernel
 from mission.predictive._decision_kernel import Depth, Looker, Prices
 from mission.predictive._future_kernel import Turns, winding
 from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
+from mission.predictive._rollout_kernel import Futures
 from mission.predictive._scene_kernel import Scene, scene_of
 from mission.predictive._second_kernel import no_seconds
 from mission.predictive._sight_kernel import NOTHING_HIDDEN, SightAt
@@ -113,6 +114,7 @@ class PredictivePlanner:
     table is that of :func:`table_configuration`; windy are more of them, for other winds. The one nearest to the
     present wind is used. check tells which fence a plan would break, or None: the best plan that breaks none is
     taken. sight tells what the ground hides about a target of this place and velocity (east, north, m and m/s).
+    table_at returns the table for another wind speed, which has to be at hand when it is prepared for.
     """
 
     def __init__(
@@ -124,30 +126,38 @@ class PredictivePlanner:
         windy: Sequence[ValueTable] = (),
         check: Callable[[Plan], str | None] = lambda _plan: None,
         sight: SightAt = lambda *_target: NOTHING_HIDDEN,
+        table_at: Callable[[float], ValueTable] | None = None,
     ) -> None:
         self._aircraft, self._requirement, self._tables = aircraft, requirement, (table, *windy)
         self._settings = settings or PredictiveSettings()
-        self._check, self._sight = check, sight
-        policy, kept = SidePolicy(requirement, aircraft.radius_m, requirement.course_horizon_s), nothing_kept()
-        own, seconds = self._settings, no_seconds()
-        turns = Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s)
-        self.lookers = [
-            Looker(
-                craft_of(aircraft),
-                requirement.target_speed_max_m_s,
-                policy.wish,
-                one.configuration.cost.terms,
-                one.arrays,
-                one.motions,
-                Prices(one.configuration.leave_cost, own.change_cost, own.commit_cost, own.commit_s, own.threat_s),
-                policy.memory,
-                kept,
-                turns,
-                Depth(own.beam, own.horizon_s, float(one.values.min()), float(one.after_turn.min())),
-                seconds,
-            )
-            for one in self._tables
-        ]
+        self._check, self._sight, self._table_at = check, sight, table_at
+        self._policy = SidePolicy(requirement, aircraft.radius_m, requirement.course_horizon_s)
+        self._kept, self._seconds = nothing_kept(), no_seconds()
+        self.lookers = [self._looker(one) for one in self._tables]
+
+    def _looker(self, table: ValueTable) -> Looker:
+        """Return what looks ahead with a table; all remember the same."""
+        own = self._settings
+        return Looker(
+            craft_of(self._aircraft),
+            self._requirement.target_speed_max_m_s,
+            self._policy.wish,
+            table.configuration.cost.terms,
+            table.arrays,
+            table.motions,
+            Prices(table.configuration.leave_cost, own.change_cost, own.commit_cost, own.commit_s, own.threat_s),
+            self._policy.memory,
+            self._kept,
+            Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s),
+            Depth(own.beam, own.horizon_s, float(table.values.min()), float(table.after_turn.min())),
+            self._seconds,
+        )
+
+    def prepare(self, wind_speed_m_s: float) -> None:
+        """See :class:`mission.core.plan.WindPlanner`. Nothing to do for a sector, whose table knows no wind."""
+        known = any(one.motions.wind_speed_m_s == wind_speed_m_s for one in self.lookers)
+        if self._table_at is not None and self._requirement.sector is None and not known:
+            self.lookers.append(self._looker(self._table_at(wind_speed_m_s)))
 
     @classmethod
     def for_(cls, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
@@ -193,13 +203,17 @@ class PredictivePlanner:
         )
         return self._look_ahead(scene, aircraft, present, line, circle, looker)
 
+    def _futures(self, scene: Scene, looker: Looker) -> Futures:
+        """Return what the target may do."""
+        return winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+
     def _look_ahead(
         self, scene: Scene, aircraft: AircraftState, present: Plan, line: FloatArray, circle: Circling, looker: Looker
     ) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
         costs = np.empty(MOVES)
         sight = self._sight(scene.frame_east_m, scene.frame_north_m, *kernel.target_velocity(scene))
-        futures = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+        futures = self._futures(scene, looker)
         at = aircraft.east_m, aircraft.north_m, line, circle
         stay_cost = kernel.look_deeper(scene, *at, futures, looker, sight, costs)
         now_s = aircraft.time_s

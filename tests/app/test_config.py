@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.config import check_flyable, load_config
+from app.config import check_flyable, load_config, room_warning
 from app.errors import InputError
 from mission.core.requirement import Side
 
@@ -91,3 +91,28 @@ def test_a_band_too_narrow_for_the_circle_is_refused():
     config = load_config(None, {"requirement": {"range_max_m": 150.0}})
     with pytest.raises(InputError, match="infeasible"):
         check_flyable(config)
+
+
+@pytest.mark.parametrize(
+    ("aircraft", "requirement", "radius_m"),
+    [
+        ({"airspeed_m_s": 12}, {}, 42),
+        ({"airspeed_m_s": 30}, {}, 105),
+        ({"airspeed_m_s": 25, "bank_max_deg": 30}, {}, 122),
+        ({"airspeed_m_s": 40}, {"range_max_m": 900}, 180),  # the bank limit leaves no less
+        ({"airspeed_m_s": 15}, {"range_max_m": 250}, 39),  # the room in the band
+    ],
+)
+def test_a_radius_that_fits_is_found(tmp_path, aircraft, requirement, radius_m):
+    lines = ["[aircraft]", 'radius_m = "auto"', *(f"{k} = {v}" for k, v in aircraft.items()), "[requirement]"]
+    config = load_config(write(tmp_path, "\n".join(lines + [f"{k} = {v}" for k, v in requirement.items()])))
+    assert config.aircraft.radius_m == pytest.approx(radius_m, abs=1)
+    check_flyable(config)
+    assert config.model_dump()["aircraft"]["radius_m"] == config.aircraft.radius_m
+
+
+def test_a_circle_without_room_is_warned_of():
+    assert room_warning(load_config(None, {"aircraft": {"radius_m": 105.0}})) is None
+    warning = room_warning(load_config(None, {"aircraft": {"radius_m": 180.0}}))
+    assert warning.startswith("aircraft.radius_m = 180 leaves little room to move the circle between 100 and 500 m")
+    assert warning.endswith("make it 105 m at most, or requirement.range_max_m 784 m at least")

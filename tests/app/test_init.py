@@ -62,7 +62,10 @@ def test_keys_that_are_not_set_become_valid_by_taking_the_mark_off(tmp_path):
 
 def test_limits_and_choices_are_told():
     text = config_text()
-    assert "# Radius of the circle flown beside the target, m. At least 10, at most 2000.\nradius_m = 50.0" in text
+    radius = (
+        '# Radius of the circle flown beside the target, m; "auto": 3.5 s of flight, with room in the range band. At'
+    )
+    assert f"{radius}\n# least 10, at most 2000.\nradius_m = 50.0" in text
     assert 'One of "predictive", "paper".' in " ".join(text.replace("# ", "").split())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -14,9 +15,12 @@ LEFT = ((0.0, REQUIREMENT),)
 RIGHT = replace(REQUIREMENT, side=Side.RIGHT)
 
 
-def moments(places, velocity=(0.0, 3.0)):
-    """The aircraft at ``places``, one a second, the target at the origin."""
-    return [Moment(float(k), east, north, 0.0, 0.0, *velocity) for k, (east, north) in enumerate(places)]
+def moments(places, velocity=(0.0, 12.0)):
+    """The aircraft at ``places`` from the target, one a second. After the first the target has moved enough."""
+    return [
+        Moment(float(k), k * velocity[0] + east, k * velocity[1] + north, k * velocity[0], k * velocity[1], *velocity)
+        for k, (east, north) in enumerate(places)
+    ]
 
 
 def test_left_of_a_target_going_north_is_west():
@@ -27,8 +31,8 @@ def test_left_of_a_target_going_north_is_west():
 
 
 def test_a_side_changed_on_the_way_counts_from_then_on():
-    asked = ((0.0, REQUIREMENT), (5.0, RIGHT))
-    assert score(moments([(200.0, 0.0)] * 11), asked, "truth").time_on_side == 0.5
+    asked = ((0.0, REQUIREMENT), (6.0, RIGHT))
+    assert score(moments([(200.0, 0.0)] * 12), asked, "truth").time_on_side == 0.5
 
 
 def test_each_moment_counts_until_the_next():
@@ -41,7 +45,7 @@ def test_each_moment_counts_until_the_next():
 
 def test_a_standing_target_keeps_its_last_course():
     went = moments([(-200.0, 0.0)] * 2)
-    stands = [Moment(2.0 + k, -200.0, 0.0, 0.0, 0.0, 0.1, 0.0) for k in range(5)]
+    stands = [Moment(2.0 + k, -200.0, 12.0, 0.0, 12.0, 0.1, 0.0) for k in range(5)]
     assert score(went + stands, LEFT, "truth").time_on_side == 1.0
 
 
@@ -53,3 +57,25 @@ def test_nothing_to_score_is_none():
 def test_a_band_changed_on_the_way_counts_from_then_on():
     asked = ((0.0, REQUIREMENT), (5.0, replace(REQUIREMENT, range_min_m=250.0)))
     assert score(moments([(-200.0, 0.0)] * 11), asked, "truth").time_in_band == 0.5
+
+
+def test_a_winding_target_has_the_sides_of_the_course_that_it_made_good():
+    """It drives north in a zigzag of 60 degrees; an aircraft west and behind is off the side of each second leg."""
+    east_m = north_m = 0.0
+    seen = []
+    for k in range(101):
+        turn_rad = math.radians(60.0 if k // 4 % 2 else -60.0)
+        velocity = (3.0 * math.sin(turn_rad), 3.0 * math.cos(turn_rad))
+        seen.append(Moment(float(k), east_m - 200.0, north_m - 180.0, east_m, north_m, *velocity))
+        east_m, north_m = east_m + velocity[0], north_m + velocity[1]
+    result = score(seen, LEFT, "truth")
+    assert result.time_on_side == 1.0
+    assert result.time_on_side_now == pytest.approx(0.5, abs=0.03)
+    by_the_present = score(seen, ((0.0, replace(REQUIREMENT, course_horizon_s=0.0)),), "truth")
+    assert by_the_present.time_on_side == pytest.approx(0.5, abs=0.03)
+
+
+def test_before_it_has_moved_the_target_has_no_side():
+    stands = [Moment(float(k), 200.0, 0.0, 0.0, 0.0, 0.1, 0.0) for k in range(20)]
+    assert score(stands, LEFT, "truth").time_on_side is None
+    assert score(stands, LEFT, "truth").time_in_band == 1.0

@@ -320,8 +320,8 @@ export class FlightMap {
     let from = 0;
     let to = 2 * Math.PI - 1e-6;
     if (sector) [from, to] = [sector[0], sector[1] <= sector[0] ? sector[1] + 2 * Math.PI : sector[1]];
-    else if (!either && target.course_rad !== null) {
-      from = target.course_rad + (state.side === "left" ? -Math.PI : 0);
+    else if (!either && target.watch_course_rad !== null) {
+      from = target.watch_course_rad + (state.side === "left" ? -Math.PI : 0);
       to = from + Math.PI;
     }
     this.side.setAttribute("d", ringSector(band[0], band[1], from, to));

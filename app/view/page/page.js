@@ -106,6 +106,7 @@ function tiles() {
     ["watched from", state.side, ""],
     ["target's speed", target ? `${Math.hypot(...target.velocity_m_s).toFixed(1)} m/s` : "–", ""],
     ["target's course", known(target?.course_rad, (v) => `${degrees(v)}°`), ""],
+    ["course made good", known(target?.watch_course_rad, (v) => `${degrees(v)}°`), ""],
     ["known to", target ? `${target.ellipse[0].toFixed(1)} m` : "–", ""],
     ["ground speed", aircraft ? `${aircraft.ground_speed_m_s.toFixed(1)} m/s` : "–", ""],
     ["height", known(aircraft?.height_m, (v) => `${Math.round(v)} m`), ""],

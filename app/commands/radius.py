@@ -1,0 +1,33 @@
+"""The radius as an option of commands, and the warning of one that leaves no room."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from app.commands.output import console
+from app.config import Config, room_warning
+
+
+def _parsed(words: str) -> float | str:
+    return words if words == "auto" else float(words)
+
+
+# A float, or "auto".
+RadiusOption = Annotated[
+    Any,
+    typer.Option(
+        parser=_parsed,
+        metavar="M|auto",
+        show_default=False,
+        help="Radius of the circle, m; auto: 3.5 s of flight, with room in the range band.",
+    ),
+]
+
+
+def warn_of_little_room(config: Config) -> None:
+    """Tell of a circle that leaves too little room in the range band."""
+    warning = room_warning(config)
+    if warning is not None:
+        console.print(f"note: {warning}", soft_wrap=True)

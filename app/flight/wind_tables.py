@@ -1,0 +1,90 @@
+"""What the planner has to know of the wind that blows: computed by another process while the flight goes on.
+
+A table for another wind makes the planner change its plans several times as often. So when the autopilot has measured
+a wind for a while that none is near to, one is made beside the loop, and the control step hears when it is there: a
+replay of the journal takes it up at the same moment.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from app.planners.planner_kind import PlannerKind
+from mission.control.controller import Phase, Snapshot, StandoffController
+from mission.core.events import Announce, WindPrepared
+
+# Wind speeds are prepared for in steps of this share of the airspeed, and no more of them than that.
+_STEP, _AT_MOST = 0.05, 5
+_AVERAGED_OVER_S = 30.0
+
+
+class WindTables:
+    """One flight's; watches what is shown. winds_m_s: speeds that the planner is ready for, besides none.
+
+    put passes on that one is at hand; note tells the person what went wrong.
+    """
+
+    def __init__(
+        self,
+        kind: PlannerKind,
+        controller: StandoffController,
+        winds_m_s: list[float],
+        put: Callable[[WindPrepared], object],
+        note: Callable[[str], object],
+    ) -> None:
+        self._kind, self._controller, self._put, self._note = kind, controller, put, note
+        self._ready_m_s = [0.0, *winds_m_s]
+        self._airspeed_m_s = controller.settings.aircraft.airspeed_m_s
+        self._mean_m_s: float | None = None
+        self._since_s = self._latest_s = 0.0
+        self._prepared = 0
+        self._under_way: asyncio.Task[None] | None = None
+
+    def say(self, announcement: Announce) -> None:
+        """Nothing that is said matters here."""
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Take the wind of a moment, and begin a table where one is missing."""
+        if snapshot.phase is not Phase.WATCHING or snapshot.requirement.sector is not None:
+            return
+        wind_m_s, now_s = snapshot.wind.speed_m_s, snapshot.time_s
+        if self._mean_m_s is None:
+            self._mean_m_s, self._since_s, self._latest_s = wind_m_s, now_s, now_s
+        share = min((now_s - self._latest_s) / _AVERAGED_OVER_S, 1.0)
+        self._mean_m_s += share * (wind_m_s - self._mean_m_s)
+        self._latest_s = now_s
+        if now_s - self._since_s < _AVERAGED_OVER_S or self._prepared == _AT_MOST or self._busy:
+            return
+        step_m_s = _STEP * self._airspeed_m_s
+        nearest_m_s = min(self._ready_m_s, key=lambda one: abs(one - self._mean))
+        if abs(nearest_m_s - self._mean) > 0.75 * step_m_s:
+            self._prepared += 1
+            speed_m_s = round(round(self._mean / step_m_s) * step_m_s, 2)
+            self._under_way = asyncio.create_task(self._make(speed_m_s))
+
+    def stop(self) -> None:
+        """Give up what is under way."""
+        if self._under_way is not None:
+            self._under_way.cancel()
+
+    @property
+    def _mean(self) -> float:
+        return self._mean_m_s or 0.0
+
+    @property
+    def _busy(self) -> bool:
+        return self._under_way is not None and not self._under_way.done()
+
+    async def _make(self, speed_m_s: float) -> None:
+        settings, made_for = self._controller.settings, None
+        try:
+            while made_for is not settings:  # radius or band may be changed meanwhile
+                made_for = settings
+                await self._kind.make_ready(made_for.aircraft, made_for.requirement, [speed_m_s])
+                settings = self._controller.settings
+        except OSError as error:
+            self._note(f"no table for a wind of {speed_m_s:g} m/s: {error}")
+            return
+        self._ready_m_s.append(speed_m_s)
+        self._put(WindPrepared(self._latest_s, speed_m_s))

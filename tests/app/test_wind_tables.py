@@ -1,0 +1,129 @@
+"""Value tables for the wind that blows: made beside the loop, taken up in a step, replayed."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import pytest
+
+from app.analysis.replay import JournalReplay
+from app.assembly import controller_of
+from app.config import Config
+from app.flight.recording import JOURNAL_TYPES, Recording
+from app.flight.wind_tables import WindTables
+from app.planners.registry import planner_by_name
+from app.records.journal import JournalReader
+from app.records.run_folder import RunFolder
+from estimators.frames import LocalPlane
+from mission.control.controller import Phase
+from mission.core.circle import Circle
+from mission.core.events import Announce, ControlAcquired, DecisionRecord, MissionChange, WindPrepared, WindReported
+from mission.core.requirement import Wind
+from mission.predictive import planner
+from tests.app.conftest import steps
+
+PLANE, HOME_DEG = LocalPlane(47.4, 8.5), (47.4, 8.5)
+
+
+@pytest.fixture(autouse=True)
+def _small_tables(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    whole = planner.table_configuration
+    monkeypatch.setattr(
+        planner, "table_configuration", lambda *known: replace(whole(*known), cells=4, improvements=(1, 1))
+    )
+
+
+class Windy:
+    """A flight at 15 m/s that is shown winds; what it passes on is in ``put``."""
+
+    def __init__(self, ready_m_s=()):
+        self.controller = controller_of(Config())
+        self.controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
+        self.put: list[WindPrepared] = []
+        self.noted: list[str] = []
+        kind = planner_by_name("predictive")
+        self.tables = WindTables(kind, self.controller, list(ready_m_s), self.put.append, self.noted.append)
+
+    def shown(self, wind_m_s, seconds, phase=Phase.WATCHING):
+        async def flown():
+            snapshot = replace(self.controller.snapshot(), phase=phase)
+            for second in range(seconds):
+                wind = Wind(wind_m_s, 0.0)
+                self.tables.show(replace(snapshot, time_s=float(second), wind=wind))
+            while self.tables._busy:
+                await asyncio.sleep(0.002)
+
+        asyncio.run(flown())
+        return [prepared.speed_m_s for prepared in self.put]
+
+
+@pytest.mark.parametrize(
+    ("wind_m_s", "seconds", "ready_m_s", "prepared_m_s"),
+    [
+        (0.4, 100, (), []),  # the table for still air serves
+        (4.1, 25, (), []),  # not for long enough
+        (4.1, 100, (), [3.75]),
+        (4.1, 100, (4.0,), []),
+    ],
+)
+def test_a_wind_that_lasts_and_that_no_table_is_near_to_is_prepared_for(wind_m_s, seconds, ready_m_s, prepared_m_s):
+    windy = Windy(ready_m_s)
+    assert windy.shown(wind_m_s, seconds) == prepared_m_s
+    assert windy.noted == []
+    assert windy.shown(wind_m_s, seconds) == prepared_m_s  # once
+
+
+def test_nothing_is_prepared_before_the_target_is_watched():
+    assert Windy().shown(4.0, 100, Phase.WAITING) == []
+
+
+def test_the_planner_goes_on_with_what_it_remembers():
+    controller = Windy().controller
+    before = controller._planner
+    (told,) = controller.step(WindPrepared(2.0, 3.75))
+    assert told == Announce(2.0, "decision", "ready for a wind of 3.75 m/s")
+    assert controller._planner is before
+    calm, windy = before._alone.lookers
+    assert windy.motions.wind_speed_m_s == 3.75
+    assert windy.memory is calm.memory
+    assert controller.step(WindPrepared(3.0, 3.75)) == ()
+    controller.step(MissionChange(4.0, radius_m=70.0))
+    assert controller._planner is not before
+    assert [one.motions.wind_speed_m_s for one in controller._planner._alone.lookers] == [0.0, 3.75]
+
+
+def test_a_flight_that_became_windy_is_replayed_to_the_last_bit(tmp_path):
+    config = Config()
+    controller = controller_of(config)
+    folder = RunFolder.create(tmp_path, datetime(2026, 11, 22, tzinfo=UTC))
+    recording = Recording(folder, config, pytest.fail)
+    recording.begin(PLANE, HOME_DEG)
+    extra = {100.0: WindReported(100.0, 3.0, 2.0), 150.0: WindPrepared(150.0, 3.75)}
+    decided = {}
+    for event, commands in steps(controller, config, 200.0):
+        more = extra.pop(round(controller.time_s, 1), None)
+        for one, led_to in ((event, commands), *(((more, controller.step(more)),) if more is not None else ())):
+            recording.event(one)
+            for command in led_to:
+                recording.command(command)
+                if isinstance(command, DecisionRecord):
+                    decided[command.time_s] = dict(command.values)
+    recording.close()
+    assert not extra
+
+    replay = JournalReplay(controller_of(config))
+    for _ in replay.run(JournalReader(folder.journal, JOURNAL_TYPES)):
+        pass
+    assert replay.difference is None
+    assert replay.compared > 10
+
+    # Without the event, what it decides afterwards is otherwise: the table is in use.
+    deaf = JournalReplay(controller_of(config))
+    records = [one for one in JournalReader(folder.journal, JOURNAL_TYPES) if not isinstance(one, WindPrepared)]
+    for _ in deaf.run(records):
+        pass
+    assert deaf.difference is not None
+    assert max(decided) > 150.0
