@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable
 
 from mission.exchange.dialect import ProtocolQuirks
@@ -15,6 +16,7 @@ from mission.exchange.reports import MissionCurrentReported, MissionItemReported
 
 _AUDIT_S, _AUDIT_AGAIN_S = 3.0, 0.6  # between two looks at the item that is flown
 _READ_S = 30.0
+_WRITTEN_MAX = 4
 _READS = 2  # an item of the mission before may come late, once
 _CHANGED = "another station has changed the mission"
 
@@ -30,7 +32,8 @@ class MissionOwnership:
         self._outbox, self._quirks = outbox, quirks
         self._reports, self._contents = Suspicion(), Suspicion()
         self._identity = MissionIdentity()
-        self._doubtful: list[tuple[RawItem, ...]] = []  # what may have been written since the last that was
+        # The latest uploads, and whether they were accepted: after one in doubt the next's id may be that one's.
+        self._written: deque[tuple[tuple[RawItem, ...], bool]] = deque(maxlen=_WRITTEN_MAX)
         self._read: MissionRead | None = None
         self._read_of = (0, 0)  # total and id that were reported meanwhile
         self._reads_unlike = 0  # of that mission, in a row
@@ -76,11 +79,10 @@ class MissionOwnership:
         """Have written a mission, or perhaps written it."""
         self._read = None
         self._in_doubt = self._begun and not accepted and not self._quirks.stores_items_one_by_one
-        if accepted:
-            self._doubtful.clear()
-        else:
-            self._doubtful.append(items)
+        self._written.append((items, accepted))
         self._identity.written(len(items) - self._quirks.home_at_zero, mission_id, accepted)
+        if not all(whole for _, whole in self._written):
+            self._identity.doubtful = {len(one) - self._quirks.home_at_zero for one, _ in self._written}
 
     def switched(self) -> None:
         """Have switched to another line: what comes late belongs to the one before."""
@@ -123,7 +125,7 @@ class MissionOwnership:
         self._read = None  # without an answer the next report begins another
         if read.items is None:
             return
-        if any(same_items(written, read.items) for written in self._doubtful):
+        if any(same_items(written, read.items) for written, _ in self._written):
             self._identity.ours.add(self._read_of)
             self._in_doubt, self._reads_unlike = False, 0
             return
