@@ -101,7 +101,9 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
 def _table(result: Feasibility) -> Table:
     table = Table(show_header=False, box=None, pad_edge=False)
     for key, (label, unit) in _LABELS.items():
-        table.add_row(label, f"{getattr(result, key):.3f}", unit)
+        value = getattr(result, key)
+        # What comes out below nothing is no length: why is told under the table.
+        table.add_row(label, *(("none", "") if value < 0.0 else (f"{value:.3f}", unit)))
     return table
 
 

@@ -16,6 +16,8 @@ from app.commands import launch, replay
     [
         (["launch", "--target", "nope"], "--target is one of still"),
         (["launch", "--target", "none.gpx"], "none.gpx"),
+        (["launch", "--cot", "foo"], "sharing.cot: 'foo' is no address"),
+        (["launch", "--beacon", "udp://127.0.0.1:70000"], "sharing.beacon"),
         (["launch", "--connect", "nope://x"], "'nope://x' is no link this can open"),
         (["replay", "tests/data/arduplane-follow-bike.tlog", "--truth", "pyproject.toml"], "is no truth file"),
     ],
@@ -32,3 +34,12 @@ def test_a_wrong_option_is_told_at_once(monkeypatch, arguments, sentence):
     ended = CliRunner().invoke(app, arguments)
     assert sentence in str(ended.exception)
     assert not late.called
+
+
+def test_lengths_below_nothing_are_not_told_as_lengths(tmp_path, capsys):
+    (tmp_path / "mission.toml").write_text("[aircraft]\nradius_m = 300\n[requirement]\nrange_max_m = 200.0\n")
+    ended = CliRunner().invoke(app, ["check", str(tmp_path / "mission.toml")])
+    assert "infeasible" in str(ended.exception)
+    said = capsys.readouterr().out + ended.output
+    assert "longest move of the circle" in said
+    assert " -" not in said
