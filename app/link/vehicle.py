@@ -18,7 +18,7 @@ _ANSWER_S = 1.0
 _TRIES = 4
 _IN_PROGRESS = 5
 _SET_MESSAGE_INTERVAL = 511
-_RATE_ROUNDS, _RATE_ANSWER_S = 3, 0.6
+_RATE_ROUNDS, _RATE_ANSWER_S = 5, 0.6
 _ACCEPTED = 0
 
 Listener = Callable[[Message], object]
