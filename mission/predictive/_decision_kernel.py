@@ -53,10 +53,13 @@ class Prices(NamedTuple):
 class Depth(NamedTuple):
     """How deep to look: so many of the best moves, 0 for none, over horizon_s at least.
 
+    Not where staying is cheaper than all of them by more than clear_cost.
+
     min_value, min_after_turn: the least that the table says, by which lines are passed over.
     """
 
     beam: int
+    clear_cost: float
     horizon_s: float
     min_value: float
     min_after_turn: float
@@ -182,7 +185,7 @@ def look_deeper(
     """
     stay_cost = look_ahead(scene, east_m, north_m, line, circle, first_of(futures), looker, sight, costs)
     depth, prices, air = looker.depth, looker.prices, scene.air
-    if depth.beam == 0 or doubtful(scene, looker.motions):
+    if depth.beam == 0 or doubtful(scene, looker.motions) or costs.min() > stay_cost + depth.clear_cost:
         return stay_cost
     left_m = line[ARC, line.shape[1] - 1] - scene.arc_m if line.shape[1] > 0 else 0.0
     under_way = left_m > NEARLY_FLOWN_S * air.airspeed_m_s
