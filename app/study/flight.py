@@ -234,7 +234,7 @@ def _blind() -> Looker:
         fresh_memory(1.0),
         nothing_kept(),
         Turns(np.zeros(1), 1.0),
-        Depth(0, 0.0, 0.0, 0.0, 0.0),
+        Depth(0, 0.0, 0.0, 0.0),
         no_seconds(),
     )
 

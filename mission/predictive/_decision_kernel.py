@@ -53,13 +53,10 @@ class Prices(NamedTuple):
 class Depth(NamedTuple):
     """How deep to look: so many of the best moves, 0 for none, over horizon_s at least.
 
-    Not where staying is cheaper than all of them by more than clear_cost.
-
     min_value, min_after_turn: the least that the table says, by which lines are passed over.
     """
 
     beam: int
-    clear_cost: float
     horizon_s: float
     min_value: float
     min_after_turn: float
@@ -181,14 +178,18 @@ def look_deeper(
 ) -> float:
     """Do as :func:`look_ahead`, then look at the best moves again, two moves deep over several futures.
 
-    All other moves become infinitely dear.
+    All other moves become infinitely dear. That look is spared where staying would be cheaper than every move even
+    if moves were free.
     """
     stay_cost = look_ahead(scene, east_m, north_m, line, circle, first_of(futures), looker, sight, costs)
     depth, prices, air = looker.depth, looker.prices, scene.air
-    if depth.beam == 0 or doubtful(scene, looker.motions) or costs.min() > stay_cost + depth.clear_cost:
+    if depth.beam == 0 or doubtful(scene, looker.motions):
         return stay_cost
     left_m = line[ARC, line.shape[1] - 1] - scene.arc_m if line.shape[1] > 0 else 0.0
     under_way = left_m > NEARLY_FLOWN_S * air.airspeed_m_s
+    price = prices.change if under_way else prices.leave
+    if costs.min() - price > stay_cost:
+        return stay_cost
     second = Second(
         foretold_of(futures, scene.doubt, looker.table, depth.min_value, depth.min_after_turn),
         looker.terms,
@@ -210,7 +211,6 @@ def look_deeper(
             costs[move] = np.inf
         elif costs[move] < np.inf:
             ahead, end = moving_ahead(scene, looker.craft, move)
-            price = prices.change if under_way else prices.leave
             costs[move] = price + deep_cost(ahead, end, MOVE_BRANCHES, scene, second)
     return stay_cost
 

@@ -56,8 +56,7 @@ class PredictiveSettings:
 
     Within commit_s of a departure it must gain commit_cost more, unless the plan leads out of the band in threat_s.
     beam: so many of the best moves are looked at two moves deep over horizon_s at least, in futures in which the
-    target keeps its course or begins to turn at turn_rate_rad_s either way, which fades with turn_fades_s. Where
-    staying is cheaper than every move by more than clear_cost at first sight, that look is spared.
+    target keeps its course or begins to turn at turn_rate_rad_s either way, which fades with turn_fades_s.
     """
 
     change_cost: float = 4.0
@@ -65,7 +64,6 @@ class PredictiveSettings:
     commit_cost: float = 40.0
     threat_s: float = 14.0
     beam: int = 6
-    clear_cost: float = 3.0
     horizon_s: float = 15.0
     turn_rate_rad_s: float = math.radians(3.0)
     turn_fades_s: float = 10.0
@@ -151,7 +149,7 @@ class PredictivePlanner:
             self._policy.memory,
             self._kept,
             Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s),
-            Depth(own.beam, own.clear_cost, own.horizon_s, float(table.values.min()), float(table.after_turn.min())),
+            Depth(own.beam, own.horizon_s, float(table.values.min()), float(table.after_turn.min())),
             self._seconds,
         )
 
