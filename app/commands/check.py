@@ -13,7 +13,7 @@ from app.commands.output import JsonOption, checked_output, console, write_json
 from app.commands.radius import RadiusOption, warn_of_little_room
 from app.config import Config, load_config
 from app.errors import InputError
-from app.fleet_file import load_fleet, names_a_fleet
+from app.fleet.fleet_file import load_fleet, names_a_fleet
 from mission.paper.feasibility import Feasibility, feasibility
 from mission.paper.optimum import ThresholdBounds, threshold_bounds
 from mission.paper.optimum import optimise as optimum

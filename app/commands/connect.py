@@ -15,7 +15,7 @@ from app.autopilots.queries import home_of, mode_of
 from app.commands.output import JsonOption, checked_output, console, write_json
 from app.config import Config, load_config
 from app.errors import InputError
-from app.fleet_file import load_fleet, names_a_fleet
+from app.fleet.fleet_file import load_fleet, names_a_fleet
 from app.flight.flight import connected
 from app.flight.preflight import Check, checks, listen
 from app.flight.source_use import describe_use

@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from app.commands.output import console
 from app.config import AircraftSection, Config
 from app.errors import InputError
-from app.fleet_file import LAYER_M, MAX_AIRCRAFT, FleetAircraftSection, TargetSection
+from app.fleet.fleet_file import LAYER_M, MAX_AIRCRAFT, FleetAircraftSection, TargetSection
 from app.presets import PRESETS, Preset
 
 _WIDTH = 112

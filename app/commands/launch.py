@@ -34,7 +34,7 @@ from app.commands.radius import warn_of_little_room
 from app.commands.report import write_report
 from app.config import Config, check_flyable, load_config
 from app.errors import FlightError, InputError, Interrupted
-from app.fleet_file import MAX_AIRCRAFT, FleetFile, load_fleet, names_a_fleet
+from app.fleet.fleet_file import MAX_AIRCRAFT, FleetFile, load_fleet, names_a_fleet
 from app.flight.display import FlightDisplay
 from app.flight.fleet_flight import FleetEnded
 from app.flight.flight import Flight, Sharing, connected

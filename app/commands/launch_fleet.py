@@ -12,7 +12,7 @@ from pathlib import Path
 
 from app.commands.output import console, table_progress
 from app.errors import FlightError, Interrupted
-from app.fleet_file import FleetFile
+from app.fleet.fleet_file import FleetFile
 from app.flight.display import FlightDisplay
 from app.flight.fleet_flight import FleetEnded, FleetFlight
 from app.flight.flight import Sharing

@@ -10,8 +10,8 @@ from app.analysis.summary import Summary
 from app.commands.output import console, progress_bar, table_progress
 from app.config import validated
 from app.errors import FlightError, InputError
-from app.fleet_assembly import coordinator_of
-from app.fleet_file import FleetFile
+from app.fleet.assembly import coordinator_of
+from app.fleet.fleet_file import FleetFile
 from app.flight.coordination import FLEET_JOURNAL_TYPES
 from app.records.journal import JournalReader
 from app.records.run_folder import FleetFolder, RunFolder

@@ -25,8 +25,8 @@ from app.analysis.truth import Truth, truth_if_whole
 from app.assembly import controller_of
 from app.autopilots.queries import is_flying
 from app.errors import FlightError, InputError, Interrupted
-from app.fleet_assembly import coordinator_of
-from app.fleet_file import FleetFile, Member
+from app.fleet.assembly import coordinator_of
+from app.fleet.fleet_file import FleetFile, Member
 from app.flight.coordination import Coordination, Participant
 from app.flight.display import FlightDisplay
 from app.flight.flight import Flight, Session, Sharing, connected

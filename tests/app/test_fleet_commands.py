@@ -10,7 +10,7 @@ import pytest
 from app.cli import load_command
 from app.commands.init import config_text
 from app.errors import InputError
-from app.fleet_file import LAYER_M, FleetFile, load_fleet
+from app.fleet.fleet_file import LAYER_M, FleetFile, load_fleet
 
 TWO = '[[aircraft]]\nname = "north"\n[[aircraft]]\nname = "south"\n'
 

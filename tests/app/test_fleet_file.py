@@ -6,7 +6,7 @@ import pytest
 
 from app.config import load_config
 from app.errors import InputError
-from app.fleet_file import load_fleet, names_a_fleet
+from app.fleet.fleet_file import load_fleet, names_a_fleet
 
 TWO = """
 [requirement]

@@ -9,8 +9,8 @@ import pytest
 
 from app.analysis.fleet_replay import compare_coordination
 from app.assembly import controller_of, mission_controller_of
-from app.fleet_assembly import coordinator_of
-from app.fleet_file import FleetFile
+from app.fleet.assembly import coordinator_of
+from app.fleet.fleet_file import FleetFile
 from app.flight.coordination import FLEET_JOURNAL_TYPES, Coordination, Participant
 from app.link.message import Message
 from app.records.journal import Header, JournalReader, JournalWriter, encode

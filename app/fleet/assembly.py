@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from app.assembly import planner_needs, tracker_settings
-from app.fleet_file import FleetFile
+from app.fleet.fleet_file import FleetFile
 from app.planners.predictive import Predictive
 from estimators.joint_track import JointTrack
 from estimators.settings import TrackerSettings
