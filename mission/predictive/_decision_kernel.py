@@ -179,11 +179,11 @@ def look_deeper(
     """Do as :func:`look_ahead`, then look at the best moves again, two moves deep over several futures.
 
     All other moves become infinitely dear. That look is spared where staying would be cheaper than every move even
-    if moves were free.
+    if moves were free, and where the ground hides something: second moves know nothing of it.
     """
     stay_cost = look_ahead(scene, east_m, north_m, line, circle, first_of(futures), looker, sight, costs)
     depth, prices, air = looker.depth, looker.prices, scene.air
-    if depth.beam == 0 or doubtful(scene, looker.motions):
+    if depth.beam == 0 or len(sight.needed_m) > 0 or doubtful(scene, looker.motions):
         return stay_cost
     left_m = line[ARC, line.shape[1] - 1] - scene.arc_m if line.shape[1] > 0 else 0.0
     under_way = left_m > NEARLY_FLOWN_S * air.airspeed_m_s

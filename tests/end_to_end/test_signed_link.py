@@ -35,7 +35,8 @@ def vehicle(free_port):
     """Return a simulated vehicle on the ground, and its URL."""
     simulation, port, over = Simulation(Settings(boot_unix_s=time.time())), free_port(), threading.Event()
     simulation.advance(30.0)
-    thread = threading.Thread(target=serve, args=(simulation, [("127.0.0.1", port)]), kwargs={"stopped": over.is_set})
+    served = [(simulation, [("127.0.0.1", port)])]
+    thread = threading.Thread(target=serve, args=(served,), kwargs={"stopped": over.is_set})
     thread.start()
     yield simulation, f"udpin://127.0.0.1:{port}"
     over.set()
