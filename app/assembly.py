@@ -94,7 +94,7 @@ def controller_of(
         return cleared if isinstance(cleared, str) else None
 
     def sight(*target: float) -> Sight:
-        return controller.sight(*target)
+        return controller.surroundings.sight(*target)
 
     # Made before the flight: no step may wait for a disk or a computation.
     lost_after_s = config.planner.lost_after_s
@@ -209,9 +209,9 @@ def settle(
     Returns the ground, None where no elevation data is configured. Raises InputError naming a fence that is no
     polygon, or elevation data that does not serve.
     """
-    controller.check = fence_check(config, plane)
-    aircraft = config.aircraft
-    controller.heights = OneHeight(ClimbRates(aircraft.airspeed_m_s, aircraft.climb_m_s, aircraft.descent_m_s))
+    surroundings, aircraft = controller.surroundings, config.aircraft
+    surroundings.check = fence_check(config, plane)
+    surroundings.heights = OneHeight(ClimbRates(aircraft.airspeed_m_s, aircraft.climb_m_s, aircraft.descent_m_s))
     ground = ground_of(config, plane, home_deg)
     if ground is None:
         return None
@@ -229,16 +229,16 @@ def settle(
         config.fences.margin_m,
         math.inf if config.fences.ceiling_m is None else config.fences.ceiling_m,
     )
-    controller.heights = FlightHeights(ground, rules)
+    surroundings.heights = FlightHeights(ground, rules)
     field = SightField(ground, config.requirement.range_max_m + 4.0 * aircraft.radius_m)
 
     def sight(east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float) -> Sight:
-        heights = controller.heights
+        heights = surroundings.heights
         assert isinstance(heights, FlightHeights)
         height_m = heights.expected_m(controller.flown_height_m, (east_m, north_m))
         return field.sight(east_m, north_m, velocity_east_m_s, velocity_north_m_s, height_m)
 
-    controller.sight = sight
+    surroundings.sight = sight
     controller.tracker.stand_on(ground, config.sensors.angles_alone)
     return ground
 

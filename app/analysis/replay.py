@@ -27,7 +27,8 @@ from estimators.readings import (
     Reading,
     TargetFixReading,
 )
-from mission.control.controller import Snapshot, StandoffController
+from mission.control.controller import StandoffController
+from mission.control.snapshot import Snapshot
 from mission.core.circle import Circle
 from mission.core.events import (
     Announce,

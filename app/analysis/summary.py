@@ -14,7 +14,7 @@ from app.analysis.truth import Truth
 from estimators.biases import Calibration
 from estimators.frames import LocalPlane
 from estimators.terrain.ground import Ground
-from mission.control.controller import Snapshot
+from mission.control.snapshot import Snapshot
 from mission.core.requirement import Requirement
 
 _TRUTH_STEP_S = 0.5

@@ -73,7 +73,7 @@ class MissionChanges:
     async def _carry_out(self, change: MissionChange, changed: Config) -> None:
         kind, aircraft = planner_by_name(changed.planner.name), changed.aircraft.aircraft()
         try:
-            winds = [*winds_m_s(changed), *self._controller.prepared_winds_m_s]
+            winds = [*winds_m_s(changed), *self._controller.planning.prepared_winds_m_s]
             await kind.make_ready(aircraft, changed.requirement.requirement(), winds)
         except OSError as error:
             self._tell(f"{describe_change(change)} refused: {error}")

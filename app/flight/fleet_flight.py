@@ -44,7 +44,8 @@ from app.link.shared import sharing_opener
 from app.link.transport import Transport
 from app.records.journal import Header, JournalWriter
 from app.records.run_folder import FleetFolder, RunFolder
-from mission.control.controller import Phase, StandoffController
+from mission.control.controller import StandoffController
+from mission.control.snapshot import Phase
 from mission.exchange.mission_controller import InboundEvent, Output
 
 _POLL_S = 0.1

@@ -44,7 +44,8 @@ from app.sharing.beacon import BeaconInput
 from app.shutdown import ends_within
 from app.terrain.elevation_data import elevation_data
 from estimators.frames import LocalPlane
-from mission.control.controller import Phase, Snapshot, StandoffController
+from mission.control.controller import StandoffController
+from mission.control.snapshot import Phase, Snapshot
 from mission.core.events import Announce, ControlAcquired, Event, MissionChange, RoundTripReported
 from mission.exchange.dialect import Home
 from mission.exchange.outbox import TakeoverFailed

@@ -25,7 +25,7 @@ from app.link.modes import ARMED_FLAG
 from app.link.telemetry import AUTOPILOT_COMPONENT
 from app.link.vehicle import Vehicle
 from app.shutdown import ends_within
-from mission.control.controller import Phase, Snapshot
+from mission.control.snapshot import Phase, Snapshot
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _WIND_UP_S = 60.0  # the bounds of what is done after an interrupt are together below this

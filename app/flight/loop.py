@@ -16,7 +16,7 @@ from app.link.message import Message
 from app.link.reports import VehicleReports
 from app.link.telemetry import Telemetry
 from app.link.vehicle import Vehicle
-from mission.control.controller import Snapshot
+from mission.control.snapshot import Snapshot
 from mission.core.events import Announce, ControlAcquired, DecisionRecord, End, LinkReported, PlanStatus, Yield
 from mission.exchange.mission_controller import DERIVED, InboundEvent, MissionController, Output
 from mission.exchange.outbox import SendMessage, TakeoverFailed

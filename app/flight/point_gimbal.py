@@ -18,7 +18,7 @@ from app.link.vehicle import Vehicle
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.frames import LocalPlane
-from mission.control.controller import Phase, Snapshot
+from mission.control.snapshot import Phase, Snapshot
 from mission.core.events import Announce
 
 _EVERY_S = 1.0  # of the vehicle's time

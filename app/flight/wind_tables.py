@@ -11,7 +11,8 @@ import asyncio
 from collections.abc import Callable
 
 from app.planners.planner_kind import PlannerKind
-from mission.control.controller import Phase, Snapshot, StandoffController
+from mission.control.controller import StandoffController
+from mission.control.snapshot import Phase, Snapshot
 from mission.core.events import Announce, WindPrepared
 
 # Wind speeds are prepared for in steps of this share of the airspeed, and no more of them than that.

@@ -188,7 +188,7 @@ class McapLog:
             "number": prepared.number,
             "departure_s": plan.departure_s,
             "reason": prepared.reason,
-            "length_m": plan.transition.length_m if plan.transition else 0.0,
+            "length_m": plan.transition_m,
             "circle": _circle_numbers(plan.circle),
         }
         self._out.write("/plan", "sidelong.Plan", prepared.time_s, numbers)

@@ -18,7 +18,7 @@ from app.sharing.senders import Sender
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.frames import LocalPlane
-from mission.control.controller import Snapshot
+from mission.control.snapshot import Snapshot
 from mission.core.events import Announce
 from mission.core.plan import AircraftState
 

@@ -15,7 +15,7 @@ from app.sharing.senders import Sender
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.frames import LocalPlane
-from mission.control.controller import Snapshot
+from mission.control.snapshot import Snapshot
 from mission.core.events import Announce
 
 _FOLLOW_EVERY_S, _HEARTBEAT_EVERY_S, _NMEA_EVERY_S = 0.2, 1.0, 1.0

@@ -21,7 +21,7 @@ from app.view.process import page_line, start_page, under_flight
 from app.view.shading import Shading
 from app.view.state import Json, StateEncoder, setting
 from estimators.frames import LocalPlane
-from mission.control.controller import Snapshot
+from mission.control.snapshot import Snapshot
 from mission.core.events import Announce, MissionChange, OperatorRequest
 from mission.core.requirement import Side
 

@@ -17,7 +17,7 @@ from app.link.plain_text import plain
 from app.link.vehicle_status import VehicleStatus
 from app.view.panel import REFRESH_HZ, STYLES, clock, target_motion, target_range_m
 from estimators.frames import LocalPlane
-from mission.control.controller import Snapshot
+from mission.control.snapshot import Snapshot
 from mission.core.events import Announce, OperatorRequest
 
 _PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time

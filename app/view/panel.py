@@ -18,7 +18,7 @@ from app.link.vehicle_status import VehicleStatus
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TrackQuality
 from estimators.frames import LocalPlane
-from mission.control.controller import Phase, Snapshot
+from mission.control.snapshot import Phase, Snapshot
 from mission.core.events import Announce
 from mission.core.requirement import Requirement
 

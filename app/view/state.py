@@ -14,7 +14,7 @@ from app.config import Config
 from app.link.vehicle_status import VehicleStatus
 from estimators.ellipse import confidence_ellipse
 from estimators.frames import LocalPlane, wrap_rad
-from mission.control.controller import Snapshot
+from mission.control.snapshot import Snapshot
 from mission.core.path import Path
 from mission.core.plan import AircraftState, Plan
 from mission.core.requirement import Requirement

@@ -58,6 +58,15 @@ class Plan:
     departure_s: float = 0.0
     heights: HeightProfile | None = None
 
+    @property
+    def transition_m(self) -> float:
+        """Length of the transition, m; 0 where there is none."""
+        return 0.0 if self.transition is None else self.transition.length_m
+
+    def circle_height_m(self, configured_m: float) -> float:
+        """Return the height of the circle, above home."""
+        return configured_m if self.heights is None else self.heights.to_m
+
 
 def settled_m(height_m: float, plan: Plan | None) -> float:
     """Return the height an aircraft flies: that of its plan, when it is about there."""

@@ -36,7 +36,7 @@ def leading_circle(plan: Plan, aircraft: AircraftState, bank_max_rad: float) -> 
         aircraft.time_s + _RESPONSE_S, soon.east_m, soon.north_m, soon.course_rad, speed_m_s, soon.curvature_per_m
     )
     arc_m = nearest_arc_m(plan, state)
-    if plan.transition is None or arc_m >= plan.transition.length_m:
+    if arc_m >= plan.transition_m:
         return None
     goal = point_at(plan, arc_m + speed_m_s * _LOOK_AHEAD_S, state)
     east_m, north_m = goal.east_m - state.east_m, goal.north_m - state.north_m

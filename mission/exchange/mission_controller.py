@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 
 from estimators.readings import PositionReading
-from mission.control.controller import Snapshot, StandoffController
+from mission.control.controller import StandoffController
+from mission.control.snapshot import Snapshot
 from mission.core.events import (
     ActivatePlan,
     Command,

@@ -29,7 +29,7 @@ class BackendSettings:
 
     def order(self, circle: Circle, plan: Plan) -> CircleOrder:
         """Return a circle of the plane on the globe, at the height of a plan."""
-        height_m = self.height_m if plan.heights is None else plan.heights.to_m
+        height_m = plan.circle_height_m(self.height_m)
         latitude_deg, longitude_deg = self.plane.latitude_longitude_deg(circle.east_m, circle.north_m)
         return CircleOrder(
             round(latitude_deg * 1e7),

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from mission.control.controller import Phase, StandoffController
+from mission.control.controller import StandoffController
+from mission.control.snapshot import Phase
 from mission.core.events import End, LinkReported, Yield
 from mission.core.plan import Plan
 from mission.fleet.events import FleetEvent, PlansReported, SightingReported, VehicleLost, VehicleReported

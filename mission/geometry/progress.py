@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from mission.core.plan import AircraftState, Plan
 from mission.geometry import _line_kernel
 from mission.geometry._line_kernel import OFF_TRACK_M, OFF_TRACK_RAD, Circling, LinePoint
 
-__all__ = ["LinePoint", "dead_reckoned", "line_at", "line_of", "nearest_arc_m", "off_track", "point_at"]
+__all__ = ["LinePoint", "advanced", "dead_reckoned", "line_at", "line_of", "nearest_arc_m", "off_track", "point_at"]
 
 _NO_LINE = np.empty((5, 0))
 
@@ -63,3 +64,18 @@ def dead_reckoned(aircraft: AircraftState, duration_s: float, curvature_max_per_
     curvature_per_m = min(max(aircraft.curvature_per_m, -curvature_max_per_m), curvature_max_per_m)
     here = LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, curvature_per_m)
     return _line_kernel.arc_point(here, 0.0, aircraft.ground_speed_m_s * duration_s)
+
+
+def advanced(aircraft: AircraftState, duration_s: float) -> AircraftState:
+    """Return where the aircraft is after ``duration_s`` on its present curvature, without wind."""
+    step_m = aircraft.ground_speed_m_s * duration_s
+    turned_rad = aircraft.curvature_per_m * step_m
+    circle_sinc = math.sin(0.5 * turned_rad) / (0.5 * turned_rad) if abs(turned_rad) > 1e-9 else 1.0
+    middle_rad = aircraft.course_rad + 0.5 * turned_rad
+    return replace(
+        aircraft,
+        time_s=aircraft.time_s + duration_s,
+        east_m=aircraft.east_m + step_m * circle_sinc * math.sin(middle_rad),
+        north_m=aircraft.north_m + step_m * circle_sinc * math.cos(middle_rad),
+        course_rad=aircraft.course_rad + turned_rad,
+    )

@@ -31,11 +31,11 @@ _LONGEST_S = 180.0
 
 @dataclass(slots=True)
 class Separation:
-    """What is known of the others, all on the own clock. min_m: in three dimensions; plans: by whose they are."""
+    """What is known of the others, all on the own clock. min_m: in three dimensions."""
 
     min_m: float = MIN_SEPARATION_M
     _others: dict[str, Neighbour] = field(default_factory=dict)
-    plans: dict[str, NeighbourPlanned] = field(default_factory=dict)
+    _plans: dict[str, NeighbourPlanned] = field(default_factory=dict)
 
     def note(self, neighbours: tuple[Neighbour, ...]) -> None:
         """Take where the others are; who is not among them is no longer there."""
@@ -43,7 +43,7 @@ class Separation:
 
     def planned(self, told: NeighbourPlanned) -> None:
         """Take what another one flies."""
-        self.plans[told.name] = told
+        self._plans[told.name] = told
 
     def breach(
         self,
@@ -60,7 +60,7 @@ class Separation:
         heights = {height_m, *_heights_of(plan)}
         own: FloatArray | None = None
         for name, other in self._others.items():
-            told = self.plans.get(name) if other.ours else None
+            told = self._plans.get(name) if other.ours else None
             vertical_m = _gap_m(heights, {other.height_m, *_heights_of(*_flown(told))})
             if vertical_m >= self.min_m:
                 continue
@@ -134,8 +134,7 @@ def _places(
 
 def _duration_s(plan: Plan, airspeed_m_s: float) -> float:
     """Return how long a plan is followed: its transition and a lap."""
-    line_m = plan.transition.length_m if plan.transition is not None else 0.0
-    return min((line_m + 2.0 * math.pi * plan.circle.radius_m) / airspeed_m_s, _LONGEST_S)
+    return min((plan.transition_m + 2.0 * math.pi * plan.circle.radius_m) / airspeed_m_s, _LONGEST_S)
 
 
 def _airspeed_m_s(state: AircraftState, wind: Wind) -> float:

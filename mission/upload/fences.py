@@ -65,7 +65,7 @@ class Fences:
         """Return :meth:`rejection` at the heights of plans, or at this one, as the control step wants it."""
 
         def rejection(plan: Plan) -> str | None:
-            return self.rejection(plan, height_m if plan.heights is None else plan.heights.to_m)
+            return self.rejection(plan, plan.circle_height_m(height_m))
 
         return rejection
 

@@ -66,7 +66,7 @@ def plan_items(
     defaults at 15 m/s if not given; param2 of a waypoint is its acceptance radius. Raises UnflyableError when the
     flown line would leave the transition by more than ``tolerance_m``.
     """
-    circle = circle_item(plan.circle, plane, height_m if plan.heights is None else plan.heights.to_m)
+    circle = circle_item(plan.circle, plane, plan.circle_height_m(height_m))
     if plan.transition is None:
         return (circle,)
     tracking = tracking or LineTracking()

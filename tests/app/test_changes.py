@@ -82,7 +82,7 @@ def test_the_table_of_another_radius_is_made_by_another_process(monkeypatch, tmp
     monkeypatch.setattr(value_cache, "compute", lambda *_: pytest.fail("a table was computed within a step"))
     monkeypatch.setattr(value_cache, "stored_table", lambda *_: pytest.fail("a file was read within a step"))
     aircraft = replace(Config().aircraft.aircraft(), radius_m=80.0)
-    changes._controller.make_planner(aircraft, Config().requirement.requirement())
+    changes._controller.planning.make_planner(aircraft, Config().requirement.requirement())
 
 
 def test_a_changed_flight_is_replayed_to_the_last_bit_and_judged_by_what_was_asked_when(tmp_path, config):

@@ -14,7 +14,7 @@ from app.link.message import Message
 from app.link.vehicle import Vehicle
 from estimators.estimate import TrackQuality
 from estimators.frames import LocalPlane
-from mission.control.controller import Phase
+from mission.control.snapshot import Phase
 
 PLANE = LocalPlane(47.4, 8.5)
 ALTITUDE_M = 420.0

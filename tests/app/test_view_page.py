@@ -17,7 +17,7 @@ from app.view.address import Address
 from app.view.display import ViewDisplay
 from app.view.panel import PanelDisplay
 from estimators.frames import LocalPlane
-from mission.control.controller import Phase
+from mission.control.snapshot import Phase
 from mission.core.events import Announce, MissionChange, OperatorRequest
 from mission.core.requirement import Side
 

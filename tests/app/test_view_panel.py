@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from app.view.panel import PanelDisplay
-from mission.control.controller import Phase
+from mission.control.snapshot import Phase
 from mission.core.events import Announce
 from mission.core.requirement import Requirement, Side
 

@@ -13,7 +13,7 @@ from app.config import Config
 from app.view.state import StateEncoder, setting
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.frames import LocalPlane
-from mission.control.controller import Phase
+from mission.control.snapshot import Phase
 from mission.core.requirement import Requirement, Sector, Side
 
 LEFT = Requirement(100.0, 500.0, Side.LEFT, 3.0)

@@ -17,7 +17,7 @@ from app.planners.registry import planner_by_name
 from app.records.journal import JournalReader
 from app.records.run_folder import RunFolder
 from estimators.frames import LocalPlane
-from mission.control.controller import Phase
+from mission.control.snapshot import Phase
 from mission.core.circle import Circle
 from mission.core.events import Announce, ControlAcquired, DecisionRecord, MissionChange, WindPrepared, WindReported
 from mission.core.requirement import Wind
@@ -82,17 +82,17 @@ def test_nothing_is_prepared_before_the_target_is_watched():
 
 def test_the_planner_goes_on_with_what_it_remembers():
     controller = Windy().controller
-    before = controller._planner
+    before = controller.planning.planner
     (told,) = controller.step(WindPrepared(2.0, 3.75))
     assert told == Announce(2.0, "decision", "ready for a wind of 3.75 m/s")
-    assert controller._planner is before
+    assert controller.planning.planner is before
     calm, windy = before._alone.lookers
     assert windy.motions.wind_speed_m_s == 3.75
     assert windy.memory is calm.memory
     assert controller.step(WindPrepared(3.0, 3.75)) == ()
     controller.step(MissionChange(4.0, radius_m=70.0))
-    assert controller._planner is not before
-    assert [one.motions.wind_speed_m_s for one in controller._planner._alone.lookers] == [0.0, 3.75]
+    assert controller.planning.planner is not before
+    assert [one.motions.wind_speed_m_s for one in controller.planning.planner._alone.lookers] == [0.0, 3.75]
 
 
 def test_a_flight_that_became_windy_is_replayed_to_the_last_bit(tmp_path):

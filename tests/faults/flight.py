@@ -21,7 +21,8 @@ from app.link.telemetry import Telemetry
 from app.study.airframe import KinematicAircraft
 from app.study.target import RandomTarget
 from estimators.frames import LocalPlane
-from mission.control.controller import Phase, StandoffController
+from mission.control.controller import StandoffController
+from mission.control.snapshot import Phase
 from mission.core.circle import Circle
 from mission.core.events import (
     ActivatePlan,

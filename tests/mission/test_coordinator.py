@@ -10,7 +10,8 @@ import pytest
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from estimators.sighting import Sighting
 from estimators.tracker import Tracker, TrackerSettings
-from mission.control.controller import Phase, StandoffController, StandoffSettings
+from mission.control.controller import StandoffController, StandoffSettings
+from mission.control.snapshot import Phase
 from mission.core.circle import Circle
 from mission.core.events import Command, ControlAcquired, End, UploadPlan
 from mission.core.fleet import Role

@@ -11,7 +11,9 @@ import pytest
 
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from estimators.tracker import Tracker, TrackerSettings
-from mission.control.controller import Phase, StandoffController, StandoffSettings
+from mission.control.controller import StandoffController, StandoffSettings
+from mission.control.snapshot import Phase
+from mission.control.surroundings import Surroundings
 from mission.core.circle import Circle
 from mission.core.events import (
     ActivatePlan,
@@ -62,7 +64,7 @@ def make(planner: Scripted, **settings) -> StandoffController:
         StandoffSettings(requirement, Aircraft(SPEED_M_S, RADIUS_M), **settings),
         Tracker(TrackerSettings()),
         lambda _aircraft, _requirement: planner,
-        check,
+        Surroundings(check),
     )
 
 
@@ -152,8 +154,9 @@ def test_the_latency_expected_follows_the_links_delay():
     assert controller.snapshot().latency_s == 1.0  # as configured, before anything was uploaded
     controller.step(RoundTripReported(2.0, 1.5))
     assert controller.snapshot().latency_s == 3.0  # the announcement's round trip and the items'
-    controller._took_s.extend([(0.4, 0.1)] * 5)
     controller.step(RoundTripReported(3.0, 0.1))
+    for _ in range(5):
+        controller.latency.note(0.4)
     assert controller.snapshot().latency_s == pytest.approx(0.5)
     controller.step(RoundTripReported(4.0, 0.6))
     assert controller.snapshot().latency_s == pytest.approx(1.5)  # two round trips more than what was measured
@@ -203,7 +206,7 @@ def test_a_late_plan_departs_while_the_aircraft_is_near_its_line(late_s, straigh
     course = turn_rad + math.pi / 2 + curvature_per_m * arc
     east_m = RADIUS_M * math.sin(turn_rad) + np.append(0.0, np.cumsum(step_m * np.sin(course[:-1])))
     north_m = RADIUS_M * math.cos(turn_rad) + np.append(0.0, np.cumsum(step_m * np.cos(course[:-1])))
-    controller._change.plan = replace(
+    controller.changes.under_way.plan = replace(
         prepare.plan, transition=Path(arc, east_m, north_m, course, np.full(100, curvature_per_m))
     )
     fly(controller, 3.0, departure_s + late_s)
@@ -238,7 +241,7 @@ def test_an_aircraft_that_leaves_its_transition_is_sent_to_the_circle():
     course = np.full(50, start.course_rad)
     line = Path(arc, start.east_m + arc * np.sin(course), start.north_m + arc * np.cos(course), course, 0.0 * arc)
     controller.step(PlanStatus(prepare.plan.departure_s, prepare.number, "ready"))
-    controller._change.plan = replace(prepare.plan, transition=line)
+    controller.changes.under_way.plan = replace(prepare.plan, transition=line)
     controller.step(PlanStatus(3.1, prepare.number, "departed"))
     (again,) = kinds(fly(controller, 3.0, 20.0), UploadPlan)
     assert again.plan.circle == far
@@ -253,7 +256,7 @@ def test_an_aircraft_that_orbits_a_waypoint_beside_its_line_is_sent_to_the_circl
     east_m, north_m = -orbit_m * np.cos(course), orbit_m * np.sin(course)
     line = Path(orbit_m * course, east_m, north_m, course, np.full(200, 1.0 / RADIUS_M))
     controller.step(PlanStatus(prepare.plan.departure_s, prepare.number, "ready"))
-    controller._change.plan = replace(prepare.plan, transition=line)
+    controller.changes.under_way.plan = replace(prepare.plan, transition=line)
     controller.step(PlanStatus(3.1, prepare.number, "departed"))
     assert kinds(fly(controller, 3.1, 8.0, radius_m=orbit_m), UploadPlan) == []
     (again,) = kinds(fly(controller, 8.0, 14.0, radius_m=orbit_m), UploadPlan)
@@ -307,7 +310,7 @@ def test_a_target_unseen_for_long_holds_the_circle_then_ends():
 def test_an_operator_holds_resumes_changes_side_and_ends():
     sides: list[Side] = []
     controller = make(Scripted([THERE] * 9))
-    controller.make_planner = lambda _aircraft, requirement: sides.append(requirement.side) or Scripted()
+    controller.planning.make_planner = lambda _aircraft, requirement: sides.append(requirement.side) or Scripted()
     engaged(controller, 0.5)
     controller.step(OperatorRequest(0.5, "hold"))
     assert not kinds(fly(controller, 0.5, 5.0), UploadPlan)

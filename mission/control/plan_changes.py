@@ -1,0 +1,179 @@
+"""The plan that is flown, and the one on its way to the autopilot.
+
+At most one is under way. It is uploaded (the autopilot holds it, still flying the line before), then activated at its
+planned time; one that got ready too late to be joined is dropped. Until it is known whether an activated plan is
+flown it stays under way, and that it is may be known late.
+
+What is sent is the wanted circle with the radius that makes the autopilot fly it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from mission.control.flown_radius import FlownRadius
+from mission.control.plausibility import Plausibility
+from mission.control.upload_latency import UploadLatency
+from mission.core.circle import Circle
+from mission.core.events import ActivatePlan, Announce, Command, PlanStatus, UploadPlan
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Wind
+from mission.geometry.progress import nearest_arc_m, off_track, point_at
+
+# A plan that got ready after its time still departs, up to so much later, while the aircraft is near its line: a
+# transition parts slowly from the line before it. Later than that the aircraft banks the wrong way for it.
+_LATE_S, _JOINABLE_M, _JOINABLE_RAD = 1.5, 15.0, math.radians(15.0)
+# Off its transition for so long, an aircraft does not come back by itself. So it is when it turns that much tighter
+# than any plan asks for: it orbits a waypoint that it cannot reach, near to the line all the time.
+_OFF_TRACK_S, _ORBITS = 6.0, 2.0
+# The present circle is sent again when its flown radius is off by more than this share.
+_RADIUS_TOLERANCE = 0.03
+
+
+@dataclass(slots=True)
+class PlanChange:
+    """A plan on its way to the autopilot. commanded: its circle as the autopilot is told."""
+
+    number: int
+    plan: Plan
+    commanded: Circle
+    since_s: float
+    stage: Literal["preparing", "ready", "departing"] = "preparing"
+
+
+class PlanChanges:
+    """One flight's. present: the plan that is flown, None before the aircraft was taken over.
+
+    under_way: the change that is; flown_since_s: when the change was decided that led to the present plan.
+    """
+
+    def __init__(self, door: Plausibility, latency: UploadLatency) -> None:
+        self.present: Plan | None = None
+        self.under_way: PlanChange | None = None
+        self.flown_since_s = -math.inf
+        self.moves = self.uploads = self.failures = 0
+        self._door, self._latency = door, latency
+        self._not_taken: PlanChange | None = None  # the last departure that failed: should it be flown after all
+        self._commanded: Circle | None = None  # as the autopilot was told to fly the present circle
+        self._flown_radius = FlownRadius()
+        self._on_line_s = math.inf  # when the aircraft was last seen on its transition; inf: it flies none
+
+    def begin(self, plan: Plan, flown: Circle, commanded: Circle) -> None:
+        """Begin with a circle that is flown already, and that the autopilot was told as ``commanded``."""
+        self.present, self._commanded = plan, commanded
+        self._flown_radius = FlownRadius(flown.radius_m / commanded.radius_m)
+
+    def observe(self, aircraft: AircraftState) -> None:
+        """Take where the aircraft is, where that is no dead reckoning."""
+        if self._commanded is not None:
+            self._flown_radius.observe(aircraft, self._commanded)
+
+    def upload(self, time_s: float, plan: Plan, wind: Wind, reason: str) -> UploadPlan:
+        """Set a plan under way."""
+        assert self.present is not None
+        self.uploads += 1
+        commanded = self._flown_radius.commanded(plan.circle)
+        self.under_way = PlanChange(self.uploads, plan, commanded, time_s)
+        return UploadPlan(time_s, self.uploads, plan, commanded, self.present, wind, reason)
+
+    def withdraw(self) -> None:
+        """Let go of the plan under way."""
+        self.under_way = None
+
+    def activate_due(self, now_s: float, *, watching: bool) -> tuple[Command, ...]:
+        """Activate the plan that is ready, when its time has come."""
+        change = self.under_way
+        if change is None or change.stage != "ready" or now_s < change.plan.departure_s:
+            return ()
+        if not watching:
+            self.under_way = None
+            return ()
+        late_s = now_s - change.plan.departure_s
+        if self._door.faulty and late_s <= _LATE_S:
+            return ()
+        if self._door.doubt is not None or late_s > _LATE_S:
+            self.under_way = None
+            why = self._door.doubt or f"its time was {late_s:.1f} s ago"
+            return (Announce(now_s, "plan", f"plan {change.number} does not depart: {why}"),)
+        change.stage = "departing"
+        return (ActivatePlan(now_s, change.number),)
+
+    def report(
+        self, event: PlanStatus, now_s: float, aircraft: AircraftState | None, *, watching: bool
+    ) -> tuple[Command, ...]:
+        """Take what has become of a plan."""
+        late = self._not_taken
+        if event.stage == "departed" and late is not None and late.number == event.number:
+            self.failures -= 1
+            self._departed(late, event.time_s)
+            return ()
+        change = self.under_way
+        if change is None or change.number != event.number:
+            return ()
+        match event.stage:
+            case "unconfirmed":
+                return (Announce(event.time_s, "plan", f"plan {event.number}: {event.detail} yet"),)
+            case "failed":
+                return self._failed(change, event)
+            case "ready":
+                self._latency.note(event.time_s - change.since_s)
+                late_s = event.time_s - change.plan.departure_s
+                if late_s > 0.0 and not _can_still_join(aircraft, change.plan, late_s):
+                    self.under_way = None
+                    return (Announce(event.time_s, "plan", f"plan {event.number} was ready {late_s:.1f} s too late"),)
+                change.stage = "ready"
+                return self.activate_due(now_s, watching=watching)
+        self._departed(change, event.time_s)
+        return ()
+
+    def _failed(self, change: PlanChange, event: PlanStatus) -> tuple[Command, ...]:
+        took_s = event.time_s - change.since_s
+        if change.stage == "departing":
+            self._not_taken = change
+        elif change.stage == "preparing" and took_s > self._latency.expected_s:
+            self._latency.note(took_s)
+        self.under_way = None
+        self.failures += 1
+        return (Announce(event.time_s, "plan", f"plan {event.number} was not taken: {event.detail}"),)
+
+    def _departed(self, change: PlanChange, time_s: float) -> None:
+        """Take over a plan that is flown: in good time, or one that was thought not to have been taken."""
+        assert self.present is not None
+        self.moves += change.plan.circle != self.present.circle
+        self.present, self._commanded = change.plan, change.commanded
+        self.under_way = self._not_taken = None
+        self.flown_since_s = change.since_s
+        self._on_line_s = time_s
+
+    # -- how the present plan is flown ---------------------------------------------------------------------
+
+    def is_off_track(self, aircraft: AircraftState) -> bool:
+        """Tell whether the aircraft has left its transition for good."""
+        present = self.present
+        if present is None or present.transition is None:
+            return False
+        nearest = point_at(present, nearest_arc_m(present, aircraft), aircraft)
+        orbits = abs(aircraft.curvature_per_m) * present.circle.radius_m > _ORBITS
+        if not orbits and not off_track(aircraft, nearest):
+            self._on_line_s = aircraft.time_s
+        return aircraft.time_s - self._on_line_s > _OFF_TRACK_S
+
+    def wanted_radius_m(self) -> float | None:
+        """Return the radius to command for the present circle, None where it is the commanded one."""
+        assert self.present is not None
+        assert self._commanded is not None
+        wanted_m = self._flown_radius.commanded(self.present.circle).radius_m
+        return wanted_m if abs(wanted_m / self._commanded.radius_m - 1.0) > _RADIUS_TOLERANCE else None
+
+
+def _can_still_join(aircraft: AircraftState | None, plan: Plan, late_s: float) -> bool:
+    """Tell whether the aircraft, which has flown on, is still so near to the plan's line that it can take it."""
+    assert aircraft is not None
+    if late_s > _LATE_S:
+        return False
+    if plan.transition is None:
+        return True  # a circle is flown to from anywhere
+    line = point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
+    return not off_track(aircraft, line, _JOINABLE_M, _JOINABLE_RAD)

@@ -1,0 +1,92 @@
+"""The planner in use: made anew when what is asked changes, and told again of winds and fleet."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from estimators.estimate import TargetEstimate, TrackQuality
+from mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned
+from mission.core.plan import AircraftState, Decision, Plan, Planner, PlannerFactory, WindPlanner
+from mission.core.requirement import Aircraft, Requirement, Wind
+from mission.geometry.approach import approach
+from mission.geometry.progress import advanced
+
+# What the fleet advised is followed for so long.
+_ADVICE_S = 5.0
+
+
+class Planning:
+    """``make_planner`` builds the planner for an aircraft and a requirement, at once and of what is at hand.
+
+    It is called again, within a step, when one of them changes. prepared_winds_m_s: in flight.
+    """
+
+    def __init__(self, make_planner: PlannerFactory, aircraft: Aircraft, requirement: Requirement) -> None:
+        self.make_planner = make_planner
+        self.prepared_winds_m_s: list[float] = []
+        self._aircraft, self._requirement = aircraft, requirement
+        self._advice: FleetAdvice | None = None
+        self._neighbours: dict[str, NeighbourPlanned] = {}
+        self.planner: Planner = make_planner(aircraft, requirement)
+
+    def renew(self, aircraft: Aircraft, requirement: Requirement) -> None:
+        """Plan for what is asked now."""
+        self._aircraft, self._requirement = aircraft, requirement
+        self.planner = self.make_planner(aircraft, requirement)
+        if isinstance(self.planner, WindPlanner):
+            for speed_m_s in self.prepared_winds_m_s:
+                self.planner.prepare(speed_m_s)
+        if isinstance(self.planner, CooperativePlanner):
+            for told in (*self._neighbours.values(), *(() if self._advice is None else (self._advice,))):
+                self.planner.advise(told)
+
+    def prepare_wind(self, speed_m_s: float) -> bool:
+        """Use what is at hand for winds of this speed; tell whether that is new to the planner."""
+        if speed_m_s in self.prepared_winds_m_s or not isinstance(self.planner, WindPlanner):
+            return False
+        self.prepared_winds_m_s.append(speed_m_s)
+        self.planner.prepare(speed_m_s)
+        return True
+
+    # -- the fleet -----------------------------------------------------------------------------------------
+
+    def advise(self, told: FleetAdvice | NeighbourPlanned) -> None:
+        """Take what is told of the fleet."""
+        if isinstance(told, NeighbourPlanned):
+            self._neighbours[told.name] = told
+        else:
+            self._advice = told
+        if isinstance(self.planner, CooperativePlanner):
+            self.planner.advise(told)
+
+    def watch_from(self, requirement: Requirement) -> None:
+        """Plan for the side that the fleet has given out, of which a cooperative planner is told by advice."""
+        if isinstance(self.planner, CooperativePlanner):
+            self._requirement = requirement
+        else:
+            self.renew(self._aircraft, requirement)
+
+    def joint_estimate(self, time_s: float) -> TargetEstimate | None:
+        """Return the fleet's estimate of the target, while it is fresh and not lost."""
+        advice = self._advice
+        if advice is None or advice.estimate is None or time_s - advice.time_s > _ADVICE_S:
+            return None
+        return None if advice.estimate.quality is TrackQuality.LOST else advice.estimate
+
+    # -- deciding ------------------------------------------------------------------------------------------
+
+    def decide(
+        self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
+    ) -> Decision:
+        """Decide as the planner does; out of its range, go to a circle beside the target first."""
+        range_m = math.hypot(aircraft.east_m - target.east_m, aircraft.north_m - target.north_m)
+        if range_m <= self._requirement.range_max_m:
+            return self.planner.decide(aircraft, target, present, wind, latency_s)
+        start = advanced(aircraft, latency_s)
+        plan = approach(start, target, self._aircraft, self._requirement)
+        off_m = math.hypot(plan.circle.east_m - present.circle.east_m, plan.circle.north_m - present.circle.north_m)
+        if off_m < 0.5 * self._aircraft.radius_m:
+            return Decision(aircraft.time_s, None, f"on the way to the target, {range_m:.0f} m to go")
+        plan = replace(plan, departure_s=aircraft.time_s + latency_s)
+        return Decision(aircraft.time_s, plan, f"approaching: the target is {range_m:.0f} m away")

@@ -1,0 +1,45 @@
+"""Where the mission stands, as displays and summaries are told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from estimators.estimate import TargetEstimate
+from mission.control.sensor_status import SensorStatus
+from mission.core.plan import AircraftState, Decision, Plan
+from mission.core.requirement import Requirement, Side, Wind
+
+
+class Phase(StrEnum):
+    """Where the mission stands."""
+
+    WAITING = "waiting"  # not engaged yet
+    WATCHING = "watching"
+    HOLDING = "holding"  # by an operator's wish
+    YIELDED = "yielded"
+    ENDED = "ended"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """Everything a display needs, at one moment."""
+
+    time_s: float
+    phase: Phase
+    side: Side
+    aircraft: AircraftState | None
+    estimate: TargetEstimate | None
+    present: Plan | None
+    coming: Plan | None
+    decision: Decision | None
+    wind: Wind
+    moves: int
+    uploads: int
+    upload_failures: int
+    latency_s: float
+    mode: str
+    sensor_status: SensorStatus
+    requirement: Requirement
+    radius_m: float
+    height_m: float | None  # as a person has changed it; None: as configured

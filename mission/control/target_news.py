@@ -1,0 +1,46 @@
+"""What a person is told of the target: that it is seen, not seen for a while, lost, or back."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from estimators.estimate import TargetEstimate, TrackQuality
+from mission.core.events import Announce
+
+# A target unseen for less than this is no news: lasers miss for some seconds all the time.
+_AFTER_S = 8.0
+
+
+class _Sight(StrEnum):
+    SEEN = "seen"
+    UNSEEN = "unseen"
+    LOST = "lost"
+
+
+class TargetNews:
+    """Remembers what was last told."""
+
+    def __init__(self) -> None:
+        self._told: _Sight | None = None
+
+    def tell(self, time_s: float, estimate: TargetEstimate) -> tuple[Announce, ...]:
+        """Return what is new about the target; nothing where nothing is."""
+        unseen_s = time_s - estimate.last_sighting_s
+        sight = _Sight.SEEN
+        if estimate.quality is TrackQuality.LOST:
+            sight = _Sight.LOST
+        elif unseen_s > _AFTER_S:
+            sight = _Sight.UNSEEN
+        before, self._told = self._told, sight
+        if sight is before:
+            return ()
+        match sight:
+            case _Sight.SEEN:
+                text = "the target is in sight" + (" again" if before is not None else "")
+            case _Sight.UNSEEN:
+                text = f"the target has not been seen for {unseen_s:.0f} s; its track goes on by its last motion"
+            case _Sight.LOST:
+                text = (
+                    f"the target is lost: {estimate.reason or f'not seen for {unseen_s:.0f} s'}; holding the circle"
+                )
+        return (Announce(time_s, "track", text),)
