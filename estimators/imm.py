@@ -19,7 +19,8 @@ from typing import Self
 import numpy as np
 
 from estimators import _imm_kernel as kernel
-from estimators._imm_kernel import COVARIANCE, MEAN, MODELS, PROBABILITY, RANGE, TURN, TURN_SIGMA_RAD_S, YAW, N, Seen
+from estimators._imm_kernel import COVARIANCE, MEAN, PROBABILITY, RANGE, TURN, YAW, N, Seen
+from estimators._mixture_kernel import MODELS, TURN_SIGMA_RAD_S, combine
 from estimators.biases import Biases
 from estimators.motion import DENSITIES
 from estimators.settings import TrackerSettings
@@ -28,7 +29,7 @@ from estimators.target_filter import BIASES, HEIGHT, FloatArray, bias_drift, mea
 
 
 class TargetImm:
-    """state is that of :mod:`estimators._imm_kernel`; it is never changed in place, so that copies may share it."""
+    """state: see :mod:`estimators._mixture_kernel`; it is never changed in place, so that copies may share it."""
 
     def __init__(self, settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> None:
         self._set_up(settings, biases)
@@ -108,7 +109,7 @@ class TargetImm:
 
     def _combined(self, size: int) -> tuple[FloatArray, FloatArray]:
         mean, covariance = np.empty(size), np.empty((size, size))
-        kernel.combine(self.state, mean, covariance)
+        combine(self.state, mean, covariance)
         return mean, covariance
 
     @property
@@ -124,7 +125,7 @@ class TargetImm:
 
 
 def starting_models(settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> FloatArray:
-    """Return the state of :mod:`estimators._imm_kernel` for a target first seen here: all models know the same."""
+    """Return the state of the filter of a target first seen here: all models know the same."""
     estimated = [*range(BIASES), *(YAW + biases.estimated).tolist()]
     mean, covariance = np.zeros(N), np.zeros((N, N))
     mean[YAW : RANGE + 1] = biases.mean

@@ -14,8 +14,8 @@ from typing import Self
 import numpy as np
 
 from estimators import _joint_kernel as kernel
-from estimators._imm_kernel import TURN_SIGMA_RAD_S
-from estimators._joint_kernel import BLOCK, HEIGHT, NUMBERS, TURN
+from estimators._joint_kernel import BLOCK, NUMBERS, TURN
+from estimators._mixture_kernel import HEIGHT, TURN_SIGMA_RAD_S, combine, numbers_of
 from estimators.biases import Biases
 from estimators.imm import seen
 from estimators.motion import DENSITIES
@@ -63,7 +63,7 @@ class JointImm:
     @property
     def size(self) -> int:
         """How many numbers the state has."""
-        return kernel.numbers_of(self.state)
+        return numbers_of(self.state)
 
     @property
     def height_m(self) -> float:
@@ -112,7 +112,7 @@ class JointImm:
 
     def _combined(self, size: int) -> tuple[FloatArray, FloatArray]:
         mean, covariance = np.empty(size), np.empty((size, size))
-        kernel.combine(self.state, mean, covariance)
+        combine(self.state, mean, covariance)
         return mean, covariance
 
     def copy(self) -> Self:

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimators._imm_kernel import HEIGHT_DENSITY_M2_S, Densities
+from estimators._mixture_kernel import HEIGHT_DENSITY_M2_S, Densities
 from estimators.settings import TargetKind
 from estimators.target_filter import BIASES, EAST, HEIGHT, NORTH, VELOCITY_E, VELOCITY_N, FloatArray
 

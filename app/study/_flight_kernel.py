@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from app.study._airframe_kernel import Airframe, Body, stepped
-from estimators._imm_kernel import Densities, Seen, combine, predict, update
+from estimators._imm_kernel import Seen, predict, update
+from estimators._mixture_kernel import Densities, combine
 from estimators.compiled import compiled
 from mission.core.path import FloatArray
 from mission.geometry._line_kernel import Circling, circle_after, following_per_m

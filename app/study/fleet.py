@@ -36,8 +36,8 @@ from app.study.pilots import StopWatch
 from app.study.run import BANK_RESERVE, START_RANGE_M, payload_of
 from app.study.scene import Scene, scene
 from app.study.settings import StudySettings
-from estimators._joint_kernel import combine
 from estimators._joint_kernel import predict as predict_joint
+from estimators._mixture_kernel import combine
 from estimators.biases import Biases
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.joint import JointImm, PayloadSighting, prior_of

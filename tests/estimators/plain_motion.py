@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimators._imm_kernel import (
+from estimators._mixture_kernel import (
     CRUISING,
     GENERATOR,
     MANOEUVRING,
