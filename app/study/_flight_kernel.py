@@ -20,6 +20,7 @@ from estimators.compiled import compiled
 from mission.core.path import FloatArray
 from mission.geometry._line_kernel import Circling, circle_after, following_per_m
 from mission.predictive._decision_kernel import Looker, decide
+from mission.predictive._scene_kernel import Situation
 from mission.viewpoint._viewpoint_kernel import Known
 
 IntArray = npt.NDArray[np.int64]
@@ -256,7 +257,7 @@ def choose(
     if not good or body.time_s - seen_s > steering.unseen_max_s:
         return
     present, circle = plan_of(f, f.counts[PRESENT])
-    departure_s, radius_m, line = decide(
+    now = Situation(
         body.time_s,
         body.east_m,
         body.north_m,
@@ -270,8 +271,8 @@ def choose(
         frame.wind_north_m_s,
         steering.latency_s,
         body.time_s - f.numbers[DEPARTURE_S],
-        looker,
     )
+    departure_s, radius_m, line = decide(now, looker)
     if line.shape[1] > 0:
         take_plan(f, departure_s, line, circle_after(line, radius_m))
 

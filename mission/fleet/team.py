@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mission.core.requirement import Side
-from mission.fleet._team_kernel import Team
+from mission.fleet._cover_kernel import Team
 from mission.predictive.value_table import ValueTable
 
 

@@ -5,7 +5,6 @@ Without fresh advice, or alone on its target, it decides as the planner of a sin
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -13,28 +12,25 @@ import numpy as np
 
 from estimators.estimate import TargetEstimate, TrackQuality
 from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
-from mission.core.path import FloatArray, Path
+from mission.core.path import FloatArray
 from mission.core.plan import AircraftState, Decision, Plan
 from mission.core.requirement import Aircraft, Requirement, Side, Wind
 from mission.fleet import _team_kernel as kernel
-from mission.fleet._team_kernel import Team
+from mission.fleet._cover_kernel import Team
 from mission.fleet.roles import RoleCosts
 from mission.fleet.team import TeamSettings, team_of
-from mission.geometry.progress import line_of
-from mission.geometry.trapezoid import end_circle
+from mission.geometry.separation import airspeed_of, flown_places
 from mission.predictive._decision_kernel import Looker
-from mission.predictive._moves_kernel import MOVES, move_line
+from mission.predictive._moves_kernel import MOVES, STEP_S
 from mission.predictive._sight_kernel import NOTHING_HIDDEN, SightAt
-from mission.predictive.planner import PredictivePlanner, PredictiveSettings
+from mission.predictive.planner import PredictivePlanner, PredictiveSettings, cheapest_allowed
+from mission.predictive.situation import situation
 from mission.predictive.value_table import ValueTable
 from mission.viewpoint._viewpoint_kernel import SIDE
-from mission.viewpoint.course_hold import known
 from mission.viewpoint.descriptions import describe_move
 
 _ADVICE_S = 5.0  # advice is followed for so long
-_MAX_TRIES = 30  # so many moves are tried against fences and other aircraft, the cheapest first
 _FORETOLD = 160  # seconds of the others' lines: longer than any line, and what their reports may be late
-_NO_LINE = np.empty((5, 0))
 
 
 class TeamPlanner:
@@ -87,25 +83,7 @@ class TeamPlanner:
     ) -> RoleCosts:
         """Return what this aircraft would pay alone in each role, from its next departure on."""
         looker, team = self._for(wind)
-        line, circle = line_of(present)
-        return RoleCosts(
-            *kernel.role_values(
-                aircraft.time_s,
-                aircraft.east_m,
-                aircraft.north_m,
-                aircraft.course_rad,
-                aircraft.ground_speed_m_s,
-                aircraft.curvature_per_m,
-                known(target),
-                line,
-                circle,
-                wind.east_m_s,
-                wind.north_m_s,
-                latency_s,
-                looker,
-                team,
-            )
-        )
+        return RoleCosts(*kernel.role_values(situation(aircraft, target, present, wind, latency_s), looker, team))
 
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
@@ -117,39 +95,22 @@ class TeamPlanner:
         if not others or lost or wind.speed_m_s >= self._airspeed_m_s:
             return self._alone.decide(aircraft, target, present, wind, latency_s)
         looker, team = self._for(wind)
-        line, circle = line_of(present)
-        costs, age_s = np.empty(MOVES), aircraft.time_s - present.departure_s
+        costs = np.empty(MOVES)
         scene, stay_cost, bar = kernel.team_decide(
-            aircraft.time_s,
-            aircraft.east_m,
-            aircraft.north_m,
-            aircraft.course_rad,
-            aircraft.ground_speed_m_s,
-            aircraft.curvature_per_m,
-            known(target),
-            line,
-            circle,
-            wind.east_m_s,
-            wind.north_m_s,
-            latency_s,
-            age_s,
+            situation(aircraft, target, present, wind, latency_s),
             np.stack([self._foretold(one, wind) for one in others]),
             np.array([one.state.time_s for one in others]),
             looker,
             team,
             costs,
         )
-        order, broken = np.argsort(costs, kind="stable"), ""
-        values = {"stay_cost_s": float(stay_cost), "move_cost_s": float(costs[order[0]])}
-        for move in order[: min(np.count_nonzero(costs < bar), _MAX_TRIES)].tolist():
-            path = Path(*move_line(scene, looker.craft, move))
-            plan = Plan(end_circle(path, scene.radius_m), path, scene.departure_s)
-            rejection = self._check(plan)
-            if rejection is None:
-                moved_m = plan.circle.east_m - present.circle.east_m, plan.circle.north_m - present.circle.north_m
-                reason = f"moving {describe_move(*moved_m)}: better beside {_names(others)}"
-                return Decision(aircraft.time_s, plan, reason, {**values, "move": float(move)})
-            broken = broken or rejection
+        values = {"stay_cost_s": float(stay_cost), "move_cost_s": float(costs.min())}
+        move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self._check)
+        if plan is not None:
+            old, new = present.circle, plan.circle
+            moved = describe_move(new.east_m - old.east_m, new.north_m - old.north_m)
+            reason = f"moving {moved}: better beside {_names(others)}"
+            return Decision(aircraft.time_s, plan, reason, {**values, "move": float(move)})
         reason = f"staying: {broken}" if broken else f"staying beside {_names(others)}"
         return Decision(aircraft.time_s, None, reason, values)
 
@@ -178,27 +139,8 @@ class TeamPlanner:
     def _foretold(self, other: Neighbour, wind: Wind) -> FloatArray:
         told, state = self._plans[other.name], other.state
         assert told.present is not None
-        present, present_circle = line_of(told.present)
-        coming, coming_circle = (_NO_LINE, present_circle) if told.coming is None else line_of(told.coming)
-        east_m_s = state.ground_speed_m_s * math.sin(state.course_rad) - wind.east_m_s
-        north_m_s = state.ground_speed_m_s * math.cos(state.course_rad) - wind.north_m_s
-        found = np.empty((3, _FORETOLD))
-        kernel.foretold(
-            state.time_s,
-            state.east_m,
-            state.north_m,
-            state.course_rad,
-            present,
-            present_circle,
-            coming,
-            coming_circle,
-            math.inf if told.coming is None else told.coming.departure_s,
-            max(math.hypot(east_m_s, north_m_s), 1.01 * wind.speed_m_s),
-            wind.east_m_s,
-            wind.north_m_s,
-            found,
-        )
-        return found
+        airspeed_m_s = airspeed_of(state, wind)
+        return flown_places(state, told.present, told.coming, wind, airspeed_m_s, STEP_S, _FORETOLD)
 
 
 def _names(others: Sequence[Neighbour]) -> str:

@@ -13,40 +13,38 @@ from mission.geometry._line_kernel import Circling, ground_speed_m_s, nearest_ar
 
 @compiled
 def flown_places(
-    now_s: float,
-    east_m: float,
-    north_m: float,
-    course_rad: float,
+    state: tuple[float, float, float, float],
     present: FloatArray,
     present_circle: Circling,
     coming: FloatArray,
     coming_circle: Circling,
     departure_s: float,
-    airspeed_m_s: float,
-    wind_east_m_s: float,
-    wind_north_m_s: float,
+    wind: tuple[float, float, float],
     step_s: float,
     found: FloatArray,
 ) -> None:
-    """Fill in (east, north) (2, n) every step_s from now on: along the present line, from the departure the other.
+    """Fill in (east, north, course) (3, n) every step_s: along the present line, from the departure on the other.
 
-    departure_s is inf where nothing else is coming. Speed over the ground follows the wind.
+    state: time, east, north and course from which on; departure_s is inf where nothing else is coming. wind: airspeed
+    and wind (east, north), after which goes the speed over the ground.
     """
+    now_s, east_m, north_m, course_rad = state
+    airspeed_m_s, wind_east_m_s, wind_north_m_s = wind
     arc_m = nearest_arc_m(present, present_circle, east_m, north_m, course_rad)
     line, circle, departed = present, present_circle, False
     for k in range(found.shape[1]):
         if not departed and now_s + k * step_s >= departure_s:
             line, circle, arc_m, departed = coming, coming_circle, 0.0, True
         point = point_at(line, circle, arc_m, east_m, north_m)
-        found[0, k], found[1, k] = point.east_m, point.north_m
+        found[0, k], found[1, k], found[2, k] = point.east_m, point.north_m, point.course_rad
         arc_m += step_s * ground_speed_m_s(point.course_rad, airspeed_m_s, wind_east_m_s, wind_north_m_s)
 
 
 @compiled
 def min_distance_m(a: FloatArray, b: FloatArray, step_s: float, vertical_m: float, growth_m_s: float) -> float:
-    """Return the least distance of places (2, n) of the same times, less what grows with time: nobody keeps time.
+    """Return the least distance of places of the same times, less what grows with time: nobody keeps time.
 
-    vertical_m: between their heights.
+    a, b: (east, north) and more (2 or 3, n). vertical_m: between their heights.
     """
     least_m = np.inf
     for k in range(a.shape[1]):

@@ -99,7 +99,7 @@ class Separation:
                 ]
             )
         else:
-            speed_m_s = _airspeed_m_s(state, wind)
+            speed_m_s = airspeed_of(state, wind)
             late = max(0, round(lag_s / _STEP_S))  # their places are counted from their own report
             theirs = _places(state, told.present, told.coming, wind, speed_m_s, _STEP_S * (n - 1 + late))[:, late:]
         growth_m_s = _SPEED_ERROR * (airspeed_m_s + state.ground_speed_m_s)
@@ -107,29 +107,33 @@ class Separation:
         return kernel.min_distance_m(ours, theirs, _STEP_S, vertical_m, growth_m_s) - _LINE_ERROR_M
 
 
-def _places(
-    state: AircraftState, present: Plan, coming: Plan | None, wind: Wind, airspeed_m_s: float, duration_s: float
+def flown_places(
+    state: AircraftState,
+    present: Plan,
+    coming: Plan | None,
+    wind: Wind,
+    airspeed_m_s: float,
+    step_s: float,
+    count: int,
 ) -> FloatArray:
-    line, circle = line_of(present)
-    other_line, other_circle = line_of(coming or present)
-    found = np.empty((2, 1 + round(duration_s / _STEP_S)))
+    """Return (east, north, course) (3, count) every step_s from a state on: along its plans, at an airspeed."""
+    found = np.empty((3, count))
     kernel.flown_places(
-        state.time_s,
-        state.east_m,
-        state.north_m,
-        state.course_rad,
-        line,
-        circle,
-        other_line,
-        other_circle,
+        (state.time_s, state.east_m, state.north_m, state.course_rad),
+        *line_of(present),
+        *line_of(coming or present),
         math.inf if coming is None else coming.departure_s,
-        max(airspeed_m_s, 1.01 * wind.speed_m_s),
-        wind.east_m_s,
-        wind.north_m_s,
-        _STEP_S,
+        (max(airspeed_m_s, 1.01 * wind.speed_m_s), wind.east_m_s, wind.north_m_s),
+        step_s,
         found,
     )
     return found
+
+
+def _places(
+    state: AircraftState, present: Plan, coming: Plan | None, wind: Wind, speed_m_s: float, duration_s: float
+) -> FloatArray:
+    return flown_places(state, present, coming, wind, speed_m_s, _STEP_S, 1 + round(duration_s / _STEP_S))
 
 
 def _duration_s(plan: Plan, airspeed_m_s: float) -> float:
@@ -137,7 +141,8 @@ def _duration_s(plan: Plan, airspeed_m_s: float) -> float:
     return min((plan.transition_m + 2.0 * math.pi * plan.circle.radius_m) / airspeed_m_s, _LONGEST_S)
 
 
-def _airspeed_m_s(state: AircraftState, wind: Wind) -> float:
+def airspeed_of(state: AircraftState, wind: Wind) -> float:
+    """Return the airspeed of an aircraft with this ground speed in this wind."""
     east_m_s = state.ground_speed_m_s * math.sin(state.course_rad) - wind.east_m_s
     north_m_s = state.ground_speed_m_s * math.cos(state.course_rad) - wind.north_m_s
     return math.hypot(east_m_s, north_m_s)

@@ -40,6 +40,12 @@ class Table(NamedTuple):
 
 
 @compiled
+def fading_per_s(table: Table) -> float:
+    """Return the rate at which what is to be paid later fades: it is discounted, and the target may turn before."""
+    return table.discount_per_s + 1.0 / table.mean_leg_s
+
+
+@compiled
 def cost_rate(x_m: float, y_m: float, widened_m: float, blur_m: float, c: CostTerms) -> float:
     """See :meth:`mission.predictive.cost.WatchCost.rate`."""
     range_m = math.sqrt(x_m * x_m + y_m * y_m)

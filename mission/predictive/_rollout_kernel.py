@@ -62,6 +62,14 @@ class Air(NamedTuple):
     wind_y_m_s: float
 
 
+class Pose(NamedTuple):
+    """A place of the departure's frame and the heading there."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+
+
 class Lines(NamedTuple):
     """Lines from one start: samples of all trunks, then the lines' own, arrays (samples,), from the origin along y.
 
@@ -189,7 +197,44 @@ def _extend(
     weight[s] = math.exp(-rate_per_s * time[s])
 
 
+@compiled
+def single_line(
+    x_m: FloatArray, y_m: FloatArray, heading_rad: FloatArray, time_s: FloatArray, rate_per_s: float
+) -> Lines:
+    """Return one line (k,) that is known by its places, k >= 2, in the frame of the origin."""
+    n = len(x_m)
+    weight = np.empty(n)
+    for s in range(n):
+        weight[s] = math.exp(-rate_per_s * time_s[s])
+    return Lines(
+        x_m,
+        y_m,
+        heading_rad,
+        time_s,
+        weight,
+        np.array([0, 1]),
+        np.array([1, n]),
+        np.zeros(1, np.int64),
+        np.ones(1, np.int64),
+        np.full(1, np.inf),
+    )
+
+
 # -- costs -----------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def from_target(
+    place: FloatArray, step_s: float, one: int, x_m: float, y_m: float, time_s: float
+) -> tuple[int, float, float]:
+    """Return which sample of a future holds at a time, and a place (x, y) relative to the target then."""
+    k = min(int(time_s / step_s), place.shape[1] - 1)
+    since_s = time_s - k * step_s
+    return (
+        k,
+        x_m - (place[one, k, 0] + place[one, k, 2] * since_s),
+        y_m - (place[one, k, 1] + place[one, k, 3] * since_s),
+    )
 
 
 @compiled
@@ -217,10 +262,7 @@ def _relate(
             along[i] = off_x * sin_t + off_y * cos_t
     else:
         for i in range(n):
-            k = min(int(time_s[i] / step_s), last)
-            since_s = time_s[i] - k * step_s
-            off_x = x_m[i] - (place[one, k, 0] + place[one, k, 2] * since_s)
-            off_y = y_m[i] - (place[one, k, 1] + place[one, k, 3] * since_s)
+            k, off_x, off_y = from_target(place, step_s, one, x_m[i], y_m[i], time_s[i])
             sin_t, cos_t = turn[one, k, 0], turn[one, k, 1]
             across[i], along[i] = off_x * cos_t - off_y * sin_t, off_x * sin_t + off_y * cos_t
 
@@ -248,110 +290,97 @@ def _rates(
 
 
 @compiled
-def lines_costs(
-    lines: Lines,
-    x_m: float,
-    y_m: float,
-    heading_rad: float,
-    f: Futures,
-    d: Doubt,
-    c: CostTerms,
-    table: Table,
-    costs: FloatArray,
-) -> None:
-    """Fill in the expected cost (lines,) of flying each line from a place and heading of the departure's frame."""
-    # Parts of tuples are taken out once: in a loop each access would count its references.
-    own_x, own_y, turned, time_s, weight = lines.x_m, lines.y_m, lines.turned_rad, lines.time_s, lines.weight
-    trunk_first, own_first, trunk, on_trunk = lines.trunk_first, lines.own_first, lines.trunk, lines.on_trunk
-    classes, share, turn_share, course = f.classes, f.share, f.turn_share, f.course
-    values, after_turn, cell_m, hazard_per_s = table.values, table.after_turn, table.cell_m, 1.0 / table.mean_leg_s
-    n, last_k = len(own_x), f.place.shape[1] - 1
-    sin_h, cos_h = math.sin(heading_rad), math.cos(heading_rad)
+def placed(lines: Lines, start: Pose) -> tuple[FloatArray, FloatArray]:
+    """Return the places x, y (samples,) of lines from a start."""
+    n, own_x, own_y = len(lines.x_m), lines.x_m, lines.y_m
+    sin_h, cos_h = math.sin(start.heading_rad), math.cos(start.heading_rad)
     x, y = np.empty(n), np.empty(n)
     for s in range(n):
-        x[s] = x_m + own_x[s] * cos_h + own_y[s] * sin_h
+        x[s] = start.x_m + own_x[s] * cos_h + own_y[s] * sin_h
     for s in range(n):
-        y[s] = y_m - own_x[s] * sin_h + own_y[s] * cos_h
-    across, along, rates = np.empty(n), np.empty(n), np.empty(n)
-    sums, turns, turn_rates = np.empty(n), np.empty(n), np.empty(n)
-    costs[: len(trunk)] = 0.0
-    for one in range(len(f.weight)):
-        _relate(x, y, time_s, one, f.step_s, f.place, f.facing, across, along)
-        _rates(across, along, time_s, weight, f.facing[one, :, 2], f.step_s, d, c, rates)
-        _relate(x, y, time_s, one, f.step_s, f.place, course, across, along)
-        for h in range(len(trunk_first) - 1):
-            first = trunk_first[h]
-            for s in range(first, trunk_first[h + 1]):
-                sums[s] = turns[s] = 0.0
-                if s > first:
-                    sums[s] = sums[s - 1] + 0.5 * (rates[s - 1] + rates[s]) * (time_s[s] - time_s[s - 1])
-                if (s - first) % TURN_STRIDE == 0:
-                    k = min(int(time_s[s] / f.step_s), last_k)
-                    heading = heading_rad + turned[s] - course[one, k, 2]
-                    after = table_value(after_turn, cell_m, across[s], along[s], heading, classes, turn_share, one, k)
-                    turn_rates[s] = hazard_per_s * weight[s] * after
-                    if s > first:
-                        held_s = time_s[s] - time_s[s - TURN_STRIDE]
-                        turns[s] = turns[s - TURN_STRIDE] + turn_rates[s - TURN_STRIDE] * held_s
-        for i in range(len(trunk)):
-            first = trunk_first[trunk[i]]
-            before = first + on_trunk[i] - 1
-            leaving = first + (on_trunk[i] - 1) // TURN_STRIDE * TURN_STRIDE
-            total = sums[before] + turns[leaving]
-            turn_rate, turn_s = turn_rates[leaving], time_s[leaving]
-            last = own_first[i + 1] - 1
-            for s in range(own_first[i], last + 1):
-                total += 0.5 * (rates[before] + rates[s]) * (time_s[s] - time_s[before])
-                before = s
-                if (on_trunk[i] + s - own_first[i]) % TURN_STRIDE == 0 and s < last:
-                    k = min(int(time_s[s] / f.step_s), last_k)
-                    heading = heading_rad + turned[s] - course[one, k, 2]
-                    after = table_value(after_turn, cell_m, across[s], along[s], heading, classes, turn_share, one, k)
-                    total += turn_rate * (time_s[s] - turn_s)
-                    turn_rate, turn_s = hazard_per_s * weight[s] * after, time_s[s]
-            total += turn_rate * (time_s[last] - turn_s)
-            k = min(int(time_s[last] / f.step_s), last_k)
-            heading = heading_rad + turned[last] - course[one, k, 2]
-            end = table_value(values, cell_m, across[last], along[last], heading, classes, share, one, k)
-            costs[i] += f.weight[one] * (total + weight[last] * end)
+        y[s] = start.y_m - own_x[s] * sin_h + own_y[s] * cos_h
+    return x, y
 
 
 @compiled
-def line_cost(
-    x_m: FloatArray,
-    y_m: FloatArray,
-    heading_rad: FloatArray,
-    time_s: FloatArray,
-    f: Futures,
-    d: Doubt,
-    c: CostTerms,
-    table: Table,
-) -> float:
-    """Return the expected cost of one line (k,) in the departure's frame, as :func:`lines_costs` has it."""
-    n, last_k = len(x_m), f.place.shape[1] - 1
+def turn_samples(lines: Lines) -> IntArray:
+    """Return the samples at which it is looked at what a turn of the target would cost."""
+    trunk_first, own_first, on_trunk = lines.trunk_first, lines.own_first, lines.on_trunk
+    found, n = np.empty(len(lines.x_m), np.int64), 0
+    for h in range(len(trunk_first) - 1):
+        for s in range(trunk_first[h], trunk_first[h + 1], TURN_STRIDE):
+            found[n], n = s, n + 1
+    for i in range(len(on_trunk)):
+        for s in range(own_first[i] + -on_trunk[i] % TURN_STRIDE, own_first[i + 1] - 1, TURN_STRIDE):
+            found[n], n = s, n + 1
+    return found[:n]
+
+
+@compiled
+def add_up(
+    lines: Lines, rates: FloatArray, turn_rates: FloatArray, ends: FloatArray, share: float, costs: FloatArray
+) -> None:
+    """Add to the cost (lines,) of each line a share of what is paid along it and, by ends (lines,), from its end on.
+
+    rates (samples,): of the running cost; turn_rates: of the target's turning, at the turn_samples.
+    """
+    # Parts of tuples are taken out once: in a loop each access would count its references.
+    time_s, trunk_first, own_first = lines.time_s, lines.trunk_first, lines.own_first
+    trunk, on_trunk = lines.trunk, lines.on_trunk
+    sums, turns = np.zeros(len(time_s)), np.zeros(len(time_s))
+    for h in range(len(trunk_first) - 1):
+        first = trunk_first[h]
+        for s in range(first + 1, trunk_first[h + 1]):
+            sums[s] = sums[s - 1] + 0.5 * (rates[s - 1] + rates[s]) * (time_s[s] - time_s[s - 1])
+        for s in range(first + TURN_STRIDE, trunk_first[h + 1], TURN_STRIDE):
+            before = s - TURN_STRIDE
+            turns[s] = turns[before] + turn_rates[before] * (time_s[s] - time_s[before])
+    for i in range(len(trunk)):
+        first = trunk_first[trunk[i]]
+        before = first + on_trunk[i] - 1
+        leaving = first + (on_trunk[i] - 1) // TURN_STRIDE * TURN_STRIDE
+        total = sums[before] + turns[leaving]
+        turn_rate, turn_s = turn_rates[leaving], time_s[leaving]
+        last = own_first[i + 1] - 1
+        for s in range(own_first[i], last + 1):
+            total += 0.5 * (rates[before] + rates[s]) * (time_s[s] - time_s[before])
+            before = s
+            if (on_trunk[i] + s - own_first[i]) % TURN_STRIDE == 0 and s < last:
+                total += turn_rate * (time_s[s] - turn_s)
+                turn_rate, turn_s = turn_rates[s], time_s[s]
+        total += turn_rate * (time_s[last] - turn_s)
+        costs[i] += share * (total + ends[i])
+
+
+@compiled
+def lines_costs(
+    lines: Lines, start: Pose, f: Futures, d: Doubt, c: CostTerms, table: Table, costs: FloatArray
+) -> None:
+    """Fill in the expected cost (lines,) of flying each line from a start in the departure's frame."""
+    turned, time_s, weight, own_first = lines.turned_rad, lines.time_s, lines.weight, lines.own_first
     classes, share, turn_share, course = f.classes, f.share, f.turn_share, f.course
     values, after_turn, cell_m, hazard_per_s = table.values, table.after_turn, table.cell_m, 1.0 / table.mean_leg_s
-    across, along, weight, rates = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    for s in range(n):
-        weight[s] = math.exp(-(table.discount_per_s + hazard_per_s) * time_s[s])
-    total = 0.0
+    n, last_k, heading_rad, step_s = len(time_s), f.place.shape[1] - 1, start.heading_rad, f.step_s
+    x, y = placed(lines, start)
+    across, along, rates, turn_rates = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    samples, ends = turn_samples(lines), np.empty(len(lines.trunk))
+    costs[: len(ends)] = 0.0
     for one in range(len(f.weight)):
-        _relate(x_m, y_m, time_s, one, f.step_s, f.place, f.facing, across, along)
-        _rates(across, along, time_s, weight, f.facing[one, :, 2], f.step_s, d, c, rates)
-        _relate(x_m, y_m, time_s, one, f.step_s, f.place, course, across, along)
-        cost = 0.0
-        for s in range(1, n):
-            cost += 0.5 * (rates[s - 1] + rates[s]) * (time_s[s] - time_s[s - 1])
-        for s in range(0, n, TURN_STRIDE):
-            k = min(int(time_s[s] / f.step_s), last_k)
-            heading = heading_rad[s] - course[one, k, 2]
+        _relate(x, y, time_s, one, step_s, f.place, f.facing, across, along)
+        _rates(across, along, time_s, weight, f.facing[one, :, 2], step_s, d, c, rates)
+        _relate(x, y, time_s, one, step_s, f.place, course, across, along)
+        for s in samples:
+            k = min(int(time_s[s] / step_s), last_k)
+            heading = heading_rad + turned[s] - course[one, k, 2]
             after = table_value(after_turn, cell_m, across[s], along[s], heading, classes, turn_share, one, k)
-            cost += hazard_per_s * weight[s] * after * (time_s[min(s + TURN_STRIDE, n - 1)] - time_s[s])
-        k = min(int(time_s[n - 1] / f.step_s), last_k)
-        heading = heading_rad[n - 1] - course[one, k, 2]
-        end = table_value(values, cell_m, across[n - 1], along[n - 1], heading, classes, share, one, k)
-        total += f.weight[one] * (cost + weight[n - 1] * end)
-    return total
+            turn_rates[s] = hazard_per_s * weight[s] * after
+        for i in range(len(ends)):
+            s = own_first[i + 1] - 1
+            k = min(int(time_s[s] / step_s), last_k)
+            heading = heading_rad + turned[s] - course[one, k, 2]
+            end = table_value(values, cell_m, across[s], along[s], heading, classes, share, one, k)
+            ends[i] = weight[s] * end
+        add_up(lines, rates, turn_rates, ends, f.weight[one], costs)
 
 
 @compiled

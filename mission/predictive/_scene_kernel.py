@@ -23,6 +23,27 @@ from mission.predictive._rollout_kernel import Air, Doubt
 from mission.viewpoint._viewpoint_kernel import Known, Wish, velocity_sigma_m_s, viewpoint
 
 
+class Situation(NamedTuple):
+    """What is known at a decision, in the plane: the aircraft on its plan, the target, and the wind.
+
+    line (5, n), circle: of the present plan, which departed age_s ago. latency_s: until another one can depart.
+    """
+
+    time_s: float
+    east_m: float
+    north_m: float
+    course_rad: float
+    speed_m_s: float
+    curvature_per_m: float
+    target: Known
+    line: FloatArray
+    circle: Circling
+    wind_east_m_s: float
+    wind_north_m_s: float
+    latency_s: float
+    age_s: float
+
+
 class Scene(NamedTuple):
     """What one decision looks at: where the present plan will have led by the departure, and the target from there.
 
@@ -46,39 +67,24 @@ class Scene(NamedTuple):
 
 
 @compiled
-def scene_of(
-    time_s: float,
-    east_m: float,
-    north_m: float,
-    course_rad: float,
-    speed_m_s: float,
-    curvature_per_m: float,
-    target: Known,
-    line: FloatArray,
-    circle: Circling,
-    wind_east_m_s: float,
-    wind_north_m_s: float,
-    latency_s: float,
-    target_speed_max_m_s: float,
-    craft: Craft,
-    wish: Wish,
-    memory: FloatArray,
-) -> Scene:
-    """Return what an aircraft at a place, on the plan of ``line`` and ``circle``, decides about."""
-    wind_m_s = math.hypot(wind_east_m_s, wind_north_m_s)
+def scene_of(now: Situation, target_speed_max_m_s: float, craft: Craft, wish: Wish, memory: FloatArray) -> Scene:
+    """Return what is to be decided about."""
+    target, line, circle = now.target, now.line, now.circle
+    wind_m_s = math.hypot(now.wind_east_m_s, now.wind_north_m_s)
     fastest_m_s = craft.airspeed_m_s + wind_m_s
     # The tightest circle over the ground whose bank stays within the limit where the wind is astern.
     radius_m = max(craft.radius_m, fastest_m_s * fastest_m_s / (GRAVITY_M_S2 * math.tan(craft.bank_max_rad)))
-    arc_m = nearest_arc_m(line, circle, east_m, north_m, course_rad)
-    start = point_at(line, circle, arc_m, east_m, north_m)
-    off_m = math.hypot(east_m - start.east_m, north_m - start.north_m)
-    if off_m > OFF_TRACK_M or abs(remainder(course_rad - start.course_rad)) > OFF_TRACK_RAD:
-        tight_per_m = min(max(curvature_per_m, -1.0 / radius_m), 1.0 / radius_m)
-        start = arc_point(LinePoint(east_m, north_m, course_rad, tight_per_m), 0.0, speed_m_s * latency_s)
+    arc_m = nearest_arc_m(line, circle, now.east_m, now.north_m, now.course_rad)
+    start = point_at(line, circle, arc_m, now.east_m, now.north_m)
+    off_m = math.hypot(now.east_m - start.east_m, now.north_m - start.north_m)
+    flown_m = now.speed_m_s * now.latency_s
+    if off_m > OFF_TRACK_M or abs(remainder(now.course_rad - start.course_rad)) > OFF_TRACK_RAD:
+        tight_per_m = min(max(now.curvature_per_m, -1.0 / radius_m), 1.0 / radius_m)
+        start = arc_point(LinePoint(now.east_m, now.north_m, now.course_rad, tight_per_m), 0.0, flown_m)
     else:
-        arc_m += speed_m_s * latency_s
-        start = point_at(line, circle, arc_m, east_m, north_m)
-    departure_s = time_s + latency_s
+        arc_m += flown_m
+        start = point_at(line, circle, arc_m, now.east_m, now.north_m)
+    departure_s = now.time_s + now.latency_s
     view = viewpoint(start.east_m, start.north_m, target, wish, memory)
     # An estimate overshoots when the target turns: it is not believed to be faster than the target can be, unless it
     # is sure of it.
@@ -101,8 +107,8 @@ def scene_of(
         east_m_s * sin_c + north_m_s * cos_c,
         Air(
             craft.airspeed_m_s,
-            mirror * (wind_east_m_s * cos_c - wind_north_m_s * sin_c),
-            wind_east_m_s * sin_c + wind_north_m_s * cos_c,
+            mirror * (now.wind_east_m_s * cos_c - now.wind_north_m_s * sin_c),
+            now.wind_east_m_s * sin_c + now.wind_north_m_s * cos_c,
         ),
         Doubt(
             math.sqrt(max(target.covariance[0, 0], target.covariance[1, 1], 0.0)), sigma_m_s, view.course_sigma_rad

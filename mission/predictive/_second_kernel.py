@@ -27,10 +27,10 @@ from mission.geometry._line_kernel import (
     turned_rad,
     with_last_ramp,
 )
-from mission.predictive._cost_kernel import CostTerms, IntArray, Table, cost_rate, table_value
+from mission.predictive._cost_kernel import CostTerms, IntArray, Table, cost_rate, fading_per_s, table_value
 from mission.predictive._moves_kernel import HOLD_CURVATURES, HOLD_LENGTHS, STEP_S, move_from, ramp_on
 from mission.predictive._rollout_kernel import Air, Doubt, Futures
-from mission.predictive._scene_kernel import Scene, in_frame
+from mission.predictive._scene_kernel import Scene, Situation, in_frame
 
 LEVELS = np.array([-1.0, -0.75, -0.5, -0.25, 0.0, 0.165, 0.33, 0.5, 0.66, 0.83, 1.0])
 SECOND_LENGTHS = HOLD_LENGTHS[::3].copy()
@@ -127,7 +127,7 @@ def foretold_of(f: Futures, d: Doubt, table: Table, min_value: float, min_after_
     for i in range(k):
         since_s = i * STEP_S
         sigma_m[i] = math.hypot(d.position_m, d.velocity_m_s * since_s)
-        weight[i] = math.exp(-(table.discount_per_s + 1.0 / table.mean_leg_s) * since_s)
+        weight[i] = math.exp(-fading_per_s(table) * since_s)
         for one in range(count):
             rows[one, 0, i], rows[one, 1, i] = f.place[one, i, 0], f.place[one, i, 1]
             for j in range(3):
@@ -136,25 +136,25 @@ def foretold_of(f: Futures, d: Doubt, table: Table, min_value: float, min_after_
 
 
 @compiled
-def staying_ahead(
-    scene: Scene, line: FloatArray, circle: Circling, east_m: float, north_m: float, under_way: bool
-) -> tuple[FloatArray, int]:
+def staying_ahead(scene: Scene, now: Situation, under_way: bool) -> tuple[FloatArray, int]:
     """Return the present plan (x, y, heading, curvature) (4, k), and the second from which it is on its circle.
 
     The circle is flown from where the aircraft departs, be it beside it.
     """
+    line, circle = now.line, now.circle
     length_m, arc_m, from_east_m, from_north_m = 0.0, 0.0, scene.start.east_m, scene.start.north_m
     if under_way:
-        length_m, arc_m, from_east_m, from_north_m = line[ARC, line.shape[1] - 1], scene.arc_m, east_m, north_m
+        length_m, arc_m, from_east_m, from_north_m = (
+            line[ARC, line.shape[1] - 1],
+            scene.arc_m,
+            now.east_m,
+            now.north_m,
+        )
     else:
         course_rad, radius_m = scene.start.course_rad, circle.radius_m
-        line, circle = (
-            line[:, :0],
-            Circling(
-                from_east_m + radius_m * math.cos(course_rad),
-                from_north_m - radius_m * math.sin(course_rad),
-                radius_m,
-            ),
+        line = line[:, :0]
+        circle = Circling(
+            from_east_m + radius_m * math.cos(course_rad), from_north_m - radius_m * math.sin(course_rad), radius_m
         )
     ahead, end, k = np.empty((4, 4 * _SAMPLES)), -1, 0
     while k < _VALUED[-1] + 2 or (end < 0 and k < ahead.shape[1]):

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from estimators.compiled import compiled
 from mission.core.path import FloatArray
-from mission.predictive._rollout_kernel import Lines
+from mission.predictive._rollout_kernel import Lines, Pose, add_up, placed
 
 _LAP_SAMPLES = 16
 _TWO_PI = 2.0 * math.pi
@@ -96,9 +96,7 @@ def _lap_cost(
 @compiled
 def add_sight(
     lines: Lines,
-    x_m: float,
-    y_m: float,
-    heading_rad: float,
+    start: Pose,
     s: Sight,
     v: View,
     radius_m: float,
@@ -106,72 +104,25 @@ def add_sight(
     rate_per_s: float,
     costs: FloatArray,
 ) -> None:
-    """Add to the cost (lines,) of each line what is hidden along it and on the circle after it."""
+    """Add to the cost (lines,) of each line from a start what is hidden along it and on the circle after it."""
     if s.needed_m.shape[0] == 0:
         return
-    n = len(lines.x_m)
-    sin_h, cos_h = math.sin(heading_rad), math.cos(heading_rad)
-    x, y, rates, sums = np.empty(n), np.empty(n), np.empty(n), np.zeros(n)
-    for k in range(n):
-        x[k] = x_m + lines.x_m[k] * cos_h + lines.y_m[k] * sin_h
-        y[k] = y_m - lines.x_m[k] * sin_h + lines.y_m[k] * cos_h
+    x, y = placed(lines, start)
+    rates, ends = np.empty(len(x)), np.empty(len(lines.trunk))
+    for k in range(len(x)):
         rates[k] = hidden_rate(s, v, x[k], y[k], lines.time_s[k]) * lines.weight[k]
-    for h in range(len(lines.trunk_first) - 1):
-        for k in range(lines.trunk_first[h] + 1, lines.trunk_first[h + 1]):
-            sums[k] = sums[k - 1] + 0.5 * (rates[k - 1] + rates[k]) * (lines.time_s[k] - lines.time_s[k - 1])
-    for i in range(len(lines.trunk)):
-        before = lines.trunk_first[lines.trunk[i]] + lines.on_trunk[i] - 1
-        total = sums[before]
+    for i in range(len(ends)):
         last = lines.own_first[i + 1] - 1
-        for k in range(lines.own_first[i], last + 1):
-            total += 0.5 * (rates[before] + rates[k]) * (lines.time_s[k] - lines.time_s[before])
-            before = k
-        costs[i] += total + _lap_cost(
+        ends[i] = _lap_cost(
             s,
             v,
             x[last],
             y[last],
-            heading_rad + lines.turned_rad[last],
+            start.heading_rad + lines.turned_rad[last],
             lines.time_s[last],
             lines.weight[last],
             radius_m,
             lap_s,
             rate_per_s,
         )
-
-
-@compiled
-def sight_cost(
-    x_m: FloatArray,
-    y_m: FloatArray,
-    heading_rad: FloatArray,
-    time_s: FloatArray,
-    s: Sight,
-    v: View,
-    radius_m: float,
-    lap_s: float,
-    rate_per_s: float,
-) -> float:
-    """Return what is hidden along one line (k,) and on the circle after it, as :func:`add_sight` has it."""
-    if s.needed_m.shape[0] == 0:
-        return 0.0
-    total, before = 0.0, 0.0
-    n = len(x_m)
-    for k in range(n):
-        rate = hidden_rate(s, v, x_m[k], y_m[k], time_s[k]) * math.exp(-rate_per_s * time_s[k])
-        if k > 0:
-            total += 0.5 * (before + rate) * (time_s[k] - time_s[k - 1])
-        before = rate
-    end_s = time_s[n - 1]
-    return total + _lap_cost(
-        s,
-        v,
-        x_m[n - 1],
-        y_m[n - 1],
-        heading_rad[n - 1],
-        end_s,
-        math.exp(-rate_per_s * end_s),
-        radius_m,
-        lap_s,
-        rate_per_s,
-    )
+    add_up(lines, rates, np.zeros(len(x)), ends, 1.0, costs)

@@ -24,26 +24,25 @@ from estimators.estimate import TargetEstimate, TrackQuality
 from mission.core.path import FloatArray, Path
 from mission.core.plan import AircraftState, Decision, Plan
 from mission.core.requirement import Aircraft, Requirement, Side, Wind
-from mission.geometry._line_kernel import Circling, craft_of
-from mission.geometry.progress import line_of
+from mission.geometry._line_kernel import craft_of
 from mission.geometry.trapezoid import end_circle, sharpness_per_m2
 from mission.predictive import _decision_kernel as kernel
 from mission.predictive._decision_kernel import Depth, Looker, Prices
 from mission.predictive._future_kernel import Turns, winding
 from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
 from mission.predictive._rollout_kernel import Futures
-from mission.predictive._scene_kernel import Scene, scene_of
+from mission.predictive._scene_kernel import Scene, Situation, scene_of
 from mission.predictive._second_kernel import no_seconds
 from mission.predictive._sight_kernel import NOTHING_HIDDEN, SightAt
 from mission.predictive.cost import WatchCost
 from mission.predictive.forecast import Outlook, describe_breach, describe_range
+from mission.predictive.situation import situation
 from mission.predictive.value_table import TableConfiguration, ValueTable
-from mission.viewpoint.course_hold import known
 from mission.viewpoint.descriptions import describe_move
 from mission.viewpoint.side_policy import SidePolicy
 
 _WINDY = 0.25  # of the airspeed
-# So many moves are tried against the fences, the cheapest first.
+# So many moves are tried against fences and other aircraft, the cheapest first.
 _MAX_TRIES = 30
 _NO_BREACH = "a better place should the target turn"
 # The table's classes need some speed, even for a target that is said to stand.
@@ -182,73 +181,56 @@ class PredictivePlanner:
             reason = f"holding the circle: {words} for an airspeed of {self._aircraft.airspeed_m_s:.1f} m/s"
             return Decision(aircraft.time_s, None, reason)
         looker = min(self.lookers, key=lambda one: abs(one.motions.wind_speed_m_s - wind.speed_m_s))
-        line, circle = line_of(present)
-        scene = scene_of(
-            aircraft.time_s,
-            aircraft.east_m,
-            aircraft.north_m,
-            aircraft.course_rad,
-            aircraft.ground_speed_m_s,
-            aircraft.curvature_per_m,
-            known(target),
-            line,
-            circle,
-            wind.east_m_s,
-            wind.north_m_s,
-            latency_s,
-            looker.target_speed_max_m_s,
-            looker.craft,
-            looker.wish,
-            looker.memory,
-        )
-        return self._look_ahead(scene, aircraft, present, line, circle, looker)
+        now = situation(aircraft, target, present, wind, latency_s)
+        return self._look_ahead(now, present, looker)
 
     def _futures(self, scene: Scene, looker: Looker) -> Futures:
         """Return what the target may do."""
         return winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
 
-    def _look_ahead(
-        self, scene: Scene, aircraft: AircraftState, present: Plan, line: FloatArray, circle: Circling, looker: Looker
-    ) -> Decision:
+    def _look_ahead(self, now: Situation, present: Plan, looker: Looker) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
+        scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
         costs = np.empty(MOVES)
         sight = self._sight(scene.frame_east_m, scene.frame_north_m, *kernel.target_velocity(scene))
         futures = self._futures(scene, looker)
-        at = aircraft.east_m, aircraft.north_m, line, circle
-        stay_cost = kernel.look_deeper(scene, *at, futures, looker, sight, costs)
-        now_s = aircraft.time_s
-        length_m = 4.0 * math.pi * scene.radius_m
-        places, time_s = kernel.flown_on(scene, line, circle, aircraft.east_m, aircraft.north_m, length_m)
+        stay_cost = kernel.look_deeper(scene, now, futures, looker, sight, costs)
+        places, time_s = kernel.flown_on(scene, now, 4.0 * math.pi * scene.radius_m)
         ahead = Outlook(places[0] - scene.velocity_x_m_s * time_s, places[1] - scene.velocity_y_m_s * time_s, time_s)
         side = Side.LEFT if scene.mirror > 0.0 else Side.RIGHT
-        breach = describe_breach(ahead, side, self._requirement, scene.departure_s - now_s)
-        order = np.argsort(costs, kind="stable")
-        broken: str | None = None
-        age_s = now_s - present.departure_s
-        bar = stay_cost - kernel.commitment(scene, *at, age_s, futures, looker)
-        for move in order[: min(np.count_nonzero(costs < bar), _MAX_TRIES)].tolist():
-            path = Path(*move_line(scene, looker.craft, move))
-            plan = Plan(end_circle(path, scene.radius_m), path, scene.departure_s)
-            rejection = self._check(plan)
-            if rejection is None:
-                east_m, north_m = (
-                    plan.circle.east_m - present.circle.east_m,
-                    plan.circle.north_m - present.circle.north_m,
-                )
-                reason = f"moving {describe_move(east_m, north_m)}: {breach or _NO_BREACH}"
-                return Decision(now_s, plan, reason, _values(stay_cost, costs, move))
-            broken = broken or rejection
-        if broken is not None:
+        breach = describe_breach(ahead, side, self._requirement, scene.departure_s - now.time_s)
+        bar = stay_cost - kernel.commitment(scene, now, futures, looker)
+        move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self._check)
+        if plan is not None:
+            old, new = present.circle, plan.circle
+            moved = describe_move(new.east_m - old.east_m, new.north_m - old.north_m)
+            reason = f"moving {moved}: {breach or _NO_BREACH}"
+        elif broken is not None:
             reason = f"staying: {broken}"
-        elif bar <= costs[order[0]] < stay_cost:
-            gain_s = stay_cost - costs[order[0]]
-            reason = f"staying: the plan is {age_s:.0f} s old, and another would gain only {gain_s:.0f} s on the side"
+        elif bar <= costs[move] < stay_cost:
+            age, gain_s = f"the plan is {now.age_s:.0f} s old", stay_cost - costs[move]
+            reason = f"staying: {age}, and another would gain only {gain_s:.0f} s on the side"
         elif breach is not None:
             reason = f"staying until a better moment: {breach}"
         else:
             reason = f"staying: {describe_range(ahead)}"
-        return Decision(now_s, None, reason, _values(stay_cost, costs, int(order[0])))
+        values = {"stay_cost_s": stay_cost, "move_cost_s": float(costs[move]), "move": float(move)}
+        return Decision(now.time_s, plan, reason, values)
 
 
-def _values(stay_cost: float, costs: FloatArray, move: int) -> dict[str, float]:
-    return {"stay_cost_s": stay_cost, "move_cost_s": float(costs[move]), "move": float(move)}
+def cheapest_allowed(
+    scene: Scene, looker: Looker, costs: FloatArray, bar: float, check: Callable[[Plan], str | None]
+) -> tuple[int, Plan | None, str | None]:
+    """Return the cheapest move that costs less than the bar and passes the check, and its plan.
+
+    Where there is none, the move is the cheapest of all, without a plan; last why the cheapest below the bar failed.
+    """
+    order, broken = np.argsort(costs, kind="stable"), None
+    for move in order[: min(np.count_nonzero(costs < bar), _MAX_TRIES)].tolist():
+        path = Path(*move_line(scene, looker.craft, move))
+        plan = Plan(end_circle(path, scene.radius_m), path, scene.departure_s)
+        rejection = check(plan)
+        if rejection is None:
+            return move, plan, broken
+        broken = broken or rejection
+    return int(order[0]), None, broken

@@ -14,7 +14,7 @@ from mission.core.circle import Circle
 from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from mission.core.plan import AircraftState, Decision, Plan
 from mission.core.requirement import Aircraft, Requirement, Side, Wind
-from mission.fleet import _team_kernel as kernel
+from mission.fleet import _cover_kernel as kernel
 from mission.fleet.roles import RoleAssignment, RoleCosts
 from mission.fleet.team_planner import TeamPlanner
 from mission.predictive.planner import PredictivePlanner, table_configuration

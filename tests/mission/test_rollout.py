@@ -15,8 +15,8 @@ from mission.geometry.wind import ground_speeds_m_s, min_radius_m
 from mission.predictive import _decision_kernel as kernel
 from mission.predictive._future_kernel import Turns, winding
 from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
-from mission.predictive._rollout_kernel import Air, Futures, line_cost, times_s
-from mission.predictive._scene_kernel import in_frame, scene_of
+from mission.predictive._rollout_kernel import Air, Futures, Pose, lines_costs, single_line, times_s
+from mission.predictive._scene_kernel import Situation, in_frame, scene_of
 from mission.predictive._second_kernel import (
     LEVELS,
     MOVE_BRANCHES,
@@ -72,20 +72,21 @@ class Look:
             self.state = AircraftState(0.0, *line[1:4, here].tolist(), 10.0, float(line[4, here]))
             scene = self._scene(target, present)
         self.scene, self.present, self.under_way = scene, present, under_way
+        self.now = self._now(target, present)
+
+    def _now(self, target, present):
+        s, wind = self.state, self.wind
+        place = s.time_s, s.east_m, s.north_m, s.course_rad, s.ground_speed_m_s, s.curvature_per_m
+        return Situation(*place, target, *line_of(present), wind.east_m_s, wind.north_m_s, 0.4, 0.0)
 
     def _scene(self, target, present):
-        s = self.state
-        return scene_of(
-            *(s.time_s, s.east_m, s.north_m, s.course_rad, s.ground_speed_m_s, s.curvature_per_m, target),
-            *(*line_of(present), self.wind.east_m_s, self.wind.north_m_s, 0.4, 5.0, self.craft),
-            *(WISH, fresh_memory(self.side)),
-        )
+        return scene_of(self._now(target, present), 5.0, self.craft, WISH, fresh_memory(self.side))
 
     def compiled(self, futures=None, kept=None):
         costs, motions, c = np.empty(MOVES), self.table.motions, self.table.configuration
         stay = kernel.look_ahead(
             self.scene,
-            *(self.state.east_m, self.state.north_m, *line_of(self.present)),
+            self.now,
             futures or going_straight(self.scene, motions),
             kernel.Looker(
                 *(self.craft, 5.0, WISH, c.cost.terms, self.table.arrays, motions, kernel.Prices(0.5, 1.0)),
@@ -190,9 +191,11 @@ def test_a_future_may_be_sampled_and_futures_are_weighed(paper_aircraft, paper_r
     vx, vy = straight.place[0, 0, 2:]
     turned.place[0, 0, 2:] = vx * cos_t + vy * sin_t, vy * cos_t - vx * sin_t
     turned.facing[0, 0, :2], turned.course[0, 0] = (sin_t, cos_t), (sin_t, cos_t, 0.7)
-    assert line_cost(
-        x * cos_t + y * sin_t, y * cos_t - x * sin_t, heading + 0.7, time_s, turned, doubt, terms, table.arrays
-    ) == pytest.approx(line_cost(x, y, heading, time_s, straight, doubt, terms, table.arrays), rel=1e-9)
+    cost, again, start, rest = np.empty(1), np.empty(1), Pose(0.0, 0.0, 0.0), (doubt, terms, table.arrays)
+    lines_costs(single_line(x, y, heading, time_s, 0.02), start, straight, *rest, cost)
+    other = x * cos_t + y * sin_t, y * cos_t - x * sin_t, heading + 0.7, time_s
+    lines_costs(single_line(*other, 0.02), start, turned, *rest, again)
+    np.testing.assert_allclose(again, cost, rtol=1e-9)
 
 
 def test_wind_makes_a_line_faster_or_slower_only():
@@ -218,10 +221,9 @@ def test_the_watch_course_turns_to_the_velocity_over_its_horizon(paper_aircraft,
         for time_s in range(61):
             velocity = (0.0, 4.0) if time_s < 60 else (4.0, 0.0)
             target = Known(float(time_s), 0.0, 4.0 * time_s, *velocity, np.diag([0.25, 0.09, 0.04, 0.04]))
-            scene = scene_of(
-                *(float(time_s), -280.0 * side, 90.0, 0.0, 10.0, side / 60.0, target, *line_of(present), 0.0, 0.0),
-                *(0.0, 5.0, craft_of(paper_aircraft), wish, memory),
-            )
+            place = float(time_s), -280.0 * side, 90.0, 0.0, 10.0, side / 60.0
+            now = Situation(*place, target, *line_of(present), 0.0, 0.0, 0.0, 0.0)
+            scene = scene_of(now, 5.0, craft_of(paper_aircraft), wish, memory)
         future = winding(scene, motions, wish, memory, STRAIGHT)
         seen = scene.course_rad + side * np.arctan2(future.facing[0, :, 0], future.facing[0, :, 1])
         ahead_s = np.arange(seen.size)
@@ -236,14 +238,14 @@ def test_the_watch_course_turns_to_the_velocity_over_its_horizon(paper_aircraft,
 def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, paper_requirement, side, under_way):
     table = a_table(paper_aircraft, paper_requirement)
     look = Look(paper_aircraft, table, side=side, under_way=under_way)
-    scene, present = look.scene, line_of(look.present)
+    scene = look.scene
     memory, wish = fresh_memory(side), Wish(False, 50.0, math.nan, 20.0)
     for time_s in range(30):
         remember_place(Known(time_s - 30.0, 0.0, 3.0 * time_s - 120.0, 0.0, 3.0, np.eye(4)), memory)
     memory[STANDING] = 0.0
     futures = winding(scene, table.motions, wish, memory, Turns(np.radians([0.0, -3.0, 3.0]), 10.0))
     assert np.ptp(futures.place[:, 20, 0]) > 10.0
-    ahead, end = staying_ahead(scene, *present, look.state.east_m, look.state.north_m, under_way)
+    ahead, end = staying_ahead(scene, look.now, under_way)
     moved = moving_ahead(scene, look.craft, 20)
     assert (end > 0) is under_way
     ramp, seconds, terms = sharpness_per_m2(paper_aircraft, 10.0), no_seconds(), table.configuration.cost.terms

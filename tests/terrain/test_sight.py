@@ -10,7 +10,8 @@ from estimators.terrain.ground import Ground
 from mission.core.circle import Circle
 from mission.core.plan import AircraftState, Plan
 from mission.core.requirement import Aircraft, Requirement, Side, Wind
-from mission.predictive._sight_kernel import NOTHING_HIDDEN, View, hidden_rate, sight_cost
+from mission.predictive._rollout_kernel import Pose, single_line
+from mission.predictive._sight_kernel import NOTHING_HIDDEN, View, add_sight, hidden_rate
 from mission.predictive.planner import PredictivePlanner, table_configuration
 from mission.predictive.value_iteration import compute
 from mission.terrain.sight import SightField
@@ -66,7 +67,9 @@ def test_over_unknown_ground_nothing_is_hidden() -> None:
     assert field.sight(5000.0, 0.0, 0.0, 0.0, HEIGHT_M) is NOTHING_HIDDEN
     line = np.zeros(3), np.array([0.0, 10.0, 20.0]), np.zeros(3), np.arange(3.0)
     view = View(0.0, 1.0, 0.0, 0.0)
-    assert sight_cost(*line, NOTHING_HIDDEN, view, 50.0, 30.0, 0.01) == 0.0
+    lines, costs = single_line(*line, 0.01), np.zeros(1)
+    add_sight(lines, Pose(0.0, 0.0, 0.0), NOTHING_HIDDEN, view, 50.0, 30.0, 0.01, costs)
+    assert costs[0] == 0.0
 
 
 def test_rasters_are_kept_while_the_target_is_near() -> None:

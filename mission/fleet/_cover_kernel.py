@@ -1,0 +1,212 @@
+"""The inner loops of what the others see: the chance that one of them watches, now and after turns of the target.
+
+Frames are those of :mod:`mission.predictive._scene_kernel`; the wanted frame is mirrored for who is opposite.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from estimators.compiled import compiled
+from mission.core.path import FloatArray
+from mission.predictive._cost_kernel import Float32, IntArray, table_value
+from mission.predictive._decision_kernel import Looker
+from mission.predictive._future_kernel import fill_classes
+from mission.predictive._moves_kernel import STEP_S
+from mission.predictive._rollout_kernel import TURN_STRIDE, Futures, from_target
+from mission.predictive._scene_kernel import Scene, in_frame
+
+FORESEEN = 111  # seconds, as far as any line leads
+
+
+class Team(NamedTuple):
+    """What joint decisions are made with.
+
+    wanted: the side, 1 left, -1 right. moving, stood (directions of the wind, headings, n, n): value tables after a
+    turn, by the mean over speeds, and after a stop. turns_rad, chances (t,): of a turn's angle; stop: chance of none.
+    alone_running, alone_end: shares of what an aircraft alone would pay on the way, and from the end of its line on.
+    opposite: per second, of the share of courses that nobody would cover. price: share of what changes cost alone.
+    futures: 1 for the target's velocity kept alone.
+    """
+
+    wanted: float
+    moving: Float32
+    stood: Float32
+    turns_rad: FloatArray
+    chances: FloatArray
+    stop: float
+    alone_running: float
+    alone_end: float
+    together: float
+    price: float
+    opposite: float
+    futures: int
+
+
+class Cover(NamedTuple):
+    """What the others cover, foretold in the departure's frame of one aircraft every STEP_S from its departure on.
+
+    off (f, FORESEEN): the chance that none of them is on the wanted side. after (f, FORESEEN, t + 1): the least
+    value of theirs after each turn, last after a stop; now (f, FORESEEN): if the target goes on as it does. Infinite
+    where there are none. bearings (f, FORESEEN, m): of each from the target.
+    """
+
+    off: FloatArray
+    after: FloatArray
+    now: FloatArray
+    bearings: FloatArray
+
+
+@compiled
+def asking_room(team: Team) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return room to ask tables with: classes (1, 1, 4) of the first only, their shares, and an answer per turn."""
+    share = np.zeros((1, 1, 4))
+    share[0, 0, 0] = 1.0
+    return np.zeros((1, 1, 4), np.int64), share, np.empty(len(team.turns_rad) + 1)
+
+
+@compiled
+def after_turns(
+    team: Team,
+    cell_m: float,
+    x_m: float,
+    y_m: float,
+    heading_rad: float,
+    frame_rad: float,
+    wind_rad: float,
+    classes: IntArray,
+    share: FloatArray,
+    found: FloatArray,
+) -> None:
+    """Fill in the values (t + 1,) of a place of the wanted frame, whose target then goes on at frame_rad + a turn."""
+    turns = len(team.turns_rad)
+    directions = team.moving.shape[0]
+    for i in range(turns + 1):
+        angle_rad = frame_rad + (team.turns_rad[i] if i < turns else 0.0)
+        if directions > 1:
+            direction = (wind_rad - angle_rad) / (2.0 * math.pi) * directions
+            direction -= directions * math.floor(direction / directions)
+            first = min(int(direction), directions - 1)
+            classes[0, 0, 0], classes[0, 0, 1] = first, (first + 1) % directions
+            share[0, 0, 0], share[0, 0, 1] = 1.0 - (direction - first), direction - first
+        sin_a, cos_a = math.sin(angle_rad), math.cos(angle_rad)
+        across_m, along_m = x_m * cos_a - y_m * sin_a, x_m * sin_a + y_m * cos_a
+        values = team.moving if i < turns else team.stood
+        found[i] = table_value(values, cell_m, across_m, along_m, heading_rad - angle_rad, classes, share, 0, 0)
+
+
+@compiled
+def blurred_m(scene: Scene, sigma_rad: float, along_m: float, time_s: float) -> float:
+    velocity_m = scene.doubt.velocity_m_s * time_s
+    place_m = scene.doubt.position_m
+    return 1.0 + math.sqrt(
+        place_m * place_m + velocity_m * velocity_m + (sigma_rad * along_m) * (sigma_rad * along_m)
+    )
+
+
+@compiled
+def off_side(across_m: float, blur_m: float) -> float:
+    return min(max(0.5 + 0.5 * across_m / blur_m, 0.0), 1.0)
+
+
+@compiled
+def wanted_value(
+    scene: Scene,
+    f: Futures,
+    looker: Looker,
+    s: float,
+    one: int,
+    p: int,
+    off_x: float,
+    off_y: float,
+    heading_rad: float,
+    classes: IntArray,
+    share: FloatArray,
+) -> float:
+    """Return what an aircraft alone would pay on the wanted side, from a place relative to the target on.
+
+    s: 1 where the departure's frame is the wanted one, -1 where it is mirrored. classes, share: to be filled in.
+    """
+    sin_t, cos_t, spare = f.course[one, p, 0], f.course[one, p, 1], np.empty(4)
+    vx, vy, air = f.place[one, p, 2], f.place[one, p, 3], scene.air
+    fill_classes(
+        looker.motions,
+        s * (vx * cos_t - vy * sin_t),
+        vx * sin_t + vy * cos_t,
+        s * (air.wind_x_m_s * cos_t - air.wind_y_m_s * sin_t),
+        air.wind_x_m_s * sin_t + air.wind_y_m_s * cos_t,
+        classes[0, 0],
+        share[0, 0],
+        spare,
+    )
+    across_m, along_m = s * (off_x * cos_t - off_y * sin_t), off_x * sin_t + off_y * cos_t
+    heading_rad = s * (heading_rad - f.course[one, p, 2])
+    table = looker.table
+    value = table_value(table.values, table.cell_m, across_m, along_m, heading_rad, classes, share, 0, 0)
+    classes[:], share[:] = 0, 0.0
+    share[0, 0, 0] = 1.0
+    return value
+
+
+@compiled
+def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, looker: Looker, team: Team) -> Cover:
+    """Return what the others cover. others (m, 3, n): east, north, course every STEP_S from first_s (m,) on."""
+    futures, turns = len(f.weight), len(team.turns_rad)
+    off, after = np.ones((futures, FORESEEN)), np.full((futures, FORESEEN, turns + 1), np.inf)
+    now, bearings = np.full((futures, FORESEEN), np.inf), np.empty((futures, FORESEEN, len(others)))
+    classes, share, found = asking_room(team)
+    s = scene.mirror * team.wanted
+    wind_rad = math.atan2(s * scene.air.wind_x_m_s, scene.air.wind_y_m_s)
+    near_m, far_m = looker.terms.near_m, looker.terms.far_m
+    n = others.shape[2]
+    for k in range(FORESEEN):
+        time_s = k * STEP_S
+        for j in range(len(others)):
+            at = (scene.departure_s - first_s[j]) / STEP_S + k
+            i = min(max(int(at), 0), n - 2)
+            past = min(max(at - i, 0.0), 1.0)
+            east_m = others[j, 0, i] + past * (others[j, 0, i + 1] - others[j, 0, i])
+            north_m = others[j, 1, i] + past * (others[j, 1, i + 1] - others[j, 1, i])
+            x_m, y_m = in_frame(scene, east_m, north_m)
+            heading_rad = scene.mirror * (others[j, 2, i] - scene.course_rad)
+            for one in range(futures):
+                p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
+                sin_t, cos_t = f.facing[one, p, 0], f.facing[one, p, 1]
+                across_m, along_m = s * (off_x * cos_t - off_y * sin_t), off_x * sin_t + off_y * cos_t
+                bearings[one, k, j] = math.atan2(off_x, off_y)
+                range_m = math.hypot(off_x, off_y)
+                if near_m - 15.0 < range_m < far_m + 15.0:
+                    off[one, k] *= off_side(across_m, blurred_m(scene, f.facing[one, p, 2], along_m, time_s))
+                value = wanted_value(scene, f, looker, s, one, p, off_x, off_y, heading_rad, classes, share)
+                now[one, k] = min(now[one, k], value)
+                if k % TURN_STRIDE == 0:
+                    frame_rad = s * f.course[one, p, 2]
+                    after_turns(
+                        team, looker.table.cell_m, s * off_x, off_y, s * heading_rad, frame_rad,
+                        wind_rad, classes, share, found,
+                    )  # fmt: skip
+                    for t in range(turns + 1):
+                        after[one, k, t] = min(after[one, k, t], found[t])
+    return Cover(off, after, now, bearings)
+
+
+@compiled
+def uncovered(bearing_rad: float, others_rad: FloatArray) -> float:
+    """Return the share of the target's courses, 0..0.5, for which none of all aircraft would be on one side of it.
+
+    It is what the widest gap between their bearings (others: (m,)) is wider than half a turn.
+    """
+    widest_rad, m = 0.0, len(others_rad)
+    for i in range(m + 1):
+        from_rad = bearing_rad if i == m else others_rad[i]
+        gap_rad = 2.0 * math.pi
+        for j in range(m + 1):
+            if i != j:
+                to_rad = bearing_rad if j == m else others_rad[j]
+                ahead_rad = to_rad - from_rad
+                gap_rad = min(gap_rad, ahead_rad - 2.0 * math.pi * math.floor(ahead_rad / (2.0 * math.pi)))
+        widest_rad = max(widest_rad, gap_rad)
+    return max(widest_rad - math.pi, 0.0) / (2.0 * math.pi)

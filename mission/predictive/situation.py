@@ -1,0 +1,30 @@
+"""What is known at a decision, as the loops see it."""
+
+from __future__ import annotations
+
+from estimators.estimate import TargetEstimate
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Wind
+from mission.geometry.progress import line_of
+from mission.predictive._scene_kernel import Situation
+from mission.viewpoint.course_hold import known
+
+
+def situation(
+    aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
+) -> Situation:
+    """Return what an aircraft on its present plan knows, with what :class:`mission.core.plan.Planner` is given."""
+    return Situation(
+        aircraft.time_s,
+        aircraft.east_m,
+        aircraft.north_m,
+        aircraft.course_rad,
+        aircraft.ground_speed_m_s,
+        aircraft.curvature_per_m,
+        known(target),
+        *line_of(present),
+        wind.east_m_s,
+        wind.north_m_s,
+        latency_s,
+        aircraft.time_s - present.departure_s,
+    )
