@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     ModelWrapValidatorHandler,
-    ValidationError,
     model_validator,
 )
-from pydantic_core import ErrorDetails
 
 from app.errors import InputError
 from app.planners.registry import PLANNER_NAMES, PLANNERS, planner_by_name
+from app.section import Section, validated
 from app.sharing.address import Address
 from app.text_file import read_toml
 from mission.core.requirement import Aircraft, Requirement, Side, widest_radius_m
@@ -33,13 +29,11 @@ else:
     PlannerName = Literal[PLANNER_NAMES]
 
 _COT_TYPE = r"^[a-z](-[A-Za-z0-9.]+)+$"
-_SHOWN_CHARACTERS = 80  # of a wrong value
 # A circle that is chosen by itself is flown round in 22 s, as recorded targets are watched best, if the band
 # has room for it; such a share is left to the bank limit.
 _AUTO_RADIUS_S, _BANK_RESERVE = 3.5, 1.1
 
 LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
-Model = TypeVar("Model", bound=BaseModel)
 Polygon = Annotated[list[LatLon], Field(min_length=3, max_length=500)]
 
 
@@ -60,12 +54,6 @@ Polygons = Annotated[list[Polygon], Field(max_length=100), BeforeValidator(_brac
 def _known_side(words: str) -> str:
     watching_from(Requirement(100.0, 500.0, Side.LEFT, 0.0), words)
     return words
-
-
-class Section(BaseModel):
-    """A table of a file: no key but its own, no value that is not finite."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True, allow_inf_nan=False)
 
 
 class AircraftSection(Section):
@@ -398,49 +386,3 @@ def _validated(values: dict[str, Any], overrides: dict[str, dict[str, Any]], nam
         if given and isinstance(values.setdefault(section, {}), dict):
             values[section] |= given
     return validated(Config, values, name)
-
-
-def validated(kind: type[Model], values: Any, name: str) -> Model:
-    """Return the model of plain values. Raises InputError that begins with ``name`` and names the field."""
-    try:
-        return kind.model_validate(values)
-    except ValidationError as error:
-        raise InputError(f"{name}: {_sentence(error, kind)}") from error
-
-
-def _sentence(error: ValidationError, kind: type[BaseModel]) -> str:
-    """Return the first problem as one sentence that names the field, what is wrong, and the nearest that is right."""
-    problem = error.errors()[0]
-    where = ".".join(f"{part!s:.40}" for part in problem["loc"])
-    if problem["type"] == "extra_forbidden":
-        return f"unknown key {where}; known there: {', '.join(_known_keys(kind, problem['loc']))}."
-    if problem["type"] == "value_error":
-        return f"{where + ': ' if where else ''}{_cut(str(problem['ctx']['error']))}."
-    message = problem["msg"][0].lower() + problem["msg"][1:]
-    return f"{where} = {_cut(repr(problem['input']), _SHOWN_CHARACTERS)}: {message}{_nearest(problem)}."
-
-
-def _cut(text: str, longest: int = 400) -> str:
-    return text if len(text) <= longest else text[:longest] + "..."
-
-
-def _nearest(problem: ErrorDetails) -> str:
-    """Return the nearest valid value in words, '' where there is no such thing."""
-    bounds = problem.get("ctx", {})
-    for bound in ("ge", "le"):
-        if bound in bounds:
-            return f"; the nearest valid value is {bounds[bound]:g}"
-    if problem["type"] == "literal_error":
-        choices = [choice.strip("' ") for choice in bounds["expected"].replace(" or ", ",").split(",")]
-        alike = get_close_matches(str(problem["input"]), choices, n=1)
-        return f"; the nearest is {alike[0]!r}" if alike else ""
-    return ""
-
-
-def _known_keys(kind: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    model: Any = kind
-    for part in location[:-1]:
-        found = model.model_fields[part].annotation if isinstance(part, str) else model
-        of_many = get_args(found)  # a list of sections, or a section that may be missing
-        model = of_many[0] if of_many else found
-    return list(model.model_fields)

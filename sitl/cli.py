@@ -6,29 +6,38 @@ import contextlib
 import math
 import os
 import signal
-import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
 from sitl.airframe import Wind
 from sitl.binary import Binary, BinaryError
 from sitl.companion import Companion, CompanionError, accompany
-from sitl.geodesy import HomePlane
-from sitl.hills import Hills, HillsError
+from sitl.hills import HillsError
 from sitl.link import LinkFaults
 from sitl.motion import MOTIONS
+from sitl.options import (
+    DEFAULT_STATIONS,
+    check_ranges,
+    east_north_m,
+    flavour_of,
+    home_on_ground,
+    key_in,
+    lost_at,
+    motion_of,
+    numbers,
+    refuse,
+    stations_of,
+)
 from sitl.pace import Pace
-from sitl.server import Address, serve
+from sitl.server import serve
 from sitl.settings import (
-    DEFAULT_HOMES,
     Flavour,
     GimbalFrame,
     Home,
@@ -37,14 +46,12 @@ from sitl.settings import (
     Settings,
     TargetSettings,
 )
-from sitl.signing import KeyFileError, read_key
 from sitl.simulation import Simulation
 from sitl.track import TrackError
 from sitl.truth import TruthFile
 from sitl.world import MAX_VEHICLES, in_turn
 
 _LINE_MAX = 100  # characters
-_DEFAULT_STATIONS = ("127.0.0.1:14540", "127.0.0.1:14550")
 
 
 def run(
@@ -59,7 +66,7 @@ def run(
         list[str] | None,
         typer.Option(
             metavar="[ID@]HOST:PORT",
-            help=f"Where to send to, all vehicles or that one; repeatable [{' and '.join(_DEFAULT_STATIONS)}; "
+            help=f"Where to send to, all vehicles or that one; repeatable [{' and '.join(DEFAULT_STATIONS)}; "
             "each of several vehicles has a port of its own from 14540 on]",
         ),
     ] = None,
@@ -139,16 +146,16 @@ def run(
     A real vehicle's simulator gets the payload by: sidelong sitl --payload-for tcpout://127.0.0.1:5763
     or is started with it by: sidelong sitl --autopilot px4 --binary build/px4_sitl_default/bin/px4
     """
-    flavours = [_flavour(name) for name in autopilot.split(",")]
-    airspeeds_m_s = _numbers("--airspeed", airspeed, range(1, MAX_VEHICLES + 1), "A or A,B")
-    endurances_s = _numbers("--endurance", endurance, range(1, MAX_VEHICLES + 1), "A or A,B")
+    flavours = [flavour_of(name) for name in autopilot.split(",")]
+    airspeeds_m_s = numbers("--airspeed", airspeed, range(1, MAX_VEHICLES + 1), "A or A,B")
+    endurances_s = numbers("--endurance", endurance, range(1, MAX_VEHICLES + 1), "A or A,B")
     named = max(len(flavours), len(airspeeds_m_s), len(endurances_s))
     count = vehicles or named
     if named > count:
-        _refuse("--vehicles", f"is {count}: more autopilots, airspeeds or endurances are named")
+        refuse("--vehicles", f"is {count}: more autopilots, airspeeds or endurances are named")
     if count > 1 and (payload_for is not None or binary is not None):
-        _refuse("--vehicles", "goes with the simulated vehicles alone, not with --payload-for or --binary")
-    _check_ranges(
+        refuse("--vehicles", "goes with the simulated vehicles alone, not with --payload-for or --binary")
+    check_ranges(
         {
             "--speed": (speed, 0.0, 1000.0, False),
             "--duration": (math.inf if duration is None else duration, 0.0, math.inf, False),
@@ -168,8 +175,8 @@ def run(
         }
     )
     for airspeed_m_s in airspeeds_m_s:
-        _check_ranges({"--airspeed": (airspeed_m_s, 5.0, 60.0, True)})
-    _check_ranges({"--endurance": (min(endurances_s), 0.0, math.inf, False)})
+        check_ranges({"--airspeed": (airspeed_m_s, 5.0, 60.0, True)})
+    check_ranges({"--endurance": (min(endurances_s), 0.0, math.inf, False)})
     sensors = PayloadSettings(
         range_sigma,
         range_outliers,
@@ -187,35 +194,35 @@ def run(
         seed=seed,
         airspeed_m_s=airspeeds_m_s[0],
         wind=Wind.blowing_from(wind_speed, math.radians(wind_from_deg)),
-        home=_home_on_ground(home, own_terrain, flavours[0]),
-        target=TargetSettings(_motion(target), target_speed, _east_north(target_start), target_skip),
+        home=home_on_ground(home, own_terrain, flavours[0]),
+        target=TargetSettings(motion_of(target), target_speed, east_north_m(target_start), target_skip),
         payload=sensors if payload else None,
-        signing_key=None if require_signing is None else _key(require_signing),
+        signing_key=None if require_signing is None else key_in(require_signing),
         link_rate=speed,
         boot_unix_s=time.time(),
         terrain=own_terrain,
     )
     ids = range(settings.system_id, settings.system_id + count)
     if truth and len(truth) != count:
-        _refuse("--truth", f"is given {len(truth)} times for {count} vehicles")
-    stations = _stations(to, ids)
+        refuse("--truth", f"is given {len(truth)} times for {count} vehicles")
+    stations = stations_of(to, ids)
     with ExitStack() as stack:
         try:
             alone = payload_for is None and binary is None
             simulations = [Simulation(one) for one in in_turn(settings, flavours, airspeeds_m_s, endurances_s, count)]
             companion = None if alone else Companion(sensors, settings.target, seed, terrain, system_id)
         except TrackError as error:
-            _refuse("--target", str(error))
+            refuse("--target", str(error))
         except HillsError as error:
-            _refuse("--terrain", str(error))
-        for vehicle_id, lost_s in _lost(lose or [], ids):
+            refuse("--terrain", str(error))
+        for vehicle_id, lost_s in lost_at(lose or [], ids):
             simulations[ids.index(vehicle_id)].lost_s = lost_s
         writers: list[Companion | Simulation] = [*simulations] if companion is None else [companion]
         for writer, path in zip(writers, truth or [], strict=False):
             try:
                 file = TruthFile(stack.enter_context(path.open("w", encoding="utf-8")), _warn)
             except OSError as error:
-                _refuse("--truth", f"{path} cannot be written: {error.strerror}")
+                refuse("--truth", f"{path} cannot be written: {error.strerror}")
             writer.on_truth = file.write
         if companion is not None and binary is not None:
             _run_binary(companion, flavours[0], binary, speed, settings.home, settings.signing_key)
@@ -253,7 +260,7 @@ def _run_binary(
             if not stopped():
                 raise BinaryError(binary.last_words)
     except BinaryError as error:
-        _refuse("--binary", str(error))
+        refuse("--binary", str(error))
 
 
 def _accompany(companion: Companion, url: str, stopped: Callable[[], bool], key: bytes | None) -> None:
@@ -269,9 +276,9 @@ def _accompany(companion: Companion, url: str, stopped: Callable[[], bool], key:
             stopped=stopped,
         )
     except CompanionError as error:
-        _refuse("--payload-for", str(error))
+        refuse("--payload-for", str(error))
     except HillsError as error:
-        _refuse("--terrain", str(error))
+        refuse("--terrain", str(error))
 
 
 def _stop_signal(pace: Pace | None = None) -> Callable[[], bool]:
@@ -298,110 +305,3 @@ def _stop_signal(pace: Pace | None = None) -> Callable[[], bool]:
 
 def _warn(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
-
-
-def _check_ranges(values: dict[str, tuple[float, float, float, bool]]) -> None:
-    for option, (value, least, greatest, min_included) in values.items():
-        if not (least <= value <= greatest) or (value == least and not min_included):
-            at_least = "at least" if min_included else "more than"
-            most = "" if greatest == math.inf else f" and at most {greatest:g}"
-            _refuse(option, f"must be {at_least} {least:g}{most}, not {value:g}")
-
-
-def _motion(spec: str) -> str | Path:
-    if spec in MOTIONS:
-        return spec
-    if Path(spec).suffix.lower() in (".gpx", ".csv"):
-        return Path(spec)
-    return _refuse("--target", f"is one of {', '.join(MOTIONS)} or a .gpx or .csv file, not {spec!r}")
-
-
-def _flavour(name: str) -> Flavour:
-    try:
-        return Flavour(name)
-    except ValueError:
-        return _refuse("--autopilot", f"is one of {', '.join(Flavour)}, not {name!r}")
-
-
-def _stations(to: list[str] | None, ids: Sequence[int]) -> list[list[Address]]:
-    """Return where each vehicle sends to."""
-    several = [f"{vehicle_id}@127.0.0.1:{14540 + number}" for number, vehicle_id in enumerate(ids)]
-    named = to or (_DEFAULT_STATIONS if len(ids) == 1 else [*several, _DEFAULT_STATIONS[1]])
-    stations: dict[int, list[Address]] = {vehicle_id: [] for vehicle_id in ids}
-    for text in named:
-        own, at, address = text.rpartition("@")
-        for vehicle_id in (_vehicle_id("--to", own, ids),) if at else ids:
-            stations[vehicle_id].append(_address(address))
-    return list(stations.values())
-
-
-def _lost(texts: list[str], ids: Sequence[int]) -> list[tuple[int, float]]:
-    found = []
-    for text in texts:
-        own, _, time_text = text.partition("@")
-        (time_s,) = _numbers("--lose", time_text, (1,), "ID@S")
-        found.append((_vehicle_id("--lose", own, ids), time_s))
-    return found
-
-
-def _vehicle_id(option: str, text: str, ids: Sequence[int]) -> int:
-    if not text.isdecimal() or int(text) not in ids:
-        _refuse(option, f"names the vehicle {text!r}; there are {', '.join(map(str, ids))}")
-    return int(text)
-
-
-def _key(path: Path) -> bytes:
-    try:
-        return read_key(path)
-    except KeyFileError as error:
-        return _refuse("--require-signing", str(error))
-
-
-def _home(text: str) -> Home:
-    values = _numbers("--home", text, (2, 3), "LAT,LON[,ALT]")
-    if not (abs(values[0]) < 89.0 and abs(values[1]) <= 180.0):
-        _refuse("--home", f"needs a latitude within 89 and a longitude within 180 degrees, not {text!r}")
-    return Home(values[0], values[1], values[2] if len(values) == 3 else 0.0)
-
-
-def _home_on_ground(text: str | None, terrain: Path | None, flavour: Flavour) -> Home | None:
-    """Return home as it was given, at the height of the ground there if it was given none."""
-    home = None if text is None else _home(text)
-    if terrain is None or (text is not None and text.count(",") == 2):
-        return home
-    home = home or DEFAULT_HOMES[flavour]
-    try:
-        hills = Hills(terrain, HomePlane(home.latitude_deg, home.longitude_deg))
-    except HillsError as error:
-        _refuse("--terrain", str(error))
-    return replace(home, altitude_m=hills.home_altitude_m)
-
-
-def _east_north(text: str) -> tuple[float, float]:
-    east_m, north_m = _numbers("--target-start", text, (2,), "EAST,NORTH")
-    return east_m, north_m
-
-
-def _numbers(option: str, text: str, counts: Collection[int], form: str) -> list[float]:
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) not in counts or not all(math.isfinite(value) for value in values):
-        _refuse(option, f"must look like {form} in numbers, not {text!r}")
-    return values
-
-
-def _address(text: str) -> Address:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        _refuse("--to", f"must look like HOST:PORT, not {text!r}")
-    try:
-        return socket.gethostbyname(host), int(port)
-    except OSError:
-        return _refuse("--to", f"names the unknown host {host!r}")
-
-
-def _refuse(option: str, reason: str) -> NoReturn:
-    print(f"{option} {reason}", file=sys.stderr)
-    raise typer.Exit(2)

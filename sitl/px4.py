@@ -19,6 +19,7 @@ from sitl.px4_navigator import Px4Navigator
 from sitl.px4_parameters import px4_parameters
 from sitl.px4_telemetry import DEFAULT_INTERVAL_S, Px4Telemetry
 from sitl.radio import Station
+from sitl.relayed_range import RelayedRange
 from sitl.settings import Settings
 from sitl.transfer import ProtocolQuirks, Store
 
@@ -70,7 +71,7 @@ class Px4(Autopilot):
         self._refusal: str | None = refusal([], self.home, 0)
         self._valid_from_s = 0.0
         self._reached: tuple[int, int, float] | None = None  # index, repeats left, next time
-        self._relayed_range: Any = None
+        self.relayed_range = RelayedRange()
         self._ordered_airspeed_m_s: float | None = None
         self._link_lost = False
         self.parameters.on_change = self._on_parameter
@@ -315,28 +316,8 @@ class Px4(Autopilot):
         self.radio.broadcast(mavlink.MAVLink_mission_item_reached_message(index))
         self._reached = (index, left - 1, due_s + 1.0) if left > 0 else None
 
-    # Ranges of other components.
-
     def take_range(self, message: Any) -> None:
-        """Make another component's range a sensor of this vehicle, stamped with its arrival."""
-        self._relayed_range = mavlink.MAVLink_distance_sensor_message(
-            self.boot_ms,
-            message.min_distance,
-            message.max_distance,
-            message.current_distance,
-            message.type,
-            message.id,
-            message.orientation,
-            message.covariance,
-            message.horizontal_fov,
-            message.vertical_fov,
-            message.quaternion,
-            max(0, message.signal_quality - 1),
-        )
-
-    def take_relayed_range(self) -> Any:
-        relayed, self._relayed_range = self._relayed_range, None
-        return relayed
+        self.relayed_range.put(message, self.boot_ms)
 
     # Commands.
 

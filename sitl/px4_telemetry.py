@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sitl.px4_mission import Px4Mission
 from sitl.px4_modes import BY_PILOT, Mode
 from sitl.px4_navigator import Px4Navigator
+from sitl.relayed_range import RelayedRange
 from sitl.telemetry import NAN, Builder, Reported, Telemetry
 from sitl.transfer import Transfer
 from sitl.wire import mission_current
@@ -61,7 +62,8 @@ class ReportedPx4(Reported, Protocol):
     def transfers(self) -> Mapping[int, Transfer]: ...
     @property
     def mission_types(self) -> tuple[int, ...]: ...
-    def take_relayed_range(self) -> Any: ...
+    @property
+    def relayed_range(self) -> RelayedRange: ...
 
 
 class Px4Telemetry(Telemetry):
@@ -151,7 +153,7 @@ class Px4Telemetry(Telemetry):
             [0.0] * 4,
             0,
         )
-        relayed = self._px4.take_relayed_range()
+        relayed = self._px4.relayed_range.take()
         return [downward] if relayed is None else [downward, relayed]
 
     def _current_mode(self) -> Any:

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from app.assembly import tracker_of
-from app.commands.output import console, progress_bar
+from app.commands.output import console
+from app.commands.progress import progress_bar
 from app.errors import InputError
 from app.records.export import Format
 from app.records.export import export as write

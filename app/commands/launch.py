@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-import shutil
-import sys
-from collections.abc import AsyncIterator
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from app.analysis.summary import Summary
-from app.analysis.truth import truth_if_whole
-from app.assembly import controller_of
 from app.commands.export import write_export
 from app.commands.launch_fleet import fly_fleet
+from app.commands.launch_one import FlightEnded, fly_one
 from app.commands.output import (
     JsonOption,
     checked_output,
@@ -27,32 +17,24 @@ from app.commands.output import (
     latitude_longitude_deg,
     shielded_output,
     standard,
-    table_progress,
+    warn,
     write_json,
 )
+from app.commands.page_options import BoundsOption, MapOption, PortOption
 from app.commands.radius import warn_of_little_room
 from app.commands.report import write_report
 from app.config import Config, check_flyable, load_config
-from app.errors import FlightError, InputError, Interrupted
+from app.errors import InputError
 from app.fleet.fleet_file import MAX_AIRCRAFT, FleetFile, load_fleet, names_a_fleet
-from app.flight.display import FlightDisplay
 from app.flight.fleet_flight import FleetEnded
-from app.flight.flight import Flight, Sharing, connected
-from app.flight.life import Life, describe_aircraft
-from app.flight.link_log import link_log
+from app.flight.flight import Sharing
 from app.flight.outputs import check_sharing
-from app.flight.recording import Recording
-from app.flight.simulated import SimulatedVehicles
-from app.link.discovery import SETTLING_S
 from app.link.url import checked_url
 from app.planners.registry import PLANNER_NAMES
 from app.records.export import Format
 from app.records.mcap_writer import mcap_writer_class
 from app.records.run_folder import RunFolder
-from app.shutdown import run
-from app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
-from app.view.display import ViewDisplay, served
-from app.view.panel import PanelDisplay
+from app.view.address import DEFAULT_PORT, LOOPBACK, page_address
 
 _DURATION_S = 1200.0
 
@@ -98,7 +80,7 @@ def launch(
     ] = None,
     planner: Annotated[str | None, typer.Option(help=f"{' or '.join(PLANNER_NAMES)}.", show_default=False)] = None,
     view: Annotated[bool, typer.Option("--view", help="Show a live map in the browser.")] = False,
-    view_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the live map.")] = DEFAULT_PORT,
+    view_port: PortOption = DEFAULT_PORT,
     view_host: Annotated[
         str, typer.Option(help="Address the live map is served at; anything but loopback asks for a token.")
     ] = LOOPBACK[0],
@@ -108,18 +90,8 @@ def launch(
     view_key: Annotated[
         Path | None, typer.Option(metavar="PEM", help="Key of that certificate.", show_default=False)
     ] = None,
-    map_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--map",
-            metavar="FILE",
-            help="Lies under the live map: raster tiles (.mbtiles, .pmtiles), or a picture with --map-bounds.",
-            show_default=False,
-        ),
-    ] = None,
-    map_bounds: Annotated[
-        str | None, typer.Option(metavar="S,W,N,E", help="Where that picture lies, degrees.", show_default=False)
-    ] = None,
+    map_file: MapOption = None,
+    map_bounds: BoundsOption = None,
     cot: Annotated[
         str | None,
         typer.Option(
@@ -229,7 +201,7 @@ def launch(
     warn_of_little_room(settings)
     _check_pointing(settings, sharing)
     with shielded_output():
-        ended = _flown(settings, duration, out, quiet, address, sharing)
+        ended = fly_one(settings, duration, out, quiet, sharing, address)
         _tell(ended, json)
         if ended.reason is not None:
             raise ended.reason
@@ -276,149 +248,18 @@ def _write_more(folder: RunFolder, mcap: bool, report: bool) -> None:
         write_report(folder.path, folder.path / "report.html")
 
 
-@dataclass(frozen=True, slots=True)
-class _Ended:
-    """How a flight ended. reason: what it is told and exits with, None when it has come to its end."""
-
-    folder: RunFolder
-    summary: Summary
-    reason: Exception | None
-
-
-def _flown(
-    config: Config, duration_s: float, out: Path, quiet: bool, address: Address | None, sharing: Sharing
-) -> _Ended:
-    try:
-        return run(_launch(config, duration_s, out, quiet, address, sharing))
-    except (asyncio.CancelledError, KeyboardInterrupt) as interrupted:
-        raise Interrupted("interrupted: nothing was commanded; no records are kept.") from interrupted
-
-
-def _tell(ended: _Ended | FleetEnded, json: Path | None) -> None:
+def _tell(ended: FlightEnded | FleetEnded, json: Path | None) -> None:
     console.print(ended.summary.table())
     console.print(f"run folder: {ended.folder.path}", soft_wrap=True)
     try:
         ended.folder.write_summary(ended.summary.as_json())
     except OSError as error:
-        _warn(f"{ended.folder.summary} cannot be written ({error.strerror}); the figures above are all there is.")
+        warn(f"{ended.folder.summary} cannot be written ({error.strerror}); the figures above are all there is.")
     try:
         write_json(json, ended.summary.as_json())
     except InputError as error:
         if ended.reason is None:
             raise
-        _warn(str(error))
+        warn(str(error))
     if standard.lost is not None:
-        _warn(f"the terminal could not be written ({standard.lost}); see {ended.folder.path}.")
-
-
-def _warn(text: str) -> None:
-    with contextlib.suppress(OSError):
-        print(f"sidelong: {text}", file=sys.stderr)
-
-
-async def _launch(
-    config: Config, duration_s: float, out: Path, quiet: bool, address: Address | None, sharing: Sharing
-) -> _Ended:
-    loop = asyncio.get_running_loop()
-    folder = RunFolder.create(out, datetime.now(UTC))
-    keep, life = False, None
-    try:
-        async with _displayed(config, quiet, address) as display:
-
-            def warn(text: str) -> None:
-                loop.call_soon_threadsafe(display.note, text)
-
-            recording = Recording(folder, config, warn)
-            life = Life(lambda: recording.begun, display.note)
-            with life.heeding_signals():
-                try:
-                    ended = await _fly(config, duration_s, folder, recording, display, sharing, life)
-                    keep = True
-                    return ended
-                finally:
-                    keep |= life.was_armed
-                    recording.close()
-    except asyncio.CancelledError:
-        if life is not None and life.failure is not None:
-            raise FlightError(life.failure) from None
-        raise
-    finally:
-        if not keep:
-            shutil.rmtree(folder.path, ignore_errors=True)  # nothing has flown: leave nothing half-written
-
-
-@contextlib.asynccontextmanager
-async def _displayed(config: Config, quiet: bool, address: Address | None) -> AsyncIterator[FlightDisplay]:
-    """Show the flight on the terminal, and in the browser if it has an address there."""
-    with PanelDisplay(console, quiet) as panel:
-        if address is None:
-            yield panel
-            return
-        async with served(ViewDisplay(panel, config, address), partial(console.print, soft_wrap=True)) as view:
-            yield view
-
-
-async def _fly(
-    config: Config,
-    duration_s: float,
-    folder: RunFolder,
-    recording: Recording,
-    display: FlightDisplay,
-    sharing: Sharing,
-    life: Life,
-) -> _Ended:
-    async with contextlib.AsyncExitStack() as stack:
-        with life.computing():
-            controller = controller_of(config, table_progress(display.note), display.note)
-        urls, truth = config.link.connections, None
-        if not urls:
-            display.note(f"starting a simulated {config.simulation.autopilot} and its target")
-            vehicle = await stack.enter_async_context(SimulatedVehicles([config], [folder.truth], life.fail))
-            pace = asyncio.create_task(vehicle.keep_pace(lambda: controller.time_s))
-            stack.callback(pace.cancel)
-            urls, truth = vehicle.urls, folder.truth
-        display.note(f"connecting to {' and '.join(urls)}")
-        link, loop = config.link, asyncio.get_running_loop()
-
-        def trouble(text: str) -> None:
-            loop.call_soon_threadsafe(display.note, text)
-
-        session = await stack.enter_async_context(
-            connected(
-                urls,
-                link.heartbeat_timeout_s,
-                recording.frame,
-                link.signing_key_file,
-                trouble,
-                system_id=link.system_id if link.connections else None,
-                settling_s=SETTLING_S if link.connections else 0.0,
-            )
-        )
-        display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
-        recording.follow(session.vehicle.system_id)
-        life.watch(session.vehicle)
-        flight = Flight(session, config, controller, recording, display, duration_s, sharing)
-        try:
-            async with link_log(session.vehicle.link, folder.links, lambda: session.telemetry.now_s, trouble):
-                outcome, error = await flight.fly(life.stopped), None
-        except Exception as raised:
-            if not life.was_armed and not isinstance(raised, FlightError):
-                raise
-            outcome, error = f"failed: {raised}", raised
-        links = tuple(report.as_json() for report in session.vehicle.link.reports())
-        aircraft = describe_aircraft(
-            session.vehicle, session.autopilot, controller.snapshot(), simulated=truth is not None
-        )
-    # Only now, with the simulated vehicle ended, is its truth file whole.
-    if life.failure is not None:
-        outcome = f"failed: {life.failure}"
-    summary = replace(flight.summary(outcome, truth_if_whole(truth, display.note)), links=links)
-    if life.failure is not None:
-        return _Ended(folder, summary, FlightError(life.failure))
-    if life.signal_name is not None:
-        return _Ended(folder, summary, Interrupted(f"interrupted by {life.signal_name}: {aircraft}."))
-    if isinstance(error, FlightError | InputError):
-        return _Ended(folder, summary, FlightError(f"{error} Now {aircraft}."))
-    if error is not None:
-        _warn(f"this is a fault of the program; {aircraft}.")
-    return _Ended(folder, summary, error)
+        warn(f"the terminal could not be written ({standard.lost}); see {ended.folder.path}.")

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
-import shutil
 from collections.abc import AsyncIterator, Callable
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-from app.commands.output import console, table_progress
-from app.errors import FlightError, Interrupted
+from app.commands.flying import kept_if_armed, run_flight
+from app.commands.output import console
+from app.commands.progress import table_progress
 from app.fleet.fleet_file import FleetFile
 from app.flight.display import FlightDisplay
 from app.flight.fleet_flight import FleetEnded, FleetFlight
 from app.flight.flight import Sharing
 from app.flight.life import Life
 from app.records.run_folder import FleetFolder
-from app.shutdown import run
 from app.view.address import Address
 from app.view.display import served
 from app.view.fleet_panel import FleetPanel
@@ -29,35 +27,19 @@ def fly_fleet(
     fleet: FleetFile, duration_s: float, out: Path, quiet: bool, sharing: Sharing, address: Address | None
 ) -> FleetEnded:
     """Fly a fleet to its end; address: of the live map. Raises as ``launch`` does."""
-    try:
-        return run(_fly(fleet, duration_s, out, quiet, sharing, address))
-    except (asyncio.CancelledError, KeyboardInterrupt) as interrupted:
-        raise Interrupted("interrupted: nothing was commanded; no records are kept.") from interrupted
+    return run_flight(_fly(fleet, duration_s, out, quiet, sharing, address))
 
 
 async def _fly(
     fleet: FleetFile, duration_s: float, out: Path, quiet: bool, sharing: Sharing, address: Address | None
 ) -> FleetEnded:
     folder = FleetFolder.create(out, datetime.now(UTC))
-    keep, life = False, None
-    try:
+    with kept_if_armed(folder.path) as begun:
         async with _displayed(fleet, quiet, address) as (panel, of):
             flight = FleetFlight(fleet, folder, of, panel.note, duration_s, sharing)
-            life = Life(lambda: flight.begun, panel.note)
+            life = begun(Life(lambda: flight.begun, panel.note))
             with life.heeding_signals():
-                try:
-                    ended = await flight.fly(life, table_progress(panel.note))
-                    keep = True
-                    return ended
-                finally:
-                    keep |= life.was_armed
-    except asyncio.CancelledError:
-        if life is not None and life.failure is not None:
-            raise FlightError(life.failure) from None
-        raise
-    finally:
-        if not keep:
-            shutil.rmtree(folder.path, ignore_errors=True)  # nothing has flown: leave nothing half-written
+                return await flight.fly(life, table_progress(panel.note))
 
 
 @contextlib.asynccontextmanager

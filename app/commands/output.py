@@ -1,4 +1,4 @@
-"""What the commands have in common: the JSON summary, and progress on the terminal."""
+"""What the commands write: on the terminal, and the JSON summary."""
 
 from __future__ import annotations
 
@@ -12,11 +12,8 @@ from typing import Annotated, Any, TextIO, cast
 
 import typer
 from rich.console import Console
-from rich.markup import escape
-from rich.progress import Progress, TaskID
 
 from app.errors import InputError
-from app.link.plain_text import plain
 from app.shutdown import abandon
 
 
@@ -81,10 +78,10 @@ def shielded_output() -> Iterator[None]:
         standard.shielded = False
 
 
-def progress_bar(name: str) -> tuple[Progress, TaskID]:
-    """Return a bar that is gone when it ends, with its task from 0 to 1; none where there is no terminal."""
-    progress = Progress(console=console, transient=True, disable=not console.is_terminal)
-    return progress, progress.add_task(escape(plain(name)), total=1.0)
+def warn(text: str) -> None:
+    """Tell on standard error what does not end the work."""
+    with contextlib.suppress(OSError):
+        print(f"sidelong: {text}", file=sys.stderr)
 
 
 JsonOption = Annotated[
@@ -130,19 +127,6 @@ def latitude_longitude_deg(option: str, text: str | None) -> tuple[float, float]
     if not (abs(latitude_deg) < 89.0 and abs(longitude_deg) <= 180.0):
         raise InputError(f"{option}: {text} is no place: latitudes go to 89 degrees, longitudes to 180.")
     return latitude_deg, longitude_deg
-
-
-def table_progress(tell: Callable[[str], None]) -> Callable[[float], None]:
-    """Return what tells, now and then, how far the computation of the value table is."""
-    told = -1.0
-
-    def progress(share: float) -> None:
-        nonlocal told
-        if told < 0.0 or share - told >= 0.25:
-            told = share
-            tell(f"computing the planner's value table, once for this configuration: {100.0 * share:.0f} %")
-
-    return progress
 
 
 def _finite(value: Any) -> Any:

@@ -17,7 +17,9 @@ from app.analysis.summary import Summary, SummaryCollector, describe_calibration
 from app.analysis.truth import Truth, read_truth
 from app.assembly import controller_of, mission_controller_of, settle
 from app.autopilots.registry import autopilot_by_name
-from app.commands.output import JsonOption, checked_output, console, progress_bar, table_progress, write_json
+from app.commands.output import JsonOption, checked_output, console, write_json
+from app.commands.page_options import BoundsOption, MapOption, PortOption
+from app.commands.progress import progress_bar, table_progress
 from app.commands.replay_fleet import replay_fleet
 from app.config import Config, load_config, with_values
 from app.errors import FlightError, InputError
@@ -57,22 +59,12 @@ def replay(
         bool, typer.Option("--verify", help="Compare every decision with the run's own; exit 1 at a difference.")
     ] = False,
     view: Annotated[bool, typer.Option("--view", help="Show the replay on a live map in the browser.")] = False,
-    view_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the live map.")] = DEFAULT_PORT,
+    view_port: PortOption = DEFAULT_PORT,
     view_speed: Annotated[
         float, typer.Option(min=0.1, max=SPEED_MAX, help="Recorded time over wall time with --view.")
     ] = 10.0,
-    map_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--map",
-            metavar="FILE",
-            help="Lies under the map: raster tiles (.mbtiles, .pmtiles), or a picture with --map-bounds.",
-            show_default=False,
-        ),
-    ] = None,
-    map_bounds: Annotated[
-        str | None, typer.Option(metavar="S,W,N,E", help="Where that picture lies, degrees.", show_default=False)
-    ] = None,
+    map_file: MapOption = None,
+    map_bounds: BoundsOption = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
 ) -> None:

@@ -7,14 +7,15 @@ from typing import Any
 
 from app.analysis.fleet_replay import compare_coordination
 from app.analysis.summary import Summary
-from app.commands.output import console, progress_bar, table_progress
-from app.config import validated
+from app.commands.output import console
+from app.commands.progress import progress_bar, table_progress
 from app.errors import FlightError, InputError
 from app.fleet.assembly import coordinator_of
 from app.fleet.fleet_file import FleetFile
 from app.flight.coordination import FLEET_JOURNAL_TYPES
 from app.records.journal import JournalReader
 from app.records.run_folder import FleetFolder, RunFolder
+from app.section import validated
 
 
 def replay_fleet(folder: FleetFolder, replay_one: Callable[[RunFolder], Summary], verify: bool) -> dict[str, Any]:

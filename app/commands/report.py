@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from app.analysis.truth import read_truth
-from app.commands.output import console, progress_bar
+from app.commands.output import console
+from app.commands.progress import progress_bar
 from app.errors import InputError
 
 

@@ -6,18 +6,15 @@ import math
 import os
 import re
 import shlex
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from time import monotonic
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from app.commands.output import JsonOption, checked_output, console, latitude_longitude_deg, write_json
+from app.commands.progress import runs_progress
 from app.commands.radius import RadiusOption
 from app.config import load_config
 from app.errors import InputError
@@ -39,7 +36,6 @@ _LEGS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
 _FIGURES = (".png", ".pdf", ".svg")
 _BATCH_MAX = 50  # runs that go to a process or worker at once
 _BATCHES_EACH = 16  # for each process at least, so that little is lost when a study ends early
-_TOLD_EVERY_S = 30.0  # where there is no terminal
 
 
 def study(
@@ -225,7 +221,7 @@ def _fly_fleet(settings: StudySettings, designs: int, jobs: int | None, json: Pa
         raise InputError("--fleet flies one design; leave out --sweep.")
     if _from_anywhere(settings.requirement()):
         raise InputError("--fleet shares the sides of a target; set requirement.side to left or right.")
-    with _progress(len(FleetPlannerName) * len(settings.numbers)) as (advance, computing):
+    with runs_progress(len(FleetPlannerName) * len(settings.numbers)) as (advance, computing):
         table = table_of(settings, computing)
         assert table is not None
         flown = fly_fleets(settings, table, jobs, advance)
@@ -249,7 +245,7 @@ def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:
     if not missing:
         return
     processes = jobs or os.cpu_count() or 1
-    with _progress(missing) as (advance, computing):
+    with runs_progress(missing) as (advance, computing):
         if scheduler is not None:
             from app.study.cluster import on_cluster  # noqa: PLC0415  # an extra
 
@@ -266,40 +262,6 @@ def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:
                     "the same command goes on from there"
                 )
             raise
-
-
-@contextmanager
-def _progress(runs: int) -> Iterator[tuple[Callable[[int], None], Callable[[float], None]]]:
-    """Yield what is told of runs done and of a value table's share: a bar, or lines where there is no terminal."""
-    terminal = Console(stderr=True)
-    if not terminal.is_terminal:
-        yield _lines(terminal, runs), lambda _share: None
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=terminal, transient=True) as bar:
-        flying = bar.add_task("runs", total=runs)
-        table = bar.add_task("value table", total=100, visible=False)
-
-        def computing(share: float) -> None:
-            bar.update(table, completed=round(100 * share), visible=share < 1.0)
-
-        yield lambda done: bar.advance(flying, done), computing
-
-
-def _lines(terminal: Console, runs: int) -> Callable[[int], None]:
-    begun_s = told_s = monotonic()
-    flown = 0
-
-    def advance(done: int) -> None:
-        nonlocal flown, told_s
-        flown += done
-        now_s = monotonic()
-        if now_s - told_s >= _TOLD_EVERY_S:
-            told_s = now_s
-            left_min = (now_s - begun_s) / flown * (runs - flown) / 60.0
-            terminal.print(f"{flown} of {runs} runs, {left_min:.0f} min left", highlight=False)
-
-    return advance
 
 
 def _tell(study: Study, json: Path | None) -> None:

@@ -13,8 +13,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from app.config import AircraftSection, Config, Section, SensorsSection, check_flyable, validated
+from app.config import AircraftSection, Config, SensorsSection, check_flyable
 from app.errors import InputError
+from app.section import Section, validated
 from app.text_file import read_toml
 from mission.core.requirement import Side
 

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from app.cli import app
-from app.commands import launch, replay
+from app.commands import launch_one, replay
 
 
 @pytest.mark.parametrize(
@@ -29,7 +29,7 @@ def test_a_wrong_option_is_told_at_once(monkeypatch, arguments, sentence):
         late.called = True
         raise AssertionError
 
-    monkeypatch.setattr(launch, "controller_of", computed)
+    monkeypatch.setattr(launch_one, "controller_of", computed)
     monkeypatch.setattr(replay, "controller_of", computed)
     ended = CliRunner().invoke(app, arguments)
     assert sentence in str(ended.exception)

@@ -11,7 +11,8 @@ from rich.console import Console
 
 from app.analysis.summary import SummaryCollector
 from app.analysis.truth import Truth
-from app.commands.output import progress_bar, shielded_output, standard
+from app.commands.output import shielded_output, standard
+from app.commands.progress import progress_bar
 from app.config import load_config
 from app.link.plain_text import plain, plain_fields
 from app.view.panel import PanelDisplay

@@ -1,0 +1,47 @@
+"""What flights of one aircraft and of a fleet have in common: how they are run, and whether records are kept."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import shutil
+from collections.abc import Callable, Coroutine, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+from app.errors import FlightError, Interrupted
+from app.flight.life import Life
+from app.shutdown import run
+
+T = TypeVar("T")
+
+
+def run_flight(flight: Coroutine[Any, Any, T]) -> T:
+    """Run a flight to its end. Raises Interrupted where it was ended before anything was commanded."""
+    try:
+        return run(flight)
+    except (asyncio.CancelledError, KeyboardInterrupt) as interrupted:
+        raise Interrupted("interrupted: nothing was commanded; no records are kept.") from interrupted
+
+
+@contextlib.contextmanager
+def kept_if_armed(records: Path) -> Iterator[Callable[[Life], Life]]:
+    """Remove a run folder when what is done meanwhile fails before anything was armed.
+
+    Yields what is to hear of the flight's life. Raises FlightError where that failed by itself.
+    """
+    lives: list[Life] = []
+
+    def begun(life: Life) -> Life:
+        lives.append(life)
+        return life
+
+    try:
+        yield begun
+    except BaseException as error:
+        if not any(life.was_armed for life in lives):
+            shutil.rmtree(records, ignore_errors=True)
+        failure = lives[0].failure if lives else None
+        if isinstance(error, asyncio.CancelledError) and failure is not None:
+            raise FlightError(failure) from None
+        raise

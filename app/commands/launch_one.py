@@ -1,0 +1,141 @@
+"""``sidelong launch`` of one aircraft."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+from app.analysis.summary import Summary
+from app.analysis.truth import truth_if_whole
+from app.assembly import controller_of
+from app.commands.flying import kept_if_armed, run_flight
+from app.commands.output import console, warn
+from app.commands.progress import table_progress
+from app.config import Config
+from app.errors import FlightError, InputError, Interrupted
+from app.flight.display import FlightDisplay
+from app.flight.flight import Flight, Sharing, connected
+from app.flight.life import Life, describe_aircraft
+from app.flight.link_log import link_log
+from app.flight.recording import Recording
+from app.flight.simulated import SimulatedVehicles
+from app.link.discovery import SETTLING_S
+from app.records.run_folder import RunFolder
+from app.view.address import Address
+from app.view.display import ViewDisplay, served
+from app.view.panel import PanelDisplay
+
+
+@dataclass(frozen=True, slots=True)
+class FlightEnded:
+    """How a flight ended. reason: what it is told and exits with, None when it has come to its end."""
+
+    folder: RunFolder
+    summary: Summary
+    reason: Exception | None
+
+
+def fly_one(
+    config: Config, duration_s: float, out: Path, quiet: bool, sharing: Sharing, address: Address | None
+) -> FlightEnded:
+    """Fly one aircraft to its end; address: of the live map. Raises as ``launch`` does."""
+    return run_flight(_recorded(config, duration_s, out, quiet, sharing, address))
+
+
+async def _recorded(
+    config: Config, duration_s: float, out: Path, quiet: bool, sharing: Sharing, address: Address | None
+) -> FlightEnded:
+    loop = asyncio.get_running_loop()
+    folder = RunFolder.create(out, datetime.now(UTC))
+    with kept_if_armed(folder.path) as begun:
+        async with _displayed(config, quiet, address) as display:
+
+            def trouble(text: str) -> None:
+                loop.call_soon_threadsafe(display.note, text)
+
+            recording = Recording(folder, config, trouble)
+            life = begun(Life(lambda: recording.begun, display.note))
+            with life.heeding_signals(), contextlib.closing(recording):
+                return await _fly(config, duration_s, folder, recording, display, sharing, life)
+
+
+@contextlib.asynccontextmanager
+async def _displayed(config: Config, quiet: bool, address: Address | None) -> AsyncIterator[FlightDisplay]:
+    """Show the flight on the terminal, and in the browser if it has an address there."""
+    with PanelDisplay(console, quiet) as panel:
+        if address is None:
+            yield panel
+            return
+        async with served(ViewDisplay(panel, config, address), partial(console.print, soft_wrap=True)) as view:
+            yield view
+
+
+async def _fly(
+    config: Config,
+    duration_s: float,
+    folder: RunFolder,
+    recording: Recording,
+    display: FlightDisplay,
+    sharing: Sharing,
+    life: Life,
+) -> FlightEnded:
+    async with contextlib.AsyncExitStack() as stack:
+        with life.computing():
+            controller = controller_of(config, table_progress(display.note), display.note)
+        urls, truth = config.link.connections, None
+        if not urls:
+            display.note(f"starting a simulated {config.simulation.autopilot} and its target")
+            vehicle = await stack.enter_async_context(SimulatedVehicles([config], [folder.truth], life.fail))
+            pace = asyncio.create_task(vehicle.keep_pace(lambda: controller.time_s))
+            stack.callback(pace.cancel)
+            urls, truth = vehicle.urls, folder.truth
+        display.note(f"connecting to {' and '.join(urls)}")
+        link, loop = config.link, asyncio.get_running_loop()
+
+        def trouble(text: str) -> None:
+            loop.call_soon_threadsafe(display.note, text)
+
+        session = await stack.enter_async_context(
+            connected(
+                urls,
+                link.heartbeat_timeout_s,
+                recording.frame,
+                link.signing_key_file,
+                trouble,
+                system_id=link.system_id if link.connections else None,
+                settling_s=SETTLING_S if link.connections else 0.0,
+            )
+        )
+        display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
+        recording.follow(session.vehicle.system_id)
+        life.watch(session.vehicle)
+        flight = Flight(session, config, controller, recording, display, duration_s, sharing)
+        try:
+            async with link_log(session.vehicle.link, folder.links, lambda: session.telemetry.now_s, trouble):
+                outcome, error = await flight.fly(life.stopped), None
+        except Exception as raised:
+            if not life.was_armed and not isinstance(raised, FlightError):
+                raise
+            outcome, error = f"failed: {raised}", raised
+        links = tuple(report.as_json() for report in session.vehicle.link.reports())
+        aircraft = describe_aircraft(
+            session.vehicle, session.autopilot, controller.snapshot(), simulated=truth is not None
+        )
+    # Only now, with the simulated vehicle ended, is its truth file whole.
+    if life.failure is not None:
+        outcome = f"failed: {life.failure}"
+    summary = replace(flight.summary(outcome, truth_if_whole(truth, display.note)), links=links)
+    if life.failure is not None:
+        return FlightEnded(folder, summary, FlightError(life.failure))
+    if life.signal_name is not None:
+        return FlightEnded(folder, summary, Interrupted(f"interrupted by {life.signal_name}: {aircraft}."))
+    if isinstance(error, FlightError | InputError):
+        return FlightEnded(folder, summary, FlightError(f"{error} Now {aircraft}."))
+    if error is not None:
+        warn(f"this is a fault of the program; {aircraft}.")
+    return FlightEnded(folder, summary, error)

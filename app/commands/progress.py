@@ -1,0 +1,77 @@
+"""How far the work is, on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import monotonic
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from app.commands.output import console
+from app.link.plain_text import plain
+
+_TOLD_EVERY_S = 30.0  # where there is no terminal
+
+
+def progress_bar(name: str) -> tuple[Progress, TaskID]:
+    """Return a bar that is gone when it ends, with its task from 0 to 1; none where there is no terminal."""
+    progress = Progress(console=console, transient=True, disable=not console.is_terminal)
+    return progress, progress.add_task(escape(plain(name)), total=1.0)
+
+
+def table_progress(tell: Callable[[str], None]) -> Callable[[float], None]:
+    """Return what tells, now and then, how far the computation of the value table is."""
+    told = -1.0
+
+    def progress(share: float) -> None:
+        nonlocal told
+        if told < 0.0 or share - told >= 0.25:
+            told = share
+            tell(f"computing the planner's value table, once for this configuration: {100.0 * share:.0f} %")
+
+    return progress
+
+
+@contextmanager
+def runs_progress(runs: int) -> Iterator[tuple[Callable[[int], None], Callable[[float], None]]]:
+    """Yield what is told of runs done and of a value table's share: a bar, or lines where there is no terminal."""
+    terminal = Console(stderr=True)
+    if not terminal.is_terminal:
+        yield _lines(terminal, runs), lambda _share: None
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=terminal, transient=True) as bar:
+        flying = bar.add_task("runs", total=runs)
+        table = bar.add_task("value table", total=100, visible=False)
+
+        def computing(share: float) -> None:
+            bar.update(table, completed=round(100 * share), visible=share < 1.0)
+
+        yield lambda done: bar.advance(flying, done), computing
+
+
+def _lines(terminal: Console, runs: int) -> Callable[[int], None]:
+    begun_s = told_s = monotonic()
+    flown = 0
+
+    def advance(done: int) -> None:
+        nonlocal flown, told_s
+        flown += done
+        now_s = monotonic()
+        if now_s - told_s >= _TOLD_EVERY_S:
+            told_s = now_s
+            left_min = (now_s - begun_s) / flown * (runs - flown) / 60.0
+            terminal.print(f"{flown} of {runs} runs, {left_min:.0f} min left", highlight=False)
+
+    return advance

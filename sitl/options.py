@@ -1,0 +1,129 @@
+"""What command-line options say, as values. A wrong one ends the program in one sentence that names it."""
+
+from __future__ import annotations
+
+import math
+import socket
+import sys
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NoReturn
+
+import typer
+
+from sitl.geodesy import HomePlane
+from sitl.hills import Hills, HillsError
+from sitl.motion import MOTIONS
+from sitl.server import Address
+from sitl.settings import DEFAULT_HOMES, Flavour, Home
+from sitl.signing import KeyFileError, read_key
+
+DEFAULT_STATIONS = ("127.0.0.1:14540", "127.0.0.1:14550")
+
+
+def check_ranges(values: dict[str, tuple[float, float, float, bool]]) -> None:
+    for option, (value, least, greatest, min_included) in values.items():
+        if not (least <= value <= greatest) or (value == least and not min_included):
+            at_least = "at least" if min_included else "more than"
+            most = "" if greatest == math.inf else f" and at most {greatest:g}"
+            refuse(option, f"must be {at_least} {least:g}{most}, not {value:g}")
+
+
+def motion_of(spec: str) -> str | Path:
+    if spec in MOTIONS:
+        return spec
+    if Path(spec).suffix.lower() in (".gpx", ".csv"):
+        return Path(spec)
+    return refuse("--target", f"is one of {', '.join(MOTIONS)} or a .gpx or .csv file, not {spec!r}")
+
+
+def flavour_of(name: str) -> Flavour:
+    try:
+        return Flavour(name)
+    except ValueError:
+        return refuse("--autopilot", f"is one of {', '.join(Flavour)}, not {name!r}")
+
+
+def stations_of(to: list[str] | None, ids: Sequence[int]) -> list[list[Address]]:
+    """Return where each vehicle sends to."""
+    several = [f"{vehicle_id}@127.0.0.1:{14540 + number}" for number, vehicle_id in enumerate(ids)]
+    named = to or (DEFAULT_STATIONS if len(ids) == 1 else [*several, DEFAULT_STATIONS[1]])
+    stations: dict[int, list[Address]] = {vehicle_id: [] for vehicle_id in ids}
+    for text in named:
+        own, at, address = text.rpartition("@")
+        for vehicle_id in (_vehicle_id("--to", own, ids),) if at else ids:
+            stations[vehicle_id].append(_address(address))
+    return list(stations.values())
+
+
+def lost_at(texts: list[str], ids: Sequence[int]) -> list[tuple[int, float]]:
+    found = []
+    for text in texts:
+        own, _, time_text = text.partition("@")
+        (time_s,) = numbers("--lose", time_text, (1,), "ID@S")
+        found.append((_vehicle_id("--lose", own, ids), time_s))
+    return found
+
+
+def _vehicle_id(option: str, text: str, ids: Sequence[int]) -> int:
+    if not text.isdecimal() or int(text) not in ids:
+        refuse(option, f"names the vehicle {text!r}; there are {', '.join(map(str, ids))}")
+    return int(text)
+
+
+def key_in(path: Path) -> bytes:
+    try:
+        return read_key(path)
+    except KeyFileError as error:
+        return refuse("--require-signing", str(error))
+
+
+def _home(text: str) -> Home:
+    values = numbers("--home", text, (2, 3), "LAT,LON[,ALT]")
+    if not (abs(values[0]) < 89.0 and abs(values[1]) <= 180.0):
+        refuse("--home", f"needs a latitude within 89 and a longitude within 180 degrees, not {text!r}")
+    return Home(values[0], values[1], values[2] if len(values) == 3 else 0.0)
+
+
+def home_on_ground(text: str | None, terrain: Path | None, flavour: Flavour) -> Home | None:
+    """Return home as it was given, at the height of the ground there if it was given none."""
+    home = None if text is None else _home(text)
+    if terrain is None or (text is not None and text.count(",") == 2):
+        return home
+    home = home or DEFAULT_HOMES[flavour]
+    try:
+        hills = Hills(terrain, HomePlane(home.latitude_deg, home.longitude_deg))
+    except HillsError as error:
+        refuse("--terrain", str(error))
+    return replace(home, altitude_m=hills.home_altitude_m)
+
+
+def east_north_m(text: str) -> tuple[float, float]:
+    east_m, north_m = numbers("--target-start", text, (2,), "EAST,NORTH")
+    return east_m, north_m
+
+
+def numbers(option: str, text: str, counts: Collection[int], form: str) -> list[float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in counts or not all(math.isfinite(value) for value in values):
+        refuse(option, f"must look like {form} in numbers, not {text!r}")
+    return values
+
+
+def _address(text: str) -> Address:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        refuse("--to", f"must look like HOST:PORT, not {text!r}")
+    try:
+        return socket.gethostbyname(host), int(port)
+    except OSError:
+        return refuse("--to", f"names the unknown host {host!r}")
+
+
+def refuse(option: str, reason: str) -> NoReturn:
+    print(f"{option} {reason}", file=sys.stderr)
+    raise typer.Exit(2)
