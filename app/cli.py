@@ -14,7 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from app.errors import FlightError, InputError, Interrupted
 from app.link.plain_text import plain
-from app.shutdown import INTERRUPTED, exit_process
+from app.shutdown import INTERRUPTED, exit_process, heed_again
 
 _HELP = """Watch a moving ground target from one side with a fixed-wing UAV.
 
@@ -97,6 +97,7 @@ def main() -> NoReturn:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
             signal.signal(number, signal.default_int_handler)
+    sys.unraisablehook = heed_again
     code = 0
     try:
         try:

@@ -20,6 +20,7 @@ from typing import Any, NoReturn, TextIO, TypeVar
 
 INTERRUPTED = 130  # the exit code
 _THREADS_END_S = 1.0
+_HEEDED_AGAIN_S = 0.05
 
 T = TypeVar("T")
 
@@ -54,6 +55,21 @@ def ends_within(seconds: float, what: str) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
+
+
+def heed_again(unraisable: sys.UnraisableHookArgs) -> None:
+    """Serve as ``sys.unraisablehook``: an interrupt that came where Python drops exceptions comes again.
+
+    So it does while a library calls back, as the compiler does for half a minute.
+    """
+    if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+        sys.__unraisablehook__(unraisable)
+        return
+    main = threading.main_thread().ident
+    assert main is not None
+    again = threading.Timer(_HEEDED_AGAIN_S, signal.pthread_kill, (main, signal.SIGINT))
+    again.daemon = True
+    again.start()
 
 
 def exit_process(code: int) -> NoReturn:

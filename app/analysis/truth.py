@@ -110,7 +110,7 @@ def read_truth(path: Path) -> Truth:
                 if row is not None:
                     rows[row[0]] = row[1:] + (_row(texts, ground_places) or [math.nan, math.nan])
     except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
+        raise InputError(f"{path} cannot be read ({error.strerror}); give a CSV file with the true track.") from error
     if len(rows) < 2:
         raise InputError(f"{path} has fewer than two rows with times and positions.")
     time_s = np.array(sorted(rows))

@@ -29,11 +29,13 @@ from app.fleet.fleet_file import MAX_AIRCRAFT, FleetFile, load_fleet, names_a_fl
 from app.flight.fleet_flight import FleetEnded
 from app.flight.flight import Sharing
 from app.flight.outputs import check_sharing
+from app.link.key_file import read_key
 from app.link.url import checked_url
 from app.planners.registry import PLANNER_NAMES
 from app.records.export import Format
 from app.records.mcap_writer import mcap_writer_class
 from app.records.run_folder import RunFolder
+from app.terrain.elevation_data import elevation_data
 from app.view.address import DEFAULT_PORT, LOOPBACK, page_address
 
 _DURATION_S = 1200.0
@@ -193,19 +195,32 @@ def launch(
     else:
         settings = load_config(config, overrides)
     check_flyable(settings)
-    check_sharing(settings.sharing)
-    for url in settings.link.connections:
-        checked_url(url)
-    if not settings.link.connections:
-        _check_target(settings.simulation.target)
+    _check_input(settings, sharing)
     warn_of_little_room(settings)
-    _check_pointing(settings, sharing)
     with shielded_output():
         ended = fly_one(settings, duration, out, quiet, sharing, address)
         _tell(ended, json)
         if ended.reason is not None:
             raise ended.reason
         _write_more(ended.folder, mcap, report)
+
+
+def _check_input(settings: Config, sharing: Sharing) -> None:
+    """Raise InputError for what is not there or cannot be, before anything is connected or computed."""
+    check_sharing(settings.sharing)
+    for url in settings.link.connections:
+        checked_url(url)
+    if not settings.link.connections:
+        _check_target(settings.simulation.target)
+    if settings.link.signing_key_file is not None:
+        read_key(settings.link.signing_key_file)
+    if settings.terrain.folder is not None:
+        elevation_data(Path(settings.terrain.folder))
+    if sharing.point_gimbal and settings.terrain.folder is not None and settings.sensors.angles_alone:
+        raise InputError(
+            "--point-gimbal points the gimbal at the estimate, which would confirm itself while the laser is silent; "
+            "set sensors.angles_alone = false with it."
+        )
 
 
 def _check_target(target: str) -> None:
@@ -222,18 +237,9 @@ def _check_target(target: str) -> None:
         raise InputError(f"--target {target}: {error}") from error
 
 
-def _check_pointing(settings: Config, sharing: Sharing) -> None:
-    if sharing.point_gimbal and settings.terrain.folder is not None and settings.sensors.angles_alone:
-        raise InputError(
-            "--point-gimbal points the gimbal at the estimate, which would confirm itself while the laser is silent; "
-            "set sensors.angles_alone = false with it."
-        )
-
-
 def _check_fleet(fleet: FleetFile, sharing: Sharing, system_id: int | None) -> None:
     for member in fleet.members:
-        check_sharing(member.config.sharing)
-        _check_pointing(member.config, sharing)
+        _check_input(member.config, sharing)
     if system_id is not None:
         raise InputError("--system-id names one vehicle; give each aircraft of the fleet file its system_id.")
 

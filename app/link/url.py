@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import re
 import socket
+from pathlib import Path
 
 from app.errors import InputError
 
 _SCHEMES = "udpin://HOST:PORT, udpout://HOST:PORT, tcpout://HOST:PORT, tcpin://HOST:PORT, serial:///dev/NAME:BAUD"
 _NETWORK_URL = re.compile(r"(udpin|udpout|tcpin|tcpout)://([^:/]+):(\d{1,5})")
-_SERIAL_URL = re.compile(r"serial(_flowcontrol)?:///[^:]+:\d+")
+_SERIAL_URL = re.compile(r"serial(?:_flowcontrol)?://(/[^:]+):\d+")
 
 
 def checked_url(url: str) -> str:
-    """Return the URL as MAVSDK understands it. Raises InputError for what it cannot open, or a port in use."""
-    if _SERIAL_URL.fullmatch(url):
+    """Return the URL as MAVSDK understands it.
+
+    Raises InputError for what it cannot open, a device that is not there, or a port in use.
+    """
+    serial = _SERIAL_URL.fullmatch(url)
+    if serial is not None:
+        if not Path(serial[1]).exists():
+            raise InputError(f"{url!r}: there is no device {serial[1]}; plug it in, or name another.")
         return url
     match = _NETWORK_URL.fullmatch(url)
     if match is None or not 0 < int(match[3]) < 65536:

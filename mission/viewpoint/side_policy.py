@@ -67,8 +67,8 @@ def watching_from(requirement: Requirement, words: str) -> Requirement:
         return replace(plain, either_side=True)
     match = _SECTOR_WORDS.fullmatch(words)
     if match is None:
-        raise ValueError(f"side: {words!r} is none of left, right, either, or a sector in degrees such as 120-200")
+        raise ValueError(f"{words!r} is none of left, right, either, or a sector in degrees such as 120-200")
     from_deg, to_deg = float(match[1]), float(match[2])
     if max(from_deg, to_deg) > 360.0 or from_deg % 360.0 == to_deg % 360.0:
-        raise ValueError(f"side: the sector {words} needs two different bearings from 0 to 360 degrees")
+        raise ValueError(f"the sector {words} needs two different bearings from 0 to 360 degrees")
     return replace(plain, sector=Sector(math.radians(from_deg), math.radians(to_deg)))

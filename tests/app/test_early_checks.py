@@ -19,6 +19,10 @@ from app.commands import launch_one, replay
         (["launch", "--cot", "foo"], "sharing.cot: 'foo' is no address"),
         (["launch", "--beacon", "udp://127.0.0.1:70000"], "sharing.beacon"),
         (["launch", "--connect", "nope://x"], "'nope://x' is no link this can open"),
+        (["launch", "--connect", "serial:///dev/none:57600"], "there is no device /dev/none"),
+        (["launch", "--terrain", "none"], "none: there is no such folder of elevation data"),
+        (["launch", "--signing-key", "none"], "signing key none cannot be read"),
+        (["launch", "--side", "up"], "requirement.side: 'up' is none of left, right"),
         (["replay", "tests/data/arduplane-follow-bike.tlog", "--truth", "pyproject.toml"], "is no truth file"),
     ],
 )

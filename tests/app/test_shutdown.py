@@ -59,3 +59,23 @@ shutdown.exit_process(3)
 def test_a_signal_at_the_very_end_changes_no_exit_code():
     done = subprocess.run([sys.executable, "-c", LATE_SIGNAL], capture_output=True, timeout=30.0, check=False)
     assert (done.returncode, done.stderr) == (3, b"")
+
+
+IGNORED_SIGNAL = """
+import signal, sys, time
+from app import shutdown
+class Deaf:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)  # where Python drops exceptions, as in a callback of a library
+sys.unraisablehook = shutdown.heed_again
+Deaf()
+try:
+    time.sleep(20.0)
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+def test_an_interrupt_that_is_dropped_comes_again():
+    done = subprocess.run([sys.executable, "-c", IGNORED_SIGNAL], capture_output=True, timeout=30.0, check=False)
+    assert (done.returncode, done.stderr) == (130, b"")
