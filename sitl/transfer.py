@@ -98,10 +98,6 @@ class Transfer:
         self._upload: _Upload | None = None
         self._completed: tuple[tuple[int, int], int] | None = None
 
-    @property
-    def receiving(self) -> bool:
-        return self._upload is not None
-
     def step(self, now_s: float) -> None:
         upload = self._upload
         if upload is None:

@@ -21,9 +21,6 @@ class Window(NamedTuple):
     own_end: int
     at_end: bool  # of the file
 
-    def owns(self, position: int) -> bool:
-        return self.own_begin <= position < self.own_end
-
 
 def windows(path: Path, margin_bytes: int, progress: Progress | None = None) -> Iterator[Window]:
     """Yield the file's windows in order, each with up to ``margin_bytes`` of its neighbours on both sides."""

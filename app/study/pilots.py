@@ -71,16 +71,12 @@ class LawPilot:
 
 
 class PlanFollower:
-    """Follows plans, each from its departure on. changed_s: when each was departed to."""
+    """Follows ``plan``, and ``coming`` from its departure on. changed_s: when each was departed to."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self.coming: Plan | None = None
         self.changed_s: list[float] = []
-
-    def take_up(self, plan: Plan) -> None:
-        """Fly ``plan`` from its departure on."""
-        self.coming = plan
 
     def curvature_per_m(self, aircraft: AircraftState) -> float:
         """Return the curvature to fly now."""

@@ -71,7 +71,7 @@ from mission.core.fleet import FleetAdvice, NeighbourPlanned, Role
 from mission.core.heights import ClimbRates, Heights, OneHeight
 from mission.core.plan import AircraftState, Decision, Plan, PlannerFactory, settled_m
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
-from mission.geometry.progress import advanced, nearest_arc_m
+from mission.geometry.progress import dead_reckoned, nearest_arc_m
 
 # A stronger wind, as a share of the airspeed, is not flown in: one that is reported all the same is not believed.
 _WIND_MAX_SHARE = 0.9
@@ -430,7 +430,7 @@ class StandoffController:
             return ()
         latency_s, radius_m, circle = self.latency.expected_s, self.settings.aircraft.radius_m, present.circle
         if circle.radius_m != radius_m:
-            start = advanced(aircraft, latency_s)
+            start = dead_reckoned(aircraft, latency_s)
             circle = Circle.tangent_to(start.east_m, start.north_m, start.course_rad, radius_m, circle.clockwise)
         cleared = self.cleared(Plan(circle, None, self.time_s + latency_s))
         if isinstance(cleared, str):

@@ -10,7 +10,7 @@ from mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned
 from mission.core.plan import AircraftState, Decision, Plan, Planner, PlannerFactory, WindPlanner
 from mission.core.requirement import Aircraft, Requirement, Wind
 from mission.geometry.approach import approach
-from mission.geometry.progress import advanced
+from mission.geometry.progress import dead_reckoned
 
 # What the fleet advised is followed for so long.
 _ADVICE_S = 5.0
@@ -83,7 +83,7 @@ class Planning:
         range_m = math.hypot(aircraft.east_m - target.east_m, aircraft.north_m - target.north_m)
         if range_m <= self._requirement.range_max_m:
             return self.planner.decide(aircraft, target, present, wind, latency_s)
-        start = advanced(aircraft, latency_s)
+        start = dead_reckoned(aircraft, latency_s)
         plan = approach(start, target, self._aircraft, self._requirement)
         off_m = math.hypot(plan.circle.east_m - present.circle.east_m, plan.circle.north_m - present.circle.north_m)
         if off_m < 0.5 * self._aircraft.radius_m:

@@ -31,10 +31,7 @@ def leading_circle(plan: Plan, aircraft: AircraftState, bank_max_rad: float) -> 
     """Return the circle to fly now, or None when the plan's own circle is to be flown from now on."""
     radius_m, speed_m_s = plan.circle.radius_m, aircraft.ground_speed_m_s
     min_m = min(speed_m_s**2 / (GRAVITY_M_S2 * math.tan(bank_max_rad)), radius_m)
-    soon = dead_reckoned(aircraft, _RESPONSE_S, 1.0 / min_m)
-    state = AircraftState(
-        aircraft.time_s + _RESPONSE_S, soon.east_m, soon.north_m, soon.course_rad, speed_m_s, soon.curvature_per_m
-    )
+    state = dead_reckoned(aircraft, _RESPONSE_S, 1.0 / min_m)
     arc_m = nearest_arc_m(plan, state)
     if arc_m >= plan.transition_m:
         return None

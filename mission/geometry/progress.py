@@ -12,7 +12,7 @@ from mission.core.plan import AircraftState, Plan
 from mission.geometry import _line_kernel
 from mission.geometry._line_kernel import OFF_TRACK_M, OFF_TRACK_RAD, Circling, LinePoint
 
-__all__ = ["LinePoint", "advanced", "dead_reckoned", "line_at", "line_of", "nearest_arc_m", "off_track", "point_at"]
+__all__ = ["LinePoint", "dead_reckoned", "line_at", "line_of", "nearest_arc_m", "off_track", "point_at"]
 
 _NO_LINE = np.empty((5, 0))
 
@@ -59,17 +59,14 @@ def off_track(
     return off_m > cross_track_m or abs(off_rad) > course_error_rad
 
 
-def dead_reckoned(aircraft: AircraftState, duration_s: float, curvature_max_per_m: float) -> LinePoint:
-    """Return where the aircraft is after ``duration_s`` on its present curvature, limited to that of a plan."""
+def dead_reckoned(aircraft: AircraftState, duration_s: float, curvature_max_per_m: float = math.inf) -> AircraftState:
+    """Return where the aircraft is after ``duration_s`` on its present curvature, limited to that of a plan.
+
+    There is no wind.
+    """
     curvature_per_m = min(max(aircraft.curvature_per_m, -curvature_max_per_m), curvature_max_per_m)
-    here = LinePoint(aircraft.east_m, aircraft.north_m, aircraft.course_rad, curvature_per_m)
-    return _line_kernel.arc_point(here, 0.0, aircraft.ground_speed_m_s * duration_s)
-
-
-def advanced(aircraft: AircraftState, duration_s: float) -> AircraftState:
-    """Return where the aircraft is after ``duration_s`` on its present curvature, without wind."""
     step_m = aircraft.ground_speed_m_s * duration_s
-    turned_rad = aircraft.curvature_per_m * step_m
+    turned_rad = curvature_per_m * step_m
     circle_sinc = math.sin(0.5 * turned_rad) / (0.5 * turned_rad) if abs(turned_rad) > 1e-9 else 1.0
     middle_rad = aircraft.course_rad + 0.5 * turned_rad
     return replace(
@@ -78,4 +75,5 @@ def advanced(aircraft: AircraftState, duration_s: float) -> AircraftState:
         east_m=aircraft.east_m + step_m * circle_sinc * math.sin(middle_rad),
         north_m=aircraft.north_m + step_m * circle_sinc * math.cos(middle_rad),
         course_rad=aircraft.course_rad + turned_rad,
+        curvature_per_m=curvature_per_m,
     )

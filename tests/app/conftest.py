@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import socket
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -154,3 +155,20 @@ def browser():
         launched = running.chromium.launch(executable_path=executable, args=flags)
         yield launched
         launched.close()
+
+
+@pytest.fixture
+def receiver():
+    """Return a UDP socket of the loopback."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(20.0)
+        yield receiver
+
+
+@pytest.fixture
+def snapshot(flight):
+    """Return what a display is shown after 5 s of a flight."""
+    for _, _, controller in flight(5.0):
+        last = controller
+    return last.snapshot()

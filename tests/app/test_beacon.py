@@ -141,21 +141,6 @@ def test_it_listens_by_udp(free_port):
 # -- for other autopilots ----------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def receiver():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
-        receiver.bind(("127.0.0.1", 0))
-        receiver.settimeout(20.0)
-        yield receiver
-
-
-@pytest.fixture
-def snapshot(flight):
-    for _, _, controller in flight(5.0):
-        last = controller
-    return last.snapshot()
-
-
 def sender_to(receiver: socket.socket) -> DatagramSender:
     return DatagramSender(Address("udp", *receiver.getsockname()), "test")
 

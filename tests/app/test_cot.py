@@ -52,21 +52,6 @@ def test_the_type_is_neutral_and_the_event_goes_stale():
     assert event.staleTime - event.sendTime == 10_000
 
 
-@pytest.fixture
-def receiver():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
-        receiver.bind(("127.0.0.1", 0))
-        receiver.settimeout(10.0)
-        yield receiver
-
-
-@pytest.fixture
-def snapshot(flight):
-    for _, _, controller in flight(5.0):
-        last = controller
-    return last.snapshot()
-
-
 def output_to(receiver: socket.socket) -> CotOutput:
     return CotOutput(DatagramSender(Address("udp", *receiver.getsockname()), "sharing.cot"), PLANE)
 

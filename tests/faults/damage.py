@@ -122,13 +122,6 @@ def other_values(values: Any, rng: random.Random) -> Any:
     return rng.choice(_VALUES)
 
 
-def nested(depth: int) -> Any:
-    values: Any = 1.0
-    for _ in range(depth):
-        values = [values]
-    return values
-
-
 def resealed(journal: bytes, rng: random.Random) -> bytes:
     """Return a journal of which some lines say something else, with checksums that hold."""
     lines = journal.splitlines(keepends=True)

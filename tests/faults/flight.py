@@ -105,14 +105,6 @@ class Flown:
     ended: str | None = None
     slowest_step_s: float = 0.0
 
-    @property
-    def in_band_share(self) -> float:
-        return float(np.mean([100.0 <= range_m <= 500.0 for range_m in self.range_m]))
-
-    @property
-    def on_side_share(self) -> float:
-        return float(np.mean(self.on_side))
-
 
 class ClosedLoop:
     """One flight. Events and commands go nowhere but into ``flown``."""
