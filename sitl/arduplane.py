@@ -36,6 +36,7 @@ _MANNERS = ProtocolQuirks(
     timeout_s=8.0,
     max_items=724,
     partial_writes=True,
+    reads_in_order=False,
     busy_result=mavlink.MAV_MISSION_DENIED,
     restarts=True,
     wrong_sequence_result=mavlink.MAV_MISSION_INVALID_SEQUENCE,

@@ -252,7 +252,9 @@ class Autopilot(ABC):
             if self.is_ground_station(message):
                 self.gcs_heard_s = self.now_s
         elif kind == "MISSION_SET_CURRENT":
-            if self.set_current_item(message.seq):
+            if self.transfers[mavlink.MAV_MISSION_TYPE_MISSION].is_busy_with(station):
+                self.say(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN WP CURR CMD: Busy\t")
+            elif self.set_current_item(message.seq):
                 self.broadcast_now(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
         elif kind.startswith("MISSION_"):
             self._on_mission(station, message)

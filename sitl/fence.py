@@ -38,8 +38,10 @@ class PointStore:
         self._items, self._arriving = self._arriving, []
         return int(mavlink.MAV_MISSION_ACCEPTED)
 
-    def abandon(self) -> None:
+    def abandon(self) -> int | None:
+        arrived_id = checksum(self._arriving) if self._with_checksum else None
         self._arriving = []
+        return arrived_id
 
     def clear(self) -> int:
         self._items = []

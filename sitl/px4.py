@@ -29,6 +29,7 @@ _MANNERS = ProtocolQuirks(
     timeout_s=5.0,
     max_items=2000,
     partial_writes=False,
+    reads_in_order=True,
     busy_result=mavlink.MAV_MISSION_ERROR,
     restarts=False,
     wrong_sequence_result=None,

@@ -69,8 +69,10 @@ class Px4Mission:
         self._arriving = []
         return int(mavlink.MAV_MISSION_ACCEPTED)
 
-    def abandon(self) -> None:
+    def abandon(self) -> int:
+        arrived_id = checksum(self._arriving)
         self._arriving = []
+        return arrived_id
 
     def clear(self) -> int:
         self._items, self.mission_id, self.index = [], 0, 0

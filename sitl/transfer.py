@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sitl.items import Item, ItemRefused
 from sitl.radio import Radio, Station
-from sitl.wire import mission_ack
+from sitl.wire import mission_ack, mission_count
 
 
 class Store(Protocol):
@@ -26,7 +26,7 @@ class Store(Protocol):
     def current_index(self) -> int: ...
 
     def opaque_id(self) -> int | None:
-        """Return a checksum to acknowledge uploads with, None where the autopilot has none."""
+        """Return a checksum of the items, None where the autopilot has none."""
         ...
 
     def begin(self, count: int) -> int:
@@ -41,8 +41,8 @@ class Store(Protocol):
         """Take over the upload: all items have come."""
         ...
 
-    def abandon(self) -> None:
-        """Forget the upload: it was cut."""
+    def abandon(self) -> int | None:
+        """Forget the upload: it was cut. Return the checksum of what had come."""
         ...
 
     def clear(self) -> int: ...
@@ -57,10 +57,11 @@ class ProtocolQuirks:
     timeout_s: float
     max_items: int
     partial_writes: bool
+    reads_in_order: bool  # a list is read from its first item on until it is acknowledged, and meanwhile it is busy
     busy_result: int  # the answer to anyone else while an upload runs
     restarts: bool  # a new count from the sender starts over at any time, or only while item 0 is awaited
     wrong_sequence_result: int | None  # None: the item is ignored
-    repeats_final_ack: bool  # a second copy of the last item is acknowledged again
+    repeats_final_ack: bool  # a second copy of the item that came last is acknowledged, also where not all have come
     timeout_result: int | None
     timeout_severity: int
     timeout_text: str
@@ -73,6 +74,14 @@ class _Upload:
     next_index: int
     last_index: int
     asked_s: float
+    heard_s: float
+
+
+@dataclass(slots=True)
+class _Download:
+    sender: tuple[int, int]
+    count: int
+    next_index: int
     heard_s: float
 
 
@@ -96,15 +105,24 @@ class Transfer:
         self._timeout_s = quirks.timeout_s * link_rate
         self._tell = tell
         self._upload: _Upload | None = None
-        self._completed: tuple[tuple[int, int], int] | None = None
+        self._latest: tuple[tuple[int, int], int, int | None] | None = None  # sender, index and checksum
+        self._downloads: dict[Station, _Download] = {}  # of those who read in order
+
+    def is_busy_with(self, station: Station) -> bool:
+        """Tell whether it heeds nothing but the list that this station reads or writes."""
+        writes = self._upload is not None and self._upload.station is station
+        return self._quirks.reads_in_order and (writes or station in self._downloads)
 
     def step(self, now_s: float) -> None:
+        for station, download in list(self._downloads.items()):
+            if now_s - download.heard_s > self._timeout_s:
+                del self._downloads[station]
+                self._tell(self._quirks.timeout_severity, self._quirks.timeout_text)
         upload = self._upload
         if upload is None:
             return
         if now_s - upload.heard_s > self._timeout_s:
-            self._upload = None
-            self.store.abandon()
+            self._abandon(upload)
             self._tell(self._quirks.timeout_severity, self._quirks.timeout_text)
             if self._quirks.timeout_result is not None:
                 self._acknowledge(upload.station, upload.sender, self._quirks.timeout_result)
@@ -124,16 +142,18 @@ class Transfer:
                 if self._upload is not None:
                     self._acknowledge(station, sender, self._quirks.busy_result)
                 else:
-                    self._send_count(station, sender)
+                    self._send_count(station, sender, now_s)
+            case "MISSION_REQUEST_INT" | "MISSION_REQUEST" if self._quirks.reads_in_order and self._upload is None:
+                self._on_request_in_order(station, sender, message, now_s)
             case "MISSION_REQUEST_INT" | "MISSION_REQUEST":
                 self._on_request(station, sender, message)
             case "MISSION_CLEAR_ALL":
                 self._on_clear(station, sender)
             case "MISSION_ACK":
+                self._downloads.pop(station, None)
                 upload = self._upload
                 if upload is not None and upload.sender == sender:  # the sender breaks off
-                    self._upload = None
-                    self.store.abandon()
+                    self._abandon(upload)
 
     def _on_count(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
         if not self._may_start(station, sender):
@@ -161,13 +181,15 @@ class Transfer:
 
     def _may_start(self, station: Station, sender: tuple[int, int]) -> bool:
         upload = self._upload
+        if station in self._downloads:
+            self._acknowledge(station, sender, self._quirks.busy_result)
+            return False
         if upload is None:
             return True
         if upload.sender != sender or not (self._quirks.restarts or upload.next_index == 0):
             self._acknowledge(station, sender, self._quirks.busy_result)
             return False
-        self._upload = None
-        self.store.abandon()
+        self._abandon(upload)
         return True
 
     def _start(self, upload: _Upload, now_s: float) -> None:
@@ -186,9 +208,11 @@ class Transfer:
     def _on_item(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
         upload, quirks = self._upload, self._quirks
         if upload is None:
-            repeated = quirks.repeats_final_ack and self._completed == (sender, message.seq)
-            result = mavlink.MAV_MISSION_ACCEPTED if repeated else mavlink.MAV_MISSION_ERROR
-            self._acknowledge(station, sender, result)
+            latest = self._latest if quirks.repeats_final_ack and station not in self._downloads else None
+            if latest is not None and latest[:2] == (sender, message.seq):
+                self._acknowledge(station, sender, mavlink.MAV_MISSION_ACCEPTED, latest[2])
+            else:
+                self._acknowledge(station, sender, mavlink.MAV_MISSION_ERROR)
             return
         if message.seq != upload.next_index:
             if quirks.wrong_sequence_result is not None:
@@ -201,8 +225,7 @@ class Transfer:
         try:
             self.store.put(message.seq, Item.from_message(message), bool(message.current))
         except ItemRefused as refusal:
-            self._upload = None
-            self.store.abandon()
+            self._abandon(upload)
             self._acknowledge(station, sender, refusal.result)
             return
         upload.next_index += 1
@@ -210,12 +233,19 @@ class Transfer:
             self._ask(upload, now_s)
             return
         self._upload = None
-        self._completed = (sender, upload.last_index)
-        self._acknowledge(station, sender, self.store.finish())
+        result = self.store.finish()
+        self._latest = (sender, upload.last_index, self.store.opaque_id())
+        self._acknowledge(station, sender, result)
 
-    def _send_count(self, station: Station, sender: tuple[int, int]) -> None:
+    def _abandon(self, upload: _Upload) -> None:
+        self._upload = None
+        self._latest = (upload.sender, upload.next_index - 1, self.store.abandon())
+
+    def _send_count(self, station: Station, sender: tuple[int, int], now_s: float) -> None:
         count = len(self.store.items())
-        self._radio.send(station, mavlink.MAVLink_mission_count_message(*sender, count, self.mission_type))
+        if self._quirks.reads_in_order:
+            self._downloads[station] = _Download(sender, count, 0, now_s)
+        self._radio.send(station, mission_count(sender, count, self.mission_type, self.store.opaque_id() or 0))
 
     def _on_request(self, station: Station, sender: tuple[int, int], message: Any) -> None:
         if self._upload is not None:
@@ -230,13 +260,28 @@ class Transfer:
         item = items[message.seq].message(message.seq, self.mission_type, current, sender, as_int)
         self._radio.send(station, item)
 
+    def _on_request_in_order(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
+        """Send the next item, or the one before again; any other ends the reading."""
+        download = self._downloads.get(station)
+        if download is None or download.sender != sender:
+            return
+        download.heard_s = now_s
+        if message.seq == download.next_index and download.next_index < download.count:
+            download.next_index += 1
+        elif message.seq != download.next_index - 1:
+            del self._downloads[station]
+            self._acknowledge(station, sender, mavlink.MAV_MISSION_ERROR)
+            self._tell(mavlink.MAV_SEVERITY_CRITICAL, "WPM: REJ. CMD: Req. WP was unexpected\t")
+            return
+        self._on_request(station, sender, message)
+
     def _on_clear(self, station: Station, sender: tuple[int, int]) -> None:
         if self._may_start(station, sender):
             self._acknowledge(station, sender, self.store.clear())
 
-    def _acknowledge(self, station: Station, sender: tuple[int, int], result: int) -> None:
-        opaque_id = self.store.opaque_id()
+    def _acknowledge(
+        self, station: Station, sender: tuple[int, int], result: int, opaque_id: int | None = None
+    ) -> None:
         if opaque_id is None:
-            self._radio.send(station, mavlink.MAVLink_mission_ack_message(*sender, result, self.mission_type))
-        else:
-            self._radio.send(station, mission_ack(sender, result, self.mission_type, opaque_id))
+            opaque_id = self.store.opaque_id()
+        self._radio.send(station, mission_ack(sender, result, self.mission_type, opaque_id or 0))

@@ -36,5 +36,9 @@ def mission_ack(to: tuple[int, int], result: int, mission_type: int, opaque_id: 
     return Extended(mavlink.MAVLink_mission_ack_message(*to, result, mission_type), struct.pack("<I", opaque_id))
 
 
+def mission_count(to: tuple[int, int], count: int, mission_type: int, opaque_id: int) -> Extended:
+    return Extended(mavlink.MAVLink_mission_count_message(*to, count, mission_type), struct.pack("<I", opaque_id))
+
+
 def mission_current(base: Any, mission_id: int, fence_id: int, rally_id: int) -> Extended:
     return Extended(base, struct.pack("<III", mission_id, fence_id, rally_id))

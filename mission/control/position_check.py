@@ -2,7 +2,8 @@
 
 A reading is believed when it lies where dead reckoning from the last believed one puts the aircraft, within what the
 aircraft can have accelerated meanwhile. One that lies elsewhere is replaced by dead reckoning: by the velocity it
-tells, where that goes on from the last one, else by the last velocity turned as the bank turns it. A new place that
+tells, where that goes on from the last one, else by the last velocity turned as the bank turns it. Where the last one
+believed was the odd one, what follows from the one before it is believed. A new place that
 holds for ``_PROOF_S`` while GPS and EKF have nothing to complain of is believed after all. Two places that take turns
 are two vehicles.
 """
@@ -21,6 +22,7 @@ _DRIFT_M_S = 3.0  # of dead reckoning
 _VELOCITY_SLACK_M_S, _VELOCITY_RATE_M_S2 = 6.0, 15.0
 _CLIMB_SLACK_M, _CLIMB_RATE_M_S = 20.0, 10.0
 _PROOF_S = 15.0
+_ODD_S = 1.0  # so long after the one before it a believed reading may turn out to have been the odd one
 _SETTLED = 5  # so many readings in order, before there is anything to hold on to
 _TURNS_MAX, _TURN_MAX_S = 20, 0.5
 
@@ -34,6 +36,7 @@ class PositionCheck:
 
     def __init__(self) -> None:
         self.believed: PositionReading | None = None
+        self._before: PositionReading | None = None  # the reading that was believed before the latest one
         self.astray_s: float | None = None
         self.jump_m = 0.0
         self.two_places_m: float | None = None
@@ -51,6 +54,7 @@ class PositionCheck:
         """Follow the vehicle's clock to another count."""
         if self.believed is not None:
             self.believed = replace(self.believed, time_s=self.believed.time_s + seconds)
+        self._before = None
         if self.astray_s is not None:
             self.astray_s += seconds
             self._elsewhere_since_s += seconds
@@ -69,7 +73,13 @@ class PositionCheck:
         step_s = reading.time_s - last.time_s
         if step_s <= 0.0:
             return reading if possible and self.astray_s is None and self._follows(last, reading) else None
-        if possible and self._follows(last, reading):
+        before = self._before
+        after_odd_one = (
+            before is not None
+            and reading.time_s - before.time_s <= _ODD_S
+            and _reachable(before, reading, 0.0)
+        )
+        if possible and (after_odd_one or self._follows(last, reading)):
             return self._believe(reading)
         self._note_elsewhere(last, reading)
         proven = sound and reading.time_s - self._elsewhere_since_s >= _PROOF_S
@@ -82,6 +92,7 @@ class PositionCheck:
         return reckoned
 
     def _believe(self, reading: PositionReading) -> PositionReading:
+        self._before = self.believed if self.astray_s is None else None
         self.believed, self.astray_s, self._drifted_m = reading, None, 0.0
         self._readings += 1
         return reading

@@ -56,6 +56,11 @@ class MissionOwnership:
         """The ids of the missions that have been ours."""
         return frozenset(mission_id for _, mission_id in self._identity.ours)
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether one of the latest uploads ended in doubt: its acknowledgement may still come."""
+        return not all(whole for _, whole in self._written)
+
     def begin(self) -> None:
         """Look out from now on."""
         self._begun = True
@@ -81,7 +86,7 @@ class MissionOwnership:
         self._in_doubt = self._begun and not accepted and not self._quirks.stores_items_one_by_one
         self._written.append((items, accepted))
         self._identity.written(len(items) - self._quirks.home_at_zero, mission_id, accepted)
-        if not all(whole for _, whole in self._written):
+        if self.doubtful:
             self._identity.doubtful = {len(one) - self._quirks.home_at_zero for one, _ in self._written}
 
     def switched(self) -> None:

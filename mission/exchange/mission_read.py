@@ -1,7 +1,9 @@
 """Reading the mission that is on board, quickly over a bad link.
 
-Where items can be asked for one by one they are asked for all at once, and what is missing again. Otherwise the
-list is read in its order, and the end of it has to be acknowledged.
+Where items can be asked for in any order, they are asked for all at once, and what is missing again. Otherwise an item
+out of its turn ends the reading: they are asked for all at once, in their order, each twice, for the vehicle takes a
+request again but none after one that was lost. Where that fails again and again, requests overtake each other: then
+one after the other. The end of such a reading has to be told.
 """
 
 from __future__ import annotations
@@ -9,21 +11,25 @@ from __future__ import annotations
 import math
 
 from mission.exchange.dialect import ProtocolQuirks
-from mission.exchange.outbox import DENIED, ERROR, Outbox
+from mission.exchange.outbox import CANCELLED, DENIED, ERROR, Outbox
 from mission.exchange.raw_item import RawItem
 from mission.exchange.reports import MissionAcknowledged, MissionCountReported, MissionItemReported, VehicleReport
 
 _AGAIN_S, _AGAIN_ROUND_TRIPS = 0.25, 2.0
 _SLOWER, _SLOWEST = 1.25, 2.0
+_DISTURBED_MAX = 2  # so often the requests are sent ahead of the answers
+_UNANSWERED_MAX = 4  # requests; then the vehicle may have given the reading up, and heeds none any more
 
 
 class MissionRead:
     """``done`` when all is read or the deadline (of the link's clock) has passed; then ``items``, None: not read."""
 
     def __init__(self, outbox: Outbox, quirks: ProtocolQuirks, deadline_s: float) -> None:
-        self._outbox, self._all_at_once = outbox, quirks.stores_items_one_by_one
+        self._outbox, self._in_order = outbox, not quirks.stores_items_one_by_one
         self._deadline_s, self._again_s = deadline_s, _AGAIN_S
+        self._disturbed = 0
         self._count: int | None = None
+        self._read_of = 0  # so many items, of the mission that mission_id tells
         self._read: dict[int, RawItem] = {}
         self._due_s = math.inf
         self._asked_s, self._repeats = outbox.link_s, 0
@@ -45,19 +51,22 @@ class MissionRead:
             case MissionCountReported() if self._count is None:
                 self._again_s = max(_AGAIN_S, _AGAIN_ROUND_TRIPS * (report.link_s - self._asked_s))
                 self._repeats = 0
-                self._count, self.mission_id = report.count, report.mission_id
+                if (report.count, report.mission_id) != (self._read_of, self.mission_id) or not report.mission_id:
+                    self._read.clear()
+                self._count = self._read_of = report.count
+                self.mission_id = report.mission_id
                 self._go_on()
             case MissionItemReported() if self._count is not None and 0 <= report.seq < self._count:
                 if report.seq not in self._read:
                     self._read[report.seq] = report.item
                     self._due_s, self._repeats = report.link_s + self._again_s, 0
-                    if len(self._read) == self._count or not self._all_at_once:
+                    if len(self._read) == self._count or self._singly:
                         self._go_on()
             case MissionAcknowledged() if self._count is not None and report.result in (ERROR, DENIED):
                 # It was disturbed, by a lost request or another station: from the beginning.
-                if not self._all_at_once:
-                    self._count = None
-                    self._read.clear()
+                if self._in_order:
+                    self._disturbed += 1
+                    self._begin_again()
 
     def expire(self) -> None:
         """Ask again, or give up."""
@@ -65,9 +74,26 @@ class MissionRead:
             return
         if self._outbox.link_s >= self._deadline_s:
             self.done = True
+            if self._in_order:
+                self._outbox.send_mission("MISSION_ACK", type=CANCELLED)
         elif self._outbox.link_s >= self._due_s:
             self._repeats += 1
-            self._ask()
+            given_up = not self._singly or self._repeats > _UNANSWERED_MAX
+            if self._in_order and given_up and self._count is not None:
+                self._begin_again()
+            else:
+                self._ask()
+
+    @property
+    def _singly(self) -> bool:
+        return self._in_order and self._disturbed > _DISTURBED_MAX
+
+    def _begin_again(self) -> None:
+        """Read the list from its beginning, for what has not come; one after the other only from the first item."""
+        self._count = None
+        if self._singly:
+            self._read.clear()
+        self._ask()
 
     def _go_on(self) -> None:
         assert self._count is not None
@@ -85,5 +111,11 @@ class MissionRead:
             self._outbox.send_mission("MISSION_REQUEST_LIST")
             return
         missing = [seq for seq in range(self._count) if seq not in self._read]
-        for seq in missing if self._all_at_once else missing[:1]:
+        if self._singly:
+            asked = missing[:1]
+        elif self._in_order:
+            asked = [seq for seq in range(missing[-1] + 1) for _ in range(2)]
+        else:
+            asked = missing
+        for seq in asked:
             self._outbox.send_mission("MISSION_REQUEST_INT", seq=seq)

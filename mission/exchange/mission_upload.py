@@ -69,6 +69,7 @@ class MissionUpload:
             self._outbox.link_s + bound_s,
             marked,
             self._ownership.mission_ids,
+            self._ownership.doubtful,
             self.round_trip_s,
         )
 
@@ -89,6 +90,8 @@ class MissionUpload:
 
     def forget(self) -> None:
         """Hear no more of what is being written; what is on board is not known then."""
+        if self._write is not None:
+            self._ownership.written(self._write.items, 0, False)
         self._write = self._layout = self._result = None
         self._onboard = ()
 

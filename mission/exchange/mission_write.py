@@ -2,7 +2,8 @@
 
 Autopilots take the items strictly in their order and leave any other alone, so they may be sent without waiting for
 each request: a lost packet costs a fraction of a second, and nothing can be stored out of its place. What was stored
-is read back where items are stored one by one; elsewhere the acknowledgement names the mission, or the list is read.
+is read back where items are stored one by one. Elsewhere the list is taken whole and acknowledged; where that may have
+been the acknowledgement of another upload, or of a part of this one, the list is read.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class MissionWrite:
 
     ``changed`` as long as ``items`` replaces the whole list, however long that was. marked tells which item is to be
     flown on taking the list over. deadline_s is of the link's clock. mission_ids_before: of uploads
-    before, whose acknowledgements may still come. ``result`` is None while it goes on; ACCEPTED:
+    before, whose acknowledgements may still come; doubt_before: so may that of one whose id is not known. ``result`` is None while it goes on; ACCEPTED:
     verified. After TIMEOUT and DENIED what is on board at ``changed`` is not known.
     """
 
@@ -57,11 +58,13 @@ class MissionWrite:
         deadline_s: float,
         marked: Callable[[], int],
         mission_ids_before: Collection[int] = (),
+        doubt_before: bool = False,
         round_trip_s: float = 0.0,
     ) -> None:
         self._outbox, self._quirks, self._marked = outbox, quirks, marked
         self.items, self.changed = tuple(items), changed
         self._deadline_s, self._mission_ids_before = deadline_s, mission_ids_before
+        self._doubt_before = doubt_before
         self._again_s = max(_AGAIN_S, _AGAIN_ROUND_TRIPS * round_trip_s)
         self._at_once = round_trip_s > _LONG_ROUND_TRIP_S
         self._overtaken = False
@@ -87,10 +90,11 @@ class MissionWrite:
         """Take a report."""
         if self.result is not None:
             return
-        if self._read is not None:
+        if self._read is not None and not self._is_wanted_still(report):
             self._read.receive(report)
             self._judge_read()
             return
+        self._read = None
         match report:
             case MissionItemRequested() if self._phase is not _Phase.VERIFYING and 0 <= report.seq < len(self.items):
                 self._requested(report)
@@ -163,13 +167,12 @@ class MissionWrite:
             self._verify()
         elif report.result != ACCEPTED:
             self.result = WriteResult.DENIED
-        elif self._quirks.stores_items_one_by_one:
-            self._verify()
-        elif report.mission_id and report.mission_id not in self._mission_ids_before:
+        elif report.mission_id and report.mission_id in self._mission_ids_before:
+            pass  # of the upload before, come late
+        elif self._quirks.stores_items_one_by_one or self._doubt_before or self._awaited != self.changed[-1]:
+            self._verify()  # PX4 acknowledges the item that came last again, also where it has given the upload up
+        else:
             self.mission_id, self.result = report.mission_id, WriteResult.ACCEPTED
-        elif report.mission_id == 0 and self._awaited == self.changed[-1]:
-            self.result = WriteResult.ACCEPTED
-        # Else it is the acknowledgement of the upload before, come late.
 
     def _say(self) -> None:
         outbox, changed = self._outbox, self.changed
@@ -209,6 +212,11 @@ class MissionWrite:
         self._onboard.clear()
         self._say()
         self._judge()
+
+    def _is_wanted_still(self, report: VehicleReport) -> bool:
+        """Tell whether the vehicle still asks for items, though an acknowledgement has come."""
+        asked = isinstance(report, MissionItemRequested) and report.seq in self.changed and report.seq >= self._awaited
+        return asked and report.link_s < self._deadline_s
 
     def _to_verify(self) -> list[int]:
         return [seq for seq in self.changed if not (seq == 0 and self._quirks.home_at_zero)]

@@ -82,6 +82,7 @@ def truth_at(times_s: list[float]) -> Truth:
     return Truth(np.array(times_s), positions_deg, np.full((2, n), np.nan))
 
 
+@pytest.mark.filterwarnings("error")
 def test_a_flight_that_never_came_to_its_first_circle_has_a_summary():
     collector = SummaryCollector(load_config(None).requirement.requirement())
     truth = Truth(

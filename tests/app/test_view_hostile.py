@@ -92,6 +92,7 @@ def hostile(host: str) -> list[bytes]:
         press_request(host, deep),
         press_request(host, b'{"action":' * 100),
         press_request(host, b"x" * 100_000),
+        press_request(host, hold + b" " * 100_000),
         press_request(host, b"", Content_Length="1000000000"),
         press_request(host, hold, Content_Length="-1"),
         press_request(host, hold, Content_Length="1e3"),

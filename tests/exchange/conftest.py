@@ -39,7 +39,7 @@ from sitl.simulation import STEP_S, Simulation
 NO_FAULTS = LinkFaults()
 OURS, OTHER = (245, 190), (250, 190)
 _BOOT_S = 25.0
-_MISSION_IDS = {"MISSION_CURRENT": ("mission_id", 6), "MISSION_ACK": ("opaque_id", 4)}
+_MISSION_IDS = {"MISSION_CURRENT": ("mission_id", 6), "MISSION_ACK": ("opaque_id", 4), "MISSION_COUNT": ("opaque_id", 5)}
 _ID_BYTES, _MISSION_CURRENT = slice(7, 10), (42).to_bytes(3, "little")
 _RATES_HZ = {30: 20.0, 33: 10.0, 42: 5.0, 87: 2.0, 360: 2.0, 436: 5.0}
 _AHEAD_S = 1.5  # a plan departs so long after it could be on board

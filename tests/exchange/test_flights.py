@@ -9,7 +9,7 @@ import pytest
 from app.analysis.replay import JournalReplay
 from app.flight.recording import JOURNAL_TYPES
 from app.records.journal import Header, JournalReader, JournalWriter
-from mission.core.events import ActivatePlan, Command, PlanStatus, Yield
+from mission.core.events import ActivatePlan, Command, PlanStatus, UploadPlan, Yield
 from mission.exchange.mission_controller import DERIVED
 from mission.exchange.outbox import SendMessage, TakeoverFailed
 from sitl.link import LinkFaults
@@ -79,6 +79,19 @@ def test_a_switch_that_is_never_heard_is_an_open_question_until_it_is_answered(i
     number = statuses(flight, "failed")[-1]
     # It is taken after all, much later than anybody expected it.
     set_current(flight.core._backend._change.layout.first)
+    assert flight.run(10.0, lambda: number in statuses(flight, "departed"))
+    assert not flight.found(Yield)
+
+
+def test_a_switch_is_taken_after_all_when_the_next_plan_is_on_its_way(in_the_air):
+    flight = in_the_air("arduplane")
+    set_current = flight.autopilot.set_current_item
+    flight.autopilot.set_current_item = lambda _index: False
+    assert flight.run(60.0, lambda: statuses(flight, "failed"))
+    number, layout = statuses(flight, "failed")[-1], flight.core._backend._change.layout
+    uploads = len(flight.found(UploadPlan))
+    assert flight.run(60.0, lambda: len(flight.found(UploadPlan)) > uploads)
+    set_current(layout.first)
     assert flight.run(10.0, lambda: number in statuses(flight, "departed"))
     assert not flight.found(Yield)
 

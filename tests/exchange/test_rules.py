@@ -194,3 +194,12 @@ def test_the_rules_hold_whatever_happens(in_the_air, raw_items):
         max_examples=EXAMPLES, stateful_step_count=STEPS, deadline=None, derandomize=True, database=None
     )
     run_state_machine_as_test(Exchange, settings=bounds)
+
+
+def test_a_switch_that_is_asked_for_again_leads_back_to_nothing_that_was_passed(in_the_air, raw_items):
+    flight = in_the_air("arduplane", faults=LinkFaults(delay_s=0.5))
+    Rules(flight, raw_items)._first = raw_items(flight.flown_line())
+    flight.lost = {"MISSION_CURRENT"}
+    flight.run(90.0)
+    asked = [one for one in flight.found(SendMessage) if one.name == "MISSION_SET_CURRENT"]
+    assert len(asked) > len(flight.found(ActivatePlan)) >= 3

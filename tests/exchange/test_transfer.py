@@ -9,9 +9,15 @@ import pytest
 from app.autopilots.registry import AUTOPILOTS
 from mission.exchange.mission_read import MissionRead
 from mission.exchange.mission_write import MissionWrite, WriteResult
-from mission.exchange.outbox import Outbox
+from mission.exchange.outbox import CANCELLED, Outbox
 from mission.exchange.raw_item import RawItem, same_item
-from mission.exchange.reports import MissionAcknowledged, MissionItemRequested, TimerExpired
+from mission.exchange.reports import (
+    MissionAcknowledged,
+    MissionCountReported,
+    MissionItemReported,
+    MissionItemRequested,
+    TimerExpired,
+)
 from sitl.link import LinkFaults
 
 ACCEPTED, DENIED, TIMEOUT = WriteResult
@@ -147,13 +153,105 @@ def test_the_mission_is_read_as_it_is_on_board(transfer, flavour, loss):
     assert took_s < {0.0: 0.35 if at_once else 3.0, 0.3: 3.0 if at_once else 40.0}[loss]  # of the link's clock
 
 
-def test_late_answers_to_the_upload_before_say_nothing(transfer):
+@pytest.mark.parametrize(("loss", "most_s"), [(0.0, 1.5), (0.05, 4.0)])
+def test_px4_is_read_in_two_round_trips_where_nothing_is_lost(transfer, loss, most_s):
+    def read(outbox, quirks, now_s):
+        return MissionRead(outbox, quirks, now_s + 40.0)
+
+    took_s = []
+    for seed in range(5):
+        done, _, seconds = transfer("px4", LinkFaults(loss, delay_s=0.3), seed, WHOLE, read)
+        assert all(map(same_item, done[1].items, OLD))
+        took_s.append(seconds)
+    assert sorted(took_s)[2] < most_s  # of the link's clock; one item after the other took 15 s
+
+
+def test_requests_that_overtake_each_other_are_sent_one_after_the_other(transfer):
+    def read(outbox, quirks, now_s):
+        return MissionRead(outbox, quirks, now_s + 40.0)
+
+    done, _, _ = transfer("px4", LinkFaults(delay_s=0.02, jitter_s=0.1), 3, WHOLE, read)
+    assert all(map(same_item, done[1].items, OLD))
+
+
+def test_a_reading_without_answer_is_called_off():
+    outbox = Outbox(0.0, 0.0)
+    read = MissionRead(outbox, QUIRKS["px4"], 5.0)
+    outbox.begin(0.0, 5.0)
+    read.expire()
+    assert read.done
+    assert outbox.sent[-1].fields["type"] == CANCELLED
+
+
+def test_late_answers_to_the_upload_before_say_nothing():
     outbox = Outbox(0.0, 0.0)
     late = MissionWrite(outbox, QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0, mission_ids_before={77})
     late.receive(MissionAcknowledged(0.0, 0.1, 0, 77))
-    late.receive(MissionItemRequested(0.0, 0.2, 0))
+    late.receive(MissionItemRequested(0.0, 0.2, COUNT - 1))
     late.receive(MissionAcknowledged(0.0, 0.3, 0, 77))
     assert late.result is None
     late.receive(MissionAcknowledged(0.0, 0.4, 0, 78))
     assert late.result is ACCEPTED
     assert late.mission_id == 78
+
+
+def reported(items, mission_id):
+    """Return the vehicle's answers to who reads its list."""
+    count = MissionCountReported(0.0, 0.5, len(items), mission_id)
+    return [count, *(MissionItemReported(0.0, 0.6, seq, item) for seq, item in enumerate(items))]
+
+
+@pytest.mark.parametrize(
+    ("requested", "doubt_before"), [(COUNT - 1, True), (COUNT - 2, False)], ids=["one in doubt before", "a part of it"]
+)
+def test_what_may_be_another_acknowledgement_is_believed_only_by_the_items_on_board(requested, doubt_before):
+    outbox = Outbox(0.0, 0.0)
+    upload = MissionWrite(outbox, QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0, {77}, doubt_before)
+    upload.receive(MissionItemRequested(0.0, 0.2, requested))
+    upload.receive(MissionAcknowledged(0.0, 0.3, 0, 78))
+    assert upload.result is None
+    for report in reported(OLD, 78):
+        upload.receive(report)
+    assert upload.result is None  # begun again
+    upload.receive(MissionItemRequested(0.0, 0.7, requested))
+    upload.receive(MissionAcknowledged(0.0, 0.8, 0, 79))
+    for report in reported(NEW, 79):
+        upload.receive(report)
+    assert upload.result is ACCEPTED
+    assert upload.mission_id == 79
+
+
+def test_a_vehicle_that_asks_for_items_still_has_not_acknowledged_them():
+    outbox = Outbox(0.0, 0.0)
+    upload = MissionWrite(outbox, QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0, doubt_before=True)
+    upload.receive(MissionItemRequested(0.0, 0.2, 3))
+    upload.receive(MissionAcknowledged(0.0, 0.3, 0, 78))
+    upload.receive(MissionItemRequested(0.0, 0.4, 4))
+    outbox.sent.clear()
+    outbox.begin(0.0, upload.next_timer_s)
+    upload.expire()
+    assert [one.fields["seq"] for one in outbox.sent if one.name == "MISSION_ITEM_INT"] == list(range(4, COUNT))
+
+
+def test_px4_acknowledges_a_part_after_an_outage_and_is_not_believed(fly, raw_items):
+    """It gives an upload up after 5 s of silence, and acknowledges the item that came last when that comes again."""
+    flight = fly("px4", faults=LinkFaults(delay_s=0.025), begin=False)
+    put, hear, heard, end_s = flight._put, flight._hear, 7, flight.link_s + 6.0
+
+    def put_some(sent):
+        if flight.link_s > end_s or sent[2].get("seq", 0) <= heard:
+            put(sent)
+
+    def hear_some(frame):
+        asked_for_more = frame[7] == 51 and int.from_bytes(frame[10:12], "little") > heard
+        if flight.link_s > end_s or not asked_for_more:
+            hear(frame)
+
+    flight._put, flight._hear = put_some, hear_some
+    flight.core = Work(flight, lambda outbox: write(NEW, range(COUNT), 30.0)(outbox, QUIRKS["px4"], flight.link_s))
+    flight.put(TimerExpired(0.0, flight.link_s))
+    flight.run(0.3)
+    flight._put = lambda sent: put(sent) if flight.link_s > end_s else None
+    assert flight.run(25.0, lambda: flight.core.over)
+    assert flight.core._work.result is ACCEPTED
+    assert all(map(same_item, raw_items(flight.autopilot.mission.items()), NEW))

@@ -80,6 +80,13 @@ def test_a_vehicles_clock_that_is_set_under_a_corrected_payload_misleads_nobody(
     assert not verdict.broken, verdict.what
 
 
+def test_a_wrong_velocity_beside_complaints_of_the_ekf_misleads_nobody():
+    # It was believed, because after a complaint the place may have drifted, and led dead reckoning astray.
+    verdict = flight(1752, "arduplane")
+    assert set(verdict.names) >= {"nonsense", "poor link"}
+    assert not verdict.broken, verdict.what
+
+
 def test_the_same_flight_again_is_the_same_to_the_last_bit():
     scenario = Scenario(7, "px4", 60.0)
     faults = [replace(flight_faults.poor_link(np.random.default_rng(3), 10.0)), MISLEADING[3]]

@@ -296,6 +296,15 @@ def test_a_place_may_have_drifted_since_the_last_good_word(flown):
     assert flown.of(PositionReading)[-1] == position(121.9)
 
 
+def test_a_velocity_that_was_believed_wrongly_leads_nowhere(flown):
+    flown.give(NavigationReported(110.0, "EKF", "no position")).fly(110.0, 110.1)
+    flown.give(NavigationReported(110.1, "EKF"))  # from now on the place may have drifted
+    flown.give(attitude(110.1), replace(position(110.1), velocity_east_m_s=0.0, velocity_north_m_s=0.0))
+    flown.fly(110.2, 112.0)
+    assert flown.of(PositionReading)[-18:] == [position(tick / 10) for tick in range(1102, 1120)]
+    assert flown.door.doubt is None
+
+
 # -- two vehicles ------------------------------------------------------------------------------------------
 
 

@@ -155,6 +155,8 @@ class Ground:
         for sequence in range(counts[-1]):
             self.send(mavlink.MAVLink_mission_request_int_message(1, 1, sequence, mission_type))
             self.run(0.04)
+        self.send(mavlink.MAVLink_mission_ack_message(1, 1, mavlink.MAV_MISSION_ACCEPTED, mission_type))
+        self.run(0.04)
         items = [m for m in self.heard[before:] if m.get_type() == "MISSION_ITEM_INT"]
         return sorted({m.seq: m for m in items}.values(), key=lambda m: m.seq)
 

@@ -102,6 +102,37 @@ def test_a_download_is_refused_while_an_upload_runs(ground):
     assert ground.last("MISSION_ACK").type != ACCEPTED
 
 
+@pytest.mark.parametrize(("asked", "answered"), [([0, 0, 1, 2, 2], [0, 0, 1, 2, 2]), ([0, 2, 1], [0]), ([1], [])])
+def test_px4_is_read_in_order_and_any_item_out_of_its_turn_ends_it(simulate, station, asked, answered):
+    ground = station(simulate(flavour=Flavour.PX4, payload=None))
+    ground.run(10.0)
+    ground.upload(plan(ground))
+    before = len(ground.all("MISSION_ACK"))
+    ground.send(mavlink.MAVLink_mission_request_list_message(1, 1, 0))
+    for sequence in asked:
+        ground.send(mavlink.MAVLink_mission_request_int_message(1, 1, sequence, 0))
+    ground.run(0.1)
+    assert [m.seq for m in ground.all("MISSION_ITEM_INT")] == answered
+    acknowledgements = [m.type for m in ground.all("MISSION_ACK")][before:]
+    assert acknowledgements == ([] if asked == answered else [mavlink.MAV_MISSION_ERROR])
+
+
+def test_px4_heeds_nothing_else_while_it_is_read(simulate, station):
+    ground = station(simulate(flavour=Flavour.PX4, payload=None))
+    ground.run(10.0)
+    ground.upload(plan(ground))
+    ground.send(mavlink.MAVLink_mission_request_list_message(1, 1, 0))
+    ground.send(mavlink.MAVLink_mission_set_current_message(1, 1, 2))
+    ground.run(0.1)
+    assert ground.simulation.vehicle.mission.index == 0
+    assert ground.upload(plan(ground)) == mavlink.MAV_MISSION_ERROR
+    ground.run(5.1)  # it gives that up
+    ground.send(mavlink.MAVLink_mission_set_current_message(1, 1, 2))
+    ground.run(0.1)
+    assert ground.simulation.vehicle.mission.index == 2
+    assert ground.upload(plan(ground)) == ACCEPTED
+
+
 def test_the_sender_may_break_off(ground):
     ground.upload(plan(ground, 2))
     ground.send(count_message(3))
