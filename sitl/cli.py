@@ -121,6 +121,10 @@ def run(
     loss: Annotated[float, typer.Option(help="Fraction of packets lost, each way.")] = 0.0,
     delay_ms: Annotated[float, typer.Option(help="Wall-clock delay, each way.")] = 0.0,
     duplicate: Annotated[float, typer.Option(help="Fraction of packets doubled, each way.")] = 0.0,
+    baud: Annotated[
+        float,
+        typer.Option(help="Of a serial line, each way: what it cannot carry is late, then lost.", show_default=False),
+    ] = math.inf,
     lose: Annotated[
         list[str] | None,
         typer.Option(metavar="ID@S", help="Let a vehicle vanish after so many simulated seconds; repeatable."),
@@ -172,6 +176,7 @@ def run(
             "--loss": (loss, 0.0, 1.0, True),
             "--delay-ms": (delay_ms, 0.0, 60_000.0, True),
             "--duplicate": (duplicate, 0.0, 1.0, True),
+            "--baud": (baud, 1200.0, math.inf, True),
         }
     )
     for airspeed_m_s in airspeeds_m_s:
@@ -242,7 +247,7 @@ def run(
             list(zip(simulations, stations, strict=True)),
             speed=speed,
             duration_s=math.inf if duration is None else duration,
-            faults=LinkFaults(loss, duplicate, delay_ms / 1000.0),
+            faults=LinkFaults(loss, duplicate, delay_ms / 1000.0, baud=baud),
             on_ready=tell_ready,
             stopped=_stop_signal(pace),
             pace=pace,

@@ -1,4 +1,4 @@
-"""A bad radio link: it loses, delays, doubles and reorders datagrams."""
+"""A bad radio link: it loses, delays, doubles and reorders datagrams, and carries only so many bytes a second."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ import numpy as np
 
 T = TypeVar("T")
 
+_BUFFER_BYTES = 4096  # of a slow line; what comes when it is full is lost
+_BITS_PER_BYTE = 10  # with start and stop bit
+
 
 @dataclass(frozen=True, slots=True)
 class LinkFaults:
@@ -17,6 +20,7 @@ class LinkFaults:
     duplicate: float = 0.0  # fraction of what is not lost
     delay_s: float = 0.0  # of the stations' clock, each direction
     jitter_s: float = 0.0  # more than that at most, drawn anew each time: datagrams overtake each other
+    baud: float = float("inf")  # of a serial line, each direction
 
 
 class FaultyLink(Generic[T]):
@@ -28,15 +32,22 @@ class FaultyLink(Generic[T]):
         self._waiting: list[tuple[float, int, T]] = []
         self._count = 0
         self._latest_s = -float("inf")
+        self._free_s = -float("inf")  # when the line has carried all that it was given
 
-    def put(self, datagram: T, now_s: float) -> None:
+    def put(self, datagram: T, now_s: float, size_bytes: int = 0) -> None:
         lost, doubled = self._rng.random(2)
+        bytes_per_s = self._faults.baud / _BITS_PER_BYTE
+        waiting_s = max(0.0, self._free_s - now_s)
+        if waiting_s * bytes_per_s > _BUFFER_BYTES:
+            return
+        sent_s = now_s + waiting_s + size_bytes / bytes_per_s
+        self._free_s = sent_s
         if lost < self._faults.loss:
             return
         for _ in range(2 if doubled < self._faults.duplicate else 1):
             self._count += 1
             jitter_s = self._faults.jitter_s * self._rng.random() if self._faults.jitter_s else 0.0
-            due_s = now_s + self._faults.delay_s + jitter_s
+            due_s = sent_s + self._faults.delay_s + jitter_s
             if not jitter_s:  # in order, even where the delay has become shorter
                 due_s = self._latest_s = max(due_s, self._latest_s)
             heapq.heappush(self._waiting, (due_s, self._count, datagram))

@@ -47,7 +47,8 @@ class _Port:
         for address, data in self._inward.take(now_s):
             self.simulation.receive(address, data)
         for datagram in self.simulation.take():
-            self._outward.put(datagram, now_s)  # type: ignore[arg-type]  # this shell's stations are UDP addresses
+            # This shell's stations are UDP addresses.
+            self._outward.put(datagram, now_s, len(datagram[1]))  # type: ignore[arg-type]
         for address, data in self._outward.take(now_s):
             try:
                 self.socket.sendto(data, address)
@@ -63,7 +64,7 @@ class _Port:
                 return
             except ConnectionError:
                 continue  # a station has gone; the next datagram may be another's
-            self._inward.put((address, data), now_s)
+            self._inward.put((address, data), now_s, len(data))
 
 
 def serve(

@@ -75,9 +75,7 @@ class PositionCheck:
             return reading if possible and self.astray_s is None and self._follows(last, reading) else None
         before = self._before
         after_odd_one = (
-            before is not None
-            and reading.time_s - before.time_s <= _ODD_S
-            and _reachable(before, reading, 0.0)
+            before is not None and reading.time_s - before.time_s <= _ODD_S and _reachable(before, reading, 0.0)
         )
         if possible and (after_odd_one or self._follows(last, reading)):
             return self._believe(reading)

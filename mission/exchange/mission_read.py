@@ -1,9 +1,9 @@
 """Reading the mission that is on board, quickly over a bad link.
 
-Where items can be asked for in any order, they are asked for all at once, and what is missing again. Otherwise an item
-out of its turn ends the reading: they are asked for all at once, in their order, each twice, for the vehicle takes a
-request again but none after one that was lost. Where that fails again and again, requests overtake each other: then
-one after the other. The end of such a reading has to be told.
+Where items can be asked for in any order, they are asked for all at once, and what is missing again. Otherwise an
+item out of its turn ends the reading. There they are asked for all at once, in their order and each twice: the
+vehicle takes a request again, but none after one that was lost. Where that fails again and again, requests overtake
+each other, and are sent one after the other. The end of such a reading has to be told.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Autopilots take the items strictly in their order and leave any other alone, so they may be sent without waiting for
 each request: a lost packet costs a fraction of a second, and nothing can be stored out of its place. What was stored
-is read back where items are stored one by one. Elsewhere the list is taken whole and acknowledged; where that may have
-been the acknowledgement of another upload, or of a part of this one, the list is read.
+is read back where items are stored one by one. Elsewhere the list is taken whole and acknowledged; where that may
+have been the acknowledgement of another upload, or of a part of this one, the list is read.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ class MissionWrite:
     """Makes the vehicle hold ``items``, of which those outside ``changed`` are on board already.
 
     ``changed`` as long as ``items`` replaces the whole list, however long that was. marked tells which item is to be
-    flown on taking the list over. deadline_s is of the link's clock. mission_ids_before: of uploads
-    before, whose acknowledgements may still come; doubt_before: so may that of one whose id is not known. ``result`` is None while it goes on; ACCEPTED:
-    verified. After TIMEOUT and DENIED what is on board at ``changed`` is not known.
+    flown on taking the list over. deadline_s is of the link's clock. mission_ids_before: of uploads before, whose
+    acknowledgements may still come; doubt_before: so may that of one whose id is not known. ``result`` is None while
+    it goes on; ACCEPTED: verified. After TIMEOUT and DENIED what is on board at ``changed`` is not known.
     """
 
     def __init__(
@@ -215,7 +215,9 @@ class MissionWrite:
 
     def _is_wanted_still(self, report: VehicleReport) -> bool:
         """Tell whether the vehicle still asks for items, though an acknowledgement has come."""
-        asked = isinstance(report, MissionItemRequested) and report.seq in self.changed and report.seq >= self._awaited
+        asked = (
+            isinstance(report, MissionItemRequested) and report.seq in self.changed and report.seq >= self._awaited
+        )
         return asked and report.link_s < self._deadline_s
 
     def _to_verify(self) -> list[int]:

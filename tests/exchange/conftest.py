@@ -39,7 +39,11 @@ from sitl.simulation import STEP_S, Simulation
 NO_FAULTS = LinkFaults()
 OURS, OTHER = (245, 190), (250, 190)
 _BOOT_S = 25.0
-_MISSION_IDS = {"MISSION_CURRENT": ("mission_id", 6), "MISSION_ACK": ("opaque_id", 4), "MISSION_COUNT": ("opaque_id", 5)}
+_MISSION_IDS = {
+    "MISSION_CURRENT": ("mission_id", 6),
+    "MISSION_ACK": ("opaque_id", 4),
+    "MISSION_COUNT": ("opaque_id", 5),
+}
 _ID_BYTES, _MISSION_CURRENT = slice(7, 10), (42).to_bytes(3, "little")
 _RATES_HZ = {30: 20.0, 33: 10.0, 42: 5.0, 87: 2.0, 360: 2.0, 436: 5.0}
 _AHEAD_S = 1.5  # a plan departs so long after it could be on board
@@ -212,7 +216,7 @@ class Flight:
     def _arriving(self):
         for address, frame in self.simulation.take():
             if address == "us":
-                self._to_us.put(frame, self.link_s)
+                self._to_us.put(frame, self.link_s, len(frame))
         return self._to_us.take(self.link_s)
 
     def to_vehicle(self, name, *, source=OURS, **fields):
@@ -245,7 +249,7 @@ class Flight:
         self._put((self._carried, message.name, fields, frame))
 
     def _put(self, sent):
-        self._to_vehicle.put(sent, self.link_s)
+        self._to_vehicle.put(sent, self.link_s, len(sent[3]))
 
     def _hear(self, frame):
         for got in self._parser.parse_buffer(frame) or ():
@@ -307,7 +311,7 @@ class TwoLinkFlight(Flight):
         for address, frame in self.simulation.take():
             index = ("us", "second").index(address)
             if index != self.cut:
-                links[index].put(frame, self.link_s)
+                links[index].put(frame, self.link_s, len(frame))
         for index, link in enumerate(links):
             for data in link.take(self.link_s):
                 (frame,) = FrameSplitter().split(data)
@@ -327,7 +331,7 @@ class TwoLinkFlight(Flight):
     def _put(self, sent):
         if self.merger.in_use != self.cut:
             link = self._second[0] if self.merger.in_use else self._to_vehicle
-            link.put(sent, self.link_s)
+            link.put(sent, self.link_s, len(sent[3]))
 
 
 @pytest.fixture(scope="session")

@@ -202,7 +202,9 @@ def reported(items, mission_id):
 
 
 @pytest.mark.parametrize(
-    ("requested", "doubt_before"), [(COUNT - 1, True), (COUNT - 2, False)], ids=["one in doubt before", "a part of it"]
+    ("requested", "doubt_before"),
+    [(COUNT - 1, True), (COUNT - 2, False)],
+    ids=["one in doubt before", "a part of it"],
 )
 def test_what_may_be_another_acknowledgement_is_believed_only_by_the_items_on_board(requested, doubt_before):
     outbox = Outbox(0.0, 0.0)

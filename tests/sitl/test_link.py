@@ -33,6 +33,17 @@ def test_everything_comes_late_by_the_delay():
     assert [item for _, item in out] == sorted(item for _, item in out)
 
 
+def test_a_serial_line_carries_what_its_rate_allows_and_loses_what_finds_no_room():
+    link = FaultyLink(LinkFaults(baud=57_600), np.random.default_rng(1))
+    for number in range(100):
+        link.put(number, 0.0, 100)
+    assert link.take(0.0) == []
+    assert link.take(0.18) == list(range(10))
+    assert link.take(10.0) == list(range(10, 41))
+    link.put("later", 10.0, 57)
+    assert link.take(10.01) == ["later"]
+
+
 def test_it_tells_when_the_next_is_due():
     link = FaultyLink(LinkFaults(delay_s=0.5), np.random.default_rng(1))
     assert link.next_s == float("inf")
