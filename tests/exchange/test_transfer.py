@@ -10,7 +10,7 @@ from app.autopilots.registry import AUTOPILOTS
 from mission.exchange.mission_read import MissionRead
 from mission.exchange.mission_write import MissionWrite, WriteResult
 from mission.exchange.outbox import CANCELLED, Outbox
-from mission.exchange.raw_item import RawItem, same_item
+from mission.exchange.raw_item import RawItem, same_item, same_items
 from mission.exchange.reports import (
     MissionAcknowledged,
     MissionCountReported,
@@ -108,7 +108,7 @@ def test_px4_takes_a_list_whole_and_says_which(transfer, raw_items, loss):
         faults = LinkFaults(loss, 0.1 if loss else 0.0, DELAY_S)
         done, items, seconds = transfer("px4", faults, seed, WHOLE, write(NEW, range(COUNT)))
         assert [one.result for one in done] == [ACCEPTED, ACCEPTED]
-        assert all(map(same_item, raw_items(items), NEW))
+        assert same_items(NEW, raw_items(items))
         assert done[1].mission_id not in (0, done[0].mission_id) or loss
         took_s.append(seconds)
     assert sorted(took_s)[len(took_s) // 2] < (0.3 if loss == 0.0 else 4.0)  # of the link's clock
@@ -161,7 +161,7 @@ def test_px4_is_read_in_two_round_trips_where_nothing_is_lost(transfer, loss, mo
     took_s = []
     for seed in range(5):
         done, _, seconds = transfer("px4", LinkFaults(loss, delay_s=0.3), seed, WHOLE, read)
-        assert all(map(same_item, done[1].items, OLD))
+        assert same_items(OLD, done[1].items)
         took_s.append(seconds)
     assert sorted(took_s)[2] < most_s  # of the link's clock; one item after the other took 15 s
 
@@ -171,7 +171,7 @@ def test_requests_that_overtake_each_other_are_sent_one_after_the_other(transfer
         return MissionRead(outbox, quirks, now_s + 40.0)
 
     done, _, _ = transfer("px4", LinkFaults(delay_s=0.02, jitter_s=0.1), 3, WHOLE, read)
-    assert all(map(same_item, done[1].items, OLD))
+    assert same_items(OLD, done[1].items)
 
 
 def test_a_reading_without_answer_is_called_off():
@@ -256,4 +256,4 @@ def test_px4_acknowledges_a_part_after_an_outage_and_is_not_believed(fly, raw_it
     flight._put = lambda sent: put(sent) if flight.link_s > end_s else None
     assert flight.run(25.0, lambda: flight.core.over)
     assert flight.core._work.result is ACCEPTED
-    assert all(map(same_item, raw_items(flight.autopilot.mission.items()), NEW))
+    assert same_items(NEW, raw_items(flight.autopilot.mission.items()))
