@@ -17,7 +17,7 @@ from mission.exchange.reports import MissionAcknowledged, MissionCountReported, 
 
 _AGAIN_S, _AGAIN_ROUND_TRIPS = 0.25, 2.0
 _SLOWER, _SLOWEST = 1.25, 2.0
-_DISTURBED_MAX = 2  # so often the requests are sent ahead of the answers
+_DISTURBED_MAX = 5  # so often the requests are sent ahead of the answers
 _UNANSWERED_MAX = 4  # requests; then the vehicle may have given the reading up, and heeds none any more
 
 
