@@ -33,6 +33,11 @@ def compiled(function: F) -> F:
     return cast(F, _Compiled(cast(FunctionType, function)))
 
 
+def inlined(function: F) -> F:
+    """Do as :func:`compiled`, and put the function's code where it is called: for what is called in inner loops."""
+    return cast(F, _Compiled(cast(FunctionType, function), forceinline=True))
+
+
 def is_kept(function: Callable[..., Any]) -> bool:
     """Tell whether a compiled function was compiled by an earlier start."""
     kept: Any = cast(Any, function).dispatcher._cache
@@ -42,8 +47,8 @@ def is_kept(function: Callable[..., Any]) -> bool:
 class _Compiled:
     """Called like the function; what it calls is compiled with it."""
 
-    def __init__(self, function: FunctionType) -> None:
-        self._function = function
+    def __init__(self, function: FunctionType, forceinline: bool = False) -> None:
+        self._function, self._forceinline = function, forceinline
         update_wrapper(self, function)
 
     def __call__(self, *arguments: Any) -> Any:
@@ -59,7 +64,7 @@ class _Compiled:
     @cached_property
     def stamp(self) -> str:
         """A hash of the function, of what it calls, and of the constants it uses."""
-        found = hashlib.sha256(_code_bytes(self._function.__code__))
+        found = hashlib.sha256(_code_bytes(self._function.__code__) + bytes([self._forceinline]))
         for name, value in self._used.items():
             if isinstance(value, _Compiled):
                 found.update(f"{name} {value.stamp}".encode())
@@ -82,9 +87,9 @@ class _Compiled:
         linked = FunctionType(function.__code__, function.__globals__ | callees, function.__name__)
         linked.__module__, linked.__qualname__ = function.__module__, function.__qualname__
         try:
-            dispatcher: Any = numba.njit(cache=True, error_model="numpy")(linked)
+            dispatcher: Any = numba.njit(cache=True, error_model="numpy", forceinline=self._forceinline)(linked)
         except RuntimeError:  # numba finds no place to keep it
-            return numba.njit(error_model="numpy")(linked)
+            return numba.njit(error_model="numpy", forceinline=self._forceinline)(linked)
         kept = dispatcher._cache
         # Under names of their own: numba reads even what is out of date, and with it types that are.
         name = f"{kept._impl.filename_base}-{self.stamp[:16]}"

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.compiled import compiled
+from estimators.compiled import compiled, inlined
 from mission.core.path import FloatArray
 from mission.core.requirement import GRAVITY_M_S2, Aircraft
 
@@ -70,18 +70,20 @@ class Circling(NamedTuple):
     radius_m: float
 
 
-@compiled
+@inlined
 def remainder(angle_rad: float) -> float:
     """Return the same angle within half a turn of zero."""
     return angle_rad - _TWO_PI * round(angle_rad / _TWO_PI)
 
 
-@compiled
+@inlined
 def ground_speed_m_s(heading_rad: float, airspeed_m_s: float, wind_east_m_s: float, wind_north_m_s: float) -> float:
     """Return the speed over the ground on a heading over the ground: the long side of the wind triangle.
 
     NaN where the heading cannot be held.
     """
+    if wind_east_m_s == 0.0 and wind_north_m_s == 0.0:
+        return airspeed_m_s
     sin_h, cos_h = math.sin(heading_rad), math.cos(heading_rad)
     along_m_s = wind_east_m_s * sin_h + wind_north_m_s * cos_h
     across_m_s = wind_east_m_s * cos_h - wind_north_m_s * sin_h
@@ -116,7 +118,7 @@ def sharpnesses_per_m2(speed_m_s: FloatArray, craft: Craft, found: FloatArray) -
         found[i] = sharpness_per_m2(speed_m_s[i], craft)
 
 
-@compiled
+@inlined
 def trapezoid(start_per_m: float, hold_per_m: float, length_m: float, final_per_m: float, ramp: float) -> Trapezoid:
     """Return the trapezoid that ramps from start to hold, holds that for a length, and ramps on to final."""
     first_end_m = abs(hold_per_m - start_per_m) / ramp
@@ -131,14 +133,14 @@ def trapezoid(start_per_m: float, hold_per_m: float, length_m: float, final_per_
     )
 
 
-@compiled
+@inlined
 def with_last_ramp(one: Trapezoid, ramp: float) -> Trapezoid:
     """Return the trapezoid with another last ramp that begins where the old one did."""
     change_per_m = abs(one[3]) * (one[5] - one[4])
     return one[0], one[1], one[2], math.copysign(ramp, one[3]), one[4], one[4] + change_per_m / ramp
 
 
-@compiled
+@inlined
 def turned_rad(one: Trapezoid, arc_m: float) -> float:
     """Return the change of course since the start, exactly."""
     first = min(arc_m, one[2])
@@ -150,13 +152,13 @@ def turned_rad(one: Trapezoid, arc_m: float) -> float:
     )
 
 
-@compiled
+@inlined
 def curvature_per_m(one: Trapezoid, arc_m: float) -> float:
     """Return the curvature at an arc."""
     return one[0] + one[1] * min(arc_m, one[2]) + one[3] * min(max(arc_m - one[4], 0.0), one[5] - one[4])
 
 
-@compiled
+@inlined
 def moved_m(one: Trapezoid, course_rad: float, from_m: float, to_m: float) -> tuple[float, float]:
     """Return (east, north) from one arc to another, up to about 10 m on."""
     step = to_m - from_m
@@ -230,7 +232,7 @@ def circle_after(line: FloatArray, radius_m: float) -> Circling:
 # -- along a plan ----------------------------------------------------------------------------------------------------
 
 
-@compiled
+@inlined
 def course_on_circle(circle: Circling, east_m: float, north_m: float) -> float:
     """Return the course flown at the point of the circle nearest to a place."""
     outward_rad = math.atan2(east_m - circle.east_m, north_m - circle.north_m)
@@ -266,7 +268,7 @@ def nearest_arc_m(line: FloatArray, circle: Circling, east_m: float, north_m: fl
     return float(min(max(line[ARC, best] + ahead_m, 0.0), length_m))
 
 
-@compiled
+@inlined
 def arc_point(start: LinePoint, sharpness_per_m2: float, flown_m: float) -> LinePoint:
     """Return the point further on where curvature changes linearly: exact in course, Simpson's rule in place."""
     middle_rad = start.course_rad + (start.curvature_per_m + 0.25 * sharpness_per_m2 * flown_m) * 0.5 * flown_m
@@ -280,7 +282,7 @@ def arc_point(start: LinePoint, sharpness_per_m2: float, flown_m: float) -> Line
     )
 
 
-@compiled
+@inlined
 def _before(line: FloatArray, arc_m: float) -> int:
     """Return the last sample at or before an arc, of those that have one after them."""
     low, high = 0, line.shape[1] - 1
@@ -293,7 +295,7 @@ def _before(line: FloatArray, arc_m: float) -> int:
     return low
 
 
-@compiled
+@inlined
 def point_at(line: FloatArray, circle: Circling, arc_m: float, east_m: float, north_m: float) -> LinePoint:
     """See :func:`mission.geometry.progress.point_at`: the aircraft is at (east, north)."""
     n = line.shape[1]

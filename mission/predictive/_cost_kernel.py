@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from estimators.compiled import compiled
+from estimators.compiled import compiled, inlined
 from mission.core.path import FloatArray
 
 Float32 = npt.NDArray[np.float32]
@@ -45,7 +45,7 @@ def fading_per_s(table: Table) -> float:
     return table.discount_per_s + 1.0 / table.mean_leg_s
 
 
-@compiled
+@inlined
 def cost_rate(x_m: float, y_m: float, widened_m: float, blur_m: float, c: CostTerms) -> float:
     """See :meth:`mission.predictive.cost.WatchCost.rate`."""
     range_m = math.sqrt(x_m * x_m + y_m * y_m)
@@ -72,7 +72,7 @@ def cost_rates(
         found[i] = cost_rate(x_m[i], y_m[i], widened_m[i], blur_m[i], c)
 
 
-@compiled
+@inlined
 def table_value(
     values: Float32,
     cell_m: float,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.compiled import compiled
+from estimators.compiled import compiled, inlined
 from mission.core.path import FloatArray
 from mission.predictive._cost_kernel import IntArray
 from mission.predictive._moves_kernel import STEP_S
@@ -37,7 +37,7 @@ class Turns(NamedTuple):
     fades_s: float
 
 
-@compiled
+@inlined
 def fill_classes(
     motions: Motions,
     velocity_x_m_s: float,

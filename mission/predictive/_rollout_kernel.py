@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.compiled import compiled
+from estimators.compiled import compiled, inlined
 from mission.core.path import FloatArray
 from mission.geometry._line_kernel import ground_speed_m_s, moved_m, trapezoid, turned_rad, with_last_ramp
 from mission.predictive._cost_kernel import CostTerms, IntArray, Table, cost_rate, table_value
@@ -169,7 +169,7 @@ def spread(
     return Lines(x, y, turned, time, weight, trunk_first, own_first, hold, on_trunk, end_m)
 
 
-@compiled
+@inlined
 def _extend(
     one: tuple[float, float, float, float, float, float],
     s: int,
@@ -223,7 +223,7 @@ def single_line(
 # -- costs -----------------------------------------------------------------------------------------------------------
 
 
-@compiled
+@inlined
 def from_target(
     place: FloatArray, step_s: float, one: int, x_m: float, y_m: float, time_s: float
 ) -> tuple[int, float, float]:
@@ -237,7 +237,7 @@ def from_target(
     )
 
 
-@compiled
+@inlined
 def _relate(
     x_m: FloatArray,
     y_m: FloatArray,
@@ -267,7 +267,7 @@ def _relate(
             across[i], along[i] = off_x * cos_t - off_y * sin_t, off_x * sin_t + off_y * cos_t
 
 
-@compiled
+@inlined
 def _rates(
     across: FloatArray,
     along: FloatArray,
@@ -289,7 +289,7 @@ def _rates(
         found[i] = cost_rate(across[i], along[i], math.sqrt(sigma2), blur_m, c) * weight[i]
 
 
-@compiled
+@inlined
 def placed(lines: Lines, start: Pose) -> tuple[FloatArray, FloatArray]:
     """Return the places x, y (samples,) of lines from a start."""
     n, own_x, own_y = len(lines.x_m), lines.x_m, lines.y_m
@@ -302,7 +302,7 @@ def placed(lines: Lines, start: Pose) -> tuple[FloatArray, FloatArray]:
     return x, y
 
 
-@compiled
+@inlined
 def turn_samples(lines: Lines) -> IntArray:
     """Return the samples at which it is looked at what a turn of the target would cost."""
     trunk_first, own_first, on_trunk = lines.trunk_first, lines.own_first, lines.on_trunk
@@ -316,7 +316,7 @@ def turn_samples(lines: Lines) -> IntArray:
     return found[:n]
 
 
-@compiled
+@inlined
 def add_up(
     lines: Lines, rates: FloatArray, turn_rates: FloatArray, ends: FloatArray, share: float, costs: FloatArray
 ) -> None:

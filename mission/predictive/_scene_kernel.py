@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from estimators.compiled import compiled
+from estimators.compiled import compiled, inlined
 from mission.core.path import FloatArray
 from mission.core.requirement import GRAVITY_M_S2
 from mission.geometry._line_kernel import (
@@ -117,7 +117,7 @@ def scene_of(now: Situation, target_speed_max_m_s: float, craft: Craft, wish: Wi
     )
 
 
-@compiled
+@inlined
 def in_frame(scene: Scene, east_m: float, north_m: float) -> tuple[float, float]:
     """Return a place of the plane as (x, y)."""
     sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)

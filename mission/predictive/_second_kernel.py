@@ -12,8 +12,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from estimators.compiled import compiled
+from estimators.compiled import compiled, inlined
 from mission.core.path import FloatArray
 from mission.geometry._line_kernel import (
     ARC,
@@ -27,10 +28,12 @@ from mission.geometry._line_kernel import (
     turned_rad,
     with_last_ramp,
 )
-from mission.predictive._cost_kernel import CostTerms, IntArray, Table, cost_rate, fading_per_s, table_value
+from mission.predictive._cost_kernel import CostTerms, Float32, IntArray, Table, cost_rate, fading_per_s, table_value
 from mission.predictive._moves_kernel import HOLD_CURVATURES, HOLD_LENGTHS, STEP_S, move_from, ramp_on
-from mission.predictive._rollout_kernel import Air, Doubt, Futures
+from mission.predictive._rollout_kernel import Air, Doubt, Futures, Pose
 from mission.predictive._scene_kernel import Scene, Situation, in_frame
+
+BoolArray = npt.NDArray[np.bool_]
 
 LEVELS = np.array([-1.0, -0.75, -0.5, -0.25, 0.0, 0.165, 0.33, 0.5, 0.66, 0.83, 1.0])
 SECOND_LENGTHS = HOLD_LENGTHS[::3].copy()
@@ -195,7 +198,7 @@ def moving_ahead(scene: Scene, craft: Craft, move: int) -> tuple[FloatArray, int
     return ahead[:, :k], end if end >= 0 else k - 1
 
 
-@compiled
+@inlined
 def _running(
     x: FloatArray,
     y: FloatArray,
@@ -223,115 +226,158 @@ def _running(
         room[2, k] = weight[k] * cost_rate(room[0, k], room[1, k], sigma[k], blur_m, c)
 
 
-@compiled
+@inlined
 def _asked(
-    table: Table, f: Foretold, one: int, k: int, x_m: float, y_m: float, heading_rad: float, after_turn: bool
+    values: Float32,
+    cell_m: float,
+    rows: FloatArray,
+    classes: IntArray,
+    share: FloatArray,
+    one: int,
+    k: int,
+    x_m: float,
+    y_m: float,
+    heading_rad: float,
 ) -> float:
-    """Return what the table says at second k of a future."""
-    rows = f.rows[one]
+    """Return what the table says at second k of a future; rows (8, k): its own."""
     x_m, y_m = x_m - rows[_X, k], y_m - rows[_Y, k]
     sin_t, cos_t = rows[_TABLE_SIN, k], rows[_TABLE_COS, k]
     across, along = x_m * cos_t - y_m * sin_t, x_m * sin_t + y_m * cos_t
-    heading_rad -= rows[_TABLE_RAD, k]
-    values, share = table.values, f.futures.share
-    if after_turn:
-        values, share = table.after_turn, f.futures.turn_share
-    return table_value(values, table.cell_m, across, along, heading_rad, f.futures.classes, share, one, k)
+    return table_value(values, cell_m, across, along, heading_rad - rows[_TABLE_RAD, k], classes, share, one, k)
 
 
 @compiled
-def _turns_cost(
-    x: FloatArray,
-    y: FloatArray,
-    heading: FloatArray,
-    n: int,
-    at: int,
-    one: int,
-    f: Foretold,
-    table: Table,
-    bound: float,
-) -> float:
-    """Return what the target's turning within n seconds from second ``at`` on costs; more than bound is enough."""
-    total = 0.0
-    for k in range(0, n, _STRIDE):
-        length = min(_STRIDE, n - k)
-        m = k + length // 2
-        after = _asked(table, f, one, at + m, x[m], y[m], heading[m], True)
-        total += length * STEP_S / table.mean_leg_s * f.weight[at + m] * after
-        if total > bound:
-            break
-    return float(total)
+def speeds_over_ground(air: Air) -> FloatArray:
+    """Return the speed over the ground on so many headings from 0 to a whole turn, in airspeeds.
 
-
-@compiled
-def laid_from(
-    s: Seconds, level: int, x_m: float, y_m: float, heading_rad: float, air: Air, placed: FloatArray, n: IntArray
-) -> None:
-    """Fill in (x, y, heading) (3, lines, k) of the second moves, so many seconds of each, from a place."""
-    calm = air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0
-    sin_h, cos_h = math.sin(heading_rad), math.cos(heading_rad)
-    speeds = np.empty(
-        _HEADINGS + 1
-    )  # over the ground, in airspeeds: the wind triangle takes too long for each sample
-    for h in range(0 if calm else _HEADINGS + 1):
+    The wind triangle takes too long for each sample.
+    """
+    speeds = np.empty(_HEADINGS + 1)
+    for h in range(_HEADINGS + 1):
         ground_m_s = ground_speed_m_s(h * 2.0 * math.pi / _HEADINGS, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
         speeds[h] = ground_m_s / air.airspeed_m_s
-    for j in range(SECONDS):
-        if n[j] > 0 and calm:
-            for k in range(n[j] + 1):
-                placed[0, j, k] = x_m + s.x_m[level, j, k] * cos_h + s.y_m[level, j, k] * sin_h
-            for k in range(n[j] + 1):
-                placed[1, j, k] = y_m - s.x_m[level, j, k] * sin_h + s.y_m[level, j, k] * cos_h
-            for k in range(n[j] + 1):
-                placed[2, j, k] = heading_rad + s.turned_rad[level, j, k]
-        elif n[j] > 0:
-            flown = 0.0
-            for k in range(n[j] + 1):
-                i = min(int(flown), _SAMPLES - 2)
-                past = flown - i
-                across_m = s.x_m[level, j, i] + past * (s.x_m[level, j, i + 1] - s.x_m[level, j, i])
-                along_m = s.y_m[level, j, i] + past * (s.y_m[level, j, i + 1] - s.y_m[level, j, i])
-                turned = s.turned_rad[level, j, i] + past * (
-                    s.turned_rad[level, j, i + 1] - s.turned_rad[level, j, i]
-                )
-                placed[0, j, k] = x_m + across_m * cos_h + along_m * sin_h
-                placed[1, j, k] = y_m - across_m * sin_h + along_m * cos_h
-                placed[2, j, k] = heading_rad + turned
-                at = (heading_rad + turned) * (_HEADINGS / (2.0 * math.pi))
-                at -= _HEADINGS * math.floor(at / _HEADINGS)
-                h = min(int(at), _HEADINGS - 1)
-                flown += speeds[h] + (at - h) * (speeds[h + 1] - speeds[h])
+    return speeds
 
 
-@compiled
+class Fan(NamedTuple):
+    """Second moves from one start, of a level of curvature; sin_h, cos_h: of the heading there.
+
+    flown (k, lines): as :func:`stretch` has it, of no length in still air. placed (3, lines, k): x, y, heading: all
+    of a line that is laid (lines,), else its end alone. last (lines,): so many seconds of each, 0 for none.
+    """
+
+    start: Pose
+    sin_h: float
+    cos_h: float
+    level: int
+    flown: FloatArray
+    placed: FloatArray
+    laid: BoolArray
+    last: IntArray
+
+
+@inlined
+def stretch(s: Seconds, level: int, heading_rad: float, speeds: FloatArray, last: int, flown: FloatArray) -> None:
+    """Fill in how far along each second move (k, lines) the aircraft is in wind, in samples, each second up to last.
+
+    speeds: see speeds_over_ground. A line is stretched along itself.
+    """
+    turned, count = s.turned_rad[level], flown.shape[1]
+    for j in range(count):
+        flown[0, j] = 0.0
+    for k in range(last):
+        for j in range(count):
+            i = min(int(flown[k, j]), _SAMPLES - 2)
+            past = flown[k, j] - i
+            at = heading_rad + (turned[j, i] + past * (turned[j, i + 1] - turned[j, i]))
+            at *= _HEADINGS / (2.0 * math.pi)
+            at -= _HEADINGS * math.floor(at / _HEADINGS)
+            h = min(int(at), _HEADINGS - 1)
+            flown[k + 1, j] = flown[k, j] + speeds[h] + (at - h) * (speeds[h + 1] - speeds[h])
+
+
+@inlined
+def lay(s: Seconds, fan: Fan, j: int, first: int, last: int) -> None:
+    """Fill in second move j of a fan, seconds first..last of it."""
+    sin_h, cos_h, x_m, y_m, heading_rad = fan.sin_h, fan.cos_h, fan.start.x_m, fan.start.y_m, fan.start.heading_rad
+    own_x, own_y, turned = s.x_m[fan.level, j], s.y_m[fan.level, j], s.turned_rad[fan.level, j]
+    x, y, heading, flown = fan.placed[0, j], fan.placed[1, j], fan.placed[2, j], fan.flown
+    if len(flown) == 0:
+        for k in range(first, last + 1):
+            x[k] = x_m + own_x[k] * cos_h + own_y[k] * sin_h
+        for k in range(first, last + 1):
+            y[k] = y_m - own_x[k] * sin_h + own_y[k] * cos_h
+        for k in range(first, last + 1):
+            heading[k] = heading_rad + turned[k]
+        return
+    for k in range(first, last + 1):
+        i = min(int(flown[k, j]), _SAMPLES - 2)
+        past = flown[k, j] - i
+        across_m, along_m = own_x[i] + past * (own_x[i + 1] - own_x[i]), own_y[i] + past * (own_y[i + 1] - own_y[i])
+        x[k] = x_m + across_m * cos_h + along_m * sin_h
+        y[k] = y_m - across_m * sin_h + along_m * cos_h
+        heading[k] = heading_rad + (turned[i] + past * (turned[i + 1] - turned[i]))
+
+
+@inlined
 def _cheapest(
-    placed: FloatArray, n: IntArray, at: int, one: int, second: Second, bound: float, room: FloatArray
+    s: Seconds, fan: Fan, at: int, one: int, second: Second, bound: float, room: FloatArray, ends: FloatArray
 ) -> float:
-    """Return what the cheapest of lines that begin at second ``at`` costs in one future, if it is below a bound."""
+    """Return what the cheapest of lines that begin at second ``at`` costs in one future, if it is below a bound.
+
+    What the table says of a line's end bounds its cost from below: few lines have to be followed.
+    """
+    # Parts of tuples are taken out once: in a loop each access would count its references.
     f, c, table = second.foretold, second.terms, second.table
-    to_x, to_y, sin_f, cos_f = (
-        f.rows[one, _X, at:],
-        f.rows[one, _Y, at:],
-        f.rows[one, _SIN, at:],
-        f.rows[one, _COS, at:],
+    rows, sigma, weight = f.rows[one], f.sigma_m[at:], f.weight[at:]
+    to_x, to_y, sin_f, cos_f, beside = (
+        rows[_X, at:],
+        rows[_Y, at:],
+        rows[_SIN, at:],
+        rows[_COS, at:],
+        rows[_BESIDE, at:],
     )
-    beside, sigma, weight, x, y = f.rows[one, _BESIDE, at:], f.sigma_m[at:], f.weight[at:], placed[0], placed[1]
+    values, after_turn, cell_m, mean_leg_s = table.values, table.after_turn, table.cell_m, table.mean_leg_s
+    classes, share, turn_share = f.futures.classes, f.futures.share, f.futures.turn_share
+    x, y, heading, laid, lasts = fan.placed[0], fan.placed[1], fan.placed[2], fan.laid, fan.last
+    turn_cost_per_s, best, most = f.min_turn_cost_per_s, 0, np.inf
     for j in range(SECONDS):
-        last = n[j]
-        if last == 0:
+        last = lasts[j]
+        ends[j] = np.inf
+        if last > 0:
+            place = x[j, last], y[j, last], heading[j, last]
+            end = _asked(values, cell_m, rows, classes, share, one, at + last, place[0], place[1], place[2])
+            ends[j] = weight[last] * end
+            least = ends[j] + turn_cost_per_s * weight[last] * last * STEP_S
+            if least < most:
+                best, most = j, least
+    for i in range(-1, SECONDS):
+        j = best if i < 0 else i
+        last = lasts[j]
+        least = turn_cost_per_s * weight[last] * last * STEP_S
+        if i == best or ends[j] + least >= bound:
             continue
+        if not laid[j]:
+            lay(s, fan, j, 0, last)
+            laid[j] = True
         _running(x, y, j, last + 1, to_x, to_y, sin_f, cos_f, beside, sigma, weight, c, room)
         cost = -0.5 * (room[2, 0] + room[2, last])
         for k in range(last + 1):
             cost += room[2, k]
-        cost *= STEP_S
-        least = f.min_turn_cost_per_s * weight[last] * last * STEP_S
-        if cost + weight[last] * f.min_value + least < bound:
-            heading = placed[2]
-            cost += weight[last] * _asked(table, f, one, at + last, x[j, last], y[j, last], heading[j, last], False)
-            if cost + least < bound:
-                cost += _turns_cost(x[j], y[j], heading[j], last, at, one, f, table, bound - cost)
-                bound = min(bound, cost)
+        cost = cost * STEP_S + ends[j]
+        if cost + least >= bound:
+            continue
+        turns = 0.0
+        for k in range(0, last, _STRIDE):
+            length = min(_STRIDE, last - k)
+            m = k + length // 2
+            after = _asked(
+                after_turn, cell_m, rows, classes, turn_share, one, at + m, x[j, m], y[j, m], heading[j, m]
+            )
+            turns += length * STEP_S / mean_leg_s * weight[m] * after
+            if turns > bound - cost:
+                break
+        bound = min(bound, cost + turns)
     return bound
 
 
@@ -342,6 +388,8 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
     count, foretold, terms = f.rows.shape[0], f.rows.shape[2], second.terms
     size, horizon = min(ahead.shape[1], foretold), int(second.horizon_s / STEP_S)
     x, y, heading = ahead[0], ahead[1], ahead[2]
+    values, after_turn, cell_m = table.values, table.after_turn, table.cell_m
+    classes, share, turn_share = f.futures.classes, f.futures.share, f.futures.turn_share
     room = np.empty((3, foretold + _SAMPLES))
     before, best, found = np.zeros((count, size)), np.empty(count), room[2]
     for one in range(count):
@@ -352,17 +400,23 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
         for k in range(1, size):
             if (k - 1) % _STRIDE == 0:
                 m = min(k + 1, size - 1)
-                after = _asked(table, f, one, m, x[m], y[m], heading[m], True)
+                after = _asked(after_turn, cell_m, rows, classes, turn_share, one, m, x[m], y[m], heading[m])
                 turned = STEP_S / table.mean_leg_s * f.weight[m] * after
             before[one, k] = before[one, k - 1] + 0.5 * STEP_S * (found[k - 1] + found[k]) + turned
         best[one] = np.inf
         for valued in _VALUED:
             k = min(max(end, valued), size - 1)
-            cost = before[one, k] + f.weight[k] * _asked(table, f, one, k, x[k], y[k], heading[k], False)
+            cost = before[one, k] + f.weight[k] * _asked(
+                values, cell_m, rows, classes, share, one, k, x[k], y[k], heading[k]
+            )
             best[one] = min(best[one], cost)
             if end > 0:
                 break
-    placed, n = np.empty((3, SECONDS, _SAMPLES)), np.empty(SECONDS, np.int64)
+    placed, n, ends = np.empty((3, SECONDS, _SAMPLES)), np.empty(SECONDS, np.int64), np.empty(SECONDS)
+    laid, calm = np.empty(SECONDS, np.bool_), scene.air.wind_x_m_s == 0.0 and scene.air.wind_y_m_s == 0.0
+    speeds, flown = np.empty(0), np.empty((0, SECONDS))
+    if not calm:
+        speeds, flown = speeds_over_ground(scene.air), np.empty((_SAMPLES, SECONDS))
     for at in branches:
         if at >= size or at >= horizon:
             break
@@ -374,11 +428,18 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
             last = seconds.end[level, j]
             n[j] = min(max(last, horizon - at), _SAMPLES - 1)
             n[j] = 0 if last == 0 or at + n[j] >= foretold else n[j]
-        laid_from(seconds, level, x[at], y[at], heading[at], scene.air, placed, n)
+        start = Pose(x[at], y[at], heading[at])
+        if not calm:
+            stretch(seconds, level, start.heading_rad, speeds, n.max(), flown)
+        fan = Fan(start, math.sin(start.heading_rad), math.cos(start.heading_rad), level, flown, placed, laid, n)
+        laid[:] = False
+        for j in range(SECONDS):
+            if n[j] > 0:
+                lay(seconds, fan, j, n[j], n[j])
         for one in range(count):
             first = before[one, at] + f.weight[at] * (second.leave if at >= end else second.change)
             if first < best[one]:
-                best[one] = first + _cheapest(placed, n, at, one, second, best[one] - first, room)
+                best[one] = first + _cheapest(seconds, fan, at, one, second, best[one] - first, room, ends)
     total = 0.0
     for one in range(count):
         total += f.futures.weight[one] * best[one]

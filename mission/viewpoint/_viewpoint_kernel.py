@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimators.compiled import compiled
+from estimators.compiled import compiled, inlined
 from mission.core.path import FloatArray
 
 _STOPPED_BELOW_M_S = 0.9
@@ -120,7 +120,7 @@ def remember_place(target: Known, memory: FloatArray) -> None:
     memory[_PLACES] = count + 1
 
 
-@compiled
+@inlined
 def place_at(memory: FloatArray, time_s: float) -> tuple[float, float]:
     """Return where the target was (east, north): before the first kept place that one, after the last the last."""
     places, k = memory[_PLACES + 1 :], int(memory[_PLACES]) - 1
@@ -135,7 +135,7 @@ def place_at(memory: FloatArray, time_s: float) -> tuple[float, float]:
     )
 
 
-@compiled
+@inlined
 def made_good_sigma_rad(sigma_m: float, way_m: float) -> float:
     """Return one standard deviation of a course made good on a way that is known across to sigma_m."""
     return min(sigma_m / max(way_m, MIN_WAY_M), COURSE_SIGMA_MAX_RAD)

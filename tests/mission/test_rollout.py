@@ -23,14 +23,17 @@ from mission.predictive._second_kernel import (
     SECOND_LENGTHS,
     SECONDS,
     STAY_BRANCHES,
+    Fan,
     Second,
     deep_cost,
     foretold_of,
-    laid_from,
+    lay,
     lay_out_seconds,
     moving_ahead,
     no_seconds,
+    speeds_over_ground,
     staying_ahead,
+    stretch,
 )
 from mission.predictive._sight_kernel import NOTHING_HIDDEN
 from mission.predictive.planner import table_configuration
@@ -265,9 +268,13 @@ def test_second_moves_in_wind_are_flown_at_the_ground_speed(paper_aircraft, pape
     """What is laid out for still air is stretched along itself: a second's way is that of the ground speed there."""
     seconds = no_seconds()
     lay_out_seconds(seconds, 60.0, sharpness_per_m2(paper_aircraft, 12.0), 10.0)
-    n, calm, windy = np.full(SECONDS, 12), np.empty((3, SECONDS, 64)), np.empty((3, SECONDS, 64))
-    for wind_x_m_s, places in ((0.0, calm), (2.0, windy)):
-        laid_from(seconds, 4, 5.0, -7.0, math.pi / 2, Air(10.0, wind_x_m_s, 0.0), places, n)
+    calm, windy = np.empty((3, SECONDS, 64)), np.empty((3, SECONDS, 64))
+    start, flown = Pose(5.0, -7.0, math.pi / 2), np.empty((64, SECONDS))
+    stretch(seconds, 4, start.heading_rad, speeds_over_ground(Air(10.0, 2.0, 0.0)), 12, flown)
+    for way, places in ((flown[:0], calm), (flown, windy)):
+        fan = Fan(start, 1.0, 0.0, 4, way, places, np.zeros(SECONDS, np.bool_), np.full(SECONDS, 12))
+        for j in range(SECONDS):
+            lay(seconds, fan, j, 0, 12)
     np.testing.assert_allclose(np.hypot(*(calm[:2, 0, 1] - (5.0, -7.0))), 10.0, atol=0.1)
     np.testing.assert_allclose(np.hypot(*(windy[:2, 0, 1] - (5.0, -7.0))), 12.0, atol=0.1)
     later = np.hypot(*np.diff(windy[:2, :, :13]))
