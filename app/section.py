@@ -37,8 +37,11 @@ def _sentence(error: ValidationError, kind: type[BaseModel]) -> str:
         return f"unknown key {where}; known there: {', '.join(_known_keys(kind, problem['loc']))}."
     if problem["type"] == "value_error":
         return f"{where + ': ' if where else ''}{_cut(str(problem['ctx']['error']))}."
+    given = f"{where} = {_cut(repr(problem['input']), _SHOWN_CHARACTERS)}"
+    if problem["type"] in ("model_type", "dict_type"):
+        return f"{given}: a table belongs there; write [{where}], and its keys below."
     message = problem["msg"][0].lower() + problem["msg"][1:]
-    return f"{where} = {_cut(repr(problem['input']), _SHOWN_CHARACTERS)}: {message}{_nearest(problem)}."
+    return f"{given}: {message}{_nearest(problem)}."
 
 
 def _cut(text: str, longest: int = 400) -> str:

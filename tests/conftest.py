@@ -1,10 +1,12 @@
-"""What all tests share: ports that no other process of the suite is about to use."""
+"""What all tests share: compiled code, and ports that no other process of the suite is about to use."""
 
 from __future__ import annotations
 
 import itertools
 import os
 import socket
+import subprocess
+import sys
 from collections.abc import Callable
 
 import pytest
@@ -18,6 +20,18 @@ if os.environ.get("CI"):
 # Below the ports that systems give away by themselves: one of those may go to another socket before it is used.
 _FIRST, _COUNT = 12_000, 16_000
 _ports = itertools.count(101 * os.getpid())  # processes begun one after the other are a hundred ports apart
+
+
+# The planner and the filter, which every flight loads from disk once somebody has compiled them.
+_COMPILED = "from app.assembly import controller_of; from app.config import Config; controller_of(Config())"
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile before several workers begin: each of them would do it anew, in a flight that is waited for."""
+    config = session.config
+    if config.option.collectonly or not getattr(config.option, "numprocesses", None):
+        return
+    subprocess.run([sys.executable, "-c", _COMPILED], cwd=config.rootpath, check=True)
 
 
 @pytest.fixture(scope="session")

@@ -19,6 +19,7 @@ from app.commands.radius import RadiusOption
 from app.config import load_config
 from app.errors import InputError
 from app.study import export as exporting
+from app.study._flight_kernel import advance as advance_flight
 from app.study.design import Design, Overrides, configured, designs, parsed_sweep
 from app.study.fleet import FleetPlannerName
 from app.study.fleet_study import fleet_json, fleet_table, fly_fleets
@@ -29,6 +30,7 @@ from app.study.settings import AUTOPILOTS, Hills, PlannerName, StudySettings
 from app.study.store import ResultStore
 from app.study.study import Study, table_of
 from app.terrain.elevation_data import elevation_data
+from estimators.compiled import is_kept
 from estimators.frames import LocalPlane
 from mission.core.requirement import Requirement
 
@@ -244,6 +246,8 @@ def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:
         console.print(f"{study.total - missing} of {study.total} runs are in {study.store.file} already")
     if not missing:
         return
+    if not is_kept(advance_flight):
+        console.print("compiling the flights, once for this version of the program: up to a minute")
     processes = jobs or os.cpu_count() or 1
     with runs_progress(missing) as (advance, computing):
         if scheduler is not None:

@@ -16,11 +16,13 @@ _AHEAD = 2  # batches for each process: one that is flown, one that waits
 
 
 def on_processes(jobs: int | None) -> Executor:
-    """Return what flies batches on so many processes, one for each core by default.
+    """Return what flies batches on so many processes, one for each core by default; on one, in this very process.
 
     An interrupt of the one who waits ends them at once.
     """
     processes = jobs or os.cpu_count() or 1
+    if processes == 1:
+        return lambda designs, batches: (flown(designs, *task) for task in batches)
 
     def fly(designs: Designs, batches: Iterable[tuple[Batch, ValueTable | None]]) -> Iterator[Flown]:
         with uninterrupted():

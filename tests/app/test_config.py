@@ -36,7 +36,7 @@ def test_the_command_line_wins_over_the_file_and_none_says_nothing(tmp_path):
         ("[aircraft]\nradius_m = 'wide'\n", ["aircraft.radius_m", "wide"]),
         ("[aircraft]\nradius_m = -5\n", ["aircraft.radius_m", "10"]),
         ("[requirement]\nside = 'above'\n", ["requirement.side", "left", "right"]),
-        ("aircraft = 3\n", ["aircraft"]),
+        ("aircraft = 3\n", ["aircraft = 3", "write [aircraft]"]),
         ("[aircraft\n", ["TOML"]),
         ("[sensors]\nlever_arm_m = [nan, 0, 0]\n", ["sensors.lever_arm_m.0", "nan", "finite"]),
         ("[sensors]\nmount_deg = [0, inf, 0]\n", ["sensors.mount_deg.1", "inf", "finite"]),

@@ -163,9 +163,9 @@ class Application:
     def said(self):
         return re.sub(r"\s+", " ", self._log.read_text())
 
-    def wait_for(self, words, limit_s=PATIENCE_S):
+    def wait_for(self, words, times=1, limit_s=PATIENCE_S):
         deadline_s = time.monotonic() + limit_s
-        while words not in self.said:
+        while self.said.count(words) < times:
             assert self.process.poll() is None, self.said
             assert time.monotonic() < deadline_s, f"never said {words!r}: {self.said}"
             time.sleep(0.05)

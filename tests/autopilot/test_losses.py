@@ -18,38 +18,7 @@ def assert_circles(vehicle, seconds):
     assert craft.height_m > 80.0
 
 
-def test_the_link_is_cut_for_a_while(vehicle_of, launch):
-    vehicle = vehicle_of("arduplane")
-    application = launch(vehicle.url)
-    application.wait_for(WATCHED)
-    vehicle.deaf = True
-    application.wait_for("link lost")
-    assert_circles(vehicle, 30.0)
-    vehicle.deaf = False
-    application.wait_for("the link is back")
-    vehicle.wait(20.0)
-    assert application.end()["outcome"] == "interrupted"
-
-
-@pytest.mark.parametrize("kind", ["DISTANCE_SENSOR", "GIMBAL_DEVICE_ATTITUDE_STATUS"])
-def test_the_payload_fails_and_comes_back(vehicle_of, launch, kind):
-    vehicle = vehicle_of("px4")
-    application = launch(vehicle.url)
-    application.wait_for(WATCHED)
-    application.wait_for("the target is in sight")
-    vehicle.do(lambda: vehicle.simulation.mute_payload(kind))
-    application.wait_for("the target has not been seen for")
-    application.wait_for("the target is lost")
-    lost_s = vehicle.simulation.time_s
-    assert_circles(vehicle, 30.0)
-    vehicle.do(vehicle.simulation.unmute_payload)
-    vehicle.wait(15.0)
-    assert application.said.rindex("the target is in sight") > application.said.rindex("the target is lost")
-    assert application.end()["outcome"] == "interrupted"
-    assert not [kind for time_s, kind in vehicle.commanded if lost_s < time_s < lost_s + 30.0]
-
-
-def test_the_position_fails_and_comes_back(vehicle_of, launch):
+def test_the_position_and_then_the_link_fail_and_come_back(vehicle_of, launch):
     vehicle = vehicle_of("arduplane")
     application = launch(vehicle.url)
     application.wait_for(WATCHED)
@@ -62,4 +31,27 @@ def test_the_position_fails_and_comes_back(vehicle_of, launch):
     assert not [kind for time_s, kind in vehicle.commanded if blind_s < time_s]
     vehicle.do(lambda: silenced.discard(position))
     vehicle.wait(20.0)
+    vehicle.deaf = True
+    application.wait_for("link lost")
+    assert_circles(vehicle, 30.0)
+    vehicle.deaf = False
+    application.wait_for("the link is back")
+    vehicle.wait(20.0)
+    assert application.end()["outcome"] == "interrupted"
+
+
+def test_laser_and_then_gimbal_fail_and_come_back(vehicle_of, launch):
+    vehicle = vehicle_of("px4")
+    application = launch(vehicle.url)
+    application.wait_for(WATCHED)
+    application.wait_for("the target is in sight")
+    for number, kind in enumerate(("DISTANCE_SENSOR", "GIMBAL_DEVICE_ATTITUDE_STATUS"), 1):
+        vehicle.do(lambda kind=kind: vehicle.simulation.mute_payload(kind))
+        application.wait_for("the target has not been seen for", times=number)
+        application.wait_for("the target is lost", times=number)
+        lost_s = vehicle.simulation.time_s
+        assert_circles(vehicle, 30.0)
+        assert not [kind for time_s, kind in vehicle.commanded if lost_s < time_s]
+        vehicle.do(vehicle.simulation.unmute_payload)
+        application.wait_for("the target is in sight again", times=number)
     assert application.end()["outcome"] == "interrupted"

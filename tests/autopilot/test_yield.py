@@ -1,4 +1,7 @@
-"""Somebody else takes the vehicle: not one command after its next heartbeat, and none ever again."""
+"""Somebody else takes the vehicle: not one command after its next heartbeat, and none ever again.
+
+By a mission, a circle, a mode in mid-upload or a restart: ``tests/exchange/test_flights.py``, without sockets.
+"""
 
 import os
 
@@ -53,46 +56,3 @@ def test_the_pilot_takes_over_and_gives_back_and_is_left_alone(vehicle_of, launc
     given_back_s = vehicle.do(lambda: (vehicle.autopilot.set_mode(10), vehicle.simulation.time_s)[1])
     vehicle.wait(30.0)
     assert commands_after(vehicle, given_back_s) == []
-
-
-@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
-def test_another_station_uploads_a_mission(vehicle_of, launch, flavour):
-    vehicle = vehicle_of(flavour)
-    foreign = vehicle.circle_mission(120.0, 400.0, -300.0)
-    foreign.append(foreign[-1])
-    application = launch(vehicle.url)
-    assert_yielded(vehicle, application, lambda: vehicle.put_mission(foreign), "another station")
-
-
-def test_another_station_moves_the_circle(vehicle_of, launch):
-    vehicle = vehicle_of("arduplane")
-    application = launch(vehicle.url, "--guidance", "command")
-
-    def move():
-        craft = vehicle.autopilot.craft
-        vehicle.autopilot._circle_at(type(vehicle.autopilot.here)(craft.east_m - 500.0, craft.north_m, 100.0), True)
-
-    assert_yielded(vehicle, application, move, "another station has moved the circle")
-
-
-def test_the_autopilot_starts_anew(vehicle_of, launch):
-    vehicle = vehicle_of("px4")
-    application = launch(vehicle.url)
-    assert_yielded(vehicle, application, vehicle.simulation.reboot, "")
-
-
-def test_an_upload_under_way_stops_with_the_mode_change(vehicle_of, launch):
-    vehicle = vehicle_of("arduplane")
-    application = launch(vehicle.url)
-    application.wait_for(WATCHED)
-    changed_s = []
-
-    def change():
-        vehicle.autopilot.set_mode(12)
-        changed_s.append(vehicle.simulation.time_s)
-
-    vehicle.at_item(1, change)
-    application.wait_for("commanding nothing more")
-    vehicle.wait(30.0)
-    assert commands_after(vehicle, changed_s[0]) == []
-    assert application.end()["outcome"].startswith("yielded")

@@ -96,15 +96,60 @@ def test_a_switch_is_taken_after_all_when_the_next_plan_is_on_its_way(in_the_air
     assert not flight.found(Yield)
 
 
+def yielded(flight, within_s):
+    """Return the reason of a yield that comes in time, and after which nothing more is sent."""
+    assert flight.run(within_s, lambda: bool(flight.found(Yield)))
+    sent = len(flight.found(SendMessage))
+    flight.run(20.0)
+    assert len(flight.found(SendMessage)) == sent
+    return flight.found(Yield)[0].reason
+
+
+def store(mission, items):
+    """Store a mission as another station's upload would."""
+    index = mission.index
+    mission.begin(len(items))
+    for number, item in enumerate(items):
+        mission.put(number, item, number == index)
+    mission.finish()
+
+
 @pytest.mark.parametrize(("flavour", "guidance"), [("arduplane", "mission"), ("px4", "mission"), ("px4", "command")])
 def test_another_mode_is_somebody_else(in_the_air, flavour, guidance):
     flight = in_the_air(flavour, faults=BAD, guidance=guidance)
     flight.run(20.0)
     flight.simulation.pilot_takes_over()
-    assert flight.run(5.0, lambda: bool(flight.found(Yield)))
-    sent = len(flight.found(SendMessage))
+    assert "flight mode" in yielded(flight, 5.0)
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_another_stations_mission_is_somebody_else(in_the_air, flavour):
+    flight = in_the_air(flavour, faults=BAD)
     flight.run(20.0)
-    assert len(flight.found(SendMessage)) == sent
+    items = flight.autopilot.mission.items()
+    store(flight.autopilot.mission, [*items, items[-1]])
+    assert "another station" in yielded(flight, 15.0)
+
+
+def test_an_upload_under_way_stops_with_the_mode_change(in_the_air):
+    flight = in_the_air("arduplane")
+    loiter, changed_s = 12, []
+
+    def arrived(name, _fields):
+        if name == "MISSION_ITEM_INT" and not changed_s:
+            changed_s.append(flight.telemetry.now_s)
+            flight.autopilot.set_mode(loiter)
+
+    flight.arrived = arrived
+    assert "LOITER" in yielded(flight, 60.0)
+    assert flight.found(SendMessage)[-1].time_s < changed_s[0] + 2.0
+
+
+def test_the_autopilot_starts_anew(in_the_air):
+    flight = in_the_air("px4")
+    flight.run(20.0)
+    flight.simulation.reboot()
+    assert yielded(flight, 10.0)  # by its mode, or by its clock: whichever is heard first
 
 
 def test_another_station_moves_the_circle(in_the_air):
@@ -112,8 +157,7 @@ def test_another_station_moves_the_circle(in_the_air):
     assert flight.run(60.0, lambda: statuses(flight, "departed") and flight.core._backend._flown is None)
     here = flight.autopilot.here
     flight.autopilot._circle_at(type(here)(here.east_m - 500.0, here.north_m, 100.0), True)
-    assert flight.run(10.0, lambda: bool(flight.found(Yield)))
-    assert "moved the circle" in flight.found(Yield)[0].reason
+    assert "moved the circle" in yielded(flight, 10.0)
 
 
 def test_answers_to_another_station_are_not_ours(in_the_air):
@@ -154,11 +198,6 @@ def test_a_foreign_mission_of_the_length_of_one_in_doubt_is_not_taken_for_ours(i
     flight.run(20.0)
     doubtful(flight)
     mission = flight.autopilot.mission
-    moved = [replace(item, latitude_e7=item.latitude_e7 + 9_000) for item in mission.items()]
-    mission.begin(len(moved))
-    for index, item in enumerate(moved):
-        mission.put(index, item, index == mission.index)
-    mission.finish()
+    store(mission, [replace(item, latitude_e7=item.latitude_e7 + 9_000) for item in mission.items()])
     flight.lost = set()
-    assert flight.run(15.0, lambda: bool(flight.found(Yield)))
-    assert flight.found(Yield)[0].reason == "another station has changed the mission"
+    assert yielded(flight, 15.0) == "another station has changed the mission"

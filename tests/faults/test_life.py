@@ -17,7 +17,7 @@ import pytest
 from tests.faults.interrupts import Interruption, left_of
 
 pytestmark = pytest.mark.udp
-SHORT = ("launch", "--planner", "paper", "--speed", "10", "--duration", "10", "--target", "straight")
+SHORT = ("launch", "--planner", "paper", "--speed", "30", "--duration", "10", "--target", "straight")
 
 
 @pytest.mark.parametrize(
