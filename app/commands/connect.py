@@ -88,7 +88,7 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
     ) as session:
         vehicle, autopilot = session.vehicle, session.autopilot
         await ask_for_streams(vehicle)
-        rates = await listen(vehicle, listen_s)
+        rates = await listen(vehicle, listen_s, config.sharing)
         home = await home_of(vehicle)
         values = await read_parameters(vehicle, autopilot.relevant_parameters)
         limits = autopilot.limits(values)

@@ -29,6 +29,7 @@ from app.records.run_folder import RunFolder
 from app.view.address import Address
 from app.view.display import ViewDisplay, served
 from app.view.panel import PanelDisplay
+from app.view.prompt import keyboard_descriptor
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +68,7 @@ async def _recorded(
 @contextlib.asynccontextmanager
 async def _displayed(config: Config, quiet: bool, address: Address | None) -> AsyncIterator[FlightDisplay]:
     """Show the flight on the terminal, and in the browser if it has an address there."""
-    with PanelDisplay(console, quiet) as panel:
+    with PanelDisplay(console, quiet, keyboard_descriptor()) as panel:
         if address is None:
             yield panel
             return

@@ -171,6 +171,12 @@ class FleetFile(Config):
             )
         return self
 
+    @model_validator(mode="after")
+    def _no_beacon(self) -> Self:
+        if len(self.aircraft) > 1 and self.sharing.beacon is not None:
+            raise ValueError("sharing.beacon: a beacon is heard by one aircraft, not by a fleet; leave it out")
+        return self
+
     @property
     def members(self) -> tuple[Member, ...]:
         """The aircraft in their order, each with its whole configuration."""
@@ -184,6 +190,10 @@ class FleetFile(Config):
                 "autopilot": one.autopilot or self.simulation.autopilot,
                 "seed": self.simulation.seed + number,
             }
+            # One target on others' displays, with all aircraft by their names; follow modes listen to one sender.
+            told: dict[str, Any] = {"cot_own_callsign": one.name} if len(self.aircraft) > 1 else {}
+            if one is not next(other for other in self.aircraft if not other.reserve):
+                told |= {"follow_target": None, "nmea": None}
             yield Member(
                 one.name,
                 Config(
@@ -194,6 +204,7 @@ class FleetFile(Config):
                     link=self.link.model_copy(update={**own, "system_id": one.system_id}),
                     fences=self.fences,
                     terrain=self.terrain,
+                    sharing=self.sharing.model_copy(update=told),
                     simulation=self.simulation.model_copy(update=simulated),
                 ),
                 one.reserve,

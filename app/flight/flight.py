@@ -23,7 +23,7 @@ from app.errors import FlightError, InputError
 from app.flight.changes import MissionChanges
 from app.flight.display import FlightDisplay, Wish
 from app.flight.loop import ControlLoop, Display, Stepped
-from app.flight.outputs import outputs
+from app.flight.outputs import open_beacon, outputs
 from app.flight.point_gimbal import GimbalPointer
 from app.flight.preflight import autopilot_of, checks, listen
 from app.flight.recording import Recording
@@ -39,8 +39,6 @@ from app.link.transport import Transport
 from app.link.vehicle import Vehicle
 from app.link.vehicle_status import VehicleStatus, vehicle_status
 from app.planners.registry import planner_by_name
-from app.sharing.address import Address
-from app.sharing.beacon import BeaconInput
 from app.shutdown import ends_within
 from app.terrain.elevation_data import elevation_data
 from estimators.frames import LocalPlane
@@ -249,10 +247,11 @@ class Flight:
         observed = _Observed(observers, self._collector)
         loop = ControlLoop(self._vehicle, self._telemetry, core, self._recording, observed, self._acquired, stepped)
         self._loop = loop
-        if self._config.sharing.beacon is not None:
-            beacon = self._beacon(plane, loop)
+        beacon = await open_beacon(
+            self._config.sharing, plane, lambda: self._telemetry.now_s, loop.put, self._display.note
+        )
+        if beacon is not None:
             shared.callback(beacon.stop)
-            await beacon.listen(Address.read(self._config.sharing.beacon, ("udp",)))
         changes = MissionChanges(
             self._config, self._controller, lambda: self._telemetry.now_s, loop.put, self._display.say
         )
@@ -299,11 +298,6 @@ class Flight:
             if round_trip_s is not None:
                 loop.put(RoundTripReported(self._telemetry.now_s, round_trip_s * self._vehicle_rate))
 
-    def _beacon(self, plane: LocalPlane, loop: ControlLoop) -> BeaconInput:
-        sharing = self._config.sharing
-        now_s, note = lambda: self._telemetry.now_s, self._display.note
-        return BeaconInput(plane, sharing.beacon_name, sharing.beacon_sigma_m, now_s, loop.put, note)
-
     def _status(self) -> VehicleStatus:
         return vehicle_status(self._vehicle.latest, self._vehicle.link.recent())
 
@@ -330,7 +324,7 @@ class Flight:
         required_parameters = self._autopilot.required_parameters(values, self._config.aircraft.airspeed_m_s)
         deadline_s, wall_s = self._telemetry.now_s + _READY_WITHIN_S, time.monotonic() + _READY_WALL_S
         while True:
-            rates = await listen(self._vehicle, _LISTEN_S)
+            rates = await listen(self._vehicle, _LISTEN_S, self._config.sharing)
             if self._senders.two is not None:
                 raise InputError(f"{self._senders.two}.")
             home = await home_of(self._vehicle)

@@ -44,7 +44,7 @@ class Life:
         self.was_armed = False
         self._begun, self._note = begun, note
         self._task = asyncio.current_task()
-        self._at_once = False
+        self._at_once = self._broken_off = False
         self._winding_up = contextlib.ExitStack()
 
     @contextlib.contextmanager
@@ -57,6 +57,7 @@ class Life:
 
         def heed(number: int, _frame: object) -> None:
             if self._at_once:
+                self._broken_off = True
                 raise KeyboardInterrupt
             loop.call_soon_threadsafe(self._signalled, number)
 
@@ -76,6 +77,10 @@ class Life:
         self._at_once = True
         try:
             yield
+        except Exception as error:
+            if self._broken_off:  # a library that was broken off half-way has an error of its own to tell
+                raise KeyboardInterrupt from error
+            raise
         finally:
             self._at_once = False
 

@@ -1,4 +1,4 @@
-"""The displays of others that a configuration asks for."""
+"""The displays of others that a configuration asks for, and the beacon that it listens to."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from typing import Protocol
 from app.config import SharingSection
 from app.link.message import Message
 from app.sharing.address import Address
+from app.sharing.beacon import BeaconInput
 from app.sharing.cot import CotNames, CotOutput
 from app.sharing.follow import FollowTargetOutput, NmeaOutput
 from app.sharing.senders import DatagramSender, Sender, StreamSender, tls_context
 from estimators.frames import LocalPlane
+from estimators.readings import TargetFixReading
 
 _COT, _FOLLOW_TARGET, _NMEA = "sharing.cot", "sharing.follow_target", "sharing.nmea"
 
@@ -62,6 +64,24 @@ def outputs(
     if sharing.nmea is not None:
         udp = DatagramSender(Address.read(sharing.nmea, ("udp",)), _NMEA)
         yield NmeaOutput(udp, plane, home_altitude_m)
+
+
+async def open_beacon(
+    sharing: SharingSection,
+    plane: LocalPlane,
+    now_s: Callable[[], float],
+    put: Callable[[TargetFixReading], object],
+    tell: Callable[[str], object] = lambda _text: None,
+) -> BeaconInput | None:
+    """Return the configured beacon's input, to be stopped at the end; None without one.
+
+    Raises InputError when its address is not free or not here.
+    """
+    if sharing.beacon is None:
+        return None
+    beacon = BeaconInput(plane, sharing.beacon_name, sharing.beacon_sigma_m, now_s, put, tell)
+    await beacon.listen(Address.read(sharing.beacon, ("udp",)))
+    return beacon
 
 
 def height_above_ellipsoid_m(latest: Latest) -> float | None:

@@ -11,19 +11,29 @@ from pathlib import Path
 from app.autopilots.autopilot import Autopilot, Limits
 from app.autopilots.parameters import RequiredParameter
 from app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
-from app.config import Config
+from app.config import Config, SharingSection
 from app.errors import InputError
+from app.flight.outputs import open_beacon
 from app.link.message import Message
 from app.link.modes import TYPE_FIXED_WING
 from app.link.telemetry import Telemetry, has_fix
 from app.link.vehicle import Vehicle
 from app.terrain.elevation_data import elevation_data
-from estimators.readings import GimbalReading, PositionReading, RangeReading, Source, TargetFixReading
+from estimators.frames import LocalPlane
+from estimators.readings import (
+    BEACON_MESSAGES,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    Source,
+    TargetFixReading,
+)
 from mission.core.requirement import Aircraft
 from mission.exchange.dialect import Home
 
 _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
+_ANYWHERE = LocalPlane(0.0, 0.0)  # before the flight has one, a beacon is only counted
 _HOME_OFF_MAX_M = 60.0  # geoid models differ by a metre, a GPS height by some, terrain data by twenty
 _TERRAIN_OFF_MAX_M = 40.0  # other posts, other sources
 _SENSORS = {
@@ -62,6 +72,8 @@ class SourceRate:
     rate_hz: float
 
     def __str__(self) -> str:
+        if self.source.message in BEACON_MESSAGES:
+            return f"{self.source.message} of a beacon at {self.rate_hz:.1f} Hz"
         where = f"component {self.source.component_id} id {self.source.sensor_id}"
         if self.kind == "range":
             where += f" orientation {self.source.orientation}"
@@ -84,11 +96,17 @@ def autopilot_of(vehicle: Vehicle) -> Autopilot:
     return autopilot
 
 
-async def listen(vehicle: Vehicle, wall_s: float) -> tuple[SourceRate, ...]:
-    """Return the range and gimbal sources heard during ``wall_s``, with their rates on the vehicle's clock."""
+async def listen(vehicle: Vehicle, wall_s: float, sharing: SharingSection) -> tuple[SourceRate, ...]:
+    """Return the sources of the target heard during ``wall_s``, with their rates on the vehicle's clock.
+
+    Raises InputError when the beacon's address is not free or not here.
+    """
     counts: Counter[tuple[str, Source]] = Counter()
     telemetry = Telemetry(vehicle.system_id)
     times_s: list[float] = []
+
+    def count_fix(reading: TargetFixReading) -> None:
+        counts["target", reading.source] += 1
 
     def count(message: Message) -> None:
         event = telemetry.event(message)
@@ -97,14 +115,17 @@ async def listen(vehicle: Vehicle, wall_s: float) -> tuple[SourceRate, ...]:
         elif isinstance(event, GimbalReading):
             counts["gimbal", event.source] += 1
         elif isinstance(event, TargetFixReading):
-            counts["target", event.source] += 1
+            count_fix(event)
         elif isinstance(event, PositionReading):
             times_s.append(event.time_s)
 
+    beacon = await open_beacon(sharing, _ANYWHERE, lambda: telemetry.now_s, count_fix)
     vehicle.listeners.append(count)
     try:
         await asyncio.sleep(wall_s)
     finally:
+        if beacon is not None:
+            beacon.stop()
         vehicle.listeners.remove(count)
     # A simulation may run faster than the clock on the wall.
     duration_s = times_s[-1] - times_s[0] if len(times_s) > 1 and times_s[-1] > times_s[0] else wall_s
@@ -135,8 +156,7 @@ def checks(
             Check(need.name, False, f"{need.present:g}: {need.why}", f"set {need.value:g}, or give --set-parameters")
             for need in required_parameters
         ),
-        _rate_check("range", rates, "send DISTANCE_SENSOR or RANGEFINDER from the laser"),
-        _rate_check("gimbal", rates, "send GIMBAL_DEVICE_ATTITUDE_STATUS from the gimbal"),
+        *_source_checks(config, rates),
     )
 
 
@@ -210,8 +230,26 @@ def _limit_checks(config: Config, aircraft: Aircraft, limits: Limits) -> tuple[C
     return (bank, speed)
 
 
-def _rate_check(kind: str, rates: tuple[SourceRate, ...], remedy: str) -> Check:
-    heard = [rate for rate in rates if rate.kind == kind and rate.rate_hz >= _MIN_RATE_HZ]
+def _source_checks(config: Config, rates: tuple[SourceRate, ...]) -> tuple[Check, ...]:
+    """Laser and gimbal have to speak, unless a beacon or the camera itself tells where the target is."""
+    heard = {kind: [rate for rate in rates if rate.kind == kind] for kind in ("range", "gimbal", "target")}
+    paired = all(any(rate.rate_hz >= _MIN_RATE_HZ for rate in heard[kind]) for kind in ("range", "gimbal"))
+    if heard["target"] and not paired:
+        return (Check("target source", True, "; ".join(map(str, heard["target"]))),)
+    if config.sharing.beacon is not None and not paired:
+        remedy = f"let the beacon send to {config.sharing.beacon} (sharing.beacon_name names it), or start the payload"
+        return (Check("target source", False, "neither a beacon nor a laser with a gimbal", remedy, True),)
+    return tuple(
+        _rate_check(kind, heard[kind], remedy)
+        for kind, remedy in (
+            ("range", "send DISTANCE_SENSOR or RANGEFINDER from the laser"),
+            ("gimbal", "send GIMBAL_DEVICE_ATTITUDE_STATUS from the gimbal"),
+        )
+    )
+
+
+def _rate_check(kind: str, rates: list[SourceRate], remedy: str) -> Check:
+    heard = [rate for rate in rates if rate.rate_hz >= _MIN_RATE_HZ]
     return Check(f"{kind} source", bool(heard), "; ".join(map(str, heard)) or "none heard", remedy, True)
 
 

@@ -27,6 +27,7 @@ _UNKNOWN = "9999999.0"
 _ONE_SIGMA = 1.0 - math.exp(-0.5)  # so much of a two-dimensional Gaussian lies within one sigma
 _SEND_EVERY_S = 1.0
 _STALE_AFTER = timedelta(seconds=10.0)
+_TARGET_UID = f"sidelong-{uuid4().hex[:8]}"  # all aircraft of this program watch one target
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +119,7 @@ class CotOutput:
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
     ) -> None:
         self._sender, self._plane, self._names, self._height_m, self._now = sender, plane, names, height_m, now
-        self._uid = f"sidelong-{uuid4().hex[:8]}"
+        self._own_uid = f"{_TARGET_UID}-{names.own_callsign}"
         self._next_s = -math.inf
 
     def say(self, announcement: Announce) -> None:
@@ -130,10 +131,11 @@ class CotOutput:
         if now_s < self._next_s or snapshot.aircraft is None:
             return
         self._next_s, now = now_s + _SEND_EVERY_S, self._now()
-        own = f"{self._uid}-aircraft"
-        self._sender.send(aircraft_event(snapshot.aircraft, self._plane, now, own, self._height_m(), self._names))
+        self._sender.send(
+            aircraft_event(snapshot.aircraft, self._plane, now, self._own_uid, self._height_m(), self._names)
+        )
         if estimate is not None and estimate.quality is not TrackQuality.LOST:
-            self._sender.send(target_event(estimate, self._plane, snapshot.time_s, now, self._uid, self._names))
+            self._sender.send(target_event(estimate, self._plane, snapshot.time_s, now, _TARGET_UID, self._names))
 
     def stop(self) -> None:
         self._sender.stop()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from types import TracebackType
 
 from rich.console import Console
@@ -15,6 +16,7 @@ from rich.text import Text
 from app.flight.display import Wish
 from app.link.plain_text import plain
 from app.link.vehicle_status import VehicleStatus
+from app.view.prompt import HELP, Keyboard, Prompt
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TrackQuality
 from estimators.frames import LocalPlane
@@ -45,10 +47,15 @@ def clock(time_s: float) -> str:
 
 
 class PanelDisplay:
-    """A ``FlightDisplay`` on the terminal. Use as ``with``. Quiet, it says nothing."""
+    """A ``FlightDisplay`` on the terminal. Use as ``with``. Quiet, it says nothing.
 
-    def __init__(self, console: Console, quiet: bool = False) -> None:
-        self._console, self._quiet = console, quiet
+    keyboard: the file descriptor of the terminal where a person may type changes; None: there is none.
+    """
+
+    def __init__(self, console: Console, quiet: bool = False, keyboard: int | None = None) -> None:
+        self._console, self._quiet, self._descriptor = console, quiet, keyboard
+        self._keyboard: Keyboard | None = None
+        self._prompt: Prompt | None = None
         self._start_s: float | None = None  # None: not engaged yet, and times mean nothing to a person
         self._duration_s: float | None = None
         self._live: Live | None = None
@@ -68,6 +75,9 @@ class PanelDisplay:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self._keyboard is not None:
+            self._keyboard.stop()
+            self._keyboard = None
         if self._live is not None:
             self._live.stop()
             self._live = None
@@ -76,7 +86,15 @@ class PanelDisplay:
         self._status = status
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
-        pass  # nothing is drawn to scale here, and there are no buttons
+        if self._live is None or self._descriptor is None:
+            return
+
+        def wish(asked: Wish) -> None:
+            if self._snapshot is not None and math.isfinite(self._snapshot.time_s):
+                request(replace(asked, time_s=self._snapshot.time_s))
+
+        self._prompt = Prompt(wish)
+        self._keyboard = Keyboard(self._descriptor, self._prompt)
 
     def engage(self, start_s: float, duration_s: float | None) -> None:
         self._start_s, self._duration_s = start_s, duration_s
@@ -161,6 +179,8 @@ class PanelDisplay:
             yield "vehicle", _vehicle(self._status())
         if shown.decision is not None:
             yield "decided", Text(plain(shown.decision.reason), style="cyan")
+        if self._prompt is not None:
+            yield "keys", Text(plain(self._prompt.text), style="dim" if self._prompt.text == HELP else "yellow")
 
     @staticmethod
     def _circle(shown: Snapshot) -> str:

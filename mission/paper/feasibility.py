@@ -112,9 +112,11 @@ def _moves_too_short(aircraft: Aircraft, requirement: Requirement, psi_c_rad: fl
     of = scope(aircraft, requirement, psi_c_rad)
     if of.straight_left_m >= 0.0:
         return
+    needed = f"the transition needs {of.shortest_move_m - of.straight_left_m:.0f} m"
     because = (
-        f"a move of {of.shortest_move_m:.0f} m would be wanted, "
-        f"but the transition needs {of.shortest_move_m - of.straight_left_m:.0f} m"
+        f"a move of {of.shortest_move_m:.0f} m would be wanted, but {needed}"
+        if of.shortest_move_m > 0.0
+        else f"the band leaves no room for a move, and {needed}"
     )
 
     def straight_left_m(tried: float, field: str) -> float:

@@ -76,7 +76,7 @@ def test_target_and_aircraft_are_sent_once_a_second_at_most(receiver, snapshot):
     at_m = PLANE.east_north_m(event.lat, event.lon)
     assert math.dist(at_m, (estimate.east_m, estimate.north_m)) < 10.0
     assert PLANE.east_north_m(own.lat, own.lon) == pytest.approx((aircraft.east_m, aircraft.north_m), abs=0.02)
-    assert own.uid == f"{event.uid}-aircraft"
+    assert own.uid == f"{event.uid}-sidelong"
     output.stop()
 
 
@@ -86,7 +86,7 @@ def test_a_lost_or_unseen_target_is_not_sent(receiver, snapshot, lost):
     output = output_to(receiver)
     output.show(replace(snapshot, estimate=estimate))
     (only,) = waiting(receiver)
-    assert parsed(only).uid.endswith("-aircraft")
+    assert parsed(only).uid.endswith("-sidelong")
     output.stop()
 
 

@@ -18,6 +18,7 @@ from app.commands import launch_one, replay
         (["launch", "--target", "none.gpx"], "none.gpx"),
         (["launch", "--cot", "foo"], "sharing.cot: 'foo' is no address"),
         (["launch", "--beacon", "udp://127.0.0.1:70000"], "sharing.beacon"),
+        (["launch", "--fleet", "2", "--beacon", "udp://127.0.0.1:6969"], "a beacon is heard by one aircraft"),
         (["launch", "--connect", "nope://x"], "'nope://x' is no link this can open"),
         (["launch", "--connect", "serial:///dev/none:57600"], "there is no device /dev/none"),
         (["launch", "--terrain", "none"], "none: there is no such folder of elevation data"),
@@ -44,6 +45,7 @@ def test_lengths_below_nothing_are_not_told_as_lengths(tmp_path, capsys):
     (tmp_path / "mission.toml").write_text("[aircraft]\nradius_m = 300\n[requirement]\nrange_max_m = 200.0\n")
     ended = CliRunner().invoke(app, ["check", str(tmp_path / "mission.toml")])
     assert "infeasible" in str(ended.exception)
+    assert "a move of -" not in str(ended.exception)
     said = capsys.readouterr().out + ended.output
     assert "longest move of the circle" in said
     assert " -" not in said

@@ -47,6 +47,17 @@ def test_each_aircraft_has_a_configuration_as_if_it_flew_alone(written):
     assert south.config.sensors.range_sigma_m == 1.5
 
 
+def test_others_are_told_of_one_target_and_of_every_aircraft_by_its_name(written):
+    north, south = load_fleet(
+        written(TWO + '[sharing]\ncot = "udp://127.0.0.1:8087"\nnmea = "udp://127.0.0.1:8088"\n')
+    ).members
+    assert north.config.sharing.cot == south.config.sharing.cot == "udp://127.0.0.1:8087"
+    assert (north.config.sharing.cot_own_callsign, south.config.sharing.cot_own_callsign) == ("north", "south")
+    assert (north.config.sharing.nmea, south.config.sharing.nmea) == ("udp://127.0.0.1:8088", None)
+    with pytest.raises(InputError, match="a beacon is heard by one aircraft"):
+        load_fleet(written(TWO + '[sharing]\nbeacon = "udp://127.0.0.1:6969"\n'))
+
+
 def test_aircraft_without_heights_get_layers(written):
     members = load_fleet(written(TWO.replace("height_m = 200", ""))).members
     assert [member.config.aircraft.height_m for member in members] == [100.0, 160.0]

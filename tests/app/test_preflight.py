@@ -5,8 +5,9 @@ import pytest
 from app.autopilots.arduplane import ArduPlane
 from app.autopilots.px4 import Px4
 from app.config import Config
-from app.flight.preflight import checks
+from app.flight.preflight import SourceRate, checks
 from app.link.message import Message
+from estimators.readings import Source
 
 GOOD_ARDUPLANE = {"AIRSPEED_CRUISE": 15.0}
 GOOD_PX4 = {"FW_AIRSPD_TRIM": 15.0, "NAV_DLL_ACT": 0.0, "MIS_TKO_LAND_REQ": 2.0}
@@ -56,3 +57,30 @@ def test_an_unhealthy_sensor_is_named():
     (health,) = (c for c in checks(Config(), Silent(SYS_STATUS=fields), limits, None, ()) if c.name == "health")
     assert not health.ready
     assert "compass" in health.found
+
+
+RANGE, GIMBAL = (
+    SourceRate(kind, Source(message, 154), 10.0)
+    for kind, message in (("range", "DISTANCE_SENSOR"), ("gimbal", "GIMBAL_DEVICE_ATTITUDE_STATUS"))
+)
+CAMERA = SourceRate("target", Source("CAMERA_TRACKING_GEO_STATUS", 100), 1.0)
+BEACON = SourceRate("target", Source("FOLLOW_TARGET", 0), 0.2)
+LISTENING = {"sharing": {"beacon": "udp://0.0.0.0:6969"}}
+
+
+@pytest.mark.parametrize(
+    ("configured", "rates", "missing"),
+    [
+        ({}, (RANGE, GIMBAL), []),
+        ({}, (RANGE,), ["gimbal source"]),
+        ({}, (), ["range source", "gimbal source"]),
+        ({}, (GIMBAL, CAMERA), []),
+        (LISTENING, (BEACON,), []),
+        (LISTENING, (RANGE, GIMBAL), []),
+        (LISTENING, (RANGE,), ["target source"]),
+    ],
+)
+def test_laser_and_gimbal_are_asked_for_unless_somebody_else_tells_the_place(configured, rates, missing):
+    limits = type("Limits", (), dict.fromkeys(("bank_max_deg", "airspeed_min_m_s", "airspeed_max_m_s")))
+    found = checks(Config.model_validate(configured), Silent(), limits, None, rates)
+    assert [check.name for check in found if "source" in check.name and not check.ready] == missing

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import resource
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from app.flight.life import Life
 from tests.faults.interrupts import Interruption, left_of
 
 pytestmark = pytest.mark.udp
@@ -54,6 +56,24 @@ def test_a_signal_breaks_off_what_is_computed_before_a_flight(tmp_path):
     assert complaint == "sidelong: interrupted: nothing was commanded; no records are kept.\n"
     assert "starting" not in rest
     assert not list((tmp_path / "runs").iterdir())
+
+
+def test_the_error_of_a_library_that_was_broken_off_is_not_told():
+    async def flown() -> None:
+        life = Life(lambda: False, print)
+        with life.heeding_signals(), life.computing():
+            try:
+                signal.raise_signal(signal.SIGTERM)
+            except KeyboardInterrupt:
+                raise RuntimeError("left half-way") from None
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            asyncio.run(flown())
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def test_the_end_of_the_simulated_vehicle_ends_it(tmp_path):
