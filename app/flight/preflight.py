@@ -237,7 +237,9 @@ def _source_checks(config: Config, rates: tuple[SourceRate, ...]) -> tuple[Check
     if heard["target"] and not paired:
         return (Check("target source", True, "; ".join(map(str, heard["target"]))),)
     if config.sharing.beacon is not None and not paired:
-        remedy = f"let the beacon send to {config.sharing.beacon} (sharing.beacon_name names it), or start the payload"
+        remedy = (
+            f"let the beacon send to {config.sharing.beacon} (sharing.beacon_name names it), or start the payload"
+        )
         return (Check("target source", False, "neither a beacon nor a laser with a gimbal", remedy, True),)
     return tuple(
         _rate_check(kind, heard[kind], remedy)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MultipleLocator
 from scipy.stats import chi2
 
 from app.report import series
@@ -17,7 +16,8 @@ from app.report.path_map import flown_path_figure
 from app.report.plot_style import AIRCRAFT, BAD, BAND, ESTIMATE, FAINT, TARGET, figure, legend_above
 
 _COURSE_WORDS = (
-    "Over the ground, clockwise from north, counted on through whole turns: rising, it circles to the right."
+    "Over the ground, in whole turns counted on clockwise from north: it rises while the aircraft circles to the right, "
+    "falls while it circles to the left, and stands while it flies straight."
 )
 _TIME = "time, s"
 _BIN_DEG = 10.0
@@ -34,6 +34,7 @@ def drawings(history: History) -> Iterator[Drawing]:
         _observation_histogram,
         _curvature,
         _course,
+        _target_speed,
         _errors,
         _consistency,
         _uploads,
@@ -156,11 +157,35 @@ def _curvature(history: History) -> Drawing:
 def _course(history: History) -> Drawing:
     made, (axes,) = figure(2.7)
     flown = history.aircraft
-    course_deg = np.degrees(np.unwrap(flown.course_rad))
-    axes.plot(flown.time_s - history.start_s, course_deg, color=AIRCRAFT, linewidth=0.9)
-    axes.yaxis.set_major_locator(MultipleLocator(360.0 * max(1, round(np.ptp(course_deg) / 360.0 / 8.0))))
-    _over_time(axes, history, "course, °", legend=False)
+    axes.plot(
+        flown.time_s - history.start_s,
+        np.unwrap(flown.course_rad) / math.tau,
+        color=AIRCRAFT,
+        linewidth=0.9,
+        label="flown",
+    )
+    _over_time(axes, history, "course flown, turns")
     return Drawing("course", "Course flown", _COURSE_WORDS, made)
+
+
+def _target_speed(history: History) -> Drawing:
+    made, (axes,) = figure(2.7)
+    if history.judged_by_truth:
+        true = series.target_speed_m_s(history.moments)
+        axes.plot(
+            true.time_s - history.start_s, true.value, color=TARGET, linewidth=2.4, alpha=0.5, label="true target"
+        )
+    told = [one for one in history.estimates if one.time_s >= history.start_s]
+    axes.plot(
+        [one.time_s - history.start_s for one in told],
+        [one.speed_m_s for one in told],
+        color=ESTIMATE,
+        linewidth=0.9,
+        label="estimate",
+    )
+    axes.set_ylim(0.0, None)
+    _over_time(axes, history, "target's speed, m/s")
+    return Drawing("target-speed", "Speed of the target", "Over the ground.", made)
 
 
 # -- how good the estimate was -------------------------------------------------------------------------------
@@ -299,12 +324,15 @@ def _judged(history: History) -> str:
     return "by the true target" if history.judged_by_truth else "by the estimate"
 
 
-def _over_time(axes: Axes, history: History, label: str, legend: bool = True) -> None:
+def _over_time(axes: Axes, history: History, label: str) -> None:
     axes.set_xlim(0.0, history.end_s - history.start_s)
     axes.set_xlabel(_TIME)
     axes.set_ylabel(label)
-    if legend:
-        legend_above(axes)
+    departed_s = [change.departed_s for change in history.plan_changes if change.departed_s is not None]
+    for number, at_s in enumerate(departed_s):
+        word = "leaves its circle" if number == 0 else None
+        axes.axvline(at_s - history.start_s, color=FAINT, linewidth=0.7, linestyle=":", zorder=1, label=word)
+    legend_above(axes)
 
 
 def _unjoined(time_s: FloatArray, angle_deg: FloatArray, jump_deg: float) -> tuple[FloatArray, FloatArray]:

@@ -16,6 +16,7 @@ from mission.core.circle import Circle
 
 TICK_S = 50.0
 _LABELS_MAX = 60
+_STAY_SHARE = 0.04  # of the target's extent: labels that near one another would overlap
 _SAMPLES_MAX = 6000
 _CONTOUR_POSTS, _CONTOURS_MAX = 200, 25
 _CONTOUR_STEPS_M = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
@@ -96,24 +97,37 @@ def _ticks(axes: Axes, time_s: FloatArray, aircraft: FloatArray, target: FloatAr
     if not len(time_s):
         return
     at_s = np.arange(0.0, time_s[-1] + 1e-9, TICK_S)
-    every = max(1, int(np.ceil(len(at_s) / _LABELS_MAX)))
-    for number, tick_s in enumerate(at_s):
-        here, there = (
-            np.array([np.interp(tick_s, time_s, track[:, axis]) for axis in (0, 1)]) for track in (aircraft, target)
+    here_m, there_m = (
+        np.column_stack([np.interp(at_s, time_s, track[:, axis]) for axis in (0, 1)]) for track in (aircraft, target)
+    )
+    axes.plot(*np.stack((here_m, there_m)).transpose(2, 0, 1), color=FAINT, linewidth=0.4, alpha=0.6, zorder=1)
+    axes.plot(*here_m.T, "o", color=AIRCRAFT, markersize=3.2)
+    axes.plot(*there_m.T, "o", color=TARGET, markersize=3.8)
+    for stay in _stays(there_m)[:: max(1, len(at_s) // _LABELS_MAX)]:
+        first, last = stay[0], stay[-1]
+        there = there_m[first]
+        away = there - here_m[first]
+        away_pt = 7.0 * away / max(float(np.hypot(*away)), 1.0)
+        axes.annotate(
+            f"{at_s[first]:.0f} s" if first == last else f"{at_s[first]:.0f} to {at_s[last]:.0f} s",
+            (there[0], there[1]),
+            xytext=(away_pt[0], away_pt[1]),
+            textcoords="offset points",
+            ha="left" if away_pt[0] > 0.0 else "right",
+            va="center",
+            fontsize=8,
+            color=TARGET,
+            bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6},
         )
-        axes.plot(*np.array([here, there]).T, color=FAINT, linewidth=0.4, alpha=0.6, zorder=1)
-        axes.plot(*here, "o", color=AIRCRAFT, markersize=3.2)
-        axes.plot(*there, "o", color=TARGET, markersize=3.8)
-        if number % every == 0:
-            away_pt = 7.0 * (there - here) / max(float(np.hypot(*(there - here))), 1.0)
-            axes.annotate(
-                f"{tick_s:.0f} s",
-                (there[0], there[1]),
-                xytext=(away_pt[0], away_pt[1]),
-                textcoords="offset points",
-                ha="left" if away_pt[0] > 0.0 else "right",
-                va="center",
-                fontsize=8,
-                color=TARGET,
-                bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.6},
-            )
+
+
+def _stays(target_m: FloatArray) -> list[range]:
+    """Return the ticks in runs of which all lie where the first does: a target that stands gets one label."""
+    near_m = _STAY_SHARE * max(float(np.ptp(target_m, axis=0).max()), 1.0)
+    stays: list[range] = []
+    for number, place_m in enumerate(target_m):
+        if stays and np.hypot(*(place_m - target_m[stays[-1][0]])) < near_m:
+            stays[-1] = range(stays[-1][0], number + 1)
+        else:
+            stays.append(range(number, number + 1))
+    return stays

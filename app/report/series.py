@@ -46,6 +46,11 @@ def range_m(moments: Sequence[Moment]) -> Series:
     )
 
 
+def target_speed_m_s(moments: Sequence[Moment]) -> Series:
+    """Return the target's speed over the ground."""
+    return _over(moments, [math.hypot(m.target_velocity_east_m_s, m.target_velocity_north_m_s) for m in moments])
+
+
 def observation_rad(history: History) -> Series:
     """Return the angle of the target-aircraft line, in [-pi, pi), clockwise from the direction to watch from.
 

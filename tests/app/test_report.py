@@ -26,6 +26,7 @@ FIGURES = [
     "observation-histogram",
     "curvature",
     "course",
+    "target-speed",
     "estimate-error",
     "consistency",
     "uploads",
