@@ -16,8 +16,8 @@ from app.report.path_map import flown_path_figure
 from app.report.plot_style import AIRCRAFT, BAD, BAND, ESTIMATE, FAINT, TARGET, figure, legend_above
 
 _COURSE_WORDS = (
-    "Over the ground, in whole turns counted on clockwise from north: it rises while the aircraft circles to the right, "
-    "falls while it circles to the left, and stands while it flies straight."
+    "Over the ground, in whole turns counted on clockwise from north: it rises while the aircraft circles to the "
+    "right, falls while it circles to the left, and stands while it flies straight."
 )
 _TIME = "time, s"
 _BIN_DEG = 10.0
