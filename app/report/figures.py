@@ -147,7 +147,7 @@ def _curvature(history: History) -> Drawing:
         )
     reach = 1.6e3 / history.asked.airframe.radius_m
     axes.set_ylim(-reach, reach)
-    clipped = _beyond(1e3 * np.abs(flown.value), reach, "1/km")
+    clipped = _beyond(1e3 * np.abs(flown.value), reach, " 1/km")
     _over_time(axes, history, "curvature, 1/km")
     return Drawing(
         "curvature", "Curvature of the flown path", f"Over the ground; positive turns right{clipped}.", made
@@ -210,7 +210,7 @@ def _errors(history: History) -> Drawing | None:
     claimed_m = float(np.percentile(errors.radius95_m, 90.0))
     top_m = 1.2 * max(claimed_m, float(np.percentile(np.append(watched, 1.0), 99.8)))
     axes.set_ylim(0.0, top_m)
-    clipped = _beyond(np.append(errors.error_m, errors.radius95_m), top_m, "m")
+    clipped = _beyond(np.append(errors.error_m, errors.radius95_m), top_m, " m")
     _over_time(axes, history, "position error, m")
     rms_m = float(np.sqrt(np.mean(np.square(watched)))) if len(watched) else math.nan
     return Drawing(
@@ -248,7 +248,7 @@ def _consistency(history: History) -> Drawing | None:
         axes.set_ylim(0.0, top)
         axes.set_ylabel(name)
         legend_above(axes)
-        clipped += _beyond(value, top, f"of {name}, drawn at its edge")
+        clipped += _beyond(value, top, f", drawn at the edge of {name}")
         words.append(f"{100.0 * float(np.mean(value[at_s >= history.start_s] <= bound)):.1f} % of the {name}")
     all_axes[-1].set_xlabel(_TIME)
     all_axes[-1].set_xlim(0.0, history.end_s - history.start_s)
@@ -310,7 +310,7 @@ def _beyond(value: FloatArray, limit: float, unit: str) -> str:
     above = int(np.sum(value > limit))
     if not above:
         return ""
-    return f"; {100.0 * above / len(value):.1f} % lie beyond the frame, up to {float(np.nanmax(value)):.0f} {unit}"
+    return f"; {100.0 * above / len(value):.1f} % lie beyond the frame, up to {float(np.nanmax(value)):.0f}{unit}"
 
 
 def _wanted(history: History) -> str:

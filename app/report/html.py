@@ -24,6 +24,8 @@ p { margin: .2rem 0 .6rem; color: var(--soft); }
 svg { width: 100%; height: auto; }
 dl { display: grid; grid-template-columns: repeat(auto-fill, minmax(11rem, 1fr)); gap: .6rem; margin: 1.2rem 0; }
 dl div { border-top: 2px solid var(--mark); padding: .3rem 0; }
+dl .long { grid-column: span 2; }
+.long dd { font-size: 1rem; }
 dt { color: var(--soft); font-size: .85rem; }
 dd { margin: 0; font-size: 1.15rem; font-variant-numeric: tabular-nums; }
 table { border-collapse: collapse; font-size: .9rem; }
@@ -38,6 +40,7 @@ figure { margin: 0; break-inside: avoid; }
   td { overflow-wrap: anywhere; }
 }
 """
+_LONG, _TILE_CHARACTERS = ' class="long"', 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +72,10 @@ def document(title: str, body: str) -> str:
 
 def tiles(results: Iterable[tuple[str, str]]) -> str:
     """Return names and values side by side."""
-    tiles = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in results)
+    tiles = "".join(
+        f"<div{_LONG if len(value) > _TILE_CHARACTERS else ''}><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>"
+        for name, value in results
+    )
     return f"<dl>{tiles}</dl>"
 
 
