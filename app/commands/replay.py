@@ -177,7 +177,7 @@ def _replay_run(
             ground = settle(controller, settings, plane, journal.header.home_deg or origin_deg)
         repeats = settings == flown
         steps = JournalReplay(controller, _exchange_of(settings, controller, journal.header) if repeats else None)
-        judged = _Judged(settings, steps.controller, progress, quiet or verify)
+        judged = _Judged(settings, steps.controller, progress, quiet or verify, of_a_flight=True)
         judged.collector.ground = ground
         replayed = steps.run(journal)
         if frames is not None:
@@ -264,7 +264,15 @@ def _encoder(settings: Config) -> StateEncoder:
 class _Judged:
     """Follows a replay: prints what is said, and gathers what the summary needs."""
 
-    def __init__(self, settings: Config, controller: StandoffController, progress: Progress, quiet: bool) -> None:
+    def __init__(
+        self,
+        settings: Config,
+        controller: StandoffController,
+        progress: Progress,
+        quiet: bool,
+        of_a_flight: bool = False,
+    ) -> None:
+        self._of_a_flight = of_a_flight
         self.first_estimate_s: float | None = None
         self.engaged_s: float | None = None
         self.controller, self._progress, self._quiet = controller, progress, quiet
@@ -279,7 +287,13 @@ class _Judged:
                 self.engaged_s = step.event.time_s
             if not self._quiet:
                 for said in announcements(step.commands):
-                    self._progress.console.print(Text(f"{clock(said.time_s):>7}  {said.text}"))
+                    self._progress.console.print(Text(f"{self._since(said.time_s):>7}  {said.text}"))
+
+    def _since(self, time_s: float) -> str:
+        """Return a flight's time as it was told in flight; of a log that of the vehicle's clock."""
+        if not self._of_a_flight:
+            return clock(time_s)
+        return "" if self.engaged_s is None else clock(max(time_s - self.engaged_s, 0.0))
 
     def summary(self, truth: Truth | None, plane: LocalPlane | None, start_s: float | None) -> Summary:
         tracker = self.controller.tracker

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from app.analysis.replay import Replayed, announcements
 from app.view.state import Json, StateEncoder
 from estimators.frames import LocalPlane
-from mission.core.events import DecisionRecord
+from mission.core.events import ControlAcquired, DecisionRecord
 
 _STEP_S, _ROUNDING_S, _SAME_S = 0.2, 0.01, 3.0
 _FRAMES_MAX = 50_000  # beyond, only every other one is kept
@@ -22,7 +22,7 @@ _TRAIL_MAX, _WORDS_MAX, _SAMPLES_MAX, _RECENT_S = 2000, 400, 1200, 180.0
 class Frames:
     """times_s and states (JSON) of the frames; said: (time_s, kind, text); decided_s: when a move was decided.
 
-    start_s: when watching began, None where it never did.
+    start_s: when watching began, or else the first estimate came; None where neither did.
     """
 
     times_s: list[float] = field(default_factory=list)
@@ -34,9 +34,11 @@ class Frames:
 
     def noted(self, steps: Iterable[Replayed], encoder: StateEncoder, proposals: bool = False) -> Iterator[Replayed]:
         """Pass the steps on, keeping what the page needs of them. proposals: made anew each second, told once."""
-        step_s, last_s, moved_s = _STEP_S, -math.inf, -math.inf
+        step_s, last_s, moved_s, watching = _STEP_S, -math.inf, -math.inf, False
         for step in steps:
             snapshot, encoder.plane = step.snapshot, self.plane
+            if isinstance(step.event, ControlAcquired) and not watching:
+                self.start_s, watching = step.event.time_s, True
             if self.start_s is None and snapshot.estimate is not None:
                 self.start_s = snapshot.time_s
             moves = [one.time_s for one in step.commands if isinstance(one, DecisionRecord) and one.moves]

@@ -12,6 +12,7 @@ from app.view.player import Player
 from app.view.server import replay_button_of
 from app.view.state import StateEncoder
 from estimators.frames import LocalPlane
+from mission.core.events import ControlAcquired
 
 PLANE = LocalPlane(47.4, 8.5)
 
@@ -45,6 +46,16 @@ def test_frames_are_a_fifth_of_a_second_apart_and_decisions_are_known(frames):
     assert len(frames.times_s) == pytest.approx((end_s - begin_s) * 5.0, abs=2)
     assert len(frames.decided_s) >= 1
     assert all(begin_s <= time_s <= end_s for time_s in frames.decided_s)
+
+
+def test_times_count_from_when_watching_began(steps, frames):
+    (acquired_s,) = [step.event.time_s for step in steps if isinstance(step.event, ControlAcquired)]
+    assert frames.start_s == acquired_s
+    log = Frames(plane=PLANE)
+    list(
+        log.noted((step for step in steps if not isinstance(step.event, ControlAcquired)), StateEncoder(15.0, 100.0))
+    )
+    assert log.start_s == next(step.snapshot.time_s for step in steps if step.snapshot.estimate is not None)
 
 
 def test_it_plays_at_its_speed_and_tells_only_what_came(frames, clock):

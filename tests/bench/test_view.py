@@ -1,4 +1,4 @@
-"""The page against the clock: how soon it is up, how often it is told, and what it costs the control loop.
+"""The page against the clock: how soon it is drawn, how often ten viewers are told, what it costs the control loop.
 
 Flown on the simulated vehicle in real processes, with the page open in Chromium. Figures go to standard output
 (pytest -s).
@@ -14,14 +14,17 @@ import json
 import re
 import shutil
 import sqlite3
+import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from urllib.request import urlopen
 
 import numpy as np
 import pytest
+from playwright.sync_api import sync_playwright
 from rich.console import Console
 
 from app.assembly import controller_of
@@ -39,6 +42,10 @@ CONFIG = Config.model_validate({"planner": {"name": "paper"}, "simulation": {"sp
 FLOWN_S = 200.0  # of the vehicle's time
 PROBE_S = 0.005
 WINDOW_S = 2.5
+VIEWERS = 10
+HELD_MAX_MS = 2.0
+PAINTED = "performance.getEntriesByName('first-contentful-paint')"
+NO_CHROMIUM = "no Chromium on this machine (Debian: apt-get install chromium)"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
@@ -85,20 +92,30 @@ def test_a_map_of_100_mb_is_served_without_growth_of_memory(tmp_path):
     assert after_kb - before_kb < 8000
 
 
-def test_the_page_is_up_within_5_s():
+def test_the_first_picture_is_there_within_1_s():
+    if CHROMIUM is None:
+        pytest.skip(NO_CHROMIUM)
     begin_s = time.monotonic()
-    with shown() as display:
+    with shown() as display, sync_playwright() as playwright:
         assert urlopen(display.url).status == 200
         up_s = time.monotonic() - begin_s
-    print(f"page up after {up_s:.2f} s")
-    assert up_s < 5.0
+        page = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"]).new_page()
+        page.goto(display.url)
+        page.wait_for_function(f"{PAINTED}.length > 0")
+        painted_ms = page.evaluate(f"{PAINTED}[0].startTime")
+    print(f"page served after {up_s:.2f} s, drawn {painted_ms:.0f} ms after it was asked for")
+    assert painted_ms <= 1000.0
 
 
 class Alternating:
-    """Shows a flight on the page in every other window of time, so that what else runs here disturbs both alike."""
+    """Shows a flight on the page in every other window of time, so that what else runs here disturbs both alike.
+
+    held_s: the CPU time for which showing on the page held the loop, which other programs do not disturb.
+    """
 
     def __init__(self, view: ViewDisplay) -> None:
         self._view, self._panel = view, PanelDisplay(Console(), quiet=True)
+        self.held_s: list[float] = []
 
     @property
     def on_page(self) -> bool:
@@ -120,48 +137,95 @@ class Alternating:
         self._view.say(announcement)
 
     def show(self, snapshot):
-        (self._view if self.on_page else self._panel).show(snapshot)
+        if not self.on_page:
+            self._panel.show(snapshot)
+            return
+        begin_s = time.thread_time()
+        self._view.show(snapshot)
+        self.held_s.append(time.thread_time() - begin_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """Delays of the loop without and with the page, CPU time that showing took, times each viewer was told; s."""
+
+    without_s: list[float]
+    with_s: list[float]
+    held_s: list[float]
+    told_s: list[list[float]]
 
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
-    """Return the loop's delays without and with the page, s, and the times at which the page was told, s."""
+    """Fly with the page open in Chromium and at ten more viewers."""
     if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine (Debian: apt-get install chromium)")
+        pytest.skip(NO_CHROMIUM)
     return asyncio.run(_flown(tmp_path_factory.mktemp("runs")))
 
 
-def test_the_page_is_told_at_least_five_times_a_second(flown):
-    gaps_s = np.diff(flown[2])
-    gaps_s = gaps_s[gaps_s < 0.5 * WINDOW_S]  # the others are windows without the page
-    print(f"{1.0 / gaps_s.mean():.1f} states a second, longest gap {1e3 * gaps_s.max():.0f} ms")
-    assert gaps_s.mean() <= 0.2
+def test_ten_viewers_are_told_at_least_five_times_a_second(flown):
+    assert len(flown.told_s) == VIEWERS
+    all_gaps_s = [np.diff(told_s) for told_s in flown.told_s]
+    gaps_s = [gaps_s[gaps_s < 0.5 * WINDOW_S] for gaps_s in all_gaps_s]  # the others are windows without the page
+    slowest_s, longest_s = max(map(np.mean, gaps_s)), max(map(np.max, gaps_s))
+    print(f"{1.0 / slowest_s:.1f} states a second at the slowest viewer, longest gap {1e3 * longest_s:.0f} ms")
+    assert slowest_s <= 0.2
 
 
 def test_the_control_loop_is_not_held_up(flown):
-    without_ms, with_ms = (1e3 * np.percentile(delays_s, 99) for delays_s in flown[:2])
-    print(f"delay of the loop, p99: {without_ms:.2f} ms without the page, {with_ms:.2f} ms with it")
-    assert with_ms - without_ms < 5.0
+    without_ms, with_ms, held_ms = (
+        1e3 * np.percentile(delays_s, 99) for delays_s in (flown.without_s, flown.with_s, flown.held_s)
+    )
+    print(
+        f"delay of the loop, p99: {without_ms:.2f} ms without the page, {with_ms:.2f} ms with it; "
+        f"showing takes {held_ms:.2f} ms of CPU"
+    )
+    assert held_ms <= HELD_MAX_MS
+    assert with_ms - without_ms <= HELD_MAX_MS
 
 
-async def _flown(parent: Path) -> tuple[list[float], list[float], list[float]]:
+async def _flown(parent: Path) -> Flown:
     run = RunFolder.create(parent, datetime.now(UTC))
     recording = Recording(run, CONFIG, pytest.fail)
     without_s: list[float] = []
     with_s: list[float] = []
-    told_s: list[float] = []
     async with contextlib.AsyncExitStack() as stack:
         stack.callback(recording.close)
         view = stack.enter_context(shown())
         display = Alternating(view)
         await stack.enter_async_context(_browser(view.url, parent / "profile"))
-        stack.enter_context(_running(_listen(view.url, told_s)))
+        viewers = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-c", VIEWING, view.url, str(VIEWERS)),
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+        )
         vehicle = await stack.enter_async_context(SimulatedVehicles([CONFIG], [run.truth], pytest.fail))
         session = await stack.enter_async_context(connected(vehicle.urls, 10.0, recording.frame))
         stack.enter_context(_running(_probe(lambda: with_s if display.on_page else without_s)))
         flight = Flight(session, CONFIG, controller_of(CONFIG), recording, display, FLOWN_S)
         await flight.fly(asyncio.Event())
-    return without_s, with_s, told_s
+        told, _ = await viewers.communicate(b"enough\n")
+    return Flown(without_s, with_s, display.held_s, json.loads(told))
+
+
+# Viewers in a process of their own, so that their reading does not hold the loop that is measured.
+VIEWING = """
+import http.client, json, sys, threading, time
+from urllib.parse import urlsplit
+
+def view(told_s):
+    connection = http.client.HTTPConnection(urlsplit(sys.argv[1]).netloc)
+    connection.request("GET", "/events")
+    for line in connection.getresponse():
+        if line.startswith(b"data: ") and b'"state"' in line:
+            told_s.append(time.monotonic())
+
+all_told_s = [[] for _ in range(int(sys.argv[2]))]
+for told_s in all_told_s:
+    threading.Thread(target=view, args=(told_s,), daemon=True).start()
+sys.stdin.readline()
+print(json.dumps(all_told_s))
+"""
 
 
 async def _probe(where: Callable[[], list[float]]) -> None:
@@ -170,19 +234,6 @@ async def _probe(where: Callable[[], list[float]]) -> None:
         noted, due_s = where(), time.monotonic() + PROBE_S
         await asyncio.sleep(PROBE_S)
         noted.append(time.monotonic() - due_s)
-
-
-async def _listen(url: str, told_s: list[float]) -> None:
-    """Read the page's stream as a second page would, and note when states come."""
-    host, port = url.removeprefix("http://").rstrip("/").split(":")
-    reader, writer = await asyncio.open_connection(host, int(port), limit=1 << 22)
-    writer.write(f"GET /events HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
-    try:
-        while line := await reader.readline():
-            if line.startswith(b"data: ") and "state" in json.loads(line.removeprefix(b"data: ")):
-                told_s.append(time.monotonic())
-    finally:
-        writer.close()
 
 
 @contextlib.contextmanager
