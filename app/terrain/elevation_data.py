@@ -166,6 +166,8 @@ def _files(path: Path) -> list[Path]:
 
 
 def _opened(path: Path) -> Tile:
+    if not path.is_file():  # a pipe would be waited for
+        raise InputError(f"{path}: is no file that can be read; replace it.")
     tile: Tile = _READERS[path.suffix.lower()](path)
     return tile
 

@@ -12,29 +12,45 @@ from app.errors import InputError
 from app.terrain.tile import HIGHEST_M, LOWEST_M, HeightArray, Posts, at_posts, needed
 
 _MARGIN = 1e-9
+_METRES = dict.fromkeys(("", "m", "metre", "meter", "metres", "meters"), 1.0)
+_METRES |= dict.fromkeys(("ft", "foot", "feet"), 0.3048) | dict.fromkeys(("us-ft", "us survey foot"), 1200.0 / 3937.0)
+# So many pixels are thinned out in some seconds; they have to be unpacked for that.
+_PIXELS_MAX = 400_000_000
 
 
 class GeoTiff:
-    """See :class:`app.terrain.tile.Tile`. Any projection; the first band is metres above sea level."""
+    """See :class:`app.terrain.tile.Tile`. Any projection; the first band is the height above sea level."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
             import rasterio  # noqa: PLC0415  # an extra: SRTM tiles do without it
+            from rasterio._err import CPLE_BaseError  # noqa: PLC0415  # what no public class stands for
             from rasterio.errors import RasterioError  # noqa: PLC0415
             from rasterio.vrt import WarpedVRT  # noqa: PLC0415
         except ImportError as error:
             raise InputError(
                 f"{path}: reading GeoTIFF needs the package rasterio; install sidelong[terrain], or give .hgt tiles."
             ) from error
-        self._error: type[Exception] = RasterioError
+        self._errors = (RasterioError, CPLE_BaseError, OSError, ValueError)
         try:
-            dataset = rasterio.open(path)
-            if dataset.crs is None:
-                raise InputError(f"{path}: tells no coordinate system; write it with one.")
-            self._raster: Any = WarpedVRT(dataset, crs="EPSG:4326", resampling=rasterio.enums.Resampling.bilinear)
-        except (RasterioError, OSError) as error:
+            with rasterio.Env():  # else errors are printed
+                # Another format might be a list of other files, or of addresses.
+                dataset = rasterio.open(path, driver="GTiff")
+        except self._errors as error:
             raise InputError(f"{path}: is no readable GeoTIFF ({error}); replace it.") from error
+        self._check(dataset)
+        try:
+            with rasterio.Env():
+                self._raster: Any = WarpedVRT(dataset, crs="EPSG:4326", resampling=rasterio.enums.Resampling.bilinear)
+        except self._errors as error:
+            raise InputError(
+                f"{path}: lies in no place that can be told in latitude and longitude; write it in another "
+                "coordinate system."
+            ) from error
+        self._scale = dataset.scales[0] * _METRES[_unit(dataset)]
+        self._offset_m = dataset.offsets[0] * _METRES[_unit(dataset)]
+        self._thins = bool(dataset.overviews(1))
         transform = self._raster.transform
         rows, columns = self._raster.height, self._raster.width
         if rows < 2 or columns < 2 or not all(map(math.isfinite, transform[:6])):
@@ -48,6 +64,14 @@ class GeoTiff:
             rows,
             columns,
         )
+
+    def _check(self, dataset: Any) -> None:
+        if dataset.crs is None:
+            raise InputError(f"{self.path}: tells no coordinate system; write it with one.")
+        if dataset.colorinterp[0].name not in ("gray", "undefined") or "complex" in dataset.dtypes[0]:
+            raise InputError(f"{self.path}: is a picture, and no heights; give a GeoTIFF of elevation data.")
+        if _unit(dataset) not in _METRES:
+            raise InputError(f"{self.path}: tells heights in {_unit(dataset)}; write it in metres or feet.")
 
     def read(self, wanted: Posts) -> HeightArray:
         """See :class:`app.terrain.tile.Tile`."""
@@ -64,11 +88,19 @@ class GeoTiff:
             west, east = max(west - thin_columns, 0), min(east + thin_columns, own.columns)
         window = ((own.rows - north, own.rows - south), (west, east))
         shape = (math.ceil((north - south) / thin_rows), math.ceil((east - west) / thin_columns))
+        pixels = (north - south) * (east - west)
+        if pixels > _PIXELS_MAX and not self._thins:
+            raise InputError(
+                f"{self.path}: has {pixels:,} pixels there, {_PIXELS_MAX:,} at most serve; make it coarser "
+                "(gdalwarp -tr) or give it overviews (gdaladdo)."
+            )
         try:
             band = self._raster.read(1, window=window, out_shape=shape, masked=True)
-        except (self._error, OSError) as error:
+        except self._errors as error:
             raise InputError(f"{self.path}: cannot be read ({error}); replace it.") from error
         heights: HeightArray = np.ma.filled(band.astype(np.float32), np.nan)[::-1]
+        heights *= np.float32(self._scale)
+        heights += np.float32(self._offset_m)
         heights[~((heights >= LOWEST_M) & (heights <= HIGHEST_M))] = np.nan
         if shape == (north - south, east - west):
             return at_posts(wanted, own, heights, south, west)
@@ -84,3 +116,7 @@ class GeoTiff:
             *shape,
         )
         return at_posts(wanted, thinned, heights, 0, 0)
+
+
+def _unit(dataset: Any) -> str:
+    return (dataset.units[0] or "").lower()

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import resource
 from pathlib import Path
 
@@ -164,13 +165,20 @@ def test_bounds_that_are_none_are_one_sentence(hills_folder: Path, bounds: str) 
 # -- GeoTIFF -----------------------------------------------------------------------------------------------
 
 
-def write_geotiff(path: Path, heights: np.ndarray, crs: str | None, transform: object, nodata: float) -> None:
+def write_geotiff(
+    path: Path,
+    heights: np.ndarray,
+    crs: str | None,
+    transform: object,
+    nodata: float,
+    dtype: str = "float32",
+    count: int = 1,
+) -> None:
     rasterio = pytest.importorskip("rasterio")
-    shape = {"height": heights.shape[0], "width": heights.shape[1]}
-    with rasterio.open(
-        path, "w", driver="GTiff", count=1, dtype="float32", crs=crs, transform=transform, nodata=nodata, **shape
-    ) as file:
-        file.write(heights.astype(np.float32), 1)
+    shape = {"height": heights.shape[0], "width": heights.shape[1], "count": count, "dtype": dtype}
+    with rasterio.open(path, "w", driver="GTiff", crs=crs, transform=transform, nodata=nodata, **shape) as file:
+        for band in range(count):
+            file.write(heights.astype(dtype), band + 1)
 
 
 def hills_geotiff(path: Path, tile_heights: np.ndarray) -> None:
@@ -242,6 +250,86 @@ def test_a_geotiff_without_a_place_is_one_sentence(tmp_path: Path) -> None:
     write_geotiff(tmp_path / "a.tif", np.ones((20, 20)), None, transform.from_origin(0, 0, 1, 1), -1.0)
     with pytest.raises(InputError, match="no coordinate system"):
         ElevationData(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("crs", "dtype", "count", "words"),
+    [
+        ('LOCAL_CS["site",UNIT["metre",1]]', "float32", 1, "no place that can be told"),
+        ("+proj=longlat +a=1737400 +b=1737400 +no_defs", "float32", 1, "no place that can be told"),
+        ("EPSG:4978", "float32", 1, "no raster of heights"),
+        ("EPSG:4326", "uint8", 3, "is a picture"),
+        ("EPSG:4326", "complex64", 1, "is a picture"),
+    ],
+)
+def test_a_geotiff_that_is_no_ground_is_one_sentence(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], crs: str, dtype: str, count: int, words: str
+) -> None:
+    transform = pytest.importorskip("rasterio.transform")
+    corner = transform.from_origin(10.0, 40.0, STEP_DEG, STEP_DEG)
+    write_geotiff(tmp_path / "a.tif", np.full((20, 20), 100.0), crs, corner, 0.0, dtype, count)
+    capfd.readouterr()
+    with pytest.raises(InputError, match=words) as error:
+        ElevationData(tmp_path)
+    assert "a.tif" in str(error.value)
+    assert "\n" not in str(error.value)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_list_of_other_files_is_no_geotiff(tile_heights: np.ndarray, tmp_path: Path) -> None:
+    """GDAL would follow it, to any file and over the network."""
+    shutil = pytest.importorskip("rasterio.shutil")
+    hills_geotiff(tmp_path / "hills.tif", tile_heights)
+    (tmp_path / "list").mkdir()
+    shutil.copy(tmp_path / "hills.tif", tmp_path / "list" / "hills.tif", driver="VRT")
+    with pytest.raises(InputError, match="is no readable GeoTIFF"):
+        ElevationData(tmp_path / "list")
+
+
+@pytest.mark.parametrize("name", ["N36W085.hgt", "hills.tif"])
+@pytest.mark.parametrize("kind", ["pipe", "folder", "loop"])
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path, name: str, kind: str) -> None:
+    path = tmp_path / name
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        path.symlink_to(path)
+    with pytest.raises(InputError, match="is no file that can be read"):
+        ElevationData(tmp_path)
+
+
+def test_scales_and_feet_are_heeded(tmp_path: Path) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    path, corner = tmp_path / "a.tif", rasterio.transform.from_origin(10.0, 40.0, STEP_DEG, STEP_DEG)
+    write_geotiff(path, np.full((20, 20), 2000), "EPSG:4326", corner, -32768, "int16")
+    for unit, scale, offset, height_m in (
+        ("m", 1.0, 0.0, 2000.0),
+        ("m", 0.1, 5.0, 205.0),
+        ("ft", 0.5, 10.0, 307.848),
+    ):
+        with rasterio.open(path, "r+") as file:
+            file.units, file.scales, file.offsets = (unit,), (scale,), (offset,)
+        assert ElevationData(path).height_above_sea_m(39.995, 10.005) == pytest.approx(height_m, abs=0.01)
+    with rasterio.open(path, "r+") as file:
+        file.units = ("fathom",)
+    with pytest.raises(InputError, match="heights in fathom; write it in metres or feet"):
+        ElevationData(path)
+
+
+def test_ten_billion_pixels_are_not_unpacked(tmp_path: Path) -> None:
+    """A sparse file of a megabyte; a place in it is told, all of it is not."""
+    rasterio = pytest.importorskip("rasterio")
+    path, side = tmp_path / "a.tif", 100_000
+    corner = rasterio.transform.from_origin(10.0, 41.0, 1e-5, 1e-5)
+    shape = {"height": side, "width": side, "count": 1, "dtype": "float32", "crs": "EPSG:4326", "transform": corner}
+    with rasterio.open(path, "w", driver="GTiff", tiled=True, sparse_ok=True, BIGTIFF="YES", **shape):
+        pass
+    data = ElevationData(path)
+    assert data.height_above_sea_m(40.5, 10.5) == 0.0
+    with pytest.raises(InputError, match=r"pixels there, 400,000,000 at most serve; make it coarser"):
+        data.ground(LocalPlane(40.5, 10.5), (40.5, 10.5))
 
 
 def test_a_fine_geotiff_is_thinned_out_while_it_is_read(tmp_path: Path) -> None:
