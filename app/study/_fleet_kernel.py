@@ -84,18 +84,7 @@ def see(
                 continue
             row = logs[one, step]
             body = Body(time_s, row[1], row[2], 0.0, 0.0, 0.0, 0.0)
-            p = Payload(
-                payload.perfect,
-                heights_m[one],
-                payload.range_sigma_m,
-                payload.angle_sigma_rad,
-                payload.yaw_bias_rad,
-                payload.told_range_sigma_m,
-                payload.told_yaw_sigma_rad,
-                payload.told_pitch_sigma_rad,
-                payload.told_position_sigma_m,
-            )
-            seen = seen_from(body, target.sampled[step], noise[one, step], p)
+            seen = seen_from(body, heights_m[one], target.sampled[step], 0.0, noise[one, step], payload)
             if update(state, one, seen, filtering.gate_nis, filtering.soft_nis) <= filtering.gate_nis:
                 clock[1], rejections[0] = time_s, 0
             else:

@@ -17,6 +17,8 @@ from app.study._airframe_kernel import Airframe, Body, stepped
 from estimators._imm_kernel import Seen, predict, update
 from estimators._mixture_kernel import Densities, combine
 from estimators.compiled import compiled
+from estimators.terrain._ground_kernel import Grid, height_and_slope, sight_clearance_m, sight_step_m
+from estimators.terrain._standing_kernel import predict_standing
 from mission.core.path import FloatArray
 from mission.geometry._line_kernel import Circling, circle_after, following_per_m
 from mission.predictive._decision_kernel import Looker, decide
@@ -28,19 +30,21 @@ IntArray = npt.NDArray[np.int64]
 STEP_S = 0.1
 
 # Why the loop pauses.
-ENDED, DECIDE, REJECTED = range(3)
+ENDED, MEASURE, REJECTED, DECIDE = range(4)
 # What comes next in a step.
 SEE, CHOOSE, FLY = range(3)
 
 # Numbers of a flight.
 NEXT_S, COMMAND_PER_M, FILTER_S, SEEN_S, DEPARTURE_S = range(5)
-CIRCLES = 5  # east, north, signed radius: of the present plan and of the coming one
+HEIGHT_M, PLAN_HEIGHT_M, COMING_HEIGHT_M = range(5, 8)  # flown, and that of the circle of each plan
+CIRCLES = 8  # east, north, signed radius: of the present plan and of the coming one
 NUMBERS = CIRCLES + 6
 # Its counts.
 STEP, STAGE, PRESENT, COMING, CHANGES, DECISIONS, REJECTIONS = range(7)
 SAMPLES = 7  # of the lines of both plans
 COUNTS = SAMPLES + 2
 _LINE_MAX = 16_384  # samples of a line
+TARGET_M = 1.0  # of a target stands above the ground
 
 
 class Target(NamedTuple):
@@ -50,11 +54,30 @@ class Target(NamedTuple):
     noise: FloatArray
 
 
+class Hills(NamedTuple):
+    """What is flown over: an elevation grid without rows is flat ground, of height 0.
+
+    sigma_m: of its heights. known: whether the filter stands on it. climb_m, descent_m: in a step.
+    """
+
+    grid: Grid
+    sigma_m: float
+    known: bool
+    climb_m: float
+    descent_m: float
+
+
+FLAT = Hills((np.zeros((0, 0), np.float32), 0.0, 0.0, 1.0, 1.0), 0.0, False, 0.0, 0.0)
+
+
 class Payload(NamedTuple):
-    """Errors of laser and gimbal, and what the filter is told of them; perfect: the truth is known."""
+    """Errors of laser and gimbal, and what the filter is told of them; perfect: the truth is known.
+
+    apart: it is measured with outside of the loop.
+    """
 
     perfect: bool
-    height_m: float
+    apart: bool
     range_sigma_m: float
     angle_sigma_rad: float
     yaw_bias_rad: float
@@ -92,7 +115,8 @@ class Flight(NamedTuple):
 
     lines (2, k): both plans' lines (5, n), flat. changed_s (steps,): when plans were departed to. rejected
     (reacquire_after, 10): the last sightings beyond the gate since the last one within, and their times. log
-    (steps, 6): time, aircraft and target (east, north), course of the target.
+    (steps, 6): time, aircraft and target (east, north), course of the target. over (steps, 2): height, and 1 where
+    the target was in sight.
     """
 
     body: FloatArray
@@ -104,23 +128,28 @@ class Flight(NamedTuple):
     changed_s: FloatArray
     rejected: FloatArray
     log: FloatArray
+    over: FloatArray
 
 
-def new_flight(body: Body, circle: Circling, models: FloatArray, steps: int, reacquire_after: int) -> Flight:
-    """Return a flight that begins on a circle."""
+def new_flight(
+    body: Body, circle: Circling, height_m: float, models: tuple[int, int], steps: int, reacquire_after: int
+) -> Flight:
+    """Return a flight that begins on a circle, with a track that has not begun. models: the shape of their array."""
     numbers, counts = np.zeros(NUMBERS), np.zeros(COUNTS, np.int64)
-    numbers[COMMAND_PER_M] = np.nan
+    numbers[COMMAND_PER_M], numbers[SEEN_S] = np.nan, -np.inf
+    numbers[HEIGHT_M] = numbers[PLAN_HEIGHT_M] = numbers[COMING_HEIGHT_M] = height_m
     numbers[CIRCLES : CIRCLES + 3] = circle
     return Flight(
         np.array(body),
         numbers,
         counts,
-        models,
-        models.copy(),
+        np.zeros(models),
+        np.zeros(models),
         np.zeros((2, 5 * _LINE_MAX)),
         np.empty(steps),
         np.zeros((reacquire_after, 10)),
         np.empty((steps, 6)),
+        np.empty((steps, 2)),
     )
 
 
@@ -151,21 +180,25 @@ def take_plan(f: Flight, departure_s: float, line: FloatArray, circle: Circling)
 
 
 @compiled
-def sighted(body: Body, target: FloatArray, noise: FloatArray, p: Payload) -> tuple[float, float, float]:
-    """Return what laser and gimbal measure: slant range, and yaw and pitch of the line of sight."""
+def sighted(
+    body: Body, drop_m: float, target: FloatArray, noise: FloatArray, p: Payload
+) -> tuple[float, float, float]:
+    """Return slant range, and yaw and pitch of the line of sight, as measured so far above the target."""
     east_m, north_m = target[0] - body.east_m, target[1] - body.north_m
     horizontal_m = math.hypot(east_m, north_m)
     return (
-        math.hypot(horizontal_m, p.height_m) + p.range_sigma_m * noise[0],
+        math.hypot(horizontal_m, drop_m) + p.range_sigma_m * noise[0],
         math.atan2(east_m, north_m) + p.yaw_bias_rad + p.angle_sigma_rad * noise[1],
-        -math.atan2(p.height_m, horizontal_m) + p.angle_sigma_rad * noise[2],
+        -math.atan2(drop_m, horizontal_m) + p.angle_sigma_rad * noise[2],
     )
 
 
 @compiled
-def seen_from(body: Body, target: FloatArray, noise: FloatArray, p: Payload) -> Seen:
-    """Return the sighting that the pairing makes of it: all is measured at one time."""
-    slant_m, yaw_rad, pitch_rad = sighted(body, target, noise, p)
+def seen_from(
+    body: Body, height_m: float, target: FloatArray, target_m: float, noise: FloatArray, p: Payload
+) -> Seen:
+    """Return the sighting that the pairing makes of it: all is measured at one time. target_m: its height."""
+    slant_m, yaw_rad, pitch_rad = sighted(body, height_m - target_m, target, noise, p)
     along_m = p.told_position_sigma_m / slant_m
     across_m = p.told_position_sigma_m / (slant_m * max(math.cos(pitch_rad), 0.01))
     return Seen(
@@ -178,35 +211,59 @@ def seen_from(body: Body, target: FloatArray, noise: FloatArray, p: Payload) -> 
         p.told_pitch_sigma_rad**2 + along_m**2,
         body.east_m,
         body.north_m,
-        p.height_m,
+        height_m,
     )
 
 
 @compiled
-def _carry_on(f: Flight, filtering: Filtering, time_s: float) -> None:
+def ground_and_sight(
+    hills: Hills, east_m: float, north_m: float, height_m: float, target_east_m: float, target_north_m: float
+) -> tuple[float, bool]:
+    """Return the height of the target's ground, 0 where not known, and whether it is in sight from a place."""
+    if hills.grid[0].shape[0] == 0:
+        return 0.0, True
+    target_m = height_and_slope(hills.grid, target_east_m, target_north_m)[0]
+    target_m = 0.0 if math.isnan(target_m) else target_m
+    from_m, to_m = (east_m, north_m, height_m), (target_east_m, target_north_m, target_m + TARGET_M)
+    step_m = sight_step_m(hills.grid)
+    return target_m, sight_clearance_m(hills.grid, from_m, to_m, step_m) >= 0.0
+
+
+@compiled
+def _predict(state: FloatArray, step_s: float, filtering: Filtering, hills: Hills, found: FloatArray) -> None:
+    """Fill in the filter's state a step later, on known ground or on none."""
+    densities, drift_per_s = filtering.densities, filtering.drift_per_s
+    if hills.known:
+        predict_standing(state, step_s, densities, drift_per_s, hills.grid, hills.sigma_m, found)
+    else:
+        predict(state, step_s, densities, drift_per_s, found)
+
+
+@compiled
+def _carry_on(f: Flight, filtering: Filtering, hills: Hills, time_s: float) -> None:
     """Fill in the filter's state ahead, at a time: in steps of a second at most."""
     f.ahead[:] = f.models
     at_s, spare = f.numbers[FILTER_S], f.models
     while time_s - at_s > 1.0:
         spare = f.ahead.copy()
-        predict(spare, 1.0, filtering.densities, filtering.drift_per_s, f.ahead)
+        _predict(spare, 1.0, filtering, hills, f.ahead)
         at_s += 1.0
     step_s = round((time_s - at_s) * 1e6) / 1e6
     if step_s > 0.0:
         spare = f.ahead.copy() if at_s > f.numbers[FILTER_S] else f.models
-        predict(spare, step_s, filtering.densities, filtering.drift_per_s, f.ahead)
+        _predict(spare, step_s, filtering, hills, f.ahead)
 
 
 @compiled
-def _see(f: Flight, body: Body, target: Target, payload: Payload, filtering: Filtering) -> bool:
-    """Take in a sighting. False where it lies beyond the gate, and perhaps the track is to begin anew."""
-    step = f.counts[STEP]
-    seen = seen_from(body, target.sampled[step], target.noise[step], payload)
-    if step == 0:
-        return True  # the filter was started by it
+def _see(
+    f: Flight, body: Body, target: Target, target_m: float, payload: Payload, filtering: Filtering, hills: Hills
+) -> bool:
+    """Take in a sighting. False where it lies beyond the gate, and perhaps the track is to begin, first or anew."""
+    step, height_m = f.counts[STEP], f.numbers[HEIGHT_M]
+    seen = seen_from(body, height_m, target.sampled[step], target_m, target.noise[step], payload)
     unseen_s, nis = body.time_s - f.numbers[SEEN_S], np.inf
     if unseen_s <= filtering.lost_after_s:
-        _carry_on(f, filtering, body.time_s)
+        _carry_on(f, filtering, hills, body.time_s)
         nis = update(f.ahead, seen, filtering.gate_nis, filtering.soft_nis)
     if nis <= filtering.gate_nis:
         f.models[:] = f.ahead
@@ -218,20 +275,22 @@ def _see(f: Flight, body: Body, target: Target, payload: Payload, filtering: Fil
     last = f.rejected[-1]
     last[0], last[1], last[2], last[3] = body.time_s, seen.slant_range_m, seen.bearing_rad, seen.depression_rad
     last[4], last[5], last[6] = seen.range_variance_m2, seen.bearing_variance_rad2, seen.depression_variance_rad2
-    last[7], last[8], last[9] = body.east_m, body.north_m, payload.height_m
+    last[7], last[8], last[9] = body.east_m, body.north_m, height_m
     f.counts[REJECTIONS] += 1
     return bool(f.counts[REJECTIONS] < filtering.reacquire_after and unseen_s <= filtering.lost_after_s)
 
 
 @compiled
-def known_at(f: Flight, time_s: float, target: Target, payload: Payload, filtering: Filtering) -> tuple[Known, bool]:
+def known_at(
+    f: Flight, time_s: float, target: Target, payload: Payload, filtering: Filtering, hills: Hills
+) -> tuple[Known, bool]:
     """Return the estimate at a time, and whether the track is not lost."""
     mean, covariance = np.empty(4), np.zeros((4, 4))
     if payload.perfect:
         mean[:] = target.sampled[f.counts[STEP], :4]
         return Known(time_s, mean[0], mean[1], mean[2], mean[3], covariance), True
     if time_s > f.numbers[FILTER_S]:
-        _carry_on(f, filtering, time_s)
+        _carry_on(f, filtering, hills, time_s)
         combine(f.ahead, mean, covariance)
     else:
         combine(f.models, mean, covariance)
@@ -246,13 +305,14 @@ def choose(
     target: Target,
     payload: Payload,
     filtering: Filtering,
+    hills: Hills,
     steering: Steering,
     frame: Airframe,
     looker: Looker,
 ) -> None:
     """Decide as the predictive planner does, and take the plan if there is one."""
     body = body_of(f)
-    known, good = known_at(f, body.time_s, target, payload, filtering)
+    known, good = known_at(f, body.time_s, target, payload, filtering, hills)
     seen_s = body.time_s if payload.perfect else f.numbers[SEEN_S]
     if not good or body.time_s - seen_s > steering.unseen_max_s:
         return
@@ -283,6 +343,7 @@ def advance(
     target: Target,
     payload: Payload,
     filtering: Filtering,
+    hills: Hills,
     steering: Steering,
     frame: Airframe,
     looker: Looker,
@@ -295,8 +356,14 @@ def advance(
             truth, row = target.sampled[step], f.log[step]
             row[0], row[1], row[2] = body.time_s, body.east_m, body.north_m
             row[3], row[4], row[5] = truth[0], truth[1], truth[4]
+            height_m = f.numbers[HEIGHT_M]
+            target_m, in_sight = ground_and_sight(hills, body.east_m, body.north_m, height_m, truth[0], truth[1])
+            f.over[step, 0], f.over[step, 1] = height_m, 1.0 if in_sight else 0.0
             f.counts[STAGE] = CHOOSE
-            if not payload.perfect and not _see(f, body, target, payload, filtering):
+            if payload.apart:
+                return MEASURE
+            measured = in_sight and not payload.perfect
+            if measured and not _see(f, body, target, target_m, payload, filtering, hills):
                 return REJECTED
         if f.counts[STAGE] == CHOOSE:
             f.counts[STAGE] = FLY
@@ -305,9 +372,10 @@ def advance(
                 f.counts[DECISIONS] += 1
                 if not steering.own_decisions or (f.counts[DECISIONS] - 1) % steering.timed_every == 0:
                     return DECIDE
-                choose(f, target, payload, filtering, steering, frame, looker)
+                choose(f, target, payload, filtering, hills, steering, frame, looker)
         if f.counts[COMING] > 0 and body.time_s >= f.numbers[DEPARTURE_S] - 1e-6:
             f.counts[PRESENT], f.counts[COMING] = 1 - f.counts[PRESENT], 0
+            f.numbers[PLAN_HEIGHT_M] = f.numbers[COMING_HEIGHT_M]
             f.changed_s[f.counts[CHANGES]] = body.time_s
             f.counts[CHANGES] += 1
         if steering.follows:
@@ -320,5 +388,7 @@ def advance(
         b = f.body
         b[0], b[1], b[2], b[3] = body.time_s, body.east_m, body.north_m, body.course_rad
         b[4], b[5], b[6] = body.speed_m_s, body.curvature_per_m, body.bank_rad
+        to_climb_m = f.numbers[PLAN_HEIGHT_M] - f.numbers[HEIGHT_M]
+        f.numbers[HEIGHT_M] += min(max(to_climb_m, -hills.descent_m), hills.climb_m)
         f.counts[STEP], f.counts[STAGE] = step + 1, SEE
     return ENDED

@@ -33,7 +33,7 @@ from app.study._flight_kernel import (
 from app.study.airframe import KinematicAircraft
 from app.study.judging import STEP_S, FloatArray, RunResult, judged, shares_of_any
 from app.study.pilots import StopWatch
-from app.study.run import BANK_RESERVE, START_RANGE_M, payload_of
+from app.study.run import START_RANGE_M, aircraft_on, payload_of
 from app.study.scene import Scene, scene
 from app.study.settings import StudySettings
 from estimators._joint_kernel import predict as predict_joint
@@ -53,7 +53,6 @@ from mission.fleet.team import TeamSettings
 from mission.fleet.team_planner import TeamPlanner
 from mission.geometry._line_kernel import Circling
 from mission.geometry.progress import line_of
-from mission.geometry.wind import ground_speed_m_s
 from mission.laws.phased import CircularFormation, PhasedField
 from mission.predictive.value_table import ValueTable
 
@@ -268,29 +267,14 @@ class FleetRun:
         for k in range(settings.fleet):
             side = requirement.side if k % 2 == 0 else _other(requirement.side)
             circle = _start_circle(settings, flown, side, k // 2)
-            course_rad = float(flown.start_rng.uniform(-math.pi, math.pi))
-            start = AircraftState(
-                0.0,
-                *circle.position_at_course(course_rad),
-                course_rad,
-                ground_speed_m_s(course_rad, settings.airspeed_m_s, settings.wind),
-                circle.curvature_per_m,
-            )
-            body = KinematicAircraft(
-                start,
-                settings.airspeed_m_s,
-                math.atan(BANK_RESERVE * math.tan(settings.circle_bank_rad)),
-                aircraft.roll_rate_max_rad_s,
-                settings.wind,
-                settings.lag_s,
-            )
+            body, height_m = aircraft_on(settings, flown, circle), settings.height_m + k * settings.layer_m
             signed_m = circle.radius_m if circle.clockwise else -circle.radius_m
             ring = Circling(circle.east_m, circle.north_m, signed_m)
             members.append(
                 _Member(
                     f"aircraft {k + 1}",
-                    settings.height_m + k * settings.layer_m,
-                    new_flight(body.body, ring, np.zeros((1, 1)), self._steps, 1),
+                    height_m,
+                    new_flight(body.body, ring, height_m, (1, 1), self._steps, 1),
                     body,
                     TeamPlanner(aircraft, requirement, table, team=team),
                     settings.airspeed_m_s,
@@ -312,7 +296,7 @@ class _JointSight:
         self._heights_m = np.array([member.height_m for member in members])
         self._payload = Payload(
             False,
-            0.0,
+            False,
             errors.range_sigma_m,
             errors.angle_sigma_rad,
             errors.yaw_bias_rad,

@@ -1,6 +1,7 @@
-"""Runs of a study in the compiled loop, and what the loop leaves to others: other planners, a track that begins anew.
+"""Runs of a study in the compiled loop, and what the loop leaves to others.
 
-What it cannot fly is flown step by step: other filters, and payloads that measure late or beside the aircraft.
+Those are other planners, a track that begins, and what it cannot measure with: other filters, and payloads that
+measure late or beside the aircraft.
 """
 
 from __future__ import annotations
@@ -15,34 +16,46 @@ import numpy.typing as npt
 
 from app.study import _flight_kernel as kernel
 from app.study._flight_kernel import (
+    COMING_HEIGHT_M,
     COMMAND_PER_M,
     DECIDE,
     DEPARTURE_S,
     ENDED,
     FILTER_S,
+    FLAT,
+    HEIGHT_M,
+    MEASURE,
+    PLAN_HEIGHT_M,
     PRESENT,
     REJECTIONS,
     SEEN_S,
     STEP,
     Filtering,
     Flight,
+    Hills,
     Payload,
     Steering,
     Target,
 )
 from app.study.airframe import KinematicAircraft
 from app.study.pilots import DECISION_PERIOD_S, LAW_PERIOD_S, TIMED_EVERY, GuidanceLaw, StopWatch
-from app.study.sensors import PayloadErrors
+from app.study.sensors import PayloadErrors, PayloadSensing
+from app.study.target import TargetTruth
+from estimators._imm_kernel import SIZE
+from estimators._mixture_kernel import MODELS
 from estimators.biases import Biases
 from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.imm import TargetImm, drift_per_s, starting_models
+from estimators.imm import TargetImm, drift_per_s
 from estimators.motion import DENSITIES
 from estimators.settings import TrackerSettings
 from estimators.sighting import Sighting
+from estimators.target_filter import TargetFilter
+from estimators.terrain.ground import Ground
+from estimators.terrain.standing import GroundedFilter
 from estimators.track import Track
 from mission.core.circle import Circle
 from mission.core.path import Path
-from mission.core.plan import AircraftState, Plan, Planner
+from mission.core.plan import AircraftState, HeightProfile, Plan, Planner
 from mission.core.requirement import Wind
 from mission.geometry._line_kernel import Circling, Craft
 from mission.geometry.progress import line_of
@@ -68,9 +81,13 @@ class SampledTarget(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flown:
-    """log (n, 6): time, aircraft, target (east, north), target's course. changed_s: when plans were departed to."""
+    """log (n, 6): time, aircraft, target (east, north), target's course. changed_s: when plans were departed to.
+
+    over (n, 2): height, and 1 where the target was in sight.
+    """
 
     log: FloatArray
+    over: FloatArray
     changed_s: list[float]
     decision_s: list[float]
 
@@ -87,9 +104,24 @@ class Sensed:
 
     errors: PayloadErrors
     told: TrackerSettings
-    height_m: float
     rng: np.random.Generator
     perfect: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OverGround:
+    """What is flown over. known: whether the filter stands on it. climb_m_s, descent_m_s: from plan to plan."""
+
+    ground: Ground
+    known: bool
+    climb_m_s: float
+    descent_m_s: float
+
+    @property
+    def hills(self) -> Hills:
+        """The same as the loop takes it."""
+        step_s, ground = kernel.STEP_S, self.ground
+        return Hills(ground.grid, ground.sigma_m, self.known, self.climb_m_s * step_s, self.descent_m_s * step_s)
 
 
 class CompiledFlight:
@@ -100,19 +132,22 @@ class CompiledFlight:
         target: SampledTarget,
         start: KinematicAircraft,
         circle: Circle,
+        height_m: float,
         sensed: Sensed,
         wind: Wind,
         duration_s: float,
+        over: OverGround | None = None,
     ) -> None:
         steps = round(duration_s / kernel.STEP_S)
         # As the aircraft's clock counts.
         time_s = np.add.accumulate(np.append(start.state.time_s, np.full(steps - 1, kernel.STEP_S)))
-        noise = np.zeros((steps, 3)) if sensed.perfect else sensed.rng.normal(size=(steps, 3))
-        self._target = Target(np.ascontiguousarray(target.sampled(time_s)), noise)
         told, self._prior = sensed.told, Biases.prior(sensed.told)
+        apart = not sensed.perfect and not can_fly(told)
+        noise = np.zeros((steps, 3)) if sensed.perfect or apart else sensed.rng.normal(size=(steps, 3))
+        self._target = Target(np.ascontiguousarray(target.sampled(time_s)), noise)
         self._payload = Payload(
             sensed.perfect,
-            sensed.height_m,
+            apart,
             sensed.errors.range_sigma_m,
             sensed.errors.angle_sigma_rad,
             sensed.errors.yaw_bias_rad,
@@ -121,6 +156,15 @@ class CompiledFlight:
             told.pitch_sigma_rad,
             told.position_sigma_m,
         )
+        self._hills, self._ground = FLAT, None
+        if over is not None:
+            self._hills, self._ground = over.hills, over.ground if over.known else None
+        self._sensing: PayloadSensing | None = None
+        if apart:
+            self._sensing = PayloadSensing(sensed.rng, sensed.errors, told)
+            if self._ground is not None:
+                # A laser that is only hidden is not silent.
+                self._sensing.tracker.stand_on(self._ground, angles_alone=False)
         self._filtering = Filtering(
             told.gate_nis,
             told.soft_nis,
@@ -132,26 +176,35 @@ class CompiledFlight:
         )
         self._told, self._wind = told, wind
         self._frame = start.frame(kernel.STEP_S)
-        first = kernel.seen_from(start.body, self._target.sampled[0], self._target.noise[0], self._payload)
-        models = starting_models(told, _sighting(start.state.time_s, *first[1:]), self._prior)
         circling = Circling(circle.east_m, circle.north_m, circle.radius_m if circle.clockwise else -circle.radius_m)
-        self._flight: Flight = kernel.new_flight(start.body, circling, models, steps, told.reacquire_after)
-        self._watch = StopWatch(1)
+        self._flight: Flight = kernel.new_flight(
+            start.body, circling, height_m, (len(MODELS), SIZE), steps, told.reacquire_after
+        )
+        self._watch = StopWatch()
 
     def with_predictive(self, planner: PredictivePlanner, latency_s: float) -> Flown:
-        """Fly the predictive planner, with no fences, in the loop alone."""
+        """Fly the predictive planner, with no fences, in the loop alone where that can be."""
+        if self._sensing is not None:
+            return self.with_planner(planner, latency_s)
         looker, *_ = planner.lookers
         steering = Steering(True, TIMED_EVERY, True, DECISION_PERIOD_S, latency_s, PredictiveSettings().lost_after_s)
-        inputs = self._target, self._payload, self._filtering, steering, self._frame, looker
-        return self._flown(steering, looker, lambda: kernel.choose(self._flight, *inputs))
+        inputs = self._target, self._payload, self._filtering, self._hills, steering, self._frame, looker
+        self._watch = StopWatch(1)  # the loop pauses for those alone that are timed
+        return self._flown(steering, looker, lambda: self._watch(lambda: kernel.choose(self._flight, *inputs)))
 
     def with_planner(self, planner: Planner, latency_s: float) -> Flown:
         """Fly any planner."""
 
         def decide() -> None:
-            plan = planner.decide(self._aircraft, self._estimate(), self._present, self._wind, latency_s).plan
+            estimate = self._estimate()
+            if estimate is None:
+                return
+            inputs = self._aircraft, estimate, self._present, self._wind, latency_s
+            plan = self._watch(lambda: planner.decide(*inputs)).plan
             if plan is not None:
                 kernel.take_plan(self._flight, plan.departure_s, *line_of(plan))
+                if plan.heights is not None:
+                    self._flight.numbers[COMING_HEIGHT_M] = plan.heights.to_m
 
         return self._flown(Steering(False, 1, True, DECISION_PERIOD_S, latency_s, math.inf), _blind(), decide)
 
@@ -159,19 +212,28 @@ class CompiledFlight:
         """Fly a guidance law."""
 
         def steer() -> None:
-            self._flight.numbers[COMMAND_PER_M] = law(self._aircraft, self._estimate())
+            estimate = self._estimate()
+            if estimate is not None:
+                self._flight.numbers[COMMAND_PER_M] = self._watch(lambda: law(self._aircraft, estimate))
 
         return self._flown(Steering(False, 1, False, LAW_PERIOD_S, 0.0, math.inf), _blind(), steer)
 
+    @property
+    def height_m(self) -> float:
+        """The present height of the aircraft."""
+        return float(self._flight.numbers[HEIGHT_M])
+
     def _flown(self, steering: Steering, looker: Looker, decide: Callable[[], None]) -> Flown:
-        inputs = self._target, self._payload, self._filtering, steering, self._frame, looker
+        inputs = self._target, self._payload, self._filtering, self._hills, steering, self._frame, looker
         while (pause := kernel.advance(self._flight, *inputs)) != ENDED:
             if pause == DECIDE:
-                self._watch(decide)
+                decide()
+            elif pause == MEASURE:
+                self._measure()
             else:
                 self._reconsider()
         changes = self._flight.changed_s[: self._flight.counts[kernel.CHANGES]]
-        return Flown(self._flight.log, changes.tolist(), self._watch.taken_s)
+        return Flown(self._flight.log, self._flight.over, changes.tolist(), self._watch.taken_s)
 
     @property
     def _aircraft(self) -> AircraftState:
@@ -185,34 +247,61 @@ class CompiledFlight:
             Circle(circle.east_m, circle.north_m, abs(circle.radius_m), circle.radius_m > 0.0),
             path,
             float(self._flight.numbers[DEPARTURE_S]),
+            self._level,
         )
 
-    def _estimate(self) -> TargetEstimate:
+    @property
+    def _level(self) -> HeightProfile | None:
+        """The height of the present circle, over hills."""
+        height_m = float(self._flight.numbers[PLAN_HEIGHT_M])
+        return None if self._hills is FLAT else HeightProfile(height_m, height_m, 0.0)
+
+    def _measure(self) -> None:
+        """Measure with a payload that the loop cannot measure with."""
+        truth, sensing = TargetTruth(*self._target.sampled[self._flight.counts[STEP]].tolist()), self._sensing
+        assert sensing is not None
+        _, east_m, north_m, *_, bank_rad = self._flight.body.tolist()
+        sensing.height_m, target = self.height_m, (truth.east_m, truth.north_m)
+        sensing.target_height_m, sensing.sees = kernel.ground_and_sight(
+            self._hills, east_m, north_m, sensing.height_m, *target
+        )
+        sensing.observe(self._aircraft, bank_rad, truth)
+
+    def _estimate(self) -> TargetEstimate | None:
         time_s = float(self._flight.body[0])
+        if self._sensing is not None:
+            return self._sensing.estimate(time_s)
         if self._payload.perfect:
             east, north, velocity_e, velocity_n, _ = self._target.sampled[self._flight.counts[STEP]].tolist()
             unerring = np.zeros((4, 4))
             return TargetEstimate(time_s, east, north, velocity_e, velocity_n, unerring, TrackQuality.GOOD, time_s)
-        estimate = self._track().estimate(time_s)
-        assert estimate is not None
-        return estimate
+        return self._track().estimate(time_s)
 
     def _track(self) -> Track:
         """Return the track as it stands."""
         numbers, track = self._flight.numbers, Track(self._told)
-        last = TargetImm.resumed(self._told, self._prior, float(numbers[FILTER_S]), self._flight.models.copy())
+        if self._ground is not None:
+            track.stand_on(self._ground)
+        if math.isinf(numbers[SEEN_S]):
+            return track
+        models = self._flight.models.copy()
+        last: TargetFilter = TargetImm.resumed(self._told, self._prior, float(numbers[FILTER_S]), models)
         rejected = self._flight.rejected
         before = min(int(self._flight.counts[REJECTIONS]), len(rejected)) - 1  # the newest
         rows = rejected[len(rejected) - 1 - max(before, 0) : len(rejected) - 1].tolist()
+        if self._ground is not None:
+            last = GroundedFilter.resumed(last, self._ground)
         track.resume(last, float(numbers[SEEN_S]), [_sighting(*row) for row in rows])
         return track
 
     def _reconsider(self) -> None:
-        """Let the track decide what a sighting beyond the gate means, and whether to begin anew."""
+        """Let the track decide what a sighting beyond the gate means, and whether to begin, first or anew."""
         flight, track = self._flight, self._track()
         if not track.add(_sighting(*flight.rejected[-1])).accepted:
             return
         last, seen_s = track.last
+        if isinstance(last, GroundedFilter):
+            last = last.inner
         assert isinstance(last, TargetImm)
         flight.models[:] = last.state
         flight.numbers[FILTER_S], flight.numbers[SEEN_S] = last.time_s, seen_s

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from app.study.airframe import KinematicAircraft
-from app.study.judging import STEP_S, RunResult, judged
-from app.study.pilots import DECISION_PERIOD_S, EstimateAt, PlanFollower, StopWatch
-from app.study.run import BANK_RESERVE, START_RANGE_M, fly, payload_of
+from app.study._flight_kernel import TARGET_M
+from app.study.flight import CompiledFlight, Flown, OverGround
+from app.study.judging import FloatArray, RunResult, judged
+from app.study.run import aircraft_on, first_circle, sensed_by
 from app.study.scene import scene
-from app.study.sensors import PayloadSensing
 from app.study.settings import Hills, StudySettings
-from app.study.target import TargetTruth
+from estimators.estimate import TargetEstimate
 from estimators.terrain.ground import Ground
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState, Plan, settled_m
-from mission.core.requirement import Requirement
-from mission.geometry.wind import ground_speed_m_s
-from mission.predictive._sight_kernel import NOTHING_HIDDEN, Sight
+from mission.core.plan import AircraftState, Decision, Plan, settled_m
+from mission.core.requirement import Wind
+from mission.predictive._sight_kernel import Sight
 from mission.predictive.planner import PredictivePlanner
 from mission.predictive.value_table import ValueTable
 from mission.terrain.heights import FlightHeights, HeightRules
@@ -31,162 +28,119 @@ from mission.terrain.sight import SightField
 _SPREAD_M = 8_000.0  # targets start so far about home
 _LOOKED_EVERY = 50  # steps: whether any place of the side and the band sees the target
 _AZIMUTHS, _RING_M = 72, 20.0
-_TARGET_M = 1.0
 
 
-class HillFlight:
-    """Sensing and pilot of one run: what hills hide is not measured, and each plan is flown at its own height.
-
-    Where the terrain is ignored it flies as over flat ground, at one height above where the target starts.
-    """
+class HillPlanner:
+    """The predictive planner over known ground: each plan gets a height, what cannot be cleared is rejected."""
 
     def __init__(
         self,
         study: StudySettings,
         ground: Ground,
+        heights: FlightHeights,
         table: ValueTable,
-        circle: Circle,
-        sensor_rng: np.random.Generator,
+        height_m: Callable[[], float],
     ) -> None:
-        known = study.terrain == "known"
-        self._study, self._ground = study, ground
-        self._requirement: Requirement = study.requirement()
-        rules = HeightRules(
-            study.height_m,
-            "ground",
-            study.clearance_m,
-            study.airspeed_m_s,
-            study.climb_m_s,
-            study.descent_m_s,
-        )
-        self._heights = FlightHeights(ground, rules) if known else None
+        """height_m: the aircraft's present one."""
+        self._heights, self._height_m = heights, height_m
         self._field = SightField(ground, study.range_max_m + 4.0 * study.radius_m)
-        first: Plan | str = Plan(circle)
-        if self._heights is not None:
-            first = self._heights.levelled(Plan(circle), None, (0.0, 0.0))
-        plan = Plan(circle) if isinstance(first, str) else first
-        self._follower = PlanFollower(plan)
-        self.height_m = ground.height_m(0.0, 0.0) + study.height_m if plan.heights is None else plan.heights.to_m
-        self.changed_s, self.stopwatch = self._follower.changed_s, StopWatch()
-        self._sensing = PayloadSensing(sensor_rng, *payload_of(study), study.height_m)
-        if known:
-            self._sensing.tracker.stand_on(ground)
         self._planner = PredictivePlanner(
-            study.aircraft(), self._requirement, table, check=self._check, sight=self._sight
+            study.aircraft(), study.requirement(), table, check=self._check, sight=self._sight
         )
-        self._next_s = 0.0
+        self._present: Plan | None = None
         self._target = (0.0, 0.0)
-        self._steps = 0
-        self.seen: list[bool] = []
-        self.seeable: list[bool] = []
-        self.clearances_m: list[float] = []
 
-    def observe(self, aircraft: AircraftState, bank_rad: float, target: TargetTruth) -> None:
-        """See :class:`app.study.sensors.Sensing`."""
-        ground_m = self._ground.height_m(target.east_m, target.north_m)
-        target_m = 0.0 if math.isnan(ground_m) else ground_m
-        place = (aircraft.east_m, aircraft.north_m, self.height_m)
-        seen = self._ground.sees(place, (target.east_m, target.north_m, target_m + _TARGET_M))
-        below_m = self._ground.height_m(aircraft.east_m, aircraft.north_m)
-        if not math.isnan(below_m):
-            self.clearances_m.append(self.height_m - below_m)
-        self.seen.append(seen)
-        if self._steps % _LOOKED_EVERY == 0:
-            self._seeable = self._some_place_sees(target, target_m)
-        self.seeable.append(seen or self._seeable)
-        self._steps += 1
-        self._sensing.height_m, self._sensing.target_height_m, self._sensing.sees = self.height_m, target_m, seen
-        self._sensing.observe(aircraft, bank_rad, target)
-
-    def estimate(self, time_s: float) -> Any:
-        """See :class:`app.study.sensors.Sensing`."""
-        return self._sensing.estimate(time_s)
-
-    def curvature_per_m(self, aircraft: AircraftState, estimate_at: EstimateAt) -> float:
-        """See :class:`app.study.pilots.Pilot`."""
-        follower = self._follower
-        if follower.coming is None and aircraft.time_s >= self._next_s - 1e-6:
-            self._next_s = aircraft.time_s + DECISION_PERIOD_S
-            estimate = estimate_at(aircraft.time_s)
-            if estimate is not None:
-                self._target = (estimate.east_m, estimate.north_m)
-                wind, latency_s = self._study.wind, self._study.latency_s
-                decided = self.stopwatch(
-                    lambda: self._planner.decide(aircraft, estimate, follower.plan, wind, latency_s)
-                ).plan
-                levelled = None if decided is None else self._levelled(decided)
-                follower.coming = None if isinstance(levelled, str) else levelled
-        curvature_per_m = follower.curvature_per_m(aircraft)
-        heights = follower.plan.heights
-        if heights is not None:
-            up_m, down_m = self._study.climb_m_s * STEP_S, self._study.descent_m_s * STEP_S
-            self.height_m += min(max(heights.to_m - self.height_m, -down_m), up_m)
-        return curvature_per_m
+    def decide(
+        self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
+    ) -> Decision:
+        """See :class:`mission.core.plan.Planner`."""
+        self._present, self._target = present, (target.east_m, target.north_m)
+        decision = self._planner.decide(aircraft, target, present, wind, latency_s)
+        if decision.plan is None:
+            return decision
+        levelled = self._levelled(decision.plan)
+        assert isinstance(levelled, Plan)  # it was checked
+        return replace(decision, plan=levelled)
 
     def _levelled(self, plan: Plan) -> Plan | str:
-        if self._heights is None:
-            return plan
-        return self._heights.levelled(plan, settled_m(self.height_m, self._follower.plan), self._target)
+        return self._heights.levelled(plan, settled_m(self._height_m(), self._present), self._target)
 
     def _check(self, plan: Plan) -> str | None:
         levelled = self._levelled(plan)
         return levelled if isinstance(levelled, str) else None
 
     def _sight(self, east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float) -> Sight:
-        if self._heights is None:
-            return NOTHING_HIDDEN
-        height_m = self._heights.expected_m(self.height_m, (east_m, north_m))
+        height_m = self._heights.expected_m(self._height_m(), (east_m, north_m))
         return self._field.sight(east_m, north_m, velocity_east_m_s, velocity_north_m_s, height_m)
-
-    def _some_place_sees(self, target: TargetTruth, target_m: float) -> bool:
-        study = self._study
-        rings = math.ceil(study.range_max_m / _RING_M)
-        needed_m = self._ground.horizon_m(
-            target.east_m, target.north_m, target_m + _TARGET_M, _AZIMUTHS, rings, _RING_M
-        )[:, math.ceil(study.range_min_m / _RING_M) :]
-        azimuth_rad = np.arange(_AZIMUTHS) * (2.0 * math.pi / _AZIMUTHS)
-        off_rad = azimuth_rad - target.course_rad - self._requirement.side.normal_turn_rad
-        return bool((needed_m[np.cos(off_rad) >= 0.0] <= self.height_m).any())
 
 
 def run_over(settings: StudySettings, number: int, table: ValueTable, keep_track: bool = False) -> RunResult:
-    """Fly one run of the predictive planner: its target starts at a place of its own about home."""
+    """Fly one run of the predictive planner: its target starts at a place of its own about home.
+
+    Where the terrain is ignored it flies as over flat ground, at one height above where the target starts.
+    """
     assert settings.hills is not None
     flown = scene(settings, number)
     place_rng = np.random.default_rng(np.random.SeedSequence((settings.seed, number, 1)))
     ground = _moved(settings.hills.ground, place_rng)
-    side, aircraft = settings.requirement().side, settings.aircraft()
-    normal_rad = flown.target.at(0.0).course_rad + side.normal_turn_rad
-    circle = Circle(
-        START_RANGE_M * math.sin(normal_rad), START_RANGE_M * math.cos(normal_rad), settings.radius_m, side.clockwise
+    rules = HeightRules(
+        settings.height_m,
+        "ground",
+        settings.clearance_m,
+        settings.airspeed_m_s,
+        settings.climb_m_s,
+        settings.descent_m_s,
     )
-    course_rad = float(flown.start_rng.uniform(-math.pi, math.pi))
-    start = AircraftState(
-        0.0,
-        *circle.position_at_course(course_rad),
-        course_rad,
-        ground_speed_m_s(course_rad, aircraft.airspeed_m_s, settings.wind),
-        circle.curvature_per_m,
-    )
-    body = KinematicAircraft(
-        start,
-        aircraft.airspeed_m_s,
-        math.atan(BANK_RESERVE * math.tan(settings.circle_bank_rad)),
-        aircraft.roll_rate_max_rad_s,
+    known, circle, heights = settings.terrain == "known", first_circle(settings, flown), FlightHeights(ground, rules)
+    height_m = ground.height_m(0.0, 0.0) + settings.height_m
+    first = heights.levelled(Plan(circle), None, (0.0, 0.0)) if known else ""
+    if isinstance(first, Plan) and first.heights is not None:
+        height_m = first.heights.to_m
+    flight = CompiledFlight(
+        flown.target,
+        aircraft_on(settings, flown, circle),
+        circle,
+        height_m,
+        sensed_by(settings, flown),
         settings.wind,
-        settings.lag_s,
+        flown.duration_s,
+        OverGround(ground, known, settings.climb_m_s, settings.descent_m_s),
     )
-    flight = HillFlight(settings, ground, table, circle, flown.sensor_rng)
-    log = fly(flown.target, body, flight, flight, flown.duration_s)
-    seen, seeable = np.array(flight.seen), np.array(flight.seeable)
-    over_ground = (
-        float(seen.mean()),
-        float(seen[seeable].mean()) if seeable.any() else math.nan,
-        min(flight.clearances_m, default=math.nan),
-    )
+    if known:
+        planner = HillPlanner(settings, ground, heights, table, lambda: flight.height_m)
+        run = flight.with_planner(planner, settings.latency_s)
+    else:
+        plain = PredictivePlanner(settings.aircraft(), settings.requirement(), table)
+        run = flight.with_predictive(plain, settings.latency_s)
     # The first decision of a process waits for what is compiled to be loaded.
-    decision_s = flight.stopwatch.taken_s[1:] or flight.stopwatch.taken_s
-    return judged(settings, log, flight.changed_s, decision_s, keep_track, over_ground)
+    decision_s = run.decision_s[1:] or run.decision_s
+    over_ground = _over_ground(settings, ground, run)
+    return judged(settings, run.log, run.changed_s, decision_s, keep_track, over_ground)
+
+
+def _over_ground(settings: StudySettings, ground: Ground, run: Flown) -> tuple[float, float, float]:
+    """Return the time in sight, that where any place of side and band sees the target, and the least clearance."""
+    height_m, in_sight = run.over[:, 0], run.over[:, 1] > 0.0
+    steps = range(0, len(run.log), _LOOKED_EVERY)
+    looked = [_some_place_sees(settings, ground, run.log[k, 3:], height_m[k]) for k in steps]
+    seeable = in_sight | np.repeat(looked, _LOOKED_EVERY)[: len(in_sight)]
+    possible = float(in_sight[seeable].mean()) if seeable.any() else math.nan
+    clear_m = height_m - ground.heights_at_m(run.log[:, 1], run.log[:, 2])
+    known = ~np.isnan(clear_m)
+    return float(in_sight.mean()), possible, float(clear_m[known].min()) if known.any() else math.nan
+
+
+def _some_place_sees(settings: StudySettings, ground: Ground, target: FloatArray, height_m: float) -> bool:
+    """Tell whether any place of side and band sees the target (east, north, course) from a height."""
+    east_m, north_m, course_rad = target.tolist()
+    ground_m = ground.height_m(east_m, north_m)
+    seen_m = TARGET_M + (0.0 if math.isnan(ground_m) else ground_m)
+    rings = math.ceil(settings.range_max_m / _RING_M)
+    needed_m = ground.horizon_m(east_m, north_m, seen_m, _AZIMUTHS, rings, _RING_M)
+    needed_m = needed_m[:, math.ceil(settings.range_min_m / _RING_M) :]
+    azimuth_rad = np.arange(_AZIMUTHS) * (2.0 * math.pi / _AZIMUTHS)
+    off_rad = azimuth_rad - course_rad - settings.requirement().side.normal_turn_rad
+    return bool((needed_m[np.cos(off_rad) >= 0.0] <= height_m).any())
 
 
 def hills_of(ground: Ground) -> Hills:

@@ -1,57 +1,20 @@
-"""What the tracker of a study is told: perfect knowledge, or laser, gimbal and autopilot with noise."""
+"""What the tracker of a study is told: laser, gimbal and autopilot with noise."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from app.study.target import TargetTruth
-from estimators.estimate import TargetEstimate, TrackQuality
+from estimators.estimate import TargetEstimate
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from estimators.tracker import Tracker, TrackerSettings
 from mission.core.plan import AircraftState
 
 _LASER = Source("DISTANCE_SENSOR", 154, 1, 100)
 _GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
-
-
-class Sensing(Protocol):
-    """Turns the truth into an estimate."""
-
-    def observe(self, aircraft: AircraftState, bank_rad: float, target: TargetTruth) -> None:
-        """Take one sighting's worth of truth."""
-        ...
-
-    def estimate(self, time_s: float) -> TargetEstimate | None:
-        """Return the estimate at a time no earlier than the last sighting."""
-        ...
-
-
-class PerfectSensing:
-    """Knows the truth."""
-
-    def __init__(self) -> None:
-        self._estimate: TargetEstimate | None = None
-
-    def observe(self, aircraft: AircraftState, bank_rad: float, target: TargetTruth) -> None:
-        """See :class:`Sensing`."""
-        self._estimate = TargetEstimate(
-            aircraft.time_s,
-            target.east_m,
-            target.north_m,
-            target.velocity_east_m_s,
-            target.velocity_north_m_s,
-            np.zeros((4, 4)),
-            TrackQuality.GOOD,
-            aircraft.time_s,
-        )
-
-    def estimate(self, time_s: float) -> TargetEstimate | None:
-        """See :class:`Sensing`."""
-        return self._estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +49,7 @@ class PayloadSensing:
         )
 
     def observe(self, aircraft: AircraftState, bank_rad: float, target: TargetTruth) -> None:
-        """See :class:`Sensing`."""
+        """Take one sighting's worth of truth."""
         time_s = aircraft.time_s
         velocity_east = aircraft.ground_speed_m_s * math.sin(aircraft.course_rad)
         velocity_north = aircraft.ground_speed_m_s * math.cos(aircraft.course_rad)
@@ -109,7 +72,7 @@ class PayloadSensing:
         self.tracker.add(RangeReading(time_s, slant_m, _LASER, quality=0.9))
 
     def estimate(self, time_s: float) -> TargetEstimate | None:
-        """See :class:`Sensing`."""
+        """Return the estimate at a time no earlier than the last sighting."""
         return self.tracker.estimate(time_s)
 
 

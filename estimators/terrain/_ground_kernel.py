@@ -17,6 +17,9 @@ from estimators.compiled import compiled
 FloatArray = npt.NDArray[np.float64]
 Grid: TypeAlias = tuple[npt.NDArray[np.float32], float, float, float, float]
 
+# Places in the data are off by about this part of a post's spacing; on a slope that is an error of height.
+_MISPLACED = 0.25
+_STEPS_PER_POST = 3.0
 _BISECTIONS = 12  # of a step of some tens of metres: to a centimetre
 
 
@@ -35,6 +38,12 @@ def height_and_slope(grid: Grid, east_m: float, north_m: float) -> tuple[float, 
     south, north = a + u * (b - a), c + u * (d - c)
     east_slope = ((b - a) + v * ((d - c) - (b - a))) / step_east_m
     return south + v * (north - south), east_slope, (north - south) / step_north_m
+
+
+@compiled
+def height_sigma_m(sigma_m: float, step_m: float, slope_east: float, slope_north: float) -> float:
+    """Return one standard deviation of a height of the data: their own, and that of the place on a slope."""
+    return math.hypot(sigma_m, _MISPLACED * step_m * math.hypot(slope_east, slope_north))
 
 
 @compiled
@@ -85,6 +94,12 @@ def ray_cut_m(
 
 
 @compiled
+def sight_step_m(grid: Grid) -> float:
+    """Return the steps in which a line over the ground is followed."""
+    return min(grid[3], grid[4]) / _STEPS_PER_POST
+
+
+@compiled
 def sight_clearance_m(
     grid: Grid, a_m: tuple[float, float, float], b_m: tuple[float, float, float], step_m: float
 ) -> float:
@@ -112,16 +127,25 @@ def horizon(
 
     The first azimuth is north, the rest follow clockwise. Voids hide nothing.
     """
+    # As height_and_slope has it, written out for rows and columns: a planner asks for this every second.
+    heights, west_m, south_m, step_east_m, step_north_m = grid
+    rows, columns = heights.shape
+    x0, y0 = (east_m - west_m) / step_east_m, (north_m - south_m) / step_north_m
     needed = np.empty((azimuths, rings), np.float32)
     for i in range(azimuths):
         azimuth_rad = 2.0 * math.pi * i / azimuths
-        sin_a, cos_a = math.sin(azimuth_rad), math.cos(azimuth_rad)
-        steepest = -math.inf
-        for k in range(rings):
-            distance_m = (k + 1) * ring_m
-            ground_m = height_and_slope(grid, east_m + distance_m * sin_a, north_m + distance_m * cos_a)[0]
-            rise = (ground_m - height_m) / distance_m
-            if rise > steepest:  # noqa: PLR1730  # NaN is to be passed over
-                steepest = rise
-            needed[i, k] = height_m + steepest * distance_m
+        east, north = ring_m * math.sin(azimuth_rad) / step_east_m, ring_m * math.cos(azimuth_rad) / step_north_m
+        steepest = -math.inf  # in metres a ring
+        for k in range(1, rings + 1):
+            x, y = x0 + k * east, y0 + k * north
+            if 0.0 <= x <= columns - 1 and 0.0 <= y <= rows - 1:
+                column, row = min(int(x), columns - 2), min(int(y), rows - 2)
+                u, v = x - column, y - row
+                a, b = float(heights[row, column]), float(heights[row, column + 1])
+                c, d = float(heights[row + 1, column]), float(heights[row + 1, column + 1])
+                low, high = a + u * (b - a), c + u * (d - c)
+                rise = (low + v * (high - low) - height_m) / k
+                if rise > steepest:  # noqa: PLR1730  # NaN is to be passed over
+                    steepest = rise
+            needed[i, k - 1] = height_m + steepest * k
     return needed

@@ -12,15 +12,13 @@ from estimators.terrain._ground_kernel import (
     FloatArray,
     Grid,
     height_and_slope,
+    height_sigma_m,
     heights_at,
     horizon,
     ray_cut_m,
     sight_clearance_m,
+    sight_step_m,
 )
-
-# Places in the data are off by about this part of a post's spacing; on a slope that is an error of height.
-_MISPLACED = 0.25
-_STEPS_PER_POST = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +72,7 @@ class Ground:
         height_m, slope_east, slope_north = height_and_slope(self.grid, east_m, north_m)
         if math.isnan(height_m):
             return None
-        misplaced_m = _MISPLACED * self.step_m * math.hypot(slope_east, slope_north)
-        sigma_m = math.hypot(self.sigma_m, misplaced_m)
+        sigma_m = height_sigma_m(self.sigma_m, self.step_m, slope_east, slope_north)
         return GroundPatch(east_m, north_m, height_m, slope_east, slope_north, sigma_m)
 
     def cut_m(
@@ -91,7 +88,7 @@ class Ground:
 
         A void on the way counts as not meeting it: nobody knows.
         """
-        step_m = self.step_m / _STEPS_PER_POST
+        step_m = sight_step_m(self.grid)
         found_m = ray_cut_m(self.grid, east_m, north_m, height_m, bearing_rad, depression_rad, step_m, max_m)
         return None if math.isnan(found_m) else found_m
 
@@ -99,7 +96,7 @@ class Ground:
         self, a_m: tuple[float, float, float], b_m: tuple[float, float, float], clearance_m: float = 0.0
     ) -> bool:
         """Tell whether the line between two points (east, north, height) clears the ground. Voids hide nothing."""
-        return sight_clearance_m(self.grid, a_m, b_m, self.step_m / _STEPS_PER_POST) >= clearance_m
+        return sight_clearance_m(self.grid, a_m, b_m, sight_step_m(self.grid)) >= clearance_m
 
     def horizon_m(
         self, east_m: float, north_m: float, height_m: float, azimuths: int, rings: int, ring_m: float

@@ -2,7 +2,7 @@
 
 The state's height is that of the target's ground. Off the elevation data it is by an offset: the data's own error,
 and what they do not resolve. Along the target's way the offset is a Gauss-Markov process of the data's standard
-deviation: sightings with a range tell it, and after ``_CORRELATION_M`` metres little of that is left. From one
+deviation: sightings with a range tell it, and after a kilometre little of that is left. From one
 sighting to the next the offset stays while the height follows the ground; with the laser out the line of sight alone
 then tells the place.
 
@@ -12,7 +12,6 @@ The filter's own arithmetic is left as it is: its Gaussians are turned into offs
 from __future__ import annotations
 
 import copy
-import math
 from typing import Self
 
 import numpy as np
@@ -23,17 +22,11 @@ from estimators.target_filter import (
     EAST,
     HEIGHT,
     NORTH,
-    VELOCITY_E,
-    VELOCITY_N,
     FloatArray,
     TargetFilter,
 )
+from estimators.terrain._standing_kernel import kept_offset
 from estimators.terrain.ground import Ground, GroundPatch
-
-# How far the target goes until little is left of what was learnt of the offset. Errors of elevation data change
-# sooner, but where the offset may change so quickly, a line of sight alone is taken for motion that is none: with the
-# laser out for a minute the ellipse then holds 87 %.
-_CORRELATION_M = 1000.0
 
 
 class GroundedFilter:
@@ -47,6 +40,18 @@ class GroundedFilter:
             row = np.zeros(inner.size)
             row[EAST], row[NORTH], row[HEIGHT] = -patch.slope_east, -patch.slope_north, 1.0
             inner.measure(row, patch.height_m - inner.height_m, patch.sigma_m**2)
+
+    @classmethod
+    def resumed(cls, inner: TargetFilter, ground: Ground) -> Self:
+        """Return a filter that goes on from one that stands on the ground already."""
+        filtered = cls.__new__(cls)
+        filtered._inner, filtered._ground, filtered.time_s = inner, ground, inner.time_s
+        return filtered
+
+    @property
+    def inner(self) -> TargetFilter:
+        """The filter without the ground."""
+        return self._inner
 
     @property
     def size(self) -> int:
@@ -79,13 +84,7 @@ class GroundedFilter:
         inner.carry(*_offset(before, size), 0.0)
         inner.predict(time_s)
         after = self._patch() or before
-        speed_m_s = math.sqrt(
-            mean[VELOCITY_E] ** 2
-            + mean[VELOCITY_N] ** 2
-            + covariance[VELOCITY_E, VELOCITY_E]
-            + covariance[VELOCITY_N, VELOCITY_N]
-        )
-        kept = math.exp(-speed_m_s * step_s / _CORRELATION_M)
+        kept = kept_offset(mean, covariance, step_s)
         inner.carry(*_height(after, size, kept), (1.0 - kept**2) * after.sigma_m**2)
 
     def _patch(self) -> GroundPatch | None:

@@ -1,4 +1,4 @@
-"""The compiled loop of the studies against the same run flown step by step by the classes that fly."""
+"""The compiled loop of the studies against the same run measured and decided by the classes that fly."""
 
 import math
 from dataclasses import replace
@@ -25,9 +25,9 @@ def a_table(settings):
 
 
 def step_by_step(monkeypatch, settings, planner, number, table):
-    """Fly the run as other filters and payloads are flown."""
+    """Fly the run as with other filters and payloads: pairing, filter and planner are the classes."""
     with monkeypatch.context() as patched:
-        patched.setattr(study_run, "can_fly", lambda settings: False)
+        patched.setattr(compiled_flight, "can_fly", lambda settings: False)
         return run(settings, planner, number, table, keep_track=True)
 
 
@@ -99,7 +99,7 @@ def test_a_track_that_begins_anew_does_so_in_the_compiled_loop(monkeypatch, jump
     assert_same(flown, step_by_step(monkeypatch, settings, PlannerName.LVFG, 1, None))
 
 
-def test_what_the_loop_cannot_fly_is_flown_step_by_step():
+def test_what_the_loop_cannot_measure_with_is_measured_with_outside():
     assert can_fly(TrackerSettings())
     for other in (
         TrackerSettings(filter="ekf"),

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from app.study.airframe import KinematicAircraft
-from app.study.pilots import LawPilot, PlanPilot
-from app.study.run import fly, run
-from app.study.sensors import PayloadErrors, PayloadSensing, PerfectSensing
+from app.study.flight import CompiledFlight, Sensed
+from app.study.run import run
+from app.study.sensors import PayloadErrors
 from app.study.settings import PlannerName, StudySettings
-from app.study.target import RandomTarget, TargetTruth
+from app.study.target import RandomTarget
+from estimators.settings import TrackerSettings
 from mission.core.circle import Circle
-from mission.core.plan import AircraftState
+from mission.core.plan import AircraftState, Decision
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
 from mission.paper.planner import PaperPlanner
 
@@ -24,8 +25,9 @@ class Eastward:
     def __init__(self, speed_m_s):
         self.speed_m_s = speed_m_s
 
-    def at(self, time_s):
-        return TargetTruth(self.speed_m_s * time_s, 0.0, self.speed_m_s, 0.0, math.pi / 2)
+    def sampled(self, time_s):
+        still = 0.0 * time_s
+        return np.stack([self.speed_m_s * time_s, still, self.speed_m_s + still, still, math.pi / 2 + still], axis=1)
 
 
 def body_on(circle, course_rad, wind=None):
@@ -55,14 +57,30 @@ def test_a_random_target_is_the_seeds_alone():
     assert one.at(777.0) != other.at(777.0)
 
 
+def flight_beside(speed_m_s, circle, course_rad, duration_s, wind=None, perfect=True):
+    """A flight 100 m above a target that drives straight east."""
+    errors, wind = PayloadErrors(), wind or Wind()
+    told = TrackerSettings(
+        range_sigma_m=errors.range_sigma_m,
+        yaw_sigma_rad=errors.angle_sigma_rad,
+        pitch_sigma_rad=errors.angle_sigma_rad,
+    )
+    sensed, body = Sensed(errors, told, np.random.default_rng(1), perfect), body_on(circle, course_rad, wind)
+    return CompiledFlight(Eastward(speed_m_s), body, circle, 100.0, sensed, wind, duration_s)
+
+
+class Staying:
+    """Never moves."""
+
+    def decide(self, aircraft, target, present, wind, latency_s):
+        return Decision(aircraft.time_s, None, "staying")
+
+
 @pytest.mark.parametrize("wind", [Wind(), Wind(3.0, -1.0)])
 def test_the_aircraft_holds_a_circle_over_the_ground(wind):
-    circle = Circle(0.0, 0.0, 90.0, clockwise=False)
-    body = body_on(circle, 0.3, wind)
-    pilot = PlanPilot(PaperPlanner(PAPER_AIRCRAFT, Requirement(100.0, 500.0, Side.LEFT, 3.0)), circle, wind, 0.0)
-    for _ in range(2000):
-        state = body.step(pilot.curvature_per_m(body.state, lambda time_s: None), 0.1)
-        assert math.hypot(state.east_m, state.north_m) == pytest.approx(90.0, abs=1.5)
+    flight = flight_beside(0.0, Circle(0.0, 0.0, 90.0, clockwise=False), 0.3, 200.0, wind)
+    log = flight.with_planner(Staying(), 0.0).log
+    np.testing.assert_allclose(np.hypot(log[:, 1], log[:, 2]), 90.0, atol=1.5)
 
 
 def test_bank_and_roll_rate_are_limited():
@@ -76,20 +94,24 @@ def test_bank_and_roll_rate_are_limited():
 
 
 def test_the_filter_finds_the_target_through_noise_and_bias():
-    target, circle = Eastward(3.0), Circle(0.0, 250.0, 50.0, clockwise=True)
-    sensing = PayloadSensing(np.random.default_rng(1), PayloadErrors())
-    fly(target, body_on(circle, 0.0), LawPilot(lambda aircraft, estimate: 1.0 / 50.0), sensing, 60.0)
-    estimate, truth = sensing.estimate(60.0), target.at(60.0)
-    assert math.hypot(estimate.east_m - truth.east_m, estimate.north_m - truth.north_m) < 4.0
-    assert math.hypot(estimate.velocity_east_m_s - 3.0, estimate.velocity_north_m_s) < 0.5
+    estimates = []
+
+    def circling(aircraft, estimate):
+        estimates.append(estimate)
+        return 1.0 / 50.0
+
+    flight_beside(3.0, Circle(0.0, 250.0, 50.0, clockwise=True), 0.0, 60.0, perfect=False).with_law(circling)
+    last = estimates[-1]
+    assert last.time_s > 59.0
+    assert math.hypot(last.east_m - 3.0 * last.time_s, last.north_m) < 4.0
+    assert math.hypot(last.velocity_east_m_s - 3.0, last.velocity_north_m_s) < 0.5
 
 
 def the_papers_example(threshold):
     """Section 7: the target drives straight east at 3 m/s, the aircraft starts at (0, 100) m on its left."""
     requirement = Requirement(100.0, 500.0, Side.LEFT, 3.0, threshold)
-    circle = Circle(0.0, 150.0, 50.0, clockwise=True)
-    pilot = PlanPilot(PaperPlanner(PAPER_AIRCRAFT, requirement), circle, Wind(), 0.0)
-    return fly(Eastward(3.0), body_on(circle, -math.pi / 2), pilot, PerfectSensing(), 1500.0)
+    flight = flight_beside(3.0, Circle(0.0, 150.0, 50.0, clockwise=True), -math.pi / 2, 1500.0)
+    return flight.with_planner(PaperPlanner(PAPER_AIRCRAFT, requirement), 0.0).log
 
 
 def test_the_papers_coincidences_come_out_of_the_study_too():

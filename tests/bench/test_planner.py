@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from app.study.airframe import KinematicAircraft
-from app.study.pilots import PlanPilot
-from app.study.run import fly
-from app.study.sensors import PerfectSensing
+from app.study.flight import CompiledFlight, Sensed
+from app.study.sensors import PayloadErrors
 from app.study.settings import PlannerName, StudySettings
 from app.study.study import run_study
 from app.study.target import RandomTarget
+from estimators.settings import TrackerSettings
 from mission.core.circle import Circle
 from mission.core.plan import AircraftState
 from mission.core.requirement import Wind
@@ -57,9 +57,10 @@ def test_a_sector_is_kept():
     shares = []
     for seed in range(4):
         body = KinematicAircraft(start, 10.0, math.radians(13.0), aircraft.roll_rate_max_rad_s, Wind())
-        pilot = PlanPilot(PredictivePlanner(aircraft, requirement, table), circle, Wind(), 0.2)
         target = RandomTarget(np.random.default_rng(seed), 1200.0, 5.0, (40.0, 200.0))
-        log = fly(target, body, pilot, PerfectSensing(), 1200.0)
+        sensed = Sensed(PayloadErrors(), TrackerSettings(), np.random.default_rng(seed), perfect=True)
+        flight = CompiledFlight(target, body, circle, 100.0, sensed, Wind(), 1200.0)
+        log = flight.with_predictive(PredictivePlanner(aircraft, requirement, table), 0.2).log
         east_m, north_m = log[:, 1] - log[:, 3], log[:, 2] - log[:, 4]
         off_rad = np.arctan2(east_m, north_m) - sector.middle_rad
         off_rad = np.abs((off_rad + math.pi) % (2.0 * math.pi) - math.pi)

@@ -8,10 +8,12 @@ import pytest
 from estimators._imm_kernel import COVARIANCE, MEAN
 from estimators.biases import Biases
 from estimators.ekf import TargetEkf
-from estimators.imm import TargetImm
+from estimators.imm import TargetImm, drift_per_s
+from estimators.motion import DENSITIES
 from estimators.settings import TrackerSettings
 from estimators.sighting import Sighting
 from estimators.target_filter import EAST, HEIGHT, NORTH
+from estimators.terrain._standing_kernel import predict_standing
 from estimators.terrain.ground import Ground
 from estimators.terrain.standing import GroundedFilter
 from estimators.tracker import Tracker
@@ -53,6 +55,28 @@ def test_the_height_follows_the_ground_between_sightings(kind) -> None:
     state = inner.state[1, MEAN:COVARIANCE] if kind is TargetImm else inner._kf.x
     assert state[EAST] == pytest.approx(90.0, abs=8.0)
     assert state[HEIGHT] == pytest.approx(0.1 * state[EAST] - 0.05 * state[NORTH], abs=1.0)
+
+
+def test_the_compiled_step_is_the_filters(ground: Ground) -> None:
+    """Of targets anywhere over the hills, and beyond them, through steps of any length."""
+    settings, rng = TrackerSettings(), np.random.default_rng(5)
+    on_known_ground = 0
+    for _ in range(30):
+        at_m = rng.uniform(-18_000.0, 18_000.0, 2).tolist()
+        inner = TargetImm(settings, seen(0.0, (0.0, 0.0, 20.0), 0.8), Biases.prior(settings))
+        state = inner.state.copy()
+        state[:, MEAN + EAST] += at_m[0]
+        state[:, MEAN + NORTH] += at_m[1]
+        state[:, MEAN + 2 : MEAN + 4] = rng.normal(0.0, 3.0, 2)
+        inner = TargetImm.resumed(settings, Biases.prior(settings), 0.0, state.copy())
+        on_ground, step_s = GroundedFilter.resumed(inner, ground), float(rng.uniform(0.05, 1.0))
+        on_ground.predict(step_s)
+        found, drift = np.empty_like(state), drift_per_s(Biases.prior(settings))
+        densities = DENSITIES[settings.target_kind]
+        predict_standing(state, round(step_s, 6), densities, drift, ground.grid, ground.sigma_m, found)
+        np.testing.assert_allclose(found, inner.state, rtol=1e-9, atol=1e-6)
+        on_known_ground += not math.isnan(ground.height_m(*at_m))
+    assert 10 < on_known_ground < 30
 
 
 def test_a_line_of_sight_alone_places_a_standing_target(ground: Ground) -> None:

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from app.cli import app
 from app.errors import InputError
+from app.study import flight
 from app.study.hills import hills_of, run_over
 from app.study.settings import PlannerName, StudySettings
 from estimators.terrain.ground import Ground
@@ -36,6 +37,25 @@ def test_over_hills_the_clearance_is_kept_and_on_flat_ground_nothing_is_hidden(g
     assert flown.time_in_sight == 1.0
     assert flown.min_clearance_m == pytest.approx(100.0)
     assert flown.time_in_band == 1.0
+
+
+@pytest.mark.parametrize("terrain", ["known", "ignored"])
+def test_over_hills_the_compiled_loop_flies_what_the_classes_fly(monkeypatch, ground: Ground, table, terrain) -> None:
+    settings = replace(SETTINGS, runs=20, hills=hills_of(ground), terrain=terrain, height_m=60.0, duration_s=200.0)
+    hidden = 0.0
+    for number in (5, 9):
+        flown = run_over(settings, number, table, keep_track=True)
+        with monkeypatch.context() as patched:
+            patched.setattr(flight, "can_fly", lambda _settings: False)
+            other = run_over(settings, number, table, keep_track=True)
+        assert flown.track is not None and other.track is not None
+        np.testing.assert_allclose(flown.track.east_m, other.track.east_m, atol=1e-6)
+        np.testing.assert_allclose(flown.track.observation_rad, other.track.observation_rad, atol=1e-6)
+        for name in ("time_in_sight", "time_in_sight_where_possible", "moves_per_hour", "time_on_side"):
+            assert getattr(flown, name) == getattr(other, name)
+        assert flown.min_clearance_m == pytest.approx(other.min_clearance_m, abs=1e-6)
+        hidden = max(hidden, 1.0 - flown.time_in_sight)
+    assert hidden > 0.02  # else nothing was compared of a track that waits for its target
 
 
 def test_what_hills_hide_is_not_measured(ground: Ground, table) -> None:
