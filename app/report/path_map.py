@@ -75,9 +75,12 @@ def _contours(axes: Axes, ground: Ground) -> None:
     if span_m <= _CONTOUR_STEPS_M[0] or step_m is None:
         return
     levels_m = np.arange(math.floor(heights_m.min() / step_m), heights_m.max() / step_m) * step_m
+    flown = axes.dataLim.frozen()
     drawn = axes.contour(x_m, y_m, heights_m, levels_m, colors=FAINT, linewidths=0.5, alpha=0.7, zorder=0)
-    axes.clabel(drawn, fmt="%g m", fontsize=6)
-    axes.set(xlim=limits_m[0], ylim=limits_m[1])
+    axes.dataLim.set(flown)
+    axes.autoscale_view(tight=False)
+    axes.apply_aspect()  # labels are as long as the picture's scale makes them
+    axes.clabel(drawn, fmt="%g m", fontsize=7, inline_spacing=2)
 
 
 def _circles(axes: Axes, circles: list[Circle]) -> None:

@@ -14,15 +14,15 @@ from estimators.terrain.ground import Ground
 _PIXELS_MAX = 1200  # each way
 _STEEPER = 2.0  # gentle hills would hardly be seen
 _LIGHT_FROM_RAD, _LIGHT_ABOVE_RAD = math.radians(315.0), math.radians(45.0)
-_OPACITY_MAX = 0.7
+_OPACITY_MAX, _LEVEL_GREY = 0.7, 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hillshade:
     """A PNG, north up, and where its edges lie in the plane.
 
-    Slopes away from the light are black, those towards it white, the steeper the less transparent; level ground and
-    voids are left clear. So it serves on a bright page as on a dark one.
+    Slopes away from the light are black, steep ones towards it white, the steeper the less transparent. Level ground is
+    a little grey, so that gentle slopes towards the light show on a bright page too; voids are left clear.
     """
 
     png: bytes
@@ -44,7 +44,8 @@ def hillshade(ground: Ground, reach_m: float = math.inf) -> Hillshade:
     towards_light = slope_east * math.sin(_LIGHT_FROM_RAD) + slope_north * math.cos(_LIGHT_FROM_RAD)
     level = math.sin(_LIGHT_ABOVE_RAD)
     lit = (level - math.cos(_LIGHT_ABOVE_RAD) * towards_light) / np.sqrt(1.0 + slope_east**2 + slope_north**2)
-    change = np.nan_to_num(np.where(lit > level, (lit - level) / (1.0 - level), lit / level - 1.0))
+    change = np.where(lit > level, (lit - level) / (1.0 - level), lit / level - 1.0) - _LEVEL_GREY
+    change = np.nan_to_num(change)
     pixels = np.zeros((*change.shape, 4), np.uint8)
     pixels[..., :3] = np.where(change > 0.0, 255, 0)[..., None]
     pixels[..., 3] = np.rint(255.0 * _OPACITY_MAX * np.abs(np.clip(change, -1.0, 1.0)))
