@@ -261,11 +261,9 @@ class CompiledFlight:
         truth, sensing = TargetTruth(*self._target.sampled[self._flight.counts[STEP]].tolist()), self._sensing
         assert sensing is not None
         _, east_m, north_m, *_, bank_rad = self._flight.body.tolist()
-        sensing.height_m, target = self.height_m, (truth.east_m, truth.north_m)
-        sensing.target_height_m, sensing.sees = kernel.ground_and_sight(
-            self._hills, east_m, north_m, sensing.height_m, *target
-        )
-        sensing.observe(self._aircraft, bank_rad, truth)
+        place = east_m, north_m, self.height_m
+        seen = kernel.ground_and_sight(self._hills, *place, truth.east_m, truth.north_m)
+        sensing.observe(self._aircraft, self.height_m, bank_rad, truth, *seen)
 
     def _estimate(self) -> TargetEstimate | None:
         time_s = float(self._flight.body[0])

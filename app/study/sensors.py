@@ -29,42 +29,33 @@ class PayloadErrors:
 class PayloadSensing:
     """Laser and gimbal with noise, through the real tracker."""
 
-    def __init__(
-        self,
-        rng: np.random.Generator,
-        errors: PayloadErrors,
-        tracker: TrackerSettings | None = None,
-        height_m: float = 100.0,
-    ) -> None:
-        """tracker: None tells it the errors as they are, but for the bias."""
-        self._rng, self._errors, self.height_m = rng, errors, height_m
-        self.target_height_m, self.sees = 0.0, True  # over hills both change
-        self.tracker = Tracker(
-            tracker
-            or TrackerSettings(
-                range_sigma_m=errors.range_sigma_m,
-                yaw_sigma_rad=errors.angle_sigma_rad,
-                pitch_sigma_rad=errors.angle_sigma_rad,
-            )
-        )
+    def __init__(self, rng: np.random.Generator, errors: PayloadErrors, told: TrackerSettings) -> None:
+        self._rng, self._errors = rng, errors
+        self.tracker = Tracker(told)
 
-    def observe(self, aircraft: AircraftState, bank_rad: float, target: TargetTruth) -> None:
+    def observe(
+        self,
+        aircraft: AircraftState,
+        height_m: float,
+        bank_rad: float,
+        target: TargetTruth,
+        target_height_m: float,
+        in_sight: bool,
+    ) -> None:
         """Take one sighting's worth of truth."""
         time_s = aircraft.time_s
         velocity_east = aircraft.ground_speed_m_s * math.sin(aircraft.course_rad)
         velocity_north = aircraft.ground_speed_m_s * math.cos(aircraft.course_rad)
         self.tracker.add(
-            PositionReading(
-                time_s, aircraft.east_m, aircraft.north_m, self.height_m, velocity_east, velocity_north, 0.0
-            )
+            PositionReading(time_s, aircraft.east_m, aircraft.north_m, height_m, velocity_east, velocity_north, 0.0)
         )
         self.tracker.add(AttitudeReading(time_s, bank_rad, 0.0, aircraft.course_rad))
         east_m, north_m = target.east_m - aircraft.east_m, target.north_m - aircraft.north_m
         horizontal_m = math.hypot(east_m, north_m)
         range_noise, yaw_noise, pitch_noise = self._rng.normal(size=3)
-        if not self.sees:
+        if not in_sight:
             return
-        drop_m = self.height_m - self.target_height_m
+        drop_m = height_m - target_height_m
         yaw_rad = math.atan2(east_m, north_m) + self._errors.yaw_bias_rad + self._errors.angle_sigma_rad * yaw_noise
         pitch_rad = -math.atan2(drop_m, horizontal_m) + self._errors.angle_sigma_rad * pitch_noise
         self.tracker.add(GimbalReading(time_s, _quaternion(yaw_rad, pitch_rad), "earth", _GIMBAL))

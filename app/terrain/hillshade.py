@@ -21,8 +21,8 @@ _OPACITY_MAX, _LEVEL_GREY = 0.7, 0.25
 class Hillshade:
     """A PNG, north up, and where its edges lie in the plane.
 
-    Slopes away from the light are black, steep ones towards it white, the steeper the less transparent. Level ground is
-    a little grey, so that gentle slopes towards the light show on a bright page too; voids are left clear.
+    Slopes away from the light are black, steep ones towards it white, the steeper the less transparent. Level ground
+    is a little grey, so that gentle slopes towards the light show on a bright page too; voids are left clear.
     """
 
     png: bytes
