@@ -14,7 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from app.errors import FlightError, InputError, Interrupted
 from app.link.plain_text import plain
-from app.shutdown import INTERRUPTED, exit_process, heed_again
+from app.shutdown import INTERRUPTED, exit_process, heed_again, interrupt_dropped
 
 _HELP = """Watch a moving ground target from one side with a fixed-wing UAV.
 
@@ -117,6 +117,8 @@ def main() -> NoReturn:
     except BrokenPipeError:
         code = 0
     except Exception:
+        if interrupt_dropped():
+            exit_process(_complain("interrupted.", INTERRUPTED))
         with contextlib.suppress(OSError):
             traceback.print_exc()
         code = 1

@@ -21,6 +21,7 @@ from typing import Any, NoReturn, TextIO, TypeVar
 INTERRUPTED = 130  # the exit code
 _THREADS_END_S = 1.0
 _HEEDED_AGAIN_S = 0.05
+_again: threading.Timer | None = None  # when a dropped interrupt comes
 
 T = TypeVar("T")
 
@@ -62,14 +63,22 @@ def heed_again(unraisable: sys.UnraisableHookArgs) -> None:
 
     So it does while a library calls back, as the compiler does for half a minute.
     """
+    global _again  # noqa: PLW0603  # as there is one hook and one main thread
     if not isinstance(unraisable.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(unraisable)
         return
     main = threading.main_thread().ident
     assert main is not None
-    again = threading.Timer(_HEEDED_AGAIN_S, signal.pthread_kill, (main, signal.SIGINT))
-    again.daemon = True
-    again.start()
+    _again = threading.Timer(_HEEDED_AGAIN_S, signal.pthread_kill, (main, signal.SIGINT))
+    _again.daemon = True
+    _again.start()
+
+
+def interrupt_dropped() -> bool:
+    """Tell whether an interrupt was dropped, of which a library made an error; with this it is taken."""
+    if _again is not None:
+        _again.cancel()
+    return _again is not None
 
 
 def exit_process(code: int) -> NoReturn:

@@ -11,7 +11,9 @@ from typing import Any, TypeVar
 
 from app.errors import FlightError, Interrupted
 from app.flight.life import Life
-from app.shutdown import run
+from app.shutdown import interrupt_dropped, run
+
+_NOTHING_COMMANDED = "interrupted: nothing was commanded; no records are kept."
 
 T = TypeVar("T")
 
@@ -21,7 +23,11 @@ def run_flight(flight: Coroutine[Any, Any, T]) -> T:
     try:
         return run(flight)
     except (asyncio.CancelledError, KeyboardInterrupt) as interrupted:
-        raise Interrupted("interrupted: nothing was commanded; no records are kept.") from interrupted
+        raise Interrupted(_NOTHING_COMMANDED) from interrupted
+    except Exception as error:
+        if interrupt_dropped():  # before a flight alone: in it an interrupt raises nothing
+            raise Interrupted(_NOTHING_COMMANDED) from error
+        raise
 
 
 @contextlib.contextmanager

@@ -210,7 +210,7 @@ class HistoryBuilder:
         """Return the history so far; there must be at least two positions."""
         aircraft = _track(self._positions)
         start_s = self._start_s
-        if start_s is None:  # nobody engaged: the log begins where the target is first seen
+        if start_s is None:  # nobody took over: the log begins where the target is first seen
             start_s = self._estimates[0].time_s if self._estimates else float(aircraft.time_s[0])
         moments = _true_moments(truth, plane, start_s, float(aircraft.time_s[-1])) if truth is not None else ()
         return History(

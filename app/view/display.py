@@ -63,7 +63,7 @@ class ViewDisplay:
         self._trail_s = -math.inf
         self._sent_at_s = -math.inf
         self._heard_at_s = time.monotonic()
-        self._start_s: float | None = None  # None: not engaged yet, and times mean nothing to a person
+        self._start_s: float | None = None  # None: not taken over yet, and times mean nothing to a person
         self._status: Callable[[], VehicleStatus] | None = None
         self._vehicle: VehicleStatus | None = None
         self._vehicle_at_s = -math.inf

@@ -56,7 +56,7 @@ class PanelDisplay:
         self._console, self._quiet, self._descriptor = console, quiet, keyboard
         self._keyboard: Keyboard | None = None
         self._prompt: Prompt | None = None
-        self._start_s: float | None = None  # None: not engaged yet, and times mean nothing to a person
+        self._start_s: float | None = None  # None: not taken over yet, and times mean nothing to a person
         self._duration_s: float | None = None
         self._live: Live | None = None
         self._snapshot: Snapshot | None = None

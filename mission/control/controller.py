@@ -9,7 +9,7 @@ Rules
 4. When the measured ratio of flown to commanded radius changes, the present circle is sent again.
 5. An aircraft that has left its transition for some seconds (circling a waypoint that it cannot reach, say) is sent
    to the transition's circle directly.
-6. Any flight mode but the one engaged in means that somebody else flies: Yield, latched.
+6. Any flight mode but the one taken over in means that somebody else flies: Yield, latched.
 7. A target lost for ``give_up_after_s`` ends the mission.
 8. What a person changes in flight holds from the next decision on: the planner is made anew, and where it stays, the
    present circle is sent again as changed.
@@ -120,7 +120,7 @@ class StandoffController:
         self._news = TargetNews()
         self._sensor_status = SensorStatus()
         self._wind = Wind()
-        self._mode = self._engaged_mode = ""
+        self._mode = self._own_mode = ""
         self._next_decision_s = -math.inf
         self._changed_s: float | None = None  # when a person last changed the mission; None: that is flown
         self._height_asked_m: float | None = None
@@ -311,7 +311,7 @@ class StandoffController:
     # -- what the vehicle and its exchange tell ------------------------------------------------------------
 
     def _control_acquired(self, event: ControlAcquired) -> tuple[Command, ...]:
-        self.phase, self._engaged_mode = Phase.WATCHING, event.mode
+        self.phase, self._own_mode = Phase.WATCHING, event.mode
         begun = Plan(event.circle, None, event.time_s)
         cleared = self.cleared_first(begun)
         plan = begun if isinstance(cleared, str) else cleared
@@ -322,7 +322,7 @@ class StandoffController:
 
     def _mode_reported(self, event: ModeReported) -> tuple[Command, ...]:
         self._mode = event.mode
-        if self.phase in _FLYING and event.mode != self._engaged_mode:
+        if self.phase in _FLYING and event.mode != self._own_mode:
             return self._yield(event.time_s, f"the flight mode was changed to {event.mode}")
         return ()
 

@@ -14,7 +14,7 @@ from mission.core.requirement import Requirement, Side, Wind
 class Phase(StrEnum):
     """Where the mission stands."""
 
-    WAITING = "waiting"  # not engaged yet
+    WAITING = "waiting"  # not taken over yet
     WATCHING = "watching"
     HOLDING = "holding"  # by an operator's wish
     YIELDED = "yielded"

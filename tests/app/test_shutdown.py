@@ -79,3 +79,22 @@ except KeyboardInterrupt:
 def test_an_interrupt_that_is_dropped_comes_again():
     done = subprocess.run([sys.executable, "-c", IGNORED_SIGNAL], capture_output=True, timeout=30.0, check=False)
     assert (done.returncode, done.stderr) == (130, b"")
+
+
+SPOILT = """
+import signal, sys
+from app import cli
+class Deaf:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+def compiled():
+    Deaf()
+    raise RuntimeError("no compiled object yet")
+cli.app = compiled
+cli.main()
+"""
+
+
+def test_an_error_that_came_of_a_dropped_interrupt_is_told_as_that():
+    done = subprocess.run([sys.executable, "-c", SPOILT], capture_output=True, timeout=30.0, check=False)
+    assert (done.returncode, done.stderr) == (130, b"sidelong: interrupted.\n")

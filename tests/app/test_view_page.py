@@ -15,7 +15,7 @@ from app.config import Config
 from app.link.vehicle_status import VehicleStatus
 from app.view.address import Address
 from app.view.display import ViewDisplay
-from app.view.panel import PanelDisplay
+from app.view.panel import PanelDisplay, clock
 from estimators.frames import LocalPlane
 from mission.control.snapshot import Phase
 from mission.core.events import Announce, MissionChange, OperatorRequest
@@ -69,9 +69,10 @@ def display(module_display, snapshots):
 
 
 @pytest.fixture
-def page(browser, display):
-    """Return the page, open and showing the flight; at its end nothing may have been complained about."""
+def page(browser, display, snapshots):
+    """Return the page, open and showing the flight's end; at its own nothing may have been complained about."""
     with opened(browser, display) as page:
+        page.locator("#clock", has_text=clock(snapshots[-1][0].time_s - START_S)).wait_for()
         yield page
 
 

@@ -13,7 +13,7 @@ from sitl.link import LinkFaults
 
 pytestmark = [pytest.mark.udp, pytest.mark.timeout(3600)]
 
-CUTS = int(os.environ.get("CUTS", "3"))
+CUTS = int(os.environ.get("CUTS", "2"))
 SPEED = float(os.environ.get("LINK_SPEED", "10"))
 FAULTS = LinkFaults(float(os.environ.get("LINK_LOSS", "0")), 0.0, 1e-3 * float(os.environ.get("LINK_DELAY_MS", "0")))
 WATCHED = "watched from now on"

@@ -25,7 +25,7 @@ autopilot = "px4"
 """
 
 
-def sidelong(*arguments: object, timeout_s: float = 150.0) -> subprocess.CompletedProcess[str]:
+def sidelong(*arguments: object, timeout_s: float = 280.0) -> subprocess.CompletedProcess[str]:
     command = [str(SIDELONG), *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)
 

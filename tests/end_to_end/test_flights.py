@@ -13,7 +13,7 @@ pytestmark = pytest.mark.udp
 SIDELONG = Path(sys.executable).parent / "sidelong"
 
 
-def sidelong(*arguments: object, timeout_s: float = 150.0) -> subprocess.CompletedProcess[str]:
+def sidelong(*arguments: object, timeout_s: float = 280.0) -> subprocess.CompletedProcess[str]:
     command = [str(SIDELONG), *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)
 
@@ -24,7 +24,7 @@ def flown(request, tmp_path_factory) -> tuple[Path, dict]:
     folder = tmp_path_factory.mktemp(request.param)
     summary = folder / "summary.json"
     done = sidelong(
-        *("launch", "--autopilot", request.param, "--duration", 240, "--speed", 12, "--seed", 3),
+        *("launch", "--autopilot", request.param, "--duration", 240, "--speed", 30, "--seed", 3),
         *("--planner", "paper", "--out", folder / "runs", "--json", summary),
     )
     assert done.returncode == 0, done.stdout + done.stderr

@@ -23,7 +23,7 @@ SIDELONG = Path(sys.executable).parent / "sidelong"
 
 def sidelong(*arguments: object, code: int = 0) -> str:
     done = subprocess.run(
-        [str(SIDELONG), *map(str, arguments)], capture_output=True, text=True, timeout=150.0, check=False
+        [str(SIDELONG), *map(str, arguments)], capture_output=True, text=True, timeout=280.0, check=False
     )
     said = " ".join((done.stdout + done.stderr).split())
     assert done.returncode == code, said
@@ -71,7 +71,7 @@ def test_a_signed_flight_and_its_records_without_the_key(tmp_path):
     key, summary = tmp_path / "plane.key", tmp_path / "summary.json"
     sign(key)
     said = sidelong(
-        *("launch", "--signing-key", key, "--duration", 60, "--speed", 15, "--seed", 3, "--planner", "paper"),
+        *("launch", "--signing-key", key, "--duration", 60, "--speed", 30, "--seed", 3, "--planner", "paper"),
         *("--out", tmp_path / "runs", "--json", summary),
     )
     values = json.loads(summary.read_text())
