@@ -31,14 +31,21 @@ class SightField:
     def sight(
         self, east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float, height_m: float
     ) -> Sight:
-        """Return what is seen of a target from ``height_m`` above home: all, where its ground is not known."""
+        """Return what is seen of a target from ``height_m`` above home: all, where its ground is not known.
+
+        All too where no ground about it reaches a line of sight: the planner then looks as deep as over a plain.
+        """
         if math.isnan(self._ground.height_m(east_m, north_m)):
             return NOTHING_HIDDEN
-        needed_m = [
-            self._needed_m(east_m + velocity_east_m_s * time_s, north_m + velocity_north_m_s * time_s)
-            for time_s in np.arange(_TARGETS) * _STEP_S
-        ]
-        return Sight(np.stack(needed_m), _RING_M, _STEP_S, height_m, _SOFT_M, _WEIGHT)
+        needed_m = np.stack(
+            [
+                self._needed_m(east_m + velocity_east_m_s * time_s, north_m + velocity_north_m_s * time_s)
+                for time_s in np.arange(_TARGETS) * _STEP_S
+            ]
+        )
+        if needed_m.max() + _SOFT_M <= height_m:
+            return NOTHING_HIDDEN
+        return Sight(needed_m, _RING_M, _STEP_S, height_m, _SOFT_M, _WEIGHT)
 
     def _needed_m(self, east_m: float, north_m: float) -> npt.NDArray[np.float32]:
         key = round(east_m / _APART_M), round(north_m / _APART_M)

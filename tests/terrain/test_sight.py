@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,6 +71,13 @@ def test_over_unknown_ground_nothing_is_hidden() -> None:
     lines, costs = single_line(*line, 0.01), np.zeros(1)
     add_sight(lines, Pose(0.0, 0.0, 0.0), NOTHING_HIDDEN, view, 50.0, 30.0, 0.01, costs)
     assert costs[0] == 0.0
+
+
+def test_over_ground_that_stays_below_the_lines_of_sight_nothing_is_hidden() -> None:
+    """So that elevation data of a plain change no decision: the planner looks two moves deep."""
+    low = replace(walled(), heights_m=0.05 * walled().heights_m)
+    assert SightField(low, 700.0).sight(0.0, 0.0, 0.0, 0.0, HEIGHT_M) is NOTHING_HIDDEN
+    assert SightField(low, 700.0).sight(0.0, 0.0, 0.0, 0.0, 50.0) is not NOTHING_HIDDEN
 
 
 def test_rasters_are_kept_while_the_target_is_near() -> None:
