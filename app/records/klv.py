@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from app.errors import InputError
+from app.records.sensing import Sensing
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TrackQuality
 from estimators.frames import LocalPlane
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
+from estimators.readings import AttitudeReading, PositionReading
 from estimators.rotations import from_roll_pitch_yaw, rotate
 from estimators.sighting import Sighting, SightingOutcome
 from estimators.tracker import Tracker
-from mission.control.plausibility import Plausibility
 from mission.core.events import Command, Event
 
 _EVERY_S = 0.2
@@ -52,26 +52,18 @@ class KlvLog:
             ) from error
         self._encode, self._stamp = encode_uas_local_set, utc_to_misp_timestamp
         self._file = path.open("wb")
-        self._name, self._plane, self._tracker = name, plane, tracker
+        self._name, self._plane, self._sensing = name, plane, Sensing(tracker)
         self._booted, self._home_altitude_m = booted, home_altitude_m
-        self._door = Plausibility()
-        self._attitude: AttitudeReading | None = None
         self._seen: Sighting | None = None
         self._next_s = -math.inf
 
     def event(self, event: Event) -> None:
         """Take an event."""
-        admitted, _ = self._door.admit(event)
-        match admitted:
-            case AttitudeReading() | RangeReading() | GimbalReading() | TargetFixReading():
-                self._attitude = admitted if isinstance(admitted, AttitudeReading) else self._attitude
-                self._sightings(self._tracker.add(admitted))
-            case PositionReading():
-                if self._door.place_is_known:
-                    self._sightings(self._tracker.add(admitted))
-                if admitted.time_s >= self._next_s:
-                    self._next_s = admitted.time_s + _EVERY_S
-                    self._file.write(self._encode(self._values(admitted)))
+        admitted, outcomes = self._sensing.take(event)
+        self._sightings(outcomes)
+        if isinstance(admitted, PositionReading) and admitted.time_s >= self._next_s:
+            self._next_s = admitted.time_s + _EVERY_S
+            self._file.write(self._encode(self._values(admitted)))
 
     def command(self, command: Command) -> None:
         """Take a command: the metadata has none."""
@@ -97,7 +89,7 @@ class KlvLog:
             65: _VERSION,
             136: _LEAP_SECONDS,
         }
-        attitude = self._attitude
+        attitude = self._sensing.attitude
         if attitude is not None:
             values[5] = math.degrees(attitude.yaw_rad) % 360.0
             values[90], values[91] = math.degrees(attitude.pitch_rad), math.degrees(attitude.roll_rad)
@@ -109,7 +101,7 @@ class KlvLog:
             if attitude is not None:
                 values[18], values[19] = _relative_deg(seen, attitude)
                 values[20] = 0.0
-        estimate = self._tracker.estimate(p.time_s)
+        estimate = self._sensing.estimate(p.time_s)
         if estimate is not None and estimate.quality is not TrackQuality.LOST:
             height_m = seen.height_m if seen is not None else 0.0
             values |= self._place((40, 41, 42), estimate.east_m, estimate.north_m, height_m)

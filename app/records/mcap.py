@@ -15,14 +15,14 @@ from pathlib import Path
 
 from app.records.mcap_scene import Place, ball, line, scene
 from app.records.mcap_writer import McapWriter
+from app.records.sensing import Sensing
 from app.records.track import ring
 from estimators.estimate import TargetEstimate
 from estimators.frames import LocalPlane, wrap_rad
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
+from estimators.readings import PositionReading
 from estimators.rotations import from_roll_pitch_yaw
 from estimators.sighting import Sighting, SightingOutcome
 from estimators.tracker import Tracker
-from mission.control.plausibility import Plausibility
 from mission.core.circle import Circle
 from mission.core.events import Announce, Command, ControlAcquired, Event, PlanStatus, UploadPlan
 from mission.core.plan import Plan
@@ -53,26 +53,20 @@ class McapLog:
         home_altitude_m: float | None = None,
     ) -> None:
         self._out = McapWriter(path, booted)
-        self._plane, self._tracker = plane, tracker
+        self._plane, self._sensing = plane, Sensing(tracker)
         self._home_altitude_m = home_altitude_m or 0.0
-        self._door = Plausibility()
-        self._attitude: AttitudeReading | None = None
         self._aircraft: Place = (0.0, 0.0, 0.0)
         self._target_height_m = 0.0
         self._plans: dict[int, Plan] = {}
 
     def event(self, event: Event) -> None:
         """Take an event."""
-        admitted, _ = self._door.admit(event)
+        admitted, outcomes = self._sensing.take(event)
+        self._sightings(outcomes)
         match admitted:
-            case AttitudeReading() | RangeReading() | GimbalReading() | TargetFixReading():
-                self._attitude = admitted if isinstance(admitted, AttitudeReading) else self._attitude
-                self._sightings(self._tracker.add(admitted))
             case PositionReading():
-                if self._door.place_is_known:
-                    self._sightings(self._tracker.add(admitted))
                 self._position(admitted)
-                estimate = self._tracker.estimate(admitted.time_s)
+                estimate = self._sensing.estimate(admitted.time_s)
                 if estimate is not None:
                     self._target(estimate)
             case ControlAcquired():
@@ -95,7 +89,7 @@ class McapLog:
         self._out.close()
 
     def _position(self, p: PositionReading) -> None:
-        attitude = self._attitude
+        attitude = self._sensing.attitude
         angles = (attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad) if attitude else (0.0, 0.0, 0.0)
         self._aircraft = (p.east_m, p.north_m, p.height_m)
         place, rotation = {"x": p.east_m, "y": p.north_m, "z": p.height_m}, _plane_from_body(*angles)

@@ -157,6 +157,28 @@ def browser():
         launched.close()
 
 
+def recorded(folder: RunFolder, config: Config, duration_s: float, more: dict[float, Event]) -> list[Command]:
+    """Fly and record; ``more`` are events by the time at which they come. Return the commands."""
+    controller, recording = controller_of(config), Recording(folder, config, pytest.fail)
+    recording.begin(PLANE, (47.4, 8.5))
+    said: list[Command] = []
+
+    def note(event: Event, commands: tuple[Command, ...]) -> None:
+        recording.event(event)
+        for command in commands:
+            recording.command(command)
+        said.extend(commands)
+
+    for event, commands in steps(controller, config, duration_s):
+        note(event, commands)
+        one = more.pop(round(controller.time_s, 1), None)
+        if one is not None:
+            note(one, controller.step(one))
+    recording.close()
+    assert not more
+    return said
+
+
 @pytest.fixture
 def receiver():
     """Return a UDP socket of the loopback."""

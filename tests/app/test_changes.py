@@ -14,14 +14,14 @@ from app.analysis.replay import JournalReplay
 from app.assembly import controller_of, settle
 from app.config import Config
 from app.flight.changes import MissionChanges
-from app.flight.recording import JOURNAL_TYPES, Recording
+from app.flight.recording import JOURNAL_TYPES
 from app.records.journal import JournalReader
 from app.records.run_folder import RunFolder
 from estimators.frames import LocalPlane
 from mission.core.circle import Circle
 from mission.core.events import ControlAcquired, MissionChange, UploadPlan
 from mission.predictive import planner
-from tests.app.conftest import steps
+from tests.app.conftest import recorded
 
 PLANE, HOME_DEG = LocalPlane(47.4, 8.5), (47.4, 8.5)
 
@@ -86,21 +86,11 @@ def test_the_table_of_another_radius_is_made_by_another_process(monkeypatch, tmp
 
 
 def test_a_changed_flight_is_replayed_to_the_last_bit_and_judged_by_what_was_asked_when(tmp_path, config):
-    controller = controller_of(config)
     folder = RunFolder.create(tmp_path, datetime(2026, 11, 22, tzinfo=UTC))
-    recording = Recording(folder, config, pytest.fail)
-    recording.begin(PLANE, HOME_DEG)
     first = MissionChange(150.0, radius_m=70.0, range_min_m=150.0)
     wishes = {150.0: first, 200.0: MissionChange(200.0, height_m=120.0)}
-    uploads = []
-    for event, commands in steps(controller, config, 200.0):
-        wish = wishes.pop(round(controller.time_s, 1), None)
-        for one, led_to in ((event, commands), *(((wish, controller.step(wish)),) if wish is not None else ())):
-            recording.event(one)
-            for command in led_to:
-                recording.command(command)
-                uploads += [command.plan] if isinstance(command, UploadPlan) else []
-    recording.close()
+    said = recorded(folder, config, 200.0, wishes)
+    uploads = [command.plan for command in said if isinstance(command, UploadPlan)]
     assert {plan.circle.radius_m for plan in uploads} == {70.0}
     assert uploads[-1].heights.to_m == 120.0
 

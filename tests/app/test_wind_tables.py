@@ -11,7 +11,7 @@ import pytest
 from app.analysis.replay import JournalReplay
 from app.assembly import controller_of
 from app.config import Config
-from app.flight.recording import JOURNAL_TYPES, Recording
+from app.flight.recording import JOURNAL_TYPES
 from app.flight.wind_tables import WindTables
 from app.planners.registry import planner_by_name
 from app.records.journal import JournalReader
@@ -22,7 +22,7 @@ from mission.core.circle import Circle
 from mission.core.events import Announce, ControlAcquired, DecisionRecord, MissionChange, WindPrepared, WindReported
 from mission.core.requirement import Wind
 from mission.predictive import planner
-from tests.app.conftest import steps
+from tests.app.conftest import recorded
 
 PLANE, HOME_DEG = LocalPlane(47.4, 8.5), (47.4, 8.5)
 
@@ -97,22 +97,9 @@ def test_the_planner_goes_on_with_what_it_remembers():
 
 def test_a_flight_that_became_windy_is_replayed_to_the_last_bit(tmp_path):
     config = Config()
-    controller = controller_of(config)
     folder = RunFolder.create(tmp_path, datetime(2026, 11, 22, tzinfo=UTC))
-    recording = Recording(folder, config, pytest.fail)
-    recording.begin(PLANE, HOME_DEG)
     extra = {100.0: WindReported(100.0, 3.0, 2.0), 150.0: WindPrepared(150.0, 3.75)}
-    decided = {}
-    for event, commands in steps(controller, config, 200.0):
-        more = extra.pop(round(controller.time_s, 1), None)
-        for one, led_to in ((event, commands), *(((more, controller.step(more)),) if more is not None else ())):
-            recording.event(one)
-            for command in led_to:
-                recording.command(command)
-                if isinstance(command, DecisionRecord):
-                    decided[command.time_s] = dict(command.values)
-    recording.close()
-    assert not extra
+    said = recorded(folder, config, 200.0, extra)
 
     replay = JournalReplay(controller_of(config))
     for _ in replay.run(JournalReader(folder.journal, JOURNAL_TYPES)):
@@ -126,4 +113,4 @@ def test_a_flight_that_became_windy_is_replayed_to_the_last_bit(tmp_path):
     for _ in deaf.run(records):
         pass
     assert deaf.difference is not None
-    assert max(decided) > 150.0
+    assert max(command.time_s for command in said if isinstance(command, DecisionRecord)) > 150.0

@@ -1,0 +1,33 @@
+"""What a flight's filter was told: its events as they pass the door, and the sightings that they complete."""
+
+from __future__ import annotations
+
+from estimators.estimate import TargetEstimate
+from estimators.readings import AttitudeReading, PositionReading, Reading
+from estimators.sighting import SightingOutcome
+from estimators.tracker import Tracker
+from mission.control.plausibility import Plausibility
+from mission.core.events import Event
+
+
+class Sensing:
+    """Goes through a flight's events as its control step did. attitude: the latest that was believed."""
+
+    def __init__(self, tracker: Tracker) -> None:
+        self.attitude: AttitudeReading | None = None
+        self._tracker, self._door = tracker, Plausibility()
+
+    def take(self, event: Event) -> tuple[Event | None, tuple[SightingOutcome, ...]]:
+        """Return the event as it may be believed, None where it may not be, and the sightings that it completed."""
+        admitted, _ = self._door.admit(event)
+        if isinstance(admitted, AttitudeReading):
+            self.attitude = admitted
+        if not isinstance(admitted, Reading):
+            return admitted, ()
+        if isinstance(admitted, PositionReading) and not self._door.place_is_known:
+            return admitted, ()
+        return admitted, self._tracker.add(admitted)
+
+    def estimate(self, time_s: float) -> TargetEstimate | None:
+        """Return the target at a time; None before the first sighting."""
+        return self._tracker.estimate(time_s)
