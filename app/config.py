@@ -12,6 +12,7 @@ from pydantic import (
     BeforeValidator,
     Field,
     ModelWrapValidatorHandler,
+    PrivateAttr,
     model_validator,
 )
 
@@ -307,6 +308,13 @@ class Config(Section):
     sharing: SharingSection = SharingSection()  # type: ignore[call-arg]
     simulation: SimulationSection = SimulationSection()  # type: ignore[call-arg]
 
+    _radius_fits: bool = PrivateAttr(False)
+
+    @property
+    def radius_words(self) -> float | str:
+        """The radius as it was asked for."""
+        return "auto" if self._radius_fits else self.aircraft.radius_m
+
     @model_validator(mode="wrap")
     @classmethod
     def _radius_fitted(cls, values: Any, validated: ModelWrapValidatorHandler[Config]) -> Config:
@@ -316,7 +324,9 @@ class Config(Section):
                 config = validated({**values, "aircraft": others})
                 radius_m = _fitting_radius_m(config.aircraft, config.requirement)
                 aircraft = config.aircraft.model_copy(update={"radius_m": radius_m})
-                return config.model_copy(update={"aircraft": aircraft})
+                fitted = config.model_copy(update={"aircraft": aircraft})
+                fitted._radius_fits = True
+                return fitted
         return validated(values)
 
     @model_validator(mode="after")

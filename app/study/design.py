@@ -120,12 +120,14 @@ def designs(
 
 
 def configured(config: Config) -> Overrides:
-    """Return what of a mission's configuration shapes a run, as overrides."""
-    return {
+    """Return what of a mission's configuration shapes a run, as overrides; a radius "auto" fits what is swept."""
+    found = {
         section: {field: getattr(getattr(config, section), field) for field in fields}
         for section, fields in SHAPING.items()
         if section != "study"
     }
+    found["aircraft"]["radius_m"] = config.radius_words
+    return found
 
 
 def _base_config(base: StudySettings) -> Config:

@@ -14,9 +14,10 @@ from pyarrow import parquet
 from typer.testing import CliRunner
 
 from app.commands.study import study
+from app.config import load_config
 from app.errors import InputError
 from app.study.batch import flown as flown_batch
-from app.study.design import Design, designs, parsed_sweep
+from app.study.design import Design, configured, designs, parsed_sweep
 from app.study.processes import on_processes
 from app.study.settings import PlannerName, StudySettings
 from app.study.store import MEASURES, ResultStore, run_ids
@@ -85,6 +86,13 @@ def test_every_parameter_that_shapes_a_study_reaches_it():
     assert (s.requirement().range_min_m, s.requirement().threshold) == (120.0, 0.8)
     assert (s.sensors.range_sigma_m, s.lag_s, s.latency_s) == (3.0, 0.5, 1.0)
     assert s.sensors.range_bias_sigma_m == 0.5  # as the study's own where nothing else is said
+
+
+def test_a_radius_that_fits_is_found_for_each_value_that_is_swept(tmp_path):
+    file = tmp_path / "mission.toml"
+    file.write_text("[aircraft]\nradius_m = 'auto'\n")
+    found = designs(StudySettings(), configured(load_config(file)), [parsed_sweep("aircraft.airspeed_m_s=12,30")])
+    assert [one.settings.radius_m for one in found] == pytest.approx([42.0, 105.0])
 
 
 def test_what_cannot_be_flown_is_passed_over_and_told():
