@@ -1,11 +1,12 @@
 """How well recorded targets are watched by one who knows what they will do: the gap is the price of not knowing.
 
-    python tests/bench/test_clairvoyance.py FOLDER --airspeed 12 --radius 40 --target-speed-max 5 [--draws N]
+    python tests/bench/test_clairvoyance.py FOLDER --airspeed 12 --radius 40 --target-speed-max 5 [--known S]
     python -m pytest -s tests/bench/test_clairvoyance.py
 
 The planner is the predictive one, with the same moves, prices and noisy filter, but with one future, the true one. It
 looks over 30 s, and its watch course is the one that is judged. So it is no bound of what can be flown at all, but of
-what a better forecast could bring this planner.
+what a better forecast could bring this planner. With --known it is told so many seconds only; from there on the
+target goes straight on or turns, as the planner itself expects.
 """
 
 from __future__ import annotations
@@ -27,52 +28,68 @@ from app.study.run import run
 from app.study.settings import PlannerName, StudySettings
 from app.value_cache import value_table
 from mission.predictive._decision_kernel import Looker
-from mission.predictive._future_kernel import FORETOLD_S, fill_classes
+from mission.predictive._future_kernel import FORETOLD_S, Turns, fill_classes
 from mission.predictive._rollout_kernel import Futures
 from mission.predictive._scene_kernel import Scene
 from mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
 
 OWN = Path(__file__).parents[1] / "data" / "targets"
-STEP_S, LOOKED_S = 0.1, 30.0
+STEP_S, PER_S, LOOKED_S = 0.1, 10, 30.0
 
 
 class Clairvoyant(PredictivePlanner):
-    """truth (n, 5): of the target, each STEP_S."""
+    """truth (n, 5): of the target, each STEP_S; known_s: how far ahead it is told."""
 
-    def __init__(self, planner: PredictivePlanner, truth: np.ndarray) -> None:
+    def __init__(self, planner: PredictivePlanner, truth: np.ndarray, known_s: float) -> None:
         settings = replace(PredictiveSettings(), horizon_s=LOOKED_S)
         super().__init__(planner._aircraft, planner._requirement, *planner._tables, settings)
-        self._place = truth[:, :2]
-        self._course_rad = course_made_good_rad(truth[:, 0], truth[:, 1], STEP_S, *LONG)
+        ending = round(2.0 * FORETOLD_S / STEP_S)
+        self._place = np.pad(truth[:, :2], ((0, ending), (0, 0)), "edge")
+        self._known = round(min(known_s, FORETOLD_S) / STEP_S)
+
+    def _paths(self, first: int, k: int, turns: Turns) -> np.ndarray:
+        """Return places (f, n, 2) each second, from the start of the run until k seconds after a step."""
+        told = self._place[first % PER_S : first + self._known + 1 : PER_S]
+        ahead_s = np.arange(first // PER_S + k + 1 - len(told))
+        if ahead_s.size == 0 or len(told) < 2:
+            return self._place[None, first % PER_S : first + k * PER_S + 1 : PER_S]
+        velocity = told[-1] - told[-2]
+        faded_s = turns.fades_s * (1.0 - np.exp(-(ahead_s + 0.5) / turns.fades_s))
+        course_rad = math.atan2(*velocity) + turns.rate_rad_s[:, None] * faded_s
+        steps = math.hypot(*velocity) * np.stack([np.sin(course_rad), np.cos(course_rad)], axis=2)
+        untold = told[-1] + np.cumsum(steps, axis=1)
+        return np.concatenate([np.repeat(told[None], len(untold), axis=0), untold], axis=1)
 
     def _futures(self, scene: Scene, looker: Looker) -> Futures:
         k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 40)
-        first = round(scene.departure_s / STEP_S)
-        at = np.minimum(first + round(1.0 / STEP_S) * np.arange(k + 1), len(self._place) - 1)
-        off = self._place[at] - (scene.frame_east_m, scene.frame_north_m)
+        paths = self._paths(round(scene.departure_s / STEP_S), k, looker.turns)
+        made_good = np.array([course_made_good_rad(*path.T, STEP_S * PER_S, *LONG) for path in paths])
+        facing_rad = scene.mirror * (made_good[:, -k - 1 : -1] - scene.course_rad)
+        off = paths[:, -k - 1 :] - (scene.frame_east_m, scene.frame_north_m)
         sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)
-        place = np.stack([scene.mirror * (off[:, 0] * cos_c - off[:, 1] * sin_c), off @ (sin_c, cos_c)], axis=1)
-        velocity = np.diff(place, axis=0)
-        facing_rad = scene.mirror * (self._course_rad[at[:k]] - scene.course_rad)
-        moving = np.hypot(*velocity.T) > 0.5
-        course_rad = np.where(moving, np.arctan2(*velocity.T), facing_rad)
-        classes, share, turn_share = np.zeros((1, k, 4), np.int64), np.zeros((1, k, 4)), np.zeros((1, k, 4))
-        for i, speed_m_s in enumerate(np.hypot(*velocity.T).tolist()):
-            fill_classes(looker.motions, 0.0, speed_m_s, 0.0, 0.0, classes[0, i], share[0, i], turn_share[0, i])
-        facing = np.stack([np.sin(facing_rad), np.cos(facing_rad), np.zeros(k)], axis=1)
-        course = np.stack([np.sin(course_rad), np.cos(course_rad), course_rad], axis=1)
-        known = np.concatenate([place[:k], velocity], axis=1)
-        return Futures(np.ones(1), 1.0, known[None], facing[None], course[None], classes, share, turn_share)
+        across = scene.mirror * (off[..., 0] * cos_c - off[..., 1] * sin_c)
+        place = np.stack([across, off @ (sin_c, cos_c)], axis=2)
+        velocity = np.diff(place, axis=1)
+        speed_m_s = np.hypot(velocity[..., 0], velocity[..., 1])
+        course_rad = np.where(speed_m_s > 0.5, np.arctan2(velocity[..., 0], velocity[..., 1]), facing_rad)
+        shape = *speed_m_s.shape, 4
+        classes, share, turn_share = np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape)
+        for at, speed in np.ndenumerate(speed_m_s):
+            fill_classes(looker.motions, 0.0, speed, 0.0, 0.0, classes[at], share[at], turn_share[at])
+        facing = np.stack([np.sin(facing_rad), np.cos(facing_rad), np.zeros_like(facing_rad)], axis=2)
+        course = np.stack([np.sin(course_rad), np.cos(course_rad), course_rad], axis=2)
+        known = np.concatenate([place[:, :-1], velocity], axis=2)
+        return Futures(np.full(len(paths), 1.0 / len(paths)), 1.0, known, facing, course, classes, share, turn_share)
 
 
-def _foreseen(self: CompiledFlight, planner: PredictivePlanner, latency_s: float) -> Flown:
-    return self.with_planner(Clairvoyant(planner, self._target.sampled), latency_s)
+def flown(study: StudySettings, known_s: float) -> Iterator[tuple[str, RunResult]]:
+    """Fly each track of a study, with the noise of each draw; known_s: 0 for the planner as it is."""
 
+    def foreseen(self: CompiledFlight, planner: PredictivePlanner, latency_s: float) -> Flown:
+        return self.with_planner(Clairvoyant(planner, self._target.sampled, known_s), latency_s)
 
-def flown(study: StudySettings, foreseen: bool) -> Iterator[tuple[str, RunResult]]:
-    """Fly each track of a study, with the noise of each draw."""
     table = value_table(table_configuration(study.aircraft(), study.requirement()))
-    way = _foreseen if foreseen else CompiledFlight.with_predictive
+    way = foreseen if known_s else CompiledFlight.with_predictive
     with mock.patch.object(CompiledFlight, "with_predictive", way):
         for number in study.numbers:
             yield study.tracks[number % study.runs].name, run(study, PlannerName.PREDICTIVE, number, table)
@@ -91,11 +108,11 @@ def study_of(folder: Path, airspeed_m_s: float, radius_m: float, speed_max_m_s: 
     )
 
 
-def told(study: StudySettings, worst: int = 0) -> tuple[float, float]:
-    """Print means and worst tracks of both; return the means."""
+def told(study: StudySettings, worst: int = 0, known_s: float = math.inf) -> tuple[float, float]:
+    """Print means and worst tracks of the planner as it is and of one that is told; return the means."""
     by_track: dict[str, list[list[float]]] = {}
-    for k, foreseen in enumerate((False, True)):
-        for name, result in flown(study, foreseen):
+    for k, ahead_s in enumerate((0.0, known_s)):
+        for name, result in flown(study, ahead_s):
             by_track.setdefault(name, [[], []])[k].append(result.time_on_side)
     sides = {name: np.nanmean(pair, axis=1) for name, pair in by_track.items()}
     mean, least = np.nanmean([*sides.values()], axis=0), np.nanmin([*sides.values()], axis=0)
@@ -119,8 +136,10 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=float, required=True)
     parser.add_argument("--draws", type=int, default=1)
     parser.add_argument("--worst", type=int, default=12)
+    parser.add_argument("--known", type=float, default=math.inf)
     given = parser.parse_args()
-    told(study_of(given.folder, given.airspeed, given.radius, given.target_speed_max, given.draws), given.worst)
+    study = study_of(given.folder, given.airspeed, given.radius, given.target_speed_max, given.draws)
+    told(study, given.worst, given.known)
 
 
 if __name__ == "__main__":
