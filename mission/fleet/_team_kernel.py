@@ -211,7 +211,7 @@ def role_values(now: Situation, looker: Looker, team: Team) -> tuple[float, floa
 @compiled
 def _value_at(now: Situation, looker: Looker) -> float:
     scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
-    f = first_of(winding(scene, looker.motions, looker.wish, looker.memory, looker.turns))
+    f = first_of(winding(scene, looker.motions, looker.wish, looker.memory, looker.turns), 1)
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
     return _role_value(f, looker, x_m, y_m, heading_rad, 0.0)
@@ -228,7 +228,7 @@ def team_decide(
     scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
     f = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
     if team.futures < 2:
-        f = first_of(f)
+        f = first_of(f, 1)
     cover = cover_of(scene, f, others, first_s, looker, team)
     stay_cost = team_look_ahead(scene, now, f, cover, looker, team, costs)
     return scene, stay_cost, stay_cost - team.price * commitment(scene, now, f, looker)

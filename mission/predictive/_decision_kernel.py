@@ -193,7 +193,9 @@ def look_deeper(
     All other moves become infinitely dear. That look is spared where staying would be cheaper than every move even
     if moves were free, and where the ground hides something: second moves know nothing of it.
     """
-    stay_cost = look_ahead(scene, now, first_of(futures), looker, sight, costs)
+    # The turns that it may begin need the second move to tell; that it goes its old way again matters from the first.
+    likely = first_of(futures, max(1, 1 + len(futures.weight) - len(looker.turns.rate_rad_s)))
+    stay_cost = look_ahead(scene, now, likely, looker, sight, costs)
     depth, prices, air = looker.depth, looker.prices, scene.air
     if depth.beam == 0 or len(sight.needed_m) > 0 or doubtful(scene, looker.motions):
         return stay_cost

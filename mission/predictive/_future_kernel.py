@@ -1,4 +1,4 @@
-"""What is foretold of the target: its velocity kept, or turning, and the courses that are watched meanwhile."""
+"""What is foretold of the target: that it goes on, turns, or goes along its trail again, and what is watched then."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from mission.predictive._cost_kernel import IntArray
 from mission.predictive._moves_kernel import STEP_S
 from mission.predictive._rollout_kernel import Futures
 from mission.predictive._scene_kernel import Scene, in_frame
-from mission.viewpoint._viewpoint_kernel import MIN_WAY_M, STANDING, Wish, made_good_sigma_rad, place_at
+from mission.viewpoint._trail_kernel import gone_again, lead, no_part
+from mission.viewpoint._viewpoint_kernel import MIN_WAY_M, STANDING, TRAIL, Wish, made_good_sigma_rad, place_at
 
 FORETOLD_S = 110  # longer than any line: after it the watch course is the target's
 _SLOW_M_S = 0.5  # the course of so slow a target tells nothing
@@ -85,31 +86,73 @@ def fill_classes(
 def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turns: Turns) -> Futures:
     """Return futures in which the target keeps its speed and turns, and the course that is watched turns after it.
 
-    The running cost is that of the course made good, of the present one, or of a fixed one; the table is asked in
-    the frame of the velocity, in which it was computed, or of the fixed course.
+    There is one for each turn, the first straight on. Where the target goes along a part of its trail again, that it
+    goes on so is the second and one more. The running cost is that of the course made good, of the present one, or of
+    a fixed one; the table is asked in the frame of the velocity, in which it was computed, or of the fixed course.
     """
-    f, horizon_s = len(turns.rate_rad_s), wish.course_horizon_s
     k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 25)
-    place, facing, course = np.zeros((f, k, 4)), np.zeros((f, k, 3)), np.zeros((f, k, 3))
-    classes, share, turn_share = np.zeros((f, k, 4), np.int64), np.zeros((f, k, 4)), np.zeros((f, k, 4))
-    air, doubt, fixed = scene.air, scene.doubt, not math.isnan(wish.fixed_course_rad)
+    speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
+    moving = memory[STANDING] == 0.0 and speed_m_s > _SLOW_M_S
+    again, trail = no_part(), memory[TRAIL:]
+    if moving and len(turns.rate_rad_s) > 1:
+        again = gone_again(trail, scene.frame_east_m, scene.frame_north_m, speed_m_s)
+    more = 1 if again.chance > 0.0 else 0
+    f = len(turns.rate_rad_s) + more
+    place, weight = np.zeros((f, k, 4)), np.full(f, (1.0 - again.chance) / (f - more))
+    for one in range(f):
+        _turning(scene, turns, max(one - more, 0), place[one])
+    if more > 0:
+        weight[1], x_m, y_m = again.chance, np.empty(k + 1), np.empty(k + 1)
+        lead(trail, again, scene.frame_east_m, scene.frame_north_m, speed_m_s * STEP_S, x_m, y_m)
+        for i in range(k + 1):
+            x_m[i], y_m[i] = in_frame(scene, x_m[i], y_m[i])
+        place[1, :, 0], place[1, :, 1] = x_m[:k], y_m[:k]
+        place[1, :, 2], place[1, :, 3] = (x_m[1:] - x_m[:k]) / STEP_S, (y_m[1:] - y_m[:k]) / STEP_S
+    return _watched(scene, motions, wish, memory, moving, weight, place)
+
+
+@compiled
+def _turning(scene: Scene, turns: Turns, one: int, place: FloatArray) -> None:
+    """Fill in the places and velocities (k, 4) of a target that begins to turn."""
     speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
     course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
-    moving = memory[STANDING] == 0.0 and speed_m_s > _SLOW_M_S
+    x_m = y_m = 0.0
+    for i in range(len(place)):
+        faded_s = turns.fades_s * (1.0 - math.exp(-(i + 0.5) * STEP_S / turns.fades_s))
+        heading_rad = course_rad + turns.rate_rad_s[one] * faded_s
+        vx, vy = speed_m_s * math.sin(heading_rad), speed_m_s * math.cos(heading_rad)
+        place[i, 0], place[i, 1], place[i, 2], place[i, 3] = x_m, y_m, vx, vy
+        x_m, y_m = x_m + vx * STEP_S, y_m + vy * STEP_S
+
+
+@compiled
+def _watched(
+    scene: Scene,
+    motions: Motions,
+    wish: Wish,
+    memory: FloatArray,
+    moving: bool,
+    weight: FloatArray,
+    place: FloatArray,
+) -> Futures:
+    """Return futures of these weights (f,), places and velocities (f, k, 4), with the courses to watch from."""
+    horizon_s = wish.course_horizon_s
+    f, k = place.shape[:2]
+    facing, course = np.zeros((f, k, 3)), np.zeros((f, k, 3))
+    classes, share, turn_share = np.zeros((f, k, 4), np.int64), np.zeros((f, k, 4)), np.zeros((f, k, 4))
+    air, doubt, fixed = scene.air, scene.doubt, not math.isnan(wish.fixed_course_rad)
+    course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
     # Where it was so long before each of the first steps.
     past = np.zeros((math.ceil(horizon_s / STEP_S) + 1 if horizon_s > 0.0 and not fixed else 0, 2))
     for i in range(len(past)):
         east_m, north_m = place_at(memory, scene.departure_s + min(i * STEP_S - horizon_s, 0.0))
         past[i, 0], past[i, 1] = in_frame(scene, east_m, north_m)
     for one in range(f):
-        facing_rad = x_m = y_m = 0.0
+        facing_rad = 0.0
         for i in range(k):
             since_s = i * STEP_S
-            faded_s = turns.fades_s * (1.0 - math.exp(-(since_s + 0.5 * STEP_S) / turns.fades_s))
-            heading_rad = course_rad + turns.rate_rad_s[one] * faded_s
-            vx, vy = speed_m_s * math.sin(heading_rad), speed_m_s * math.cos(heading_rad)
-            place[one, i, 0], place[one, i, 1], place[one, i, 2], place[one, i, 3] = x_m, y_m, vx, vy
-            sigma_rad = doubt.course_rad
+            x_m, y_m, vx, vy = place[one, i, 0], place[one, i, 1], place[one, i, 2], place[one, i, 3]
+            heading_rad, sigma_rad = math.atan2(vx, vy), doubt.course_rad
             if fixed:
                 facing_rad = table_rad = 0.0
             elif horizon_s > 0.0:
@@ -142,13 +185,15 @@ def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turn
                 share[one, i],
                 turn_share[one, i],
             )
-            x_m, y_m = x_m + vx * STEP_S, y_m + vy * STEP_S
-    return Futures(np.full(f, 1.0 / f), STEP_S, place, facing, course, classes, share, turn_share)
+    return Futures(weight, STEP_S, place, facing, course, classes, share, turn_share)
 
 
 @compiled
-def first_of(f: Futures) -> Futures:
-    """Return the first future alone."""
+def first_of(f: Futures, n: int) -> Futures:
+    """Return the first n futures alone: the second as likely as it is, the first otherwise."""
+    weight = np.ones(n)
+    weight[1:] = f.weight[1:n]
+    weight[0] -= weight[1:].sum()
     return Futures(
-        np.ones(1), f.step_s, f.place[:1], f.facing[:1], f.course[:1], f.classes[:1], f.share[:1], f.turn_share[:1]
+        weight, f.step_s, f.place[:n], f.facing[:n], f.course[:n], f.classes[:n], f.share[:n], f.turn_share[:n]
     )

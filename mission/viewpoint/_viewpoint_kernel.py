@@ -9,6 +9,7 @@ import numpy as np
 
 from estimators.compiled import compiled, inlined
 from mission.core.path import FloatArray
+from mission.viewpoint._trail_kernel import TRAIL_SIZE, remember
 
 _STOPPED_BELOW_M_S = 0.9
 _MOVING_ABOVE_M_S = 1.0
@@ -18,12 +19,13 @@ MIN_WAY_M = 10.0  # a shorter way tells no course
 COURSE_SIGMA_MAX_RAD = 0.8
 
 # The memory, an array: what it holds, then the times and courses of the last seconds of motion, oldest first, then
-# times and places of the last minute.
+# times and places of the last minute, and the trail.
 STANDING, COURSE, PRESUMED, SIDE, MADE_GOOD, RECENT = range(6)
 _RECENT_MAX = 200  # of them: more than at any rate that decisions are made at
 _PLACES = RECENT + 1 + 2 * _RECENT_MAX
 _PLACES_MAX, _PLACE_EVERY_S = 72, 0.95
-MEMORY_SIZE = _PLACES + 1 + 3 * _PLACES_MAX
+TRAIL = _PLACES + 1 + 3 * _PLACES_MAX
+MEMORY_SIZE = TRAIL + TRAIL_SIZE
 
 
 class Known(NamedTuple):
@@ -108,7 +110,7 @@ def held_course_rad(target: Known, memory: FloatArray) -> float:
 
 @compiled
 def remember_place(target: Known, memory: FloatArray) -> None:
-    """Keep a place for the course made good, about one each second."""
+    """Keep a place for the course made good, about one each second, and for the trail."""
     places, count = memory[_PLACES + 1 :], int(memory[_PLACES])
     if count > 0 and target.time_s < places[3 * count - 3] + _PLACE_EVERY_S:
         return
@@ -118,6 +120,7 @@ def remember_place(target: Known, memory: FloatArray) -> None:
         count -= 1
     places[3 * count], places[3 * count + 1], places[3 * count + 2] = target.time_s, target.east_m, target.north_m
     memory[_PLACES] = count + 1
+    remember(memory[TRAIL:], target.east_m, target.north_m)
 
 
 @inlined

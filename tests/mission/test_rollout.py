@@ -13,7 +13,7 @@ from mission.geometry.progress import line_at, line_of
 from mission.geometry.trapezoid import sharpness_per_m2, sharpnesses_per_m2
 from mission.geometry.wind import ground_speeds_m_s, min_radius_m
 from mission.predictive import _decision_kernel as kernel
-from mission.predictive._future_kernel import Turns, winding
+from mission.predictive._future_kernel import Turns, first_of, winding
 from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
 from mission.predictive._rollout_kernel import Air, Futures, Pose, lines_costs, single_line, times_s
 from mission.predictive._scene_kernel import Situation, in_frame, scene_of
@@ -235,6 +235,32 @@ def test_the_watch_course_turns_to_the_velocity_over_its_horizon(paper_aircraft,
         np.testing.assert_allclose(side * future.course[0, :, 2] + scene.course_rad, math.pi / 2)
         np.testing.assert_allclose(future.facing[0, 20, 2], math.hypot(0.5, 0.2 * 20.0) / 80.0)
         np.testing.assert_allclose(future.place[0, 10, :2], (side * 40.0, 0.0), atol=1e-9)
+
+
+def test_a_target_that_paces_is_expected_to_turn_where_it_turned(paper_aircraft, paper_requirement):
+    """It goes 200 m to and fro at 4 m/s; 48 m before it turns for the fourth time it is expected to."""
+    motions, turns = a_table(paper_aircraft, paper_requirement).motions, Turns(np.radians([0.0, -3.0, 3.0]), 10.0)
+    for side in (1.0, -1.0):
+        memory, wish = fresh_memory(side), Wish(False, 50.0, math.nan, 20.0)
+        present = Plan(Circle(-220.0 * side, 90.0, 60.0, clockwise=side > 0.0))
+        for time_s in range(189):
+            turned, past_m = divmod(4.0 * time_s, 200.0)
+            north_m, speed_m_s = (past_m, 4.0) if turned % 2 == 0 else (200.0 - past_m, -4.0)
+            target = Known(float(time_s), 0.0, north_m, 0.0, speed_m_s, np.diag([0.25, 0.09, 0.04, 0.04]))
+            place = float(time_s), -280.0 * side, 90.0, 0.0, 10.0, side / 60.0
+            now = Situation(*place, target, *line_of(present), 0.0, 0.0, 0.0, 0.0)
+            scene = scene_of(now, 5.0, craft_of(paper_aircraft), wish, memory)
+        futures = winding(scene, motions, wish, memory, turns)
+        straight, again = futures.place[0], futures.place[1]
+        assert futures.weight.sum() == pytest.approx(1.0)
+        assert futures.weight[1] >= 0.7
+        np.testing.assert_allclose(straight[:20, 1], 4.0 * np.arange(20), atol=1e-6)
+        np.testing.assert_allclose(again[:10, 1], 4.0 * np.arange(10), atol=1e-6)
+        assert again[30, 1] == pytest.approx(48.0 - (120.0 - 48.0), abs=8.0)
+        watched = np.arctan2(futures.facing[1, :, 0], futures.facing[1, :, 1])
+        assert abs(watched[10]) < 0.2
+        assert abs(watched[35]) > 2.9
+        assert first_of(futures, 2).weight == pytest.approx([1.0 - futures.weight[1], futures.weight[1]])
 
 
 @pytest.mark.parametrize(("side", "under_way"), [(1.0, False), (-1.0, True)])
