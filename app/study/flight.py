@@ -63,7 +63,7 @@ from mission.predictive._cost_kernel import Table
 from mission.predictive._decision_kernel import Depth, Looker, Prices
 from mission.predictive._future_kernel import Motions, Turns
 from mission.predictive._moves_kernel import nothing_kept
-from mission.predictive._second_kernel import no_seconds
+from mission.predictive._second_moves_kernel import no_seconds
 from mission.predictive.cost import WatchCost
 from mission.predictive.planner import PredictivePlanner, PredictiveSettings
 from mission.viewpoint._viewpoint_kernel import Wish, fresh_memory
@@ -321,7 +321,7 @@ def _blind() -> Looker:
         fresh_memory(1.0),
         nothing_kept(),
         Turns(np.zeros(1), 1.0),
-        Depth(0, 0.0, 0.0, 0.0),
+        Depth(0, 0.0, np.zeros(1), 0.0),
         no_seconds(),
     )
 

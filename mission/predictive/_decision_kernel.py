@@ -19,13 +19,12 @@ from mission.predictive._second_kernel import (
     MOVE_BRANCHES,
     STAY_BRANCHES,
     Second,
-    Seconds,
     deep_cost,
     foretold_of,
-    lay_out_seconds,
     moving_ahead,
     staying_ahead,
 )
+from mission.predictive._second_moves_kernel import Seconds, lay_out_seconds
 from mission.predictive._sight_kernel import Sight, View, add_sight
 from mission.viewpoint._viewpoint_kernel import Wish
 
@@ -53,12 +52,12 @@ class Prices(NamedTuple):
 class Depth(NamedTuple):
     """How deep to look: so many of the best moves, 0 for none, over horizon_s at least.
 
-    min_value, min_after_turn: the least that the table says, by which lines are passed over.
+    min_values (classes,), min_after_turn: the least that the table says, by which lines are passed over.
     """
 
     beam: int
     horizon_s: float
-    min_value: float
+    min_values: FloatArray
     min_after_turn: float
 
 
@@ -204,7 +203,7 @@ def look_deeper(
     if costs.min() - price > stay_cost:
         return stay_cost
     second = Second(
-        foretold_of(futures, scene.doubt, looker.table, depth.min_value, depth.min_after_turn),
+        foretold_of(futures, scene.doubt, looker.table, depth.min_values, depth.min_after_turn),
         looker.terms,
         looker.table,
         looker.seconds,

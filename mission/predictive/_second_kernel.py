@@ -12,7 +12,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from estimators.compiled import compiled, inlined
 from mission.core.path import FloatArray
@@ -24,57 +23,45 @@ from mission.geometry._line_kernel import (
     ground_speed_m_s,
     moved_m,
     point_at,
-    trapezoid,
     turned_rad,
     with_last_ramp,
 )
 from mission.predictive._cost_kernel import CostTerms, Float32, IntArray, Table, cost_rate, fading_per_s, table_value
-from mission.predictive._moves_kernel import HOLD_CURVATURES, HOLD_LENGTHS, STEP_S, move_from, ramp_on
-from mission.predictive._rollout_kernel import Air, Doubt, Futures, Pose
+from mission.predictive._moves_kernel import STEP_S, move_from, ramp_on
+from mission.predictive._rollout_kernel import Doubt, Futures, Pose
 from mission.predictive._scene_kernel import Scene, Situation, in_frame
+from mission.predictive._second_moves_kernel import (
+    LEVELS,
+    SAMPLES,
+    SECONDS,
+    Fan,
+    Seconds,
+    lay,
+    speeds_over_ground,
+    stretch,
+)
 
-BoolArray = npt.NDArray[np.bool_]
-
-LEVELS = np.array([-1.0, -0.75, -0.5, -0.25, 0.0, 0.165, 0.33, 0.5, 0.66, 0.83, 1.0])
-SECOND_LENGTHS = HOLD_LENGTHS[::3].copy()
-SECONDS = HOLD_CURVATURES.size * SECOND_LENGTHS.size + 1
 MOVE_BRANCHES = np.array([4, 8, 14])
 STAY_BRANCHES = np.array([1, 2, 4, 6, 9, 12])
 # A circle that is flown on may be valued after so many seconds.
 _VALUED = np.array([15, 22, 30])
-_SAMPLES = 64  # of a second move; longer ones are left out
-_HEADINGS = 48
 _STRIDE = 4  # of looking at what a turn of the target would cost
 
 # Rows of what is foretold, each at whole seconds.
 _X, _Y, _SIN, _COS, _BESIDE, _TABLE_SIN, _TABLE_COS, _TABLE_RAD = range(8)
 
 
-class Seconds(NamedTuple):
-    """Second moves from each level of curvature, from the origin along y: arrays (levels, lines, samples).
-
-    key (3,): radius, ramp and step that they were laid out for. end (levels, lines): the sample from which they are
-    on the circle, 0 for a line that is too long.
-    """
-
-    key: FloatArray
-    x_m: FloatArray
-    y_m: FloatArray
-    turned_rad: FloatArray
-    end: IntArray
-
-
 class Foretold(NamedTuple):
     """Futures (f,), row by row: rows (f, 8, k). sigma_m, weight (k,): of the target's place, of the discount.
 
-    min_value, min_turn_cost_per_s: no place costs less.
+    min_value (f, k), min_turn_cost_per_s: no place costs less.
     """
 
     futures: Futures
     rows: FloatArray
     sigma_m: FloatArray
     weight: FloatArray
-    min_value: float
+    min_value: FloatArray
     min_turn_cost_per_s: float
 
 
@@ -90,42 +77,11 @@ class Second(NamedTuple):
     horizon_s: float
 
 
-def no_seconds() -> Seconds:
-    """Return room for second moves."""
-    shape = len(LEVELS), SECONDS, _SAMPLES
-    return Seconds(np.zeros(3), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape[:2], np.int64))
-
-
 @compiled
-def lay_out_seconds(s: Seconds, radius_m: float, ramp: float, step_m: float) -> None:
-    """Fill in the second moves, unless they are there."""
-    if s.key[0] == radius_m and s.key[1] == ramp and s.key[2] == step_m:
-        return
-    s.key[0], s.key[1], s.key[2] = radius_m, ramp, step_m
-    lengths = len(SECOND_LENGTHS)
-    for level in range(len(LEVELS)):
-        start_per_m = LEVELS[level] / radius_m
-        for j in range(SECONDS):
-            hold_per_m, length_m = start_per_m, 0.0
-            if j < SECONDS - 1:
-                hold_per_m, length_m = (
-                    HOLD_CURVATURES[j // lengths] / radius_m,
-                    SECOND_LENGTHS[j % lengths] * radius_m,
-                )
-            one = trapezoid(start_per_m, hold_per_m, length_m, 1.0 / radius_m, ramp)
-            end = max(1, math.ceil(one[5] / step_m - 1e-9))
-            s.end[level, j] = end if end < _SAMPLES else 0
-            for k in range(1, _SAMPLES):
-                across_m, along_m = moved_m(one, 0.0, step_m * (k - 1), step_m * k)
-                s.x_m[level, j, k] = s.x_m[level, j, k - 1] + across_m
-                s.y_m[level, j, k] = s.y_m[level, j, k - 1] + along_m
-                s.turned_rad[level, j, k] = turned_rad(one, step_m * k)
-
-
-@compiled
-def foretold_of(f: Futures, d: Doubt, table: Table, min_value: float, min_after_turn: float) -> Foretold:
-    """Return futures as this look needs them."""
+def foretold_of(f: Futures, d: Doubt, table: Table, min_values: FloatArray, min_after_turn: float) -> Foretold:
+    """Return futures as this look needs them. min_values (classes,): of the table; min_after_turn: of all classes."""
     count, k = f.place.shape[:2]
+    min_value, classes, share = np.zeros((count, k)), f.classes, f.share
     rows, sigma_m, weight = np.empty((count, 8, k)), np.empty(k), np.empty(k)
     for i in range(k):
         since_s = i * STEP_S
@@ -135,6 +91,8 @@ def foretold_of(f: Futures, d: Doubt, table: Table, min_value: float, min_after_
             rows[one, 0, i], rows[one, 1, i] = f.place[one, i, 0], f.place[one, i, 1]
             for j in range(3):
                 rows[one, 2 + j, i], rows[one, 5 + j, i] = f.facing[one, i, j], f.course[one, i, j]
+            for c in range(4):
+                min_value[one, i] += share[one, i, c] * min_values[classes[one, i, c]]
     return Foretold(f, rows, sigma_m, weight, min_value, min_after_turn / table.mean_leg_s)
 
 
@@ -159,7 +117,7 @@ def staying_ahead(scene: Scene, now: Situation, under_way: bool) -> tuple[FloatA
         circle = Circling(
             from_east_m + radius_m * math.cos(course_rad), from_north_m - radius_m * math.sin(course_rad), radius_m
         )
-    ahead, end, k = np.empty((4, 4 * _SAMPLES)), -1, 0
+    ahead, end, k = np.empty((4, 4 * SAMPLES)), -1, 0
     while k < _VALUED[-1] + 2 or (end < 0 and k < ahead.shape[1]):
         here = point_at(line, circle, arc_m, from_east_m, from_north_m)
         ahead[0, k], ahead[1, k] = in_frame(scene, here.east_m, here.north_m)
@@ -183,7 +141,7 @@ def moving_ahead(scene: Scene, craft: Craft, move: int) -> tuple[FloatArray, int
         scene.mirror * scene.start.curvature_per_m, move, scene.radius_m, ramp_on(heading_rad, air, craft)
     )
     one = with_last_ramp(one, ramp_on(heading_rad + turned_rad(one, one[4]), air, craft))
-    ahead, end = np.empty((4, 4 * _SAMPLES)), -1
+    ahead, end = np.empty((4, 4 * SAMPLES)), -1
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
     arc_m, k = 0.0, 0
     while k < _VALUED[0] + 2 or (end < 0 and k < ahead.shape[1]):
@@ -246,79 +204,6 @@ def _asked(
     return table_value(values, cell_m, across, along, heading_rad - rows[_TABLE_RAD, k], classes, share, one, k)
 
 
-@compiled
-def speeds_over_ground(air: Air) -> FloatArray:
-    """Return the speed over the ground on so many headings from 0 to a whole turn, in airspeeds.
-
-    The wind triangle takes too long for each sample.
-    """
-    speeds = np.empty(_HEADINGS + 1)
-    for h in range(_HEADINGS + 1):
-        ground_m_s = ground_speed_m_s(h * 2.0 * math.pi / _HEADINGS, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s)
-        speeds[h] = ground_m_s / air.airspeed_m_s
-    return speeds
-
-
-class Fan(NamedTuple):
-    """Second moves from one start, of a level of curvature; sin_h, cos_h: of the heading there.
-
-    flown (k, lines): as :func:`stretch` has it, of no length in still air. placed (3, lines, k): x, y, heading: all
-    of a line that is laid (lines,), else its end alone. last (lines,): so many seconds of each, 0 for none.
-    """
-
-    start: Pose
-    sin_h: float
-    cos_h: float
-    level: int
-    flown: FloatArray
-    placed: FloatArray
-    laid: BoolArray
-    last: IntArray
-
-
-@inlined
-def stretch(s: Seconds, level: int, heading_rad: float, speeds: FloatArray, last: int, flown: FloatArray) -> None:
-    """Fill in how far along each second move (k, lines) the aircraft is in wind, in samples, each second up to last.
-
-    speeds: see speeds_over_ground. A line is stretched along itself.
-    """
-    turned, count = s.turned_rad[level], flown.shape[1]
-    for j in range(count):
-        flown[0, j] = 0.0
-    for k in range(last):
-        for j in range(count):
-            i = min(int(flown[k, j]), _SAMPLES - 2)
-            past = flown[k, j] - i
-            at = heading_rad + (turned[j, i] + past * (turned[j, i + 1] - turned[j, i]))
-            at *= _HEADINGS / (2.0 * math.pi)
-            at -= _HEADINGS * math.floor(at / _HEADINGS)
-            h = min(int(at), _HEADINGS - 1)
-            flown[k + 1, j] = flown[k, j] + speeds[h] + (at - h) * (speeds[h + 1] - speeds[h])
-
-
-@inlined
-def lay(s: Seconds, fan: Fan, j: int, first: int, last: int) -> None:
-    """Fill in second move j of a fan, seconds first..last of it."""
-    sin_h, cos_h, x_m, y_m, heading_rad = fan.sin_h, fan.cos_h, fan.start.x_m, fan.start.y_m, fan.start.heading_rad
-    own_x, own_y, turned = s.x_m[fan.level, j], s.y_m[fan.level, j], s.turned_rad[fan.level, j]
-    x, y, heading, flown = fan.placed[0, j], fan.placed[1, j], fan.placed[2, j], fan.flown
-    if len(flown) == 0:
-        for k in range(first, last + 1):
-            x[k] = x_m + own_x[k] * cos_h + own_y[k] * sin_h
-        for k in range(first, last + 1):
-            y[k] = y_m - own_x[k] * sin_h + own_y[k] * cos_h
-        for k in range(first, last + 1):
-            heading[k] = heading_rad + turned[k]
-        return
-    for k in range(first, last + 1):
-        i = min(int(flown[k, j]), _SAMPLES - 2)
-        past = flown[k, j] - i
-        across_m, along_m = own_x[i] + past * (own_x[i + 1] - own_x[i]), own_y[i] + past * (own_y[i + 1] - own_y[i])
-        x[k] = x_m + across_m * cos_h + along_m * sin_h
-        y[k] = y_m - across_m * sin_h + along_m * cos_h
-        heading[k] = heading_rad + (turned[i] + past * (turned[i + 1] - turned[i]))
-
-
 @inlined
 def _cheapest(
     s: Seconds, fan: Fan, at: int, one: int, second: Second, bound: float, room: FloatArray, ends: FloatArray
@@ -329,7 +214,7 @@ def _cheapest(
     """
     # Parts of tuples are taken out once: in a loop each access would count its references.
     f, c, table = second.foretold, second.terms, second.table
-    rows, sigma, weight = f.rows[one], f.sigma_m[at:], f.weight[at:]
+    rows, sigma, weight, min_value = f.rows[one], f.sigma_m[at:], f.weight[at:], f.min_value[one, at:]
     to_x, to_y, sin_f, cos_f, beside = (
         rows[_X, at:],
         rows[_Y, at:],
@@ -344,13 +229,16 @@ def _cheapest(
     for j in range(SECONDS):
         last = lasts[j]
         ends[j] = np.inf
-        if last > 0:
-            place = x[j, last], y[j, last], heading[j, last]
-            end = _asked(values, cell_m, rows, classes, share, one, at + last, place[0], place[1], place[2])
-            ends[j] = weight[last] * end
-            least = ends[j] + turn_cost_per_s * weight[last] * last * STEP_S
-            if least < most:
-                best, most = j, least
+        least = turn_cost_per_s * weight[last] * last * STEP_S
+        if last == 0 or weight[last] * min_value[last] + least >= bound:
+            continue
+        place = x[j, last], y[j, last], heading[j, last]
+        end = _asked(values, cell_m, rows, classes, share, one, at + last, place[0], place[1], place[2])
+        ends[j] = weight[last] * end
+        if ends[j] + least < most:
+            best, most = j, ends[j] + least
+    if most >= bound:
+        return bound
     for i in range(-1, SECONDS):
         j = best if i < 0 else i
         last = lasts[j]
@@ -390,7 +278,7 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
     x, y, heading = ahead[0], ahead[1], ahead[2]
     values, after_turn, cell_m = table.values, table.after_turn, table.cell_m
     classes, share, turn_share = f.futures.classes, f.futures.share, f.futures.turn_share
-    room = np.empty((3, foretold + _SAMPLES))
+    room = np.empty((3, foretold + SAMPLES))
     before, best, found = np.zeros((count, size)), np.empty(count), room[2]
     for one in range(count):
         rows = f.rows[one]
@@ -412,11 +300,14 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
             best[one] = min(best[one], cost)
             if end > 0:
                 break
-    placed, n, ends = np.empty((3, SECONDS, _SAMPLES)), np.empty(SECONDS, np.int64), np.empty(SECONDS)
-    laid, calm = np.empty(SECONDS, np.bool_), scene.air.wind_x_m_s == 0.0 and scene.air.wind_y_m_s == 0.0
-    speeds, flown = np.empty(0), np.empty((0, SECONDS))
-    if not calm:
-        speeds, flown = speeds_over_ground(scene.air), np.empty((_SAMPLES, SECONDS))
+    n, ends = np.empty(SECONDS, np.int64), np.empty(SECONDS)
+    first, laid, calm = (
+        np.empty(count),
+        np.empty(SECONDS, np.bool_),
+        scene.air.wind_x_m_s == 0.0 and scene.air.wind_y_m_s == 0.0,
+    )
+    speeds = np.empty(0) if calm else speeds_over_ground(scene.air)
+    flown = seconds.flown[:0] if calm else seconds.flown
     for at in branches:
         if at >= size or at >= horizon:
             break
@@ -426,20 +317,31 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
                 level = i
         for j in range(SECONDS):
             last = seconds.end[level, j]
-            n[j] = min(max(last, horizon - at), _SAMPLES - 1)
+            n[j] = min(max(last, horizon - at), SAMPLES - 1)
             n[j] = 0 if last == 0 or at + n[j] >= foretold else n[j]
+        # Nobody pays less than the least of the table's classes from a line's end on.
+        promising = False
+        for one in range(count):
+            first[one] = before[one, at] + f.weight[at] * (second.leave if at >= end else second.change)
+            for j in range(SECONDS):
+                last = at + n[j]
+                least = f.weight[last] * (f.min_value[one, last] + f.min_turn_cost_per_s * n[j] * STEP_S)
+                promising |= n[j] > 0 and first[one] + least < best[one]
+        if not promising:
+            continue
         start = Pose(x[at], y[at], heading[at])
         if not calm:
             stretch(seconds, level, start.heading_rad, speeds, n.max(), flown)
-        fan = Fan(start, math.sin(start.heading_rad), math.cos(start.heading_rad), level, flown, placed, laid, n)
+        fan = Fan(
+            start, math.sin(start.heading_rad), math.cos(start.heading_rad), level, flown, seconds.placed, laid, n
+        )
         laid[:] = False
         for j in range(SECONDS):
             if n[j] > 0:
                 lay(seconds, fan, j, n[j], n[j])
         for one in range(count):
-            first = before[one, at] + f.weight[at] * (second.leave if at >= end else second.change)
-            if first < best[one]:
-                best[one] = first + _cheapest(seconds, fan, at, one, second, best[one] - first, room, ends)
+            if first[one] < best[one]:
+                best[one] = first[one] + _cheapest(seconds, fan, at, one, second, best[one] - first[one], room, ends)
     total = 0.0
     for one in range(count):
         total += f.futures.weight[one] * best[one]

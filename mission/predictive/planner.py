@@ -32,7 +32,7 @@ from mission.predictive._future_kernel import Turns, winding
 from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
 from mission.predictive._rollout_kernel import Futures
 from mission.predictive._scene_kernel import Scene, Situation, scene_of
-from mission.predictive._second_kernel import no_seconds
+from mission.predictive._second_moves_kernel import no_seconds
 from mission.predictive._sight_kernel import NOTHING_HIDDEN, SightAt
 from mission.predictive.cost import WatchCost
 from mission.predictive.forecast import Outlook, describe_breach, describe_range
@@ -148,7 +148,7 @@ class PredictivePlanner:
             self._policy.memory,
             self._kept,
             Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s),
-            Depth(own.beam, own.horizon_s, float(table.values.min()), float(table.after_turn.min())),
+            Depth(own.beam, own.horizon_s, _least(table), float(table.after_turn.min())),
             self._seconds,
         )
 
@@ -216,6 +216,12 @@ class PredictivePlanner:
             reason = f"staying: {describe_range(ahead)}"
         values = {"stay_cost_s": stay_cost, "move_cost_s": float(costs[move]), "move": float(move)}
         return Decision(now.time_s, plan, reason, values)
+
+
+def _least(table: ValueTable) -> FloatArray:
+    """Return the least value of each class (classes,)."""
+    least: FloatArray = table.values.min(axis=(1, 2, 3)).astype(np.float64)
+    return least
 
 
 def cheapest_allowed(

@@ -18,21 +18,23 @@ from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
 from mission.predictive._rollout_kernel import Air, Futures, Pose, lines_costs, single_line, times_s
 from mission.predictive._scene_kernel import Situation, in_frame, scene_of
 from mission.predictive._second_kernel import (
-    LEVELS,
     MOVE_BRANCHES,
-    SECOND_LENGTHS,
-    SECONDS,
     STAY_BRANCHES,
-    Fan,
     Second,
     deep_cost,
     foretold_of,
+    moving_ahead,
+    staying_ahead,
+)
+from mission.predictive._second_moves_kernel import (
+    LEVELS,
+    SECOND_LENGTHS,
+    SECONDS,
+    Fan,
     lay,
     lay_out_seconds,
-    moving_ahead,
     no_seconds,
     speeds_over_ground,
-    staying_ahead,
     stretch,
 )
 from mission.predictive._sight_kernel import NOTHING_HIDDEN
@@ -45,7 +47,7 @@ from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
 CALM, WISH = Wind(), Wish(False, 50.0, math.nan)
 STRAIGHT = Turns(np.zeros(1), 10.0)
-SHALLOW = kernel.Depth(0, 15.0, 0.0, 0.0)
+SHALLOW = kernel.Depth(0, 15.0, np.zeros(1), 0.0)
 
 
 def a_table(aircraft, requirement, wind_m_s=0.0):
@@ -279,7 +281,7 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
     assert (end > 0) is under_way
     ramp, seconds, terms = sharpness_per_m2(paper_aircraft, 10.0), no_seconds(), table.configuration.cost.terms
     lay_out_seconds(seconds, scene.radius_m, ramp, 10.0)
-    foretold = foretold_of(futures, scene.doubt, table.arrays, 0.0, 0.0)
+    foretold = foretold_of(futures, scene.doubt, table.arrays, table.values.min(axis=(1, 2, 3)).astype(float), 0.0)
     for (line, ends), branches in (((ahead, end), STAY_BRANCHES), (moved, MOVE_BRANCHES)):
         second = Second(foretold, terms, table.arrays, seconds, 3.0, 5.0, 15.0)
         found = deep_cost(line, ends, branches, scene, second)
