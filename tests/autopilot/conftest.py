@@ -26,7 +26,7 @@ from sitl.simulation import Simulation
 SIDELONG = Path(sys.executable).with_name("sidelong")
 SPEED = 10.0
 RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
-LIFE_S = int(os.environ.get("LIFE_S", "300"))  # of the application, at most
+LIFE_S = int(os.environ.get("LIFE_S", "600"))  # of the application, at most
 PATIENCE_S = 0.3 * LIFE_S
 WIND_UP_S = 60.0  # the application's own bound
 # Runs a program that the kernel ends after so many seconds, should its test not have lived to do it.

@@ -27,8 +27,10 @@ def flown_line(vehicle):
 def test_killed_during_an_upload_and_started_again(vehicle_of, launch, flavour, seed):
     vehicle = vehicle_of(flavour, seed)
     item = 1 + seed % 3
+    begin_s = time.monotonic()
     first = launch(vehicle.url)
     first.wait_for(WATCHED)
+    first_s = time.monotonic() - begin_s
     before = []
     vehicle.at_item(item, lambda: (first.kill(), before.extend(flown_line(vehicle))))
     first.process.wait(90.0)
@@ -45,7 +47,7 @@ def test_killed_during_an_upload_and_started_again(vehicle_of, launch, flavour, 
     resumed_s = time.monotonic() - begin_s
     assert "taking over the circle that is flown" in second.said
     print(f"resumed after {resumed_s:.1f} s")
-    assert resumed_s < 30.0  # 15 s on a machine that has nothing else to do
+    assert resumed_s < 2.0 * first_s + 10.0
     assert vehicle.do(lambda: flown_line(vehicle))[-1] == before[-1]
     assert second.end()["outcome"] == "interrupted"
 
