@@ -152,7 +152,8 @@ class Transfer:
             case "MISSION_ACK":
                 self._downloads.pop(station, None)
                 upload = self._upload
-                if upload is not None and upload.sender == sender:  # the sender breaks off
+                breaks_off = message.type == mavlink.MAV_MISSION_OPERATION_CANCELLED
+                if upload is not None and upload.sender == sender and breaks_off:
                     self._abandon(upload)
 
     def _on_count(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:

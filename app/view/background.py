@@ -92,6 +92,14 @@ class Background:
         return _OPENERS[self.path.suffix.lower()](self.path) if self.zooms is not None else None
 
 
+def readable_tile(tiles: Tiles, zoom: int, column: int, row: int) -> bytes | None:
+    """Return a tile; None where there is none, or none that can be read."""
+    try:
+        return tiles.tile(zoom, column, row)
+    except Exception:  # whatever two readers make of a damaged part
+        return None
+
+
 def background(path: Path, bounds: str | None) -> Background:
     """Return a map's file, looked into. bounds: of a picture, as S,W,N,E in degrees.
 

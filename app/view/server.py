@@ -24,7 +24,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.view.access import Access, Allowances
-from app.view.background import Background, is_tile, media_type
+from app.view.background import Background, is_tile, media_type, readable_tile
 
 Json = dict[str, Any]
 
@@ -226,7 +226,7 @@ class Server:
 
     async def _tile(self, request: Request) -> Response:
         place = tuple(request.path_params[name] for name in ("zoom", "column", "row"))
-        data = self._tiles.tile(*place) if self._tiles is not None and is_tile(*place) else None
+        data = readable_tile(self._tiles, *place) if self._tiles is not None and is_tile(*place) else None
         return self._refused(request) or _shown(data)
 
     async def _picture(self, request: Request) -> Response:

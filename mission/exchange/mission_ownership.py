@@ -82,7 +82,7 @@ class MissionOwnership:
 
     def written(self, items: tuple[RawItem, ...], mission_id: int, accepted: bool) -> None:
         """Have written a mission, or perhaps written it."""
-        self._read = None
+        self._call_off()
         self._in_doubt = self._begun and not accepted and not self._quirks.stores_items_one_by_one
         self._written.append((items, accepted))
         self._identity.written(len(items) - self._quirks.home_at_zero, mission_id, accepted)
@@ -102,15 +102,23 @@ class MissionOwnership:
             if self._read is None or self._read_of != (report.total, report.mission_id):
                 self._reads_unlike *= self._read_of == (report.total, report.mission_id)
                 self._read_of = report.total, report.mission_id
-                self._read = MissionRead(self._outbox, self._quirks, self._outbox.link_s + _READ_S)
+                self._call_off()
+                deadline_s = self._outbox.link_s + _READ_S
+                self._read = MissionRead(self._outbox, self._quirks, deadline_s, self._reports.round_trip_s)
             return
-        self._read, self._in_doubt = None, False
+        self._call_off()
+        self._in_doubt = False
         if not self._identity.is_ours(report.total, report.mission_id):
             self._suspect(self._reports, _CHANGED)
         elif not any(line is not None and report.seq in line for line in lines):
             self._suspect(self._reports, f"another station has chosen item {report.seq} of the mission")
         else:
             self._reports.fits()
+
+    def _call_off(self) -> None:
+        if self._read is not None:
+            self._read.call_off()
+            self._read = None
 
     def receive(self, report: VehicleReport) -> None:
         """Take what the autopilot reports."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from mission.exchange.dialect import ProtocolQuirks
-from mission.exchange.outbox import CANCELLED, DENIED, ERROR, Outbox
+from mission.exchange.outbox import DENIED, ERROR, Outbox
 from mission.exchange.raw_item import RawItem
 from mission.exchange.reports import MissionAcknowledged, MissionCountReported, MissionItemReported, VehicleReport
 
@@ -22,11 +22,14 @@ _UNANSWERED_MAX = 4  # requests; then the vehicle may have given the reading up,
 
 
 class MissionRead:
-    """``done`` when all is read or the deadline (of the link's clock) has passed; then ``items``, None: not read."""
+    """``done`` when all is read or the deadline (of the link's clock) has passed; then ``items``, None: not read.
 
-    def __init__(self, outbox: Outbox, quirks: ProtocolQuirks, deadline_s: float) -> None:
+    round_trip_s: as far as it is known.
+    """
+
+    def __init__(self, outbox: Outbox, quirks: ProtocolQuirks, deadline_s: float, round_trip_s: float = 0.0) -> None:
         self._outbox, self._in_order = outbox, not quirks.stores_items_one_by_one
-        self._deadline_s, self._again_s = deadline_s, _AGAIN_S
+        self._deadline_s, self._again_s = deadline_s, max(_AGAIN_S, _AGAIN_ROUND_TRIPS * round_trip_s)
         self._disturbed = 0
         self._count: int | None = None
         self._read_of = 0  # so many items, of the mission that mission_id tells
@@ -49,7 +52,7 @@ class MissionRead:
             return
         match report:
             case MissionCountReported() if self._count is None:
-                self._again_s = max(_AGAIN_S, _AGAIN_ROUND_TRIPS * (report.link_s - self._asked_s))
+                self._again_s = max(self._again_s, _AGAIN_ROUND_TRIPS * (report.link_s - self._asked_s))
                 self._repeats = 0
                 if (report.count, report.mission_id) != (self._read_of, self.mission_id) or not report.mission_id:
                     self._read.clear()
@@ -73,9 +76,7 @@ class MissionRead:
         if self.done:
             return
         if self._outbox.link_s >= self._deadline_s:
-            self.done = True
-            if self._in_order:
-                self._outbox.send_mission("MISSION_ACK", type=CANCELLED)
+            self.call_off()
         elif self._outbox.link_s >= self._due_s:
             self._repeats += 1
             given_up = not self._singly or self._repeats > _UNANSWERED_MAX
@@ -83,6 +84,12 @@ class MissionRead:
                 self._begin_again()
             else:
                 self._ask()
+
+    def call_off(self) -> None:
+        """Read no more: a vehicle that is read in order heeds nothing else until it is told."""
+        if not self.done and self._in_order:
+            self._outbox.end_reading()
+        self.done = True
 
     @property
     def _singly(self) -> bool:

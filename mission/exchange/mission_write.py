@@ -65,6 +65,7 @@ class MissionWrite:
         self.items, self.changed = tuple(items), changed
         self._deadline_s, self._mission_ids_before = deadline_s, mission_ids_before
         self._doubt_before = doubt_before
+        self._round_trip_before_s = round_trip_s
         self._again_s = max(_AGAIN_S, _AGAIN_ROUND_TRIPS * round_trip_s)
         self._at_once = round_trip_s > _LONG_ROUND_TRIP_S
         self._overtaken = False
@@ -94,7 +95,9 @@ class MissionWrite:
             self._read.receive(report)
             self._judge_read()
             return
-        self._read = None
+        if self._read is not None:
+            self._read.call_off()
+            self._read = None
         match report:
             case MissionItemRequested() if self._phase is not _Phase.VERIFYING and 0 <= report.seq < len(self.items):
                 self._requested(report)
@@ -132,9 +135,12 @@ class MissionWrite:
 
     def _requested(self, report: MissionItemRequested) -> None:
         repeated, self._awaited = report.seq == self._awaited, report.seq
-        self._due_s, self._repeats = report.link_s + self._again_s, 0
+        repeats, self._repeats = self._repeats, 0
+        self._due_s = report.link_s + self._again_s
         if self._phase is _Phase.ANNOUNCING:
-            self.round_trip_s = report.link_s - self._said_s
+            # After a repetition nothing tells which announcement is answered.
+            measured_s = report.link_s - self._said_s
+            self.round_trip_s = measured_s if repeats == 0 else max(measured_s, self._round_trip_before_s)
             self._again_s = max(_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS * self.round_trip_s)
             self._phase = _Phase.SENDING
             if not self._at_once:
@@ -200,18 +206,22 @@ class MissionWrite:
         if self._quirks.stores_items_one_by_one or self._phase is _Phase.ANNOUNCING:
             self.result = WriteResult.TIMEOUT
         else:  # often only the last acknowledgement was lost
-            self._read = MissionRead(self._outbox, self._quirks, self._outbox.link_s + _READ_S)
+            self._read = self._reading()
 
     # -- what is on board ----------------------------------------------------------------------------------
 
     def _verify(self) -> None:
         if not self._quirks.stores_items_one_by_one:
-            self._read = MissionRead(self._outbox, self._quirks, self._outbox.link_s + _READ_S)
+            self._read = self._reading()
             return
         self._phase = _Phase.VERIFYING
         self._onboard.clear()
         self._say()
         self._judge()
+
+    def _reading(self) -> MissionRead:
+        deadline_s = self._outbox.link_s + _READ_S
+        return MissionRead(self._outbox, self._quirks, deadline_s, self.round_trip_s or 0.0)
 
     def _is_wanted_still(self, report: VehicleReport) -> bool:
         """Tell whether the vehicle still asks for items, though an acknowledgement has come."""

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+import io
 import json
 import random
+import sqlite3
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+
+from pmtiles.tile import Compression, TileType, zxy_to_tileid
+from pmtiles.writer import Writer
+from pymavlink.dialects.v20 import common as mavlink
 
 from app.analysis.truth import read_truth
 from app.config import Config, load_config
 from app.errors import InputError
+from app.fleet.fleet_file import load_fleet
 from app.flight.recording import JOURNAL_TYPES, journalled_config
 from app.link.telemetry import Telemetry
 from app.records.journal import Header, JournalReader, encode
 from app.records.log import open_log
 from app.records.run_folder import RunFolder
 from app.report.results import read_summary
+from app.sharing.beacon import decode
 from app.value_cache import stored_table
+from app.view.background import background, readable_tile
 from estimators.frames import LocalPlane
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from mission.core.circle import Circle
@@ -68,6 +78,45 @@ def _summary(path: Path) -> None:
 
 def _table(path: Path) -> None:
     assert stored_table(path, TABLE) is None
+
+
+def _beacon(path: Path) -> None:
+    decode(path.read_bytes(), datetime(2026, 11, 21, tzinfo=UTC))
+
+
+def _tiles(path: Path) -> None:
+    tiles = background(path, None).opened()
+    assert tiles is not None
+    for zoom, column, row in _TILE_PLACES:
+        readable_tile(tiles, zoom, column, row)
+
+
+def _mbtiles() -> bytes:
+    with sqlite3.connect(":memory:") as database:
+        database.execute("create table tiles (zoom_level, tile_column, tile_row, tile_data)")
+        for place in _TILE_PLACES:
+            database.execute("insert into tiles values (?, ?, ?, ?)", (*place, _PICTURE))
+        return database.serialize()
+
+
+def _pmtiles() -> bytes:
+    file = io.BytesIO()
+    writer = Writer(file)
+    for tile_id in sorted(zxy_to_tileid(*place) for place in _TILE_PLACES):
+        writer.write_tile(tile_id, _PICTURE)
+    degrees = dict.fromkeys(
+        ("min_lon_e7", "min_lat_e7", "max_lon_e7", "max_lat_e7", "center_lon_e7", "center_lat_e7"), 0
+    )
+    form = {"tile_type": TileType.PNG, "tile_compression": Compression.NONE, "center_zoom": 0}
+    writer.finalize(degrees | form, {})
+    return file.getvalue()
+
+
+def _follow_target() -> bytes:
+    beacon, three = mavlink.MAVLink(None, srcSystem=9), [0.0, 0.0, 0.0]
+    place = (474_000_000, 85_000_000, 400.0)
+    told = mavlink.MAVLink_follow_target_message(1000, 1, *place, three, three, [1.0, *three], three, three, 0)
+    return told.pack(beacon)
 
 
 def _ulog() -> bytes:
@@ -168,6 +217,24 @@ keep_in = [[[47.40, 8.50], [47.42, 8.50], [47.42, 8.53], [47.40, 8.53]]]
 floor_m = 60.0
 ceiling_m = 150.0
 """
+_FLEET = b"""
+[requirement]
+side = "right"
+[[aircraft]]
+name = "north"
+url = "udpin://0.0.0.0:14540"
+radius_m = 60
+[[aircraft]]
+name = "south"
+url = "udpin://0.0.0.0:14541"
+height_m = 200
+[aircraft.sensors]
+range_component = 9
+"""
+_COT = b"""<event version="2.0" uid="boat-1" type="a-f-S" how="m-g" time="2026-11-21T10:00:00Z">
+<point lat="47.4" lon="8.5" hae="400.0" ce="5.0" le="10.0"/><detail><contact callsign="boat"/></detail></event>"""
+_PICTURE = b"\x89PNG\r\n\x1a\n" + bytes(200)
+_TILE_PLACES = [(zoom, column, row) for zoom in range(3) for column in range(1 << zoom) for row in range(1 << zoom)]
 _SUMMARY = {
     **dict.fromkeys(("duration_s", "time_in_band", "time_on_side", "min_range_m", "max_range_m"), 1.0),
     **dict.fromkeys(("moves", "uploads", "upload_failures", "sightings", "rejected"), 3),
@@ -193,6 +260,11 @@ def readers(table: bytes) -> dict[str, Reader]:
         Reader("gpx", ".gpx", _excerpt("target-bike.gpx"), read_track),
         Reader("csv track", ".csv", _CSV_TRACK, read_track),
         Reader("config", ".toml", _CONFIG, load_config),
+        Reader("fleet", ".toml", _FLEET, load_fleet),
+        Reader("beacon, CoT", ".xml", _COT, _beacon),
+        Reader("beacon, FOLLOW_TARGET", ".frame", _follow_target(), _beacon),
+        Reader("mbtiles", ".mbtiles", _mbtiles(), _tiles),
+        Reader("pmtiles", ".pmtiles", _pmtiles(), _tiles),
         Reader("value table", ".table", table, _table),
     )
     return {reader.name: reader for reader in every}

@@ -9,7 +9,7 @@ from tests.faults.campaign import Count, run
 INPUTS = 400
 NAMES = (
     *("tlog", "ulog", "dataflash", "journal", "journal, sealed", "truth", "summary", "gpx", "csv track", "config"),
-    "value table",
+    *("fleet", "beacon, CoT", "beacon, FOLLOW_TARGET", "mbtiles", "pmtiles", "value table"),
 )
 
 
