@@ -7,16 +7,7 @@ import math
 import numpy as np
 
 from estimators._imm_kernel import COVARIANCE, MEAN, N, predict
-from estimators._mixture_kernel import (
-    EAST,
-    HEIGHT,
-    NORTH,
-    VELOCITY_E,
-    VELOCITY_N,
-    Densities,
-    FloatArray,
-    combine,
-)
+from estimators._mixture_kernel import EAST, HEIGHT, NORTH, VELOCITY_E, VELOCITY_N, Densities, FloatArray, combine
 from estimators.compiled import compiled
 from estimators.terrain._ground_kernel import Grid, height_and_slope, height_sigma_m
 
