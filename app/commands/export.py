@@ -61,15 +61,23 @@ def write_export(source: Path, wanted: Format, out: Path | None = None, config: 
         )
     # A run folder's tlog tells what its journal does not: the autopilot, home and the time of day.
     context = LogContext.of(open_log(RunFolder.open(source).tlog if source.is_dir() else source))
+    # What is broken off leaves the file of before as it was; a pipe is written as it is.
+    whole = out.is_file() or not out.exists()
+    partial = out.with_name(f"{out.name}.partial") if whole else out
     try:
         if wanted is Format.MCAP:
-            _write_mcap(source, flown, context, out)
+            _write_mcap(source, flown, context, partial)
         elif wanted is Format.KLV:
-            _write_klv(source, flown, context, out)
+            _write_klv(source, flown, context, partial)
         else:
-            write(_flight(flown, context), wanted, out)
+            write(_flight(flown, context), wanted, partial)
+        if whole:
+            partial.replace(out)
     except OSError as error:
         raise InputError(f"{out} cannot be written: {error.strerror}.") from error
+    finally:
+        if whole:
+            partial.unlink(missing_ok=True)
     console.print(f"{wanted}: {out}", soft_wrap=True)
     if wanted is Format.MCAP:
         console.print(f"a layout for Foxglove (Import from file...): {LAYOUT}", soft_wrap=True)

@@ -12,6 +12,7 @@ import pytest
 from app.commands.export import write_export
 from app.errors import InputError
 from app.records.export import Format
+from app.report.sources import feed
 
 DATA = Path(__file__).parents[1] / "data"
 NO_LASER = DATA / "no-laser-vtol.tlog"
@@ -50,3 +51,17 @@ def test_gpsbabel_reads_it(tmp_path, wanted):
     rows = run("gpsbabel", "-t", "-i", wanted, "-f", tmp_path / "out", "-o", "unicsv", "-F", "-").splitlines()
     assert len(rows) > 20
     assert rows[1].split(",")[1].startswith("-35.36")
+
+
+def test_an_export_that_is_broken_off_leaves_the_file_of_before(tmp_path, monkeypatch):
+    out = tmp_path / "out.mcap"
+    out.write_bytes(b"before")
+
+    def broken_off(_source, log):
+        feed(NO_LASER, log)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("app.commands.export.feed", broken_off)
+    with pytest.raises(KeyboardInterrupt):
+        write_export(NO_LASER, Format.MCAP, out)
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [("out.mcap", b"before")]
