@@ -1,6 +1,6 @@
 """Every command line of the README, run as it stands there but for hosts, files and durations.
 
-Each runs in one folder with what the lines before have left there, as a reader would. The end of what each printed
+Each runs in a reader's folder with the files that the README has made by then. The end of what each printed
 goes to standard output (pytest -s).
 """
 
@@ -26,7 +26,7 @@ from tests.app.test_readme import ROOT, shown
 
 SIDELONG = Path(sys.executable).parent / "sidelong"
 DASK = Path(sys.executable).parent / "dask"
-HOME = "47.5,8.5"
+HOME, PRESET = "47.5,8.5", "parrot-disco"
 SHORT = {
     "launch": ["--duration", "20", "--speed", "20"],
     "study": ["--runs", "2", "--duration", "60", "--jobs", "1"],
@@ -35,13 +35,11 @@ SHORT = {
 FLAVOURS = {":14540": "px4", ":14550": "px4", ":5760": "arduplane", ":5762": "arduplane"}
 NEEDS_ANOTHER_PROGRAM = {"sitl --autopilot px4 --binary PATH": "a SITL program of the reader's own"}
 COMMANDS = [" ".join((name, *arguments.split())) for name, arguments in shown()]
-# What a reader does first, for the lines that need what it leaves.
-FIRST = ("init mission.toml --preset NAME", "init fleet.toml --fleet 2", "launch")
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Return a reader's folder: a track, tracks, tiles."""
+    """Return a reader's folder: configurations, a track, tracks, tiles."""
     made = tmp_path_factory.mktemp("reader")
     shutil.copy(ROOT / "tests/data/target-bike.gpx", made / "track.gpx")
     for name in ("tracks", "DIR"):
@@ -52,17 +50,22 @@ def folder(tmp_path_factory) -> Path:
     (made / "FOLDER").mkdir()
     posts = np.add.outer(300.0 + 60.0 * np.sin(np.arange(1201) / 15.0), 60.0 * np.cos(np.arange(1201) / 20.0))
     posts.astype(">i2").tofile(made / "FOLDER" / "N47E008.hgt")
+    _done(["init", "mission.toml", "--preset", PRESET], made)
+    _done(["init", "fleet.toml", "--fleet", "2"], made)
+    (made / "new").mkdir()
     return made
 
 
-@pytest.mark.parametrize("command", sorted(COMMANDS, key=lambda one: (one not in FIRST, one)))
+@pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_of_the_readme_runs(command, folder):
     if command in NEEDS_ANOTHER_PROGRAM:
         pytest.skip(NEEDS_ANOTHER_PROGRAM[command])
     with contextlib.ExitStack() as stack:
         words = _with_what_it_names(command, folder, stack)
         name = words[0]
-        if name == "sitl":
+        if name == "init":
+            text = _done(words, folder / "new")
+        elif name == "sitl":
             text = _for_a_while(words, folder)
         else:
             with_map = ["--view-port", "0"] if "--view" in words else []
@@ -76,10 +79,12 @@ def test_a_command_of_the_readme_runs(command, folder):
 
 def _with_what_it_names(command: str, folder: Path, stack: contextlib.ExitStack) -> list[str]:
     """Return the words with what is to be had here in place of what is named, started where it is a program."""
-    run = max((folder / "runs").glob("*"), default=Path("none"))
-    text = re.sub(r"runs/\d{8}T\d{6}Z", str(run), command)
+    text = command
+    if "runs/" in command:
+        _done(["launch", *SHORT["launch"], "--out", "read"], folder)
+        text = re.sub(r"runs/\d{8}T\d{6}Z", str(max((folder / "read").iterdir())), command)
     for word, real in (
-        ("NAME", "parrot-disco"),
+        ("NAME", PRESET),
         ("LAT,LON", HOME),
         ("S,W,N,E", "47.4,8.4,47.6,8.6"),
         ("0.0.0.0", "127.0.0.1"),
