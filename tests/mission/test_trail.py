@@ -75,6 +75,11 @@ def test_a_way_that_was_never_gone_before_foretells_nothing():
     assert all(foretold(places, now_s)[0] == 0.0 for now_s in range(40, len(places), 10))
 
 
+def test_one_who_paces_over_a_few_metres_foretells_nothing():
+    places = walked(rows(1.0, 24.0, 30), seed=3)
+    assert all(foretold(places, now_s)[0] == 0.0 for now_s in range(40, len(places), 5))
+
+
 def test_the_trail_goes_straight_on_where_it_ends():
     places = np.stack([np.zeros(201), 2.0 * np.abs(np.arange(201) - 100.0)], axis=1)  # there and back
     trail = remembered(places[:166])
