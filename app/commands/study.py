@@ -246,7 +246,7 @@ def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:
         console.print(f"{study.total - missing} of {study.total} runs are in {study.store.file} already")
     if not missing:
         return
-    if not is_kept(advance_flight):
+    if scheduler is None and not is_kept(advance_flight):
         console.print("compiling the flights, once for this version of the program: up to a minute")
     processes = jobs or os.cpu_count() or 1
     with runs_progress(missing) as (advance, computing):
