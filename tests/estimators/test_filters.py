@@ -228,3 +228,16 @@ def test_a_far_wrong_prediction_does_not_bend_the_next_sighting(kind, scene, mov
 def test_cruising_is_taken_for_cruising(scene):
     *_, (target, _) = run("imm", scene.of(lambda _: (3.0, 3.0), 60.0).sightings(np.random.default_rng(10)), NO_BIAS)
     assert int(np.argmax(target.mode_probabilities)) == CRUISING
+
+
+def test_a_resting_target_that_creeps_is_not_taken_for_an_error_of_the_gimbal(scene):
+    """By 0.2 m/s, elsewhere every 12 s, as a resting hiker does: what is believed of the yaw error must be true."""
+    nees = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        velocities = rng.normal(0.0, 0.2, (20, 2))
+        flown = scene.of(lambda time_s, v=velocities: v[int(time_s / 12.0)], 240.0, phase_rad=seed)
+        *_, (target, _) = run("imm", flown.sightings(rng))
+        calibration = target.biases().calibration
+        nees.append((calibration.yaw_bias_rad / calibration.yaw_sigma_rad) ** 2)
+    assert np.mean(nees) < chi2.ppf(0.99, 6) / 6
