@@ -20,7 +20,6 @@ from app.autopilots.registry import autopilot_by_name
 from app.commands.output import JsonOption, checked_output, console, write_json
 from app.commands.page_options import BoundsOption, MapOption, PortOption
 from app.commands.progress import progress_bar, table_progress
-from app.commands.replay_fleet import replay_fleet
 from app.config import Config, load_config, with_values
 from app.errors import FlightError, InputError
 from app.flight.recording import JOURNAL_TYPES, journalled_config
@@ -33,7 +32,6 @@ from app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
 from app.view.frames import Frames
 from app.view.panel import clock
 from app.view.player import SPEED_MAX
-from app.view.replay_page import serve_replay
 from app.view.state import StateEncoder
 from estimators.frames import LocalPlane
 from mission.control.controller import StandoffController
@@ -92,6 +90,8 @@ def replay(
 
         def one(folder: RunFolder) -> Summary:
             return _replay_run(folder.path, truth, None, changes, verify, quiet)
+
+        from app.commands.replay_fleet import replay_fleet  # noqa: PLC0415  # it takes half a second to load
 
         write_json(json, replay_fleet(fleet, one, verify))
         return
@@ -220,6 +220,8 @@ class _Shown:
         write_json(self.json, result.as_json())
         if not frames.times_s:
             raise InputError(f"{self.name}: there is nothing to show, the vehicle told no position.")
+        from app.view.replay_page import serve_replay  # noqa: PLC0415  # it takes a third of a second to load
+
         serve_replay(
             frames,
             what_if,

@@ -54,6 +54,8 @@ class Fences:
             return f"the height of {height_m:.0f} m is below the floor of {self._floor_m:.0f} m"
         if self._ceiling_m is not None and height_m > self._ceiling_m:
             return f"the height of {height_m:.0f} m is above the ceiling of {self._ceiling_m:.0f} m"
+        if self._keep_in is None and not self._keep_out:
+            return None
         if plan.transition is not None:
             line = LineString(np.column_stack((plan.transition.east_m, plan.transition.north_m)))
             broken = self._broken_by("the transition", line)
