@@ -27,8 +27,8 @@ PLACE = [EAST, NORTH, HEIGHT]
 VELOCITY = [VELOCITY_E, VELOCITY_N]
 
 # A calibration that is let drift never closes for good. What a mover does that no model knows is taken for an error
-# of the payload, mostly of its yaw: without a drift of 0.4 degrees in 1,000 s the calibration would be sure of that.
-_BIAS_DRIFT_PER_S = np.array([4e-8, 1e-10, 1e-7])
+# of the payload, mostly of its yaw: without a drift of 0.25 degrees in 1,000 s the calibration would be sure of that.
+_BIAS_DRIFT_PER_S = np.array([2e-8, 1e-10, 1e-7])
 
 
 class TargetFilter(Protocol):

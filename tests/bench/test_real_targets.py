@@ -138,11 +138,12 @@ def table(found: Iterable[Held], worst: int = 5) -> str:
 
 
 def test_the_ellipse_holds_recorded_movers():
-    found = {drawn: list(measured(OWN, {}, 3 if drawn else 1, 30.0, drawn)) for drawn in (False, True)}
-    for of in found.values():
-        print("\n" + table(of))
-    assert min(one.held for one in found[False]) >= 0.85
-    assert 0.92 <= np.average([one.held for one in found[True]], weights=[one.steps for one in found[True]]) <= 0.98
+    for drawn, draws, pooled_max in ((False, 1, 0.99), (True, 3, 0.98)):
+        found = list(measured(OWN, {}, draws, 30.0, drawn))
+        print("\n" + table(found))
+        assert 0.92 <= np.average([one.held for one in found], weights=[one.steps for one in found]) <= pooled_max
+        if not drawn:
+            assert min(one.held for one in found) >= 0.85
 
 
 def main() -> None:

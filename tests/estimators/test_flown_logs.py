@@ -54,11 +54,35 @@ def test_the_whole_flight(name, request):
     error_rad = abs(calibration.yaw_bias_rad - YAW_BIAS_RAD)
     assert error_rad < math.radians(0.15)
     assert error_rad < 3 * calibration.yaw_sigma_rad
-    held = np.mean(np.array(result.nees) < 5.991)
-    assert 0.92 <= held <= 0.99
+    assert np.mean(np.array(result.nees) < 5.991) >= 0.92
     # 2 % of the ranges are outliers, all flagged by a poor signal; hardly a good one is lost.
     assert result.tracker.rejected == pytest.approx(0.02 * result.tracker.sightings, rel=0.2)
     assert TrackQuality.LOST not in result.qualities
+
+
+@pytest.mark.parametrize("name", ["bike", "walk_and_drive"])
+def test_the_ellipse_promises_what_it_holds(name, request):
+    """Over payload errors as large as the filter is told: of the flown yaw error alone, 0.4 sigma, it holds more."""
+    flown, settings, held = request.getfixturevalue(name), TrackerSettings(), []
+    # The same errors to either side, so that what was flown with does not shift their mean.
+    for yaw, offset in ((1.4, 0.5), (-1.4, -0.5), (0.4, -1.4), (-0.4, 1.4)):
+        yaw_rad = yaw * settings.yaw_bias_sigma_rad - YAW_BIAS_RAD
+        offset_m = offset * settings.range_bias_sigma_m
+        readings = [with_errors(reading, yaw_rad, offset_m) for reading in flown.readings]
+        held.append(np.mean(np.array(Result(flown, readings).nees) < 5.991))
+    assert 0.92 <= np.mean(held) <= 0.98
+
+
+def with_errors(reading, yaw_rad, offset_m):
+    """Turn lines of sight to the right, and lengthen ranges."""
+    match reading:
+        case GimbalReading():
+            w, x, y, z = reading.quaternion_wxyz
+            c, s = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
+            return replace(reading, quaternion_wxyz=(c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w))
+        case RangeReading():
+            return replace(reading, slant_range_m=reading.slant_range_m + offset_m)
+    return reading
 
 
 def cut(flown, start_s, end_s):
