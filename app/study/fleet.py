@@ -22,27 +22,20 @@ from app.study._flight_kernel import (
     COMMAND_PER_M,
     DEPARTURE_S,
     PRESENT,
-    Filtering,
     Flight,
-    Payload,
     Target,
     new_flight,
     plan_of,
     take_plan,
 )
 from app.study.airframe import KinematicAircraft
+from app.study.joint_sight import JointSight
 from app.study.judging import STEP_S, FloatArray, RunResult, judged, shares_of_any
 from app.study.pilots import StopWatch
-from app.study.run import START_RANGE_M, aircraft_on, payload_of
+from app.study.run import START_RANGE_M, aircraft_on
 from app.study.scene import Scene, scene
 from app.study.settings import StudySettings
-from estimators._joint_kernel import predict as predict_joint
-from estimators._mixture_kernel import combine
-from estimators.biases import Biases
 from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.joint import JointImm, PayloadSighting, prior_of
-from estimators.motion import DENSITIES
-from estimators.target_filter import bias_drift
 from mission.core.circle import Circle
 from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from mission.core.path import Path
@@ -57,6 +50,7 @@ from mission.laws.phased import CircularFormation, PhasedField
 from mission.predictive.value_table import ValueTable
 
 _STEPS = 10  # of a second, after which all decide
+_CHI2_95 = 5.991
 
 
 class FleetPlannerName(StrEnum):
@@ -137,9 +131,10 @@ class FleetRun:
         time_s = np.add.accumulate(np.append(0.0, np.full(self._steps - 1, STEP_S)))
         self._target = Target(np.ascontiguousarray(self._scene.target.sampled(time_s)), np.zeros((1, 3)))
         self._members = self._set_up(table, team)
+        heights_m = [member.height_m for member in self._members]
         self._roles = RoleAssignment()
         self._handovers = 0
-        self._sight = None if settings.perfect_sensors else _JointSight(settings, self._scene, self._members)
+        self._sight = None if settings.perfect_sensors else JointSight(settings, self._scene, heights_m, self._steps)
         self._watch = StopWatch(1)
         self._errors: list[tuple[float, float]] = []
 
@@ -177,7 +172,9 @@ class FleetRun:
                 frame = member.body.frame(STEP_S)._replace(airspeed_m_s=member.airspeed_m_s)
                 kernel.fly_on(member.flight, self._target, frame, steps)
             if self._sight is not None:
-                self._sight.see(self._members, self._target, at, min(at + steps, self._steps))
+                until = min(at + steps, self._steps)
+                logs = np.stack([member.flight.log[at:until] for member in self._members])
+                self._sight.see(logs, [not member.lost for member in self._members], self._target, at, until)
             at += steps
         return self._result()
 
@@ -217,7 +214,7 @@ class FleetRun:
         wanted = settings.requirement().side
         for member in sorted(flying, key=lambda one: roles[one.name] is not Role.WANTED):
             role = roles[member.name]
-            side = wanted if role is Role.WANTED else _other(wanted)
+            side = wanted if role is Role.WANTED else wanted.opposite
             others = tuple(one for name, one in neighbours.items() if name != member.name)
             member.planner.advise(FleetAdvice(estimate.time_s, "", role, side, estimate, member.height_m, others))
             if member.busy:
@@ -265,7 +262,7 @@ class FleetRun:
         requirement, aircraft = settings.requirement(), settings.aircraft()
         members = []
         for k in range(settings.fleet):
-            side = requirement.side if k % 2 == 0 else _other(requirement.side)
+            side = requirement.side if k % 2 == 0 else requirement.side.opposite
             circle = _start_circle(settings, flown, side, k // 2)
             body, height_m = aircraft_on(settings, flown, circle), settings.height_m + k * settings.layer_m
             signed_m = circle.radius_m if circle.clockwise else -circle.radius_m
@@ -283,119 +280,6 @@ class FleetRun:
         return members
 
 
-_CHI2_95 = 5.991
-
-
-class _JointSight:
-    """All payloads of a run, feeding one joint filter."""
-
-    def __init__(self, settings: StudySettings, flown: Scene, members: Sequence[_Member]) -> None:
-        errors, told = payload_of(settings)
-        self._told, count, steps = told, len(members), len(members[0].flight.log)
-        self._noise = np.stack([rng.normal(size=(steps, 3)) for rng in flown.sensor_rng.spawn(count)])
-        self._heights_m = np.array([member.height_m for member in members])
-        self._payload = Payload(
-            False,
-            False,
-            errors.range_sigma_m,
-            errors.angle_sigma_rad,
-            errors.yaw_bias_rad,
-            told.range_sigma_m,
-            told.yaw_sigma_rad,
-            told.pitch_sigma_rad,
-            told.position_sigma_m,
-        )
-        yaw, pitch, offset = bias_drift(np.arange(3)).tolist()
-        self._filtering = Filtering(
-            told.gate_nis,
-            told.soft_nis,
-            DENSITIES[told.target_kind],
-            (yaw, pitch, offset),
-            told.reacquire_after,
-            told.lost_after_s,
-            told.lost_sigma_m,
-        )
-        self._prior = prior_of([told] * count, [0.0] * count)
-        self._state: FloatArray | None = None
-        self._clock, self._rejections = np.zeros(2), np.zeros(1, np.int64)
-
-    def see(self, members: Sequence[_Member], target: Target, at: int, until: int) -> None:
-        """Take in what is seen from step ``at`` on."""
-        logs = np.stack([member.flight.log[at:until] for member in members])
-        seeing = np.array([not member.lost for member in members], np.int64)
-        window = Target(target.sampled[at:until], target.noise)
-        noise = np.ascontiguousarray(self._noise[:, at:until])
-        step, last = 0, until - at
-        while step < last:
-            if self._state is None:
-                one = int(np.argmax(seeing))
-                self._state = self._begun(one, logs[one, step], window.sampled[step], noise[one, step])
-                self._clock[:], self._rejections[0] = logs[one, step, 0], 0
-            step = kernel.see(
-                self._state,
-                np.empty_like(self._state),
-                self._clock,
-                logs,
-                window,
-                noise,
-                self._heights_m,
-                self._payload,
-                self._filtering,
-                seeing,
-                self._rejections,
-                step,
-                last,
-            )
-            if self._rejections[0] >= self._filtering.reacquire_after * len(members):
-                mean, covariance = self._moments(self._state, self._state_size)
-                self._prior, self._state = Biases(mean[6:], covariance[6:, 6:]), None
-
-    @property
-    def _state_size(self) -> int:
-        return 6 + self._prior.mean.size
-
-    @staticmethod
-    def _moments(state: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
-        mean, covariance = np.empty(size), np.empty((size, size))
-        combine(state, mean, covariance)
-        return mean, covariance
-
-    def _begun(self, payload: int, row: FloatArray, truth: FloatArray, noise: FloatArray) -> FloatArray:
-        """Return the filter begun with what one payload sees."""
-        p, height_m = self._payload, float(self._heights_m[payload])
-        east_m, north_m = float(truth[0] - row[1]), float(truth[1] - row[2])
-        level_m = math.hypot(east_m, north_m)
-        sighting = PayloadSighting(
-            float(row[0]),
-            math.hypot(level_m, height_m) + p.range_sigma_m * noise[0],
-            math.atan2(east_m, north_m) + p.yaw_bias_rad + p.angle_sigma_rad * noise[1],
-            math.atan2(height_m, level_m) - p.angle_sigma_rad * noise[2],
-            p.told_range_sigma_m,
-            p.told_yaw_sigma_rad,
-            p.told_pitch_sigma_rad,
-            float(row[1]),
-            float(row[2]),
-            height_m,
-            payload=payload,
-        )
-        return JointImm(self._told, sighting, self._prior).state
-
-    def estimate(self, time_s: float) -> TargetEstimate | None:
-        """Return the joint estimate; None before the first sighting."""
-        if self._state is None:
-            return None
-        ahead, step_s = self._state, time_s - float(self._clock[0])
-        if step_s > 1e-6:
-            ahead, f = np.empty_like(self._state), self._filtering
-            predict_joint(self._state, min(step_s, 1.0), f.densities, f.drift_per_s, ahead)
-        mean, covariance = self._moments(ahead, 4)
-        sigma_m, seen_s = math.sqrt(covariance[0, 0] + covariance[1, 1]), float(self._clock[1])
-        lost = time_s - seen_s > self._filtering.lost_after_s or sigma_m > self._filtering.lost_sigma_m
-        quality = TrackQuality.LOST if lost else TrackQuality.GOOD
-        east, north, velocity_e, velocity_n = mean.tolist()
-        return TargetEstimate(time_s, east, north, velocity_e, velocity_n, covariance, quality, seen_s)
-
-
 def run_fleet(
     settings: StudySettings,
     number: int,
@@ -407,10 +291,6 @@ def run_fleet(
     """Fly one run. losses count for joint decisions only."""
     flown = FleetRun(settings, number, table, team)
     return flown.joint(losses) if planner is FleetPlannerName.JOINT else flown.by_law(planner)
-
-
-def _other(side: Side) -> Side:
-    return Side.RIGHT if side is Side.LEFT else Side.LEFT
 
 
 def _start_circle(settings: StudySettings, flown: Scene, side: Side, row: int) -> Circle:

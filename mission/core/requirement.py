@@ -23,6 +23,11 @@ class Side(StrEnum):
         return self is Side.LEFT
 
     @property
+    def opposite(self) -> Side:
+        """The other side."""
+        return Side.RIGHT if self is Side.LEFT else Side.LEFT
+
+    @property
     def normal_turn_rad(self) -> float:
         """What turns the target's course into the direction of this side."""
         return -math.pi / 2 if self is Side.LEFT else math.pi / 2

@@ -48,7 +48,7 @@ from estimators.joint_track import JointTrack
 from estimators.settings import TrackerSettings
 from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Aircraft, Requirement, Side, Wind
+from mission.core.requirement import Aircraft, Requirement, Wind
 from mission.fleet.clocks import VehicleTime, shifted_estimate, shifted_plan, shifted_state
 from mission.fleet.events import (
     BatteryReported,
@@ -400,7 +400,7 @@ class FleetCoordinator:
     def _advise(self, vehicle: _Vehicle, estimate: TargetEstimate | None) -> None:
         by_s, name = -vehicle.clock.offset_s, vehicle.member.name
         wanted = self._targets[vehicle.target].requirement.side
-        side = wanted if vehicle.role is not Role.OPPOSITE else _other(wanted)
+        side = wanted if vehicle.role is not Role.OPPOSITE else wanted.opposite
         told = (vehicle.role, vehicle.target)
         reason = "" if told == vehicle.told else _reason(vehicle)
         vehicle.told = told
@@ -432,10 +432,6 @@ def _way_s(vehicle: _Vehicle, target: TargetEstimate) -> float:
     state = vehicle.report.state
     way_m = math.hypot(state.east_m - target.east_m, state.north_m - target.north_m)
     return way_m / vehicle.member.aircraft.airspeed_m_s
-
-
-def _other(side: Side) -> Side:
-    return Side.RIGHT if side is Side.LEFT else Side.LEFT
 
 
 def _reason(vehicle: _Vehicle) -> str:

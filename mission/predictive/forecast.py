@@ -39,10 +39,9 @@ def describe_breach(seen: Outlook, side: Side, requirement: Requirement, lead_s:
         return f"in {when_s:.0f} s the target would be {extreme_m:.0f} m away"
     if off.size:
         when_s = float(time_s[off[0]]) + lead_s
-        other = Side.RIGHT if side is Side.LEFT else Side.LEFT
         if when_s < 1.0:
-            return f"the aircraft is on the target's {other}"
-        return f"in {when_s:.0f} s the aircraft would be on the target's {other}"
+            return f"the aircraft is on the target's {side.opposite}"
+        return f"in {when_s:.0f} s the aircraft would be on the target's {side.opposite}"
     return None
 
 

@@ -1,0 +1,131 @@
+"""The payloads of all aircraft of a run, feeding one joint filter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from app.study import _fleet_kernel as kernel
+from app.study._flight_kernel import Filtering, Payload, Target
+from app.study.judging import FloatArray
+from app.study.run import payload_of
+from app.study.scene import Scene
+from app.study.settings import StudySettings
+from estimators._joint_kernel import predict as predict_joint
+from estimators._mixture_kernel import combine
+from estimators.biases import Biases
+from estimators.estimate import TargetEstimate, TrackQuality
+from estimators.joint import JointImm, PayloadSighting, prior_of
+from estimators.motion import DENSITIES
+from estimators.target_filter import bias_drift
+
+
+class JointSight:
+    """Sees the target from all aircraft for a run of so many steps. heights_m: of each aircraft."""
+
+    def __init__(self, settings: StudySettings, flown: Scene, heights_m: Sequence[float], steps: int) -> None:
+        errors, told = payload_of(settings)
+        self._told, count = told, len(heights_m)
+        self._noise = np.stack([rng.normal(size=(steps, 3)) for rng in flown.sensor_rng.spawn(count)])
+        self._heights_m = np.array(heights_m)
+        self._payload = Payload(
+            False,
+            False,
+            errors.range_sigma_m,
+            errors.angle_sigma_rad,
+            errors.yaw_bias_rad,
+            told.range_sigma_m,
+            told.yaw_sigma_rad,
+            told.pitch_sigma_rad,
+            told.position_sigma_m,
+        )
+        yaw, pitch, offset = bias_drift(np.arange(3)).tolist()
+        self._filtering = Filtering(
+            told.gate_nis,
+            told.soft_nis,
+            DENSITIES[told.target_kind],
+            (yaw, pitch, offset),
+            told.reacquire_after,
+            told.lost_after_s,
+            told.lost_sigma_m,
+        )
+        self._prior = prior_of([told] * count, [0.0] * count)
+        self._state: FloatArray | None = None
+        self._clock, self._rejections = np.zeros(2), np.zeros(1, np.int64)
+
+    def see(self, logs: FloatArray, seeing: Sequence[bool], target: Target, at: int, until: int) -> None:
+        """Take in what is seen from step ``at`` on. logs (aircraft, until - at, 6); seeing: whose payloads work."""
+        working = np.array(seeing, np.int64)
+        window = Target(target.sampled[at:until], target.noise)
+        noise = np.ascontiguousarray(self._noise[:, at:until])
+        step, last = 0, until - at
+        while step < last:
+            if self._state is None:
+                one = int(np.argmax(working))
+                self._state = self._begun(one, logs[one, step], window.sampled[step], noise[one, step])
+                self._clock[:], self._rejections[0] = logs[one, step, 0], 0
+            step = kernel.see(
+                self._state,
+                np.empty_like(self._state),
+                self._clock,
+                logs,
+                window,
+                noise,
+                self._heights_m,
+                self._payload,
+                self._filtering,
+                working,
+                self._rejections,
+                step,
+                last,
+            )
+            if self._rejections[0] >= self._filtering.reacquire_after * len(logs):
+                mean, covariance = self._moments(self._state, self._state_size)
+                self._prior, self._state = Biases(mean[6:], covariance[6:, 6:]), None
+
+    @property
+    def _state_size(self) -> int:
+        return 6 + self._prior.mean.size
+
+    @staticmethod
+    def _moments(state: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
+        mean, covariance = np.empty(size), np.empty((size, size))
+        combine(state, mean, covariance)
+        return mean, covariance
+
+    def _begun(self, payload: int, row: FloatArray, truth: FloatArray, noise: FloatArray) -> FloatArray:
+        """Return the filter begun with what one payload sees."""
+        p, height_m = self._payload, float(self._heights_m[payload])
+        east_m, north_m = float(truth[0] - row[1]), float(truth[1] - row[2])
+        level_m = math.hypot(east_m, north_m)
+        sighting = PayloadSighting(
+            float(row[0]),
+            math.hypot(level_m, height_m) + p.range_sigma_m * noise[0],
+            math.atan2(east_m, north_m) + p.yaw_bias_rad + p.angle_sigma_rad * noise[1],
+            math.atan2(height_m, level_m) - p.angle_sigma_rad * noise[2],
+            p.told_range_sigma_m,
+            p.told_yaw_sigma_rad,
+            p.told_pitch_sigma_rad,
+            float(row[1]),
+            float(row[2]),
+            height_m,
+            payload=payload,
+        )
+        return JointImm(self._told, sighting, self._prior).state
+
+    def estimate(self, time_s: float) -> TargetEstimate | None:
+        """Return the joint estimate; None before the first sighting."""
+        if self._state is None:
+            return None
+        ahead, step_s = self._state, time_s - float(self._clock[0])
+        if step_s > 1e-6:
+            ahead, f = np.empty_like(self._state), self._filtering
+            predict_joint(self._state, min(step_s, 1.0), f.densities, f.drift_per_s, ahead)
+        mean, covariance = self._moments(ahead, 4)
+        sigma_m, seen_s = math.sqrt(covariance[0, 0] + covariance[1, 1]), float(self._clock[1])
+        lost = time_s - seen_s > self._filtering.lost_after_s or sigma_m > self._filtering.lost_sigma_m
+        quality = TrackQuality.LOST if lost else TrackQuality.GOOD
+        east, north, velocity_e, velocity_n = mean.tolist()
+        return TargetEstimate(time_s, east, north, velocity_e, velocity_n, covariance, quality, seen_s)
