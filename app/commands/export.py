@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,13 +14,14 @@ from app.assembly import tracker_of
 from app.commands.output import console
 from app.commands.progress import progress_bar
 from app.errors import InputError
-from app.records.export import Format
+from app.records.export import MISSIONS, Format
 from app.records.export import export as write
 from app.records.klv import KlvLog
 from app.records.log import open_log
 from app.records.log_context import LogContext
 from app.records.mcap import LAYOUT, McapLog
-from app.records.run_folder import RunFolder
+from app.records.mcap_writer import McapWriter
+from app.records.run_folder import FleetFolder, RunFolder
 from app.records.track import Flight, Mission
 from app.report.sources import Flown, feed, read_flight
 from mission.core.plan import Plan
@@ -40,7 +44,8 @@ def export(
     """Write a flight for other programs.
 
     Its last mission: plan, waypoints. Its tracks: kml, geojson, csv, gpx; a log without a target has the aircraft's.
-    All of it: mcap, for Foxglove and PlotJuggler. The metadata of a video: klv (MISB ST 0601).
+    All of it: mcap, for Foxglove and PlotJuggler. The metadata of a video: klv (MISB ST 0601). Of a fleet's run
+    folder the tracks of all aircraft go into one file, and so does mcap.
 
     Examples: sidelong export runs/20261121T101500Z --format plan; sidelong export flight.tlog --format gpx
     """
@@ -49,6 +54,11 @@ def export(
 
 def write_export(source: Path, wanted: Format, out: Path | None = None, config: Path | None = None) -> None:
     """Write a run folder or log in a format and tell the file. Raises InputError."""
+    if FleetFolder(source).journal.is_file():
+        if config is not None:
+            raise InputError(f"{source} is the run of a fleet: --config is for the folder of one aircraft in it.")
+        _write_fleet(FleetFolder(source), wanted, out)
+        return
     if out is None:
         out = source / f"flight.{wanted}" if source.is_dir() else source.with_suffix(f".{wanted}")
     progress, task = progress_bar(source.name)
@@ -61,16 +71,55 @@ def write_export(source: Path, wanted: Format, out: Path | None = None, config: 
         )
     # A run folder's tlog tells what its journal does not: the autopilot, home and the time of day.
     context = LogContext.of(open_log(RunFolder.open(source).tlog if source.is_dir() else source))
-    # What is broken off leaves the file of before as it was; a pipe is written as it is.
-    whole = out.is_file() or not out.exists()
-    partial = out.with_name(f"{out.name}.partial") if whole else out
-    try:
+    with _whole(out) as partial:
         if wanted is Format.MCAP:
             _write_mcap(source, flown, context, partial)
         elif wanted is Format.KLV:
             _write_klv(source, flown, context, partial)
         else:
-            write(_flight(flown, context), wanted, partial)
+            write([_flight(flown, context)], wanted, partial)
+    console.print(f"{wanted}: {out}", soft_wrap=True)
+    if wanted is Format.MCAP:
+        console.print(f"a layout for Foxglove (Import from file...): {LAYOUT}", soft_wrap=True)
+
+
+def _write_fleet(folder: FleetFolder, wanted: Format, out: Path | None) -> None:
+    """Write the tracks of all aircraft into one file; what is of one aircraft alone into each one's folder."""
+    sources = {path.parent.name: path.parent for path in sorted(folder.path.glob("*/journal.jsonl"))}
+    if wanted in MISSIONS or wanted is Format.KLV:
+        if out is not None:
+            raise InputError(
+                f"{wanted} is of one aircraft: leave out --out, or give the folder of one of {folder.path}."
+            )
+        for source in sources.values():
+            write_export(source, wanted)
+        return
+    out = folder.path / f"flight.{wanted}" if out is None else out
+    flown = {name: read_flight(source, target_needed=False) for name, source in sources.items()}
+    contexts = {name: LogContext.of(open_log(RunFolder(source).tlog)) for name, source in sources.items()}
+    if not flown:
+        raise InputError(f"{folder.path} holds no flight of an aircraft.")
+    with _whole(out) as partial:
+        if wanted is Format.MCAP:
+            with contextlib.closing(McapWriter(partial, None)) as writer:
+                for name, source in sources.items():
+                    beside = writer.beside(f"/{name}", contexts[name].booted)
+                    _feed_mcap(source, flown[name], contexts[name], beside, name)
+        else:
+            write([replace(_flight(one, contexts[name]), label=name) for name, one in flown.items()], wanted, partial)
+    console.print(f"{wanted}: {out}", soft_wrap=True)
+
+
+@contextlib.contextmanager
+def _whole(out: Path) -> Iterator[Path]:
+    """Give the file to write: what is broken off leaves the one of before as it was; a pipe is written as it is.
+
+    Raises InputError where it cannot be written.
+    """
+    whole = out.is_file() or not out.exists()
+    partial = out.with_name(f"{out.name}.partial") if whole else out
+    try:
+        yield partial
         if whole:
             partial.replace(out)
     except OSError as error:
@@ -78,17 +127,15 @@ def write_export(source: Path, wanted: Format, out: Path | None = None, config: 
     finally:
         if whole:
             partial.unlink(missing_ok=True)
-    console.print(f"{wanted}: {out}", soft_wrap=True)
-    if wanted is Format.MCAP:
-        console.print(f"a layout for Foxglove (Import from file...): {LAYOUT}", soft_wrap=True)
 
 
 def _write_mcap(source: Path, flown: Flown, context: LogContext, out: Path) -> None:
-    log = McapLog(out, flown.history.plane, tracker_of(flown.config), context.booted, context.home_altitude_m)
-    try:
-        feed(source, log)
-    finally:
-        log.close()
+    with contextlib.closing(McapWriter(out, context.booted)) as writer:
+        _feed_mcap(source, flown, context, writer, "aircraft")
+
+
+def _feed_mcap(source: Path, flown: Flown, context: LogContext, writer: McapWriter, name: str) -> None:
+    feed(source, McapLog(writer, flown.history.plane, tracker_of(flown.config), context.home_altitude_m, name))
 
 
 def _write_klv(source: Path, flown: Flown, context: LogContext, out: Path) -> None:

@@ -22,7 +22,7 @@ from app.commands.output import (
 )
 from app.commands.page_options import BoundsOption, MapOption, PortOption
 from app.commands.radius import warn_of_little_room
-from app.commands.report import write_report
+from app.commands.report import write_fleet_report, write_report
 from app.config import Config, check_flyable, load_config
 from app.errors import InputError
 from app.fleet.fleet_file import MAX_AIRCRAFT, FleetFile, load_fleet, names_a_fleet
@@ -188,8 +188,10 @@ def launch(
                 _tell(flown, json)
                 if flown.reason is not None:
                     raise flown.reason
-                for member in several.members:
-                    _write_more(RunFolder(flown.folder.path / member.name), mcap, report)
+                if mcap:
+                    write_export(flown.folder.path, Format.MCAP)
+                if report:
+                    write_fleet_report(flown.folder, flown.folder.path / "report.html")
             return
         settings = several.members[0].config
     else:
@@ -245,9 +247,7 @@ def _check_fleet(fleet: FleetFile, sharing: Sharing, system_id: int | None) -> N
 
 
 def _write_more(folder: RunFolder, mcap: bool, report: bool) -> None:
-    """Write what was asked for beside the records of one aircraft."""
-    if not folder.journal.is_file():
-        return
+    """Write what was asked for beside the records."""
     if mcap:
         write_export(folder.path, Format.MCAP)
     if report:

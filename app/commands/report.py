@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,7 @@ from app.analysis.truth import read_truth
 from app.commands.output import console
 from app.commands.progress import progress_bar
 from app.errors import InputError
+from app.records.run_folder import FleetFolder
 
 
 def report(
@@ -29,11 +31,19 @@ def report(
 ) -> None:
     """Write one HTML file about a flight: paths, range, angles, errors, uploads, decisions. It opens offline.
 
+    Of a fleet's run folder: one about all aircraft, and one about each in its own folder.
     Examples: sidelong report runs/20261121T101500Z --png figures;
     sidelong report flight.tlog --truth flight.truth.csv
     """
     if out is None:
         out = run / "report.html" if run.is_dir() else run.with_suffix(".report.html")
+    if FleetFolder(run).journal.is_file():
+        if png is not None or truth is not None or config is not None:
+            raise InputError(
+                f"{run} is the run of a fleet: --png, --truth and --config are for the folder of one aircraft in it."
+            )
+        write_fleet_report(FleetFolder(run), out)
+        return
     if truth is not None:
         read_truth(truth)  # a wrong one is told before anything is computed
     write_report(run, out, png, truth, config)
@@ -43,8 +53,7 @@ def write_report(
     run: Path, out: Path, png: Path | None = None, truth: Path | None = None, config: Path | None = None
 ) -> None:
     """Write the page, and the figures if asked for. Raises InputError naming the file that is at fault."""
-    if not out.parent.is_dir():
-        raise InputError(f"{out}: there is no folder {out.parent}; create it or give another file to --out.")
+    _check_out(out)
     # Only a report needs matplotlib, which takes a second to load.
     from app.report.page import report_page, save_png  # noqa: PLC0415
     from app.report.sources import read_flight  # noqa: PLC0415
@@ -52,14 +61,40 @@ def write_report(
     progress, task = progress_bar(run.name)
     with progress:
         flown = read_flight(run, truth, config, lambda share: progress.update(task, completed=share))
-    try:
-        out.write_text(report_page(flown), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror}); give another file to --out.") from error
-    console.print(f"report: {out} ({out.stat().st_size / 1e6:.1f} MB)", soft_wrap=True)
+    _write(out, report_page(flown))
     if png is not None:
         try:
             files = save_png(flown, png)
         except OSError as error:
             raise InputError(f"{png}: cannot be written ({error.strerror}); give another folder to --png.") from error
         console.print(f"figures: {len(files)} in {png}", soft_wrap=True)
+
+
+def write_fleet_report(folder: FleetFolder, out: Path) -> None:
+    """Write the page about a fleet's flight, and each aircraft's into its own folder. Raises as ``write_report``."""
+    _check_out(out)
+    from app.report.fleet_flown import read_fleet  # noqa: PLC0415
+    from app.report.fleet_page import fleet_page  # noqa: PLC0415
+    from app.report.page import report_page  # noqa: PLC0415
+
+    progress, task = progress_bar(folder.path.name)
+    with progress:
+        flown = read_fleet(folder, lambda share: progress.update(task, completed=share))
+    pages = {one.name: folder.path / one.name / "report.html" for one in flown.aircraft}
+    for one in flown.aircraft:
+        _write(pages[one.name], report_page(one.flown))
+    beside = {name: os.path.relpath(page, out.parent) for name, page in pages.items()}
+    _write(out, fleet_page(flown, beside))
+
+
+def _check_out(out: Path) -> None:
+    if not out.parent.is_dir():
+        raise InputError(f"{out}: there is no folder {out.parent}; create it or give another file to --out.")
+
+
+def _write(out: Path, page: str) -> None:
+    try:
+        out.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{out}: cannot be written ({error.strerror}); give another file to --out.") from error
+    console.print(f"report: {out} ({out.stat().st_size / 1e6:.1f} MB)", soft_wrap=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -37,18 +37,27 @@ class Format(StrEnum):
     KLV = "klv"
 
 
-def export(flight: Flight, wanted: Format, out: Path) -> None:
-    """Write the flight to ``out``.
+MISSIONS = frozenset({Format.PLAN, Format.WAYPOINTS})
+"""Of one aircraft each; tracks of several go into one file."""
 
-    Raises InputError when the flight has nothing to write in this format or the file cannot be written.
+
+def export(flights: Sequence[Flight], wanted: Format, out: Path) -> None:
+    """Write a flight to ``out``, or the tracks of several aircraft that flew together.
+
+    Raises InputError when one has nothing to write in this format or the file cannot be written.
     """
-    if wanted in {Format.PLAN, Format.WAYPOINTS}:
+    if wanted in MISSIONS:
+        (flight,) = flights
         if flight.mission is None:
             raise InputError(f"{flight.name} has no mission items to export.")
-    elif len(flight.aircraft) < 2:
-        raise InputError(f"{flight.name} has fewer than two positions, so there is no track to export.")
+        text = _MISSION_WRITERS[wanted](flight)
+    else:
+        for flight in flights:
+            if len(flight.aircraft) < 2:
+                raise InputError(f"{flight.name} has fewer than two positions, so there is no track to export.")
+        text = _TRACK_WRITERS[wanted](flights)
     try:
-        out.write_text(_WRITERS[wanted](flight), encoding="utf-8")
+        out.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{out} cannot be written: {error.strerror}.") from error
 
@@ -89,13 +98,17 @@ def _waypoints(flight: Flight) -> str:
 # -- tables -------------------------------------------------------------------------------------------------
 
 
-def _csv(flight: Flight) -> str:
-    """One row a moment; ``what`` is aircraft, target (estimated) or circle (its centre, since then)."""
+def _csv(flights: Sequence[Flight]) -> str:
+    """One row a moment; ``what`` is aircraft, target (estimated) or circle (its centre, since then).
+
+    Times are each aircraft's own; utc is the same for all.
+    """
     text = io.StringIO()
     names = "time_s utc what latitude_deg longitude_deg height_m velocity_east_m_s velocity_north_m_s sigma_m quality"
     writer = csv.DictWriter(text, [*names.split(), "radius_m", "clockwise"], restval="", lineterminator="\n")
     writer.writeheader()
-    writer.writerows(sorted(_rows(flight), key=lambda row: row["time_s"]))
+    for flight in flights:
+        writer.writerows(sorted(_rows(flight), key=lambda row: row["time_s"]))
     return text.getvalue()
 
 
@@ -105,7 +118,7 @@ def _rows(flight: Flight) -> Iterator[dict[str, Any]]:
         return {
             "time_s": round(time_s, 6),
             "utc": flight.utc(time_s) or "",
-            "what": what,
+            "what": flight.named(what),
             "latitude_deg": f"{latitude_deg:.8f}",
             "longitude_deg": f"{longitude_deg:.8f}",
             **{name: round(value, 3) if isinstance(value, float) else value for name, value in values.items()},
@@ -146,11 +159,16 @@ def _rows(flight: Flight) -> Iterator[dict[str, Any]]:
 # -- maps ---------------------------------------------------------------------------------------------------
 
 
-def _geojson(flight: Flight) -> str:
+def _geojson(flights: Sequence[Flight]) -> str:
+    features = [feature for flight in flights for feature in _features(flight)]
+    return json.dumps({"type": "FeatureCollection", "features": features}, separators=(",", ":")) + "\n"
+
+
+def _features(flight: Flight) -> list[dict[str, Any]]:
     def feature(name: str, kind: str, coordinates: list[Any], **properties: Any) -> dict[str, Any]:
         return {
             "type": "Feature",
-            "properties": {"name": name, **properties},
+            "properties": {"name": flight.named(name), **properties},
             "geometry": {"type": kind, "coordinates": coordinates},
         }
 
@@ -188,11 +206,17 @@ def _geojson(flight: Flight) -> str:
                 clockwise=circle.clockwise,
             )
         )
-    return json.dumps({"type": "FeatureCollection", "features": features}, separators=(",", ":")) + "\n"
+    return features
 
 
-def _gpx(flight: Flight) -> str:
+def _gpx(flights: Sequence[Flight]) -> str:
     root = Xml.Element("gpx", {"xmlns": _GPX, "version": "1.1", "creator": "sidelong"})
+    for flight in flights:
+        _gpx_tracks(root, flight)
+    return _document(root)
+
+
+def _gpx_tracks(root: Xml.Element, flight: Flight) -> None:
     base_m = flight.home_altitude_m
     aircraft = [
         (p.time_s, p.east_m, p.north_m, None if base_m is None else base_m + p.height_m) for p in flight.aircraft
@@ -202,7 +226,7 @@ def _gpx(flight: Flight) -> str:
         if not moments:
             continue
         track = Xml.SubElement(root, "trk")
-        Xml.SubElement(track, "name").text = name
+        Xml.SubElement(track, "name").text = flight.named(name)
         segment = Xml.SubElement(track, "trkseg")
         for time_s, east_m, north_m, altitude_m in moments:
             latitude_deg, longitude_deg = flight.degrees(east_m, north_m)
@@ -213,17 +237,22 @@ def _gpx(flight: Flight) -> str:
             utc = flight.utc(time_s)
             if utc is not None:
                 Xml.SubElement(point, "time").text = utc
-    return _document(root)
 
 
-def _kml(flight: Flight) -> str:
+def _kml(flights: Sequence[Flight]) -> str:
     root = Xml.Element("kml", {"xmlns": _KML, "xmlns:gx": _KML_EXTENSION})
     document = Xml.SubElement(root, "Document")
-    Xml.SubElement(document, "name").text = flight.name
+    Xml.SubElement(document, "name").text = flights[0].name
     for name, colour in (("aircraft", "ff0080ff"), ("target", "ff0000ff"), ("circle", "ffffaa00")):
         style = Xml.SubElement(Xml.SubElement(document, "Style", {"id": name}), "LineStyle")
         Xml.SubElement(style, "color").text = colour
         Xml.SubElement(style, "width").text = "2"
+    for flight in flights:
+        _kml_flight(document, flight)
+    return _document(root)
+
+
+def _kml_flight(document: Xml.Element, flight: Flight) -> None:
     # Heights are above home: over hills they mean something above the sea only.
     base_m = flight.home_altitude_m
     _kml_track(
@@ -237,11 +266,12 @@ def _kml(flight: Flight) -> str:
         document, flight, "target", "clampToGround", [(e.time_s, e.east_m, e.north_m, 0.0) for e in flight.estimates]
     )
     for since_s, circle in flight.circles:
-        mark = _kml_mark(document, "circle", f"circle from {since_s:.1f} s, radius {circle.radius_m:.0f} m")
+        mark = _kml_mark(
+            document, "circle", f"{flight.named('circle')} from {since_s:.1f} s, radius {circle.radius_m:.0f} m"
+        )
         line = Xml.SubElement(mark, "LineString")
         places = (flight.degrees(*corner) for corner in ring(circle))
         Xml.SubElement(line, "coordinates").text = " ".join(f"{lon:.8f},{lat:.8f}" for lat, lon in places)
-    return _document(root)
 
 
 def _kml_mark(document: Xml.Element, style: str, name: str) -> Xml.Element:
@@ -261,7 +291,7 @@ def _kml_track(
     """Add a track that can be played back, or a plain line where the time of day is not known."""
     if not moments:
         return
-    mark = _kml_mark(document, name, name)
+    mark = _kml_mark(document, name, flight.named(name))
     track = Xml.SubElement(mark, "LineString" if flight.booted is None else "gx:Track")
     Xml.SubElement(track, "altitudeMode").text = altitude_mode
     places = []
@@ -281,9 +311,8 @@ def _document(root: Xml.Element) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
 
 
-_WRITERS: dict[Format, Callable[[Flight], str]] = {
-    Format.PLAN: _plan,
-    Format.WAYPOINTS: _waypoints,
+_MISSION_WRITERS: dict[Format, Callable[[Flight], str]] = {Format.PLAN: _plan, Format.WAYPOINTS: _waypoints}
+_TRACK_WRITERS: dict[Format, Callable[[Sequence[Flight]], str]] = {
     Format.CSV: _csv,
     Format.GEOJSON: _geojson,
     Format.GPX: _gpx,

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable
-from datetime import datetime
 from pathlib import Path
 
 from app.records.mcap_scene import Place, ball, line, scene
@@ -38,21 +37,21 @@ _ELLIPSE_CORNERS = 36
 
 
 class McapLog:
-    """Takes a flight's events and commands in order and writes them to ``path``; errors as McapWriter.
+    """Takes a flight's events and commands in order and writes them to ``out``.
 
-    The estimates are those of ``tracker``, which is fed with the readings. booted is when the vehicle's clock was
-    zero; home_altitude_m is above sea level: where it is not known, altitudes are those above home.
+    The estimates are those of ``tracker``, which is fed with the readings. home_altitude_m is above sea level: where
+    it is not known, altitudes are those above home. name: of the aircraft's frame, where several are in one file.
     """
 
     def __init__(
         self,
-        path: Path,
+        out: McapWriter,
         plane: LocalPlane,
         tracker: Tracker,
-        booted: datetime | None = None,
         home_altitude_m: float | None = None,
+        name: str = "aircraft",
     ) -> None:
-        self._out = McapWriter(path, booted)
+        self._out, self._frame = out, name
         self._plane, self._sensing = plane, Sensing(tracker)
         self._home_altitude_m = home_altitude_m or 0.0
         self._aircraft: Place = (0.0, 0.0, 0.0)
@@ -84,10 +83,6 @@ class McapLog:
                 said = {"level": _LEVEL_INFO, "message": command.text, "name": command.kind, "file": "", "line": 0}
                 self._out.write("/said", "foxglove.Log", command.time_s, said)
 
-    def close(self) -> None:
-        """Write the index and what is left."""
-        self._out.close()
-
     def _position(self, p: PositionReading) -> None:
         attitude = self._sensing.attitude
         angles = (attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad) if attitude else (0.0, 0.0, 0.0)
@@ -95,7 +90,7 @@ class McapLog:
         place, rotation = {"x": p.east_m, "y": p.north_m, "z": p.height_m}, _plane_from_body(*angles)
         transform = {
             "parent_frame_id": "plane",
-            "child_frame_id": "aircraft",
+            "child_frame_id": self._frame,
             "translation": place,
             "rotation": rotation,
         }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from copy import copy
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -31,11 +32,17 @@ class McapWriter:
 
     def __init__(self, path: Path, booted: datetime | None) -> None:
         writer = mcap_writer_class()
-        self._boot_ns = ((booted or _EPOCH) - _EPOCH) // timedelta(microseconds=1) * 1000
+        self._prefix, self._boot_ns = "", _boot_ns(booted)
         self._file = path.open("wb")
         self._writer = writer(self._file)
         self._writer.start()
         self._channels: dict[str, int] = {}
+
+    def beside(self, prefix: str, booted: datetime | None) -> McapWriter:
+        """Return another one that writes the same file: a vehicle of its own clock, topics that begin with prefix."""
+        other = copy(self)
+        other._prefix, other._boot_ns = prefix, _boot_ns(booted)
+        return other
 
     def stamp(self, time_s: float) -> dict[str, int]:
         """Return a time of the vehicle's clock as Foxglove's schemas have it."""
@@ -44,6 +51,7 @@ class McapWriter:
 
     def write(self, topic: str, schema: str, time_s: float, values: dict[str, Any]) -> None:
         """Add a message, with its time in it where the schema has one."""
+        topic = self._prefix + topic
         message = _without_nan(values if schema in _UNSTAMPED else {"timestamp": self.stamp(time_s), **values})
         if topic not in self._channels:
             described = json.dumps(_schema(message)).encode()
@@ -60,6 +68,10 @@ class McapWriter:
 
     def _nanoseconds(self, time_s: float) -> int:
         return self._boot_ns + round(time_s * 1e9)
+
+
+def _boot_ns(booted: datetime | None) -> int:
+    return ((booted or _EPOCH) - _EPOCH) // timedelta(microseconds=1) * 1000
 
 
 def _schema(value: Any) -> dict[str, Any]:

@@ -33,7 +33,7 @@ class Flight:
     """Tracks in order of time, in ``plane``.
 
     circles: (since, circle) as they were flown. booted is when the vehicle's clock was zero, home_altitude_m is
-    above sea level; None where unknown.
+    above sea level; None where unknown. label: the aircraft's name, where there are several.
     """
 
     name: str
@@ -44,6 +44,11 @@ class Flight:
     mission: Mission | None = None
     booted: datetime | None = None
     home_altitude_m: float | None = None
+    label: str = ""
+
+    def named(self, what: str) -> str:
+        """Return the name of one of its tracks."""
+        return f"{self.label} {what}" if self.label else what
 
     def utc(self, time_s: float) -> str | None:
         """Return a time of the vehicle's clock as ISO 8601 in UTC, to the millisecond."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -65,13 +66,44 @@ def test_the_run_replays_to_the_last_bit(flown):
     assert done.stdout.count("same to the last bit") == 3
 
 
-def test_another_command_asks_for_the_folder_of_one(flown, tmp_path):
+def test_its_report_is_about_all_and_leads_to_each(flown, tmp_path):
+    run, summary = flown
+    done = sidelong("report", run, "--out", tmp_path / "report.html")
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "report.html").read_text()
+    for name in ("plane", "wing"):
+        (link,) = re.findall(f'href="([^"]*)">{name}</a>', page)
+        assert '<figure id="observation-angle"' in (tmp_path / link).read_text()
+    assert re.findall(r'<figure id="([a-z]+)"', page) == ["paths", "sides", "ranges", "separation"]
+    assert f"<td>{summary['min_separation_m']:.0f} m</td>" in page
+    assert f"<td>{100.0 * summary['time_on_side_any']:.1f} %</td>" in page
+
+
+def test_its_tracks_go_into_one_file_and_its_missions_into_one_each(flown, tmp_path):
     run, _ = flown
     done = sidelong("export", run, "--format", "gpx", "--out", tmp_path / "flight.gpx")
-    assert done.returncode == 2
-    assert "folder of one aircraft" in done.stderr
-    done = sidelong("export", run / "wing", "--format", "gpx", "--out", tmp_path / "flight.gpx")
     assert done.returncode == 0, done.stderr
+    tracks = re.findall(r"<name>([^<]*)</name>", (tmp_path / "flight.gpx").read_text())
+    assert tracks == ["plane aircraft", "plane target", "wing aircraft", "wing target"]
+    done = sidelong("export", run, "--format", "plan", "--out", tmp_path / "flight.plan")
+    assert (done.returncode, "leave it out" in " ".join(done.stderr.split())) == (2, True)
+    done = sidelong("export", run, "--format", "plan")
+    assert done.returncode == 0, done.stderr
+    assert (run / "plane" / "flight.plan").is_file()
+    assert (run / "wing" / "flight.plan").is_file()
+
+
+def test_its_mcap_has_the_topics_of_each_at_the_same_time(flown, tmp_path):
+    reader = pytest.importorskip("mcap.reader")
+    run, _ = flown
+    done = sidelong("export", run, "--format", "mcap", "--out", tmp_path / "flight.mcap")
+    assert done.returncode == 0, done.stderr
+    times_ns: dict[str, list[int]] = {}
+    with (tmp_path / "flight.mcap").open("rb") as file:
+        for _, channel, message in reader.make_reader(file).iter_messages(topics=["/plane/target", "/wing/target"]):
+            times_ns.setdefault(channel.topic, []).append(message.log_time)
+    (a, b), (c, d) = ((min(own), max(own)) for own in times_ns.values())
+    assert min(b, d) - max(a, c) > 30e9
 
 
 def test_an_interrupt_winds_all_up(tmp_path):

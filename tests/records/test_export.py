@@ -48,7 +48,7 @@ FLIGHT = Flight(
 @pytest.fixture
 def written(tmp_path):
     def write(wanted: Format, flight: Flight = FLIGHT) -> str:
-        export(flight, wanted, tmp_path / "out")
+        export([flight], wanted, tmp_path / "out")
         return (tmp_path / "out").read_text()
 
     return write
@@ -149,10 +149,23 @@ def test_without_the_time_of_day_the_tracks_are_plain_lines(written):
 @pytest.mark.parametrize("wanted", [wanted for wanted in Format if wanted not in {Format.MCAP, Format.KLV}])
 def test_a_flight_with_nothing_to_write_is_an_input_error(tmp_path, wanted):
     with pytest.raises(InputError, match="to export"):
-        export(replace(FLIGHT, aircraft=[], mission=None), wanted, tmp_path / "out")
+        export([replace(FLIGHT, aircraft=[], mission=None)], wanted, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_a_place_that_cannot_be_written_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
-        export(FLIGHT, Format.CSV, tmp_path / "missing" / "out")
+        export([FLIGHT], Format.CSV, tmp_path / "missing" / "out")
+
+
+def test_tracks_of_several_aircraft_are_told_apart(tmp_path):
+    several = [replace(FLIGHT, label="north"), replace(FLIGHT, label="south")]
+    for wanted, written in ((Format.KML, ">south circle from 40.0 s"), (Format.GPX, "<name>north aircraft</name>")):
+        export(several, wanted, tmp_path / "out")
+        assert written in (tmp_path / "out").read_text()
+    export(several, Format.GEOJSON, tmp_path / "out")
+    names = [one["properties"]["name"] for one in json.loads((tmp_path / "out").read_text())["features"]]
+    assert names.count("north circle") == names.count("south circle") == len(CIRCLES)
+    export(several, Format.CSV, tmp_path / "out")
+    rows = list(csv.DictReader((tmp_path / "out").open()))
+    assert sum(row["what"] == "south target" for row in rows) == len(FLIGHT.estimates)

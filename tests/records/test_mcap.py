@@ -6,6 +6,7 @@ import importlib
 import json
 import math
 import sys
+from contextlib import closing
 from datetime import UTC, datetime
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from app.errors import InputError
 from app.records.mcap import LAYOUT, McapLog
+from app.records.mcap_writer import McapWriter
 from estimators.frames import LocalPlane
 from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from estimators.tracker import Tracker, TrackerSettings
@@ -61,9 +63,8 @@ def flight(log: McapLog) -> None:
 
 @pytest.fixture
 def messages(tmp_path) -> dict[str, list]:
-    log = McapLog(tmp_path / "flight.mcap", PLANE, Tracker(TrackerSettings()), BOOTED, HOME_ALTITUDE_M)
-    flight(log)
-    log.close()
+    with closing(McapWriter(tmp_path / "flight.mcap", BOOTED)) as writer:
+        flight(McapLog(writer, PLANE, Tracker(TrackerSettings()), HOME_ALTITUDE_M))
     found: dict[str, list] = {}
     with (tmp_path / "flight.mcap").open("rb") as file:
         for schema, channel, message in mcap_reader.make_reader(file).iter_messages():
@@ -199,4 +200,4 @@ def test_the_layout_shows_topics_that_are_there(messages):
 def test_without_the_package_it_says_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with pytest.raises(InputError, match=r"pip install 'sidelong\[mcap\]'"):
-        McapLog(tmp_path / "flight.mcap", PLANE, Tracker(TrackerSettings()))
+        McapWriter(tmp_path / "flight.mcap", None)

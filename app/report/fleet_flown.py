@@ -1,0 +1,93 @@
+"""The flight of a fleet, read from its folder: each aircraft's own, and what was said between them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+
+from app.analysis.fleet_summary import FleetSummary, FlownAircraft, FlownTrack, summarise_fleet
+from app.config import validated
+from app.errors import InputError
+from app.fleet.fleet_file import FleetFile
+from app.flight.coordination import FLEET_JOURNAL_TYPES
+from app.records.journal import JournalReader
+from app.records.run_folder import FleetFolder, RunFolder
+from app.records.windows import Progress
+from app.report.sources import Flown, read_flight
+from mission.core.fleet import FleetAdvice, Role
+from mission.fleet.events import ClockReported, FleetAnnounce, Tell, VehicleReported
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FleetAircraft:
+    """One aircraft's part. offset_s added to its own times is mission time; roles: (since, role) in mission time."""
+
+    name: str
+    flown: Flown
+    offset_s: float
+    track: FlownTrack
+    roles: tuple[tuple[float, Role], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FleetFlown:
+    """The flight of a fleet: those of its aircraft that flew. said: by the coordinator, in mission time."""
+
+    name: str
+    program: str
+    fleet: FleetFile
+    aircraft: tuple[FleetAircraft, ...]
+    said: tuple[FleetAnnounce, ...]
+    summary: FleetSummary
+
+
+def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) -> FleetFlown:
+    """Read the folder of a fleet's run. Raises InputError naming the file at fault, or where nothing has flown."""
+    journal = JournalReader(folder.journal, FLEET_JOURNAL_TYPES)
+    fleet = validated(FleetFile, journal.header.config, f"{folder.journal}: its configuration cannot be used")
+    offsets_s: dict[str, float] = {}
+    tracks: dict[str, FlownTrack] = defaultdict(FlownTrack)
+    roles: dict[str, list[tuple[float, Role]]] = defaultdict(list)
+    said: list[FleetAnnounce] = []
+    for record in journal:
+        match record:
+            case ClockReported():
+                offsets_s[record.name] = record.mission_time_s - record.time_s
+            case VehicleReported() if record.name in offsets_s:
+                at_s = record.state.time_s + offsets_s[record.name]
+                tracks[record.name].add(at_s, record.state.east_m, record.state.north_m, record.height_m)
+            case Tell(event=FleetAdvice()) if record.name in offsets_s:
+                own = roles[record.name]
+                if not own or own[-1][1] is not record.event.role:
+                    own.append((record.event.time_s + offsets_s[record.name], record.event.role))
+            case FleetAnnounce():
+                said.append(record)
+    names = [member.name for member in fleet.members if RunFolder(folder.path / member.name).journal.is_file()]
+    names = [name for name in names if name in offsets_s]
+    if not names:
+        raise InputError(f"{folder.path} holds no flight: nothing was heard of any aircraft's clock.")
+    aircraft = []
+    for k, name in enumerate(names):
+        flown = read_flight(
+            folder.path / name, progress=lambda share, before=k: progress((before + share) / len(names))
+        )
+        aircraft.append(FleetAircraft(name, flown, offsets_s[name], tracks[name], tuple(roles[name])))
+    return FleetFlown(
+        folder.path.resolve().name,
+        journal.header.program,
+        fleet,
+        tuple(aircraft),
+        tuple(said),
+        _summed(fleet, aircraft),
+    )
+
+
+def _summed(fleet: FleetFile, aircraft: list[FleetAircraft]) -> FleetSummary:
+    by_truth = all(one.flown.history.judged_by_truth for one in aircraft)
+    parts = [
+        FlownAircraft(one.name, one.flown.summary, one.flown.history.moments, one.offset_s, one.track)
+        for one in aircraft
+    ]
+    outcomes = sorted({one.flown.summary.outcome for one in aircraft})
+    requirement = fleet.requirement.requirement()
+    return summarise_fleet(parts, requirement, "; ".join(outcomes), "truth" if by_truth else "estimate")

@@ -1,0 +1,44 @@
+"""The report of a fleet's flight: what all kept together, beside the page of each aircraft."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from html import escape
+
+from app.report import html
+from app.report.fleet_figures import fleet_drawings
+from app.report.fleet_flown import FleetFlown
+from app.report.plot_style import styled
+from mission.viewpoint.side_policy import side_words
+
+
+def fleet_page(flown: FleetFlown, pages: Mapping[str, str]) -> str:
+    """Return the page. pages: where each aircraft's own is, as seen from it."""
+    with styled():
+        figures = "\n".join(html.figure(drawing) for drawing in fleet_drawings(flown))
+    asked = flown.fleet.requirement.requirement()
+    links = ", ".join(f'<a href="{escape(page)}">{escape(name)}</a>' for name, page in pages.items())
+    body = f"""<h1>Flight {escape(flown.name)}, {len(flown.aircraft)} aircraft</h1>
+<p>Asked: watch from the {escape(side_words(asked))} at {asked.range_min_m:g} to {asked.range_max_m:g} m.
+Recorded by {escape(flown.program)}. Each by itself: {links}.</p>
+<div class="wide">{_figures(flown)}</div>
+{figures}
+{_said(flown)}"""
+    return html.document(f"{flown.name}: flight report", body)
+
+
+def _figures(flown: FleetFlown) -> str:
+    table = flown.summary.table()
+    columns = [[str(cell) for cell in column.cells] for column in table.columns]
+    height = max(map(len, columns))
+    rows = zip(*(column + [""] * (height - len(column)) for column in columns), strict=True)
+    return html.table((str(column.header) for column in table.columns), rows)
+
+
+def _said(flown: FleetFlown) -> str:
+    if not flown.said:
+        return ""
+    start_s = min(one.flown.history.start_s + one.offset_s for one in flown.aircraft)
+    rows = ((f"{one.mission_time_s - start_s:.0f} s", one.name, one.text) for one in flown.said)
+    told = html.table(("time", "aircraft", "what"), rows)
+    return f"<details><summary>What the coordinator said ({len(flown.said)})</summary>{told}</details>"
