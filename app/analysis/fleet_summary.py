@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Literal
 
@@ -12,9 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from rich.table import Table
 
-from app.analysis.score import Judged, Moment, judge
+from app.analysis.score import Asked, Judged, Moment, judge
 from app.analysis.summary import Summary
-from mission.core.requirement import Requirement
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -103,12 +102,13 @@ class FleetSummary:
 
 
 def summarise_fleet(
-    flown: Sequence[FlownAircraft], requirement: Requirement, outcome: str, source: Literal["truth", "estimate"]
+    flown: Sequence[FlownAircraft], asked: Asked, outcome: str, source: Literal["truth", "estimate"]
 ) -> FleetSummary:
-    """Judge what the aircraft kept together: the wanted side is the requirement's, whatever side each held."""
-    asked = [(-math.inf, requirement)]
-    judged = [_on_mission_time(list(judge(one.moments, asked)), one.offset_s) for one in flown]
-    judged = [one for one in judged if one]
+    """Judge what the aircraft kept together: the wanted side is the requirement's, whatever side each held.
+
+    asked: in mission time.
+    """
+    judged = [own for one in flown if (own := judged_together(one.moments, asked, one.offset_s))]
     side = band = np.empty(0, bool)
     if judged:
         times_s = np.arange(_begin_s(judged), max(one[-1].time_s for one in judged), _STEP_S)
@@ -139,8 +139,10 @@ def min_separation_m(tracks: Sequence[FlownTrack]) -> float | None:
     return least_m if math.isfinite(least_m) else None
 
 
-def _on_mission_time(judged: Sequence[Judged], offset_s: float) -> list[Judged]:
-    return [Judged(one.time_s + offset_s, one.range_m, one.in_band, one.on_side) for one in judged]
+def judged_together(moments: Sequence[Moment], asked: Asked, offset_s: float) -> list[Judged]:
+    """Judge one aircraft's moments by what was asked of all, in mission time: its own with offset_s added."""
+    own_time = [(since_s - offset_s, requirement) for since_s, requirement in asked]
+    return [replace(one, time_s=one.time_s + offset_s) for one in judge(moments, own_time)]
 
 
 def _begin_s(judged: Sequence[Sequence[Judged]]) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,6 @@ from app.commands.flying import kept_if_armed, run_flight
 from app.commands.output import console
 from app.commands.progress import table_progress
 from app.fleet.fleet_file import FleetFile
-from app.flight.display import FlightDisplay
 from app.flight.fleet_flight import FleetEnded, FleetFlight
 from app.flight.flight import Sharing
 from app.flight.life import Life
@@ -35,8 +34,10 @@ async def _fly(
 ) -> FleetEnded:
     folder = FleetFolder.create(out, datetime.now(UTC))
     with kept_if_armed(folder.path) as begun:
-        async with _displayed(fleet, quiet, address) as (panel, of):
-            flight = FleetFlight(fleet, folder, of, panel.note, duration_s, sharing)
+        async with _displayed(fleet, quiet, address) as (panel, view):
+            flight = FleetFlight(fleet, folder, (view or panel).of, panel.note, duration_s, sharing)
+            if view is not None:
+                view.requests = flight
             life = begun(Life(lambda: flight.begun, panel.note))
             with life.heeding_signals():
                 return await flight.fly(life, table_progress(panel.note))
@@ -45,13 +46,13 @@ async def _fly(
 @contextlib.asynccontextmanager
 async def _displayed(
     fleet: FleetFile, quiet: bool, address: Address | None
-) -> AsyncIterator[tuple[FleetPanel, Callable[[str], FlightDisplay]]]:
+) -> AsyncIterator[tuple[FleetPanel, FleetView | None]]:
     """Show the flight on the terminal, and in the browser if it has an address there."""
     with FleetPanel(console, quiet) as panel:
         if address is None:
-            yield panel, panel.of
+            yield panel, None
             return
         members = fleet.members
         page = FleetView(panel, tuple(one.name for one in members), members[0].config, address)
         async with served(page, partial(console.print, soft_wrap=True)) as view:
-            yield panel, view.of
+            yield panel, view

@@ -15,9 +15,10 @@ from estimators.sighting import Sighting
 from mission.core.circle import Circle
 from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Requirement, Side, Wind
-from mission.fleet.coordinator import FleetCoordinator, FleetMember, FleetTarget
+from mission.core.requirement import Aircraft, Requirement, Side, Wind
+from mission.fleet.coordinator import FleetCoordinator, FleetTarget
 from mission.fleet.team_planner import TeamPlanner
+from mission.fleet.vehicle import FleetMember
 from mission.predictive._sight_kernel import NOTHING_HIDDEN, Sight
 
 
@@ -33,13 +34,13 @@ def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda 
         for name, config in configs.items()
     }
 
-    def judge(name: str, wanted: Requirement) -> TeamPlanner:
-        planner = factories[name](configs[name].aircraft.aircraft(), wanted)
+    def judge(name: str, aircraft: Aircraft, wanted: Requirement) -> TeamPlanner:
+        planner = factories[name](aircraft, wanted)
         assert isinstance(planner, TeamPlanner)  # a fleet's file has a side
         return planner
 
-    for name in configs:
-        _warm_up(judge(name, fleet.requirement.requirement()))
+    for name, config in configs.items():
+        _warm_up(judge(name, config.aircraft.aircraft(), fleet.requirement.requirement()))
     return FleetCoordinator(
         [
             FleetMember(
@@ -48,6 +49,7 @@ def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda 
                 tracker_settings(member.config.sensors, member.config.planner.lost_after_s),
                 member.config.aircraft.height_m,
                 reserve=member.reserve,
+                endurance_s=math.inf if member.relieve_after_min is None else 60.0 * member.relieve_after_min,
             )
             for member in members
         ],

@@ -43,6 +43,8 @@ class FleetAircraftSection(AircraftSection):
     """Which autopilot it behaves like where it is simulated; none: as [simulation] has it."""
     reserve: bool = False
     """It waits on the ground until it is wanted: another is lost, or has to be relieved."""
+    relieve_after_min: float | None = Field(None, gt=0)
+    """Another takes its place after it has watched for so long, min; none: only when its battery is low."""
     sensors: SensorsSection = SensorsSection()  # type: ignore[call-arg]  # every field has a default
     """What differs from [sensors] for its payload."""
 
@@ -65,6 +67,7 @@ class Member:
     name: str
     config: Config
     reserve: bool = False
+    relieve_after_min: float | None = None
 
 
 class FleetFile(Config):
@@ -208,6 +211,7 @@ class FleetFile(Config):
                     simulation=self.simulation.model_copy(update=simulated),
                 ),
                 one.reserve,
+                one.relieve_after_min,
             )
 
 

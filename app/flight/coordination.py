@@ -17,6 +17,7 @@ from mission.control.controller import StandoffController
 from mission.core.events import Event
 from mission.core.fleet import FleetAdvice, NeighbourPlanned
 from mission.core.plan import HeightProfile, Plan
+from mission.core.requirement import Requirement, Side
 from mission.exchange.mission_controller import InboundEvent, Output
 from mission.fleet.coordinator import FleetCoordinator
 from mission.fleet.events import (
@@ -27,6 +28,9 @@ from mission.fleet.events import (
     ForeignAircraftReported,
     LaunchRequested,
     PlansReported,
+    ReliefRequested,
+    RequirementChanged,
+    SideRequested,
     Tell,
     Tick,
     VehicleLost,
@@ -64,7 +68,8 @@ class Participant:
 class Coordination:
     """Steps the coordinator by what the aircraft report, in the order in which it comes.
 
-    note hears what is to be told to a person, beginning with the aircraft's name where it is about one.
+    note hears what is to be told to a person, beginning with the aircraft's name where it is about one. changes: of
+    what is asked, (since, requirement) in mission time.
     """
 
     def __init__(
@@ -75,6 +80,7 @@ class Coordination:
         launch: Callable[[str], object] = lambda _name: None,
     ) -> None:
         self.coordinator = coordinator
+        self.changes: list[tuple[float, Requirement]] = []
         self._journal, self._note, self._launch = journal, note, launch
         self._participants: dict[str, Participant] = {}
         self._offsets_s: dict[str, float] = {}
@@ -155,6 +161,16 @@ class Coordination:
         if math.isfinite(self.now_s):
             self._put(VehicleLost(name, self.now_s, reason))
 
+    # -- what a person asks --------------------------------------------------------------------------------
+
+    def watch_from(self, side: Side, who: str) -> None:
+        """Make that the wanted side."""
+        self._put(SideRequested(self.now_s, side, who))
+
+    def relieve(self, name: str, who: str) -> None:
+        """Let another one take that aircraft's place."""
+        self._put(ReliefRequested(name, self.now_s, who))
+
     # -- what the coordinator says -------------------------------------------------------------------------
 
     def _put(self, event: FleetEvent) -> None:
@@ -167,6 +183,8 @@ class Coordination:
                     told.tell(_own_heights(command.event, told.home_above_m))
                 case FleetAnnounce():
                     self._note(command.name, command.text)
+                case RequirementChanged():
+                    self.changes.append((command.mission_time_s, command.requirement))
                 case LaunchRequested():
                     self._note(command.name, f"is wanted in the air: {command.reason}")
                     self._launch(command.name)

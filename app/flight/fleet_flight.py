@@ -46,6 +46,7 @@ from app.records.journal import Header, JournalWriter
 from app.records.run_folder import FleetFolder, RunFolder
 from mission.control.controller import StandoffController
 from mission.control.snapshot import Phase
+from mission.core.requirement import Side
 from mission.exchange.mission_controller import InboundEvent, Output
 
 _POLL_S = 0.1
@@ -123,11 +124,26 @@ class FleetFlight:
         ]
         self._recordings = [one.recording for one in self._aircraft]
         self._over = asyncio.Event()
+        self._coordination: Coordination | None = None
 
     @property
     def begun(self) -> bool:
         """Whether a vehicle may have been commanded something."""
         return any(recording.begun for recording in self._recordings)
+
+    def watch_from(self, side: Side, who: str) -> str:
+        """Make that the wanted side, by a person's wish; return why not, '' where it is done."""
+        if self._coordination is None:
+            return "nothing is flown yet"
+        self._coordination.watch_from(side, who)
+        return ""
+
+    def relieve(self, name: str, who: str) -> str:
+        """Let another aircraft take the place of this one, by a person's wish; return why not."""
+        if self._coordination is None or not any(one.name == name for one in self._aircraft):
+            return "it is not flown"
+        self._coordination.relieve(name, who)
+        return ""
 
     async def fly(self, life: Life, progress: Callable[[float], None]) -> FleetEnded:
         """Connect, check, take off, watch and wind up."""
@@ -147,10 +163,11 @@ class FleetFlight:
             await self._connect(stack, urls, simulated, life)
             await self._prepare()
             with self._journal() as journal:
-                coordination = Coordination(coordinator, journal, self._say, self._launch)
+                coordination = self._coordination = Coordination(coordinator, journal, self._say, self._launch)
                 try:
                     await self._watch(stack, coordination, life)
                 finally:
+                    self._coordination = None
                     described = "; ".join(one.described(simulated) for one in self._aircraft)
         # Only now, with the simulated vehicles ended, are their truth files whole.
         summary = self._summary(coordination, simulated, life)
@@ -382,8 +399,8 @@ class FleetFlight:
                 one.folder.write_summary(part.summary.as_json())
         outcomes = {one.outcome for one in self._aircraft}
         outcome = ended or next((one for one in ("completed", "interrupted") if one in outcomes), "; ".join(outcomes))
-        requirement = self._fleet.requirement.requirement()
-        return summarise_fleet(flown, requirement, outcome, "estimate" if None in truths.values() else "truth")
+        asked = [(-math.inf, self._fleet.requirement.requirement()), *coordination.changes]
+        return summarise_fleet(flown, asked, outcome, "estimate" if None in truths.values() else "truth")
 
     def _reason(self, life: Life, described: str) -> Exception | None:
         if life.failure is not None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from dataclasses import dataclass
 
 from app.analysis.fleet_summary import FleetSummary, FlownAircraft, FlownTrack, summarise_fleet
+from app.analysis.score import Asked
 from app.config import validated
 from app.errors import InputError
 from app.fleet.fleet_file import FleetFile
@@ -15,7 +17,8 @@ from app.records.run_folder import FleetFolder, RunFolder
 from app.records.windows import Progress
 from app.report.sources import Flown, read_flight
 from mission.core.fleet import FleetAdvice, Role
-from mission.fleet.events import ClockReported, FleetAnnounce, Tell, VehicleReported
+from mission.core.requirement import Requirement
+from mission.fleet.events import ClockReported, FleetAnnounce, RequirementChanged, Tell, VehicleReported
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,11 +34,14 @@ class FleetAircraft:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetFlown:
-    """The flight of a fleet: those of its aircraft that flew. said: by the coordinator, in mission time."""
+    """The flight of a fleet: those of its aircraft that flew.
+
+    asked: (since, requirement), the first from -inf on; said: by the coordinator; both in mission time.
+    """
 
     name: str
     program: str
-    fleet: FleetFile
+    asked: tuple[tuple[float, Requirement], ...]
     aircraft: tuple[FleetAircraft, ...]
     said: tuple[FleetAnnounce, ...]
     summary: FleetSummary
@@ -49,6 +55,7 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
     tracks: dict[str, FlownTrack] = defaultdict(FlownTrack)
     roles: dict[str, list[tuple[float, Role]]] = defaultdict(list)
     said: list[FleetAnnounce] = []
+    asked = [(-math.inf, fleet.requirement.requirement())]
     for record in journal:
         match record:
             case ClockReported():
@@ -62,6 +69,8 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
                     own.append((record.event.time_s + offsets_s[record.name], record.event.role))
             case FleetAnnounce():
                 said.append(record)
+            case RequirementChanged():
+                asked.append((record.mission_time_s, record.requirement))
     names = [member.name for member in fleet.members if RunFolder(folder.path / member.name).journal.is_file()]
     names = [name for name in names if name in offsets_s]
     if not names:
@@ -82,12 +91,11 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
     )
 
 
-def _summed(fleet: FleetFile, aircraft: list[FleetAircraft]) -> FleetSummary:
+def _summed(asked: Asked, aircraft: list[FleetAircraft]) -> FleetSummary:
     by_truth = all(one.flown.history.judged_by_truth for one in aircraft)
     parts = [
         FlownAircraft(one.name, one.flown.summary, one.flown.history.moments, one.offset_s, one.track)
         for one in aircraft
     ]
     outcomes = sorted({one.flown.summary.outcome for one in aircraft})
-    requirement = fleet.requirement.requirement()
-    return summarise_fleet(parts, requirement, "; ".join(outcomes), "truth" if by_truth else "estimate")
+    return summarise_fleet(parts, asked, "; ".join(outcomes), "truth" if by_truth else "estimate")

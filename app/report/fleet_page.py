@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from html import escape
 
 from app.report import html
-from app.report.fleet_figures import fleet_drawings
+from app.report.fleet_figures import fleet_drawings, start_s
 from app.report.fleet_flown import FleetFlown
 from app.report.plot_style import styled
 from mission.viewpoint.side_policy import side_words
@@ -16,10 +16,13 @@ def fleet_page(flown: FleetFlown, pages: Mapping[str, str]) -> str:
     """Return the page. pages: where each aircraft's own is, as seen from it."""
     with styled():
         figures = "\n".join(html.figure(drawing) for drawing in fleet_drawings(flown))
-    asked = flown.fleet.requirement.requirement()
+    asked = [f"from the {side_words(one)} at {one.range_min_m:g} to {one.range_max_m:g} m" for _, one in flown.asked]
+    since_s = [at_s - start_s(flown) for at_s, _ in flown.asked]
+    later = zip(since_s[1:], asked[1:], strict=True)
+    wanted = asked[0] + "".join(f", after {at_s:.0f} s {words}" for at_s, words in later)
     links = ", ".join(f'<a href="{escape(page)}">{escape(name)}</a>' for name, page in pages.items())
     body = f"""<h1>Flight {escape(flown.name)}, {len(flown.aircraft)} aircraft</h1>
-<p>Asked: watch from the {escape(side_words(asked))} at {asked.range_min_m:g} to {asked.range_max_m:g} m.
+<p>Asked: watch {escape(wanted)}.
 Recorded by {escape(flown.program)}. Each by itself: {links}.</p>
 <div class="wide">{_figures(flown)}</div>
 {figures}

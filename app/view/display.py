@@ -38,7 +38,7 @@ class ViewDisplay:
     """A ``FlightDisplay`` around another. Use as ``with``; ``url`` and ``viewer_url`` are then the page's addresses.
 
     Whatever the page's process does, every call returns at once: the page gets what fits. name: of what is shown, by
-    default the vehicle's. others: the rest of a fleet, as ``other_aircraft`` has each.
+    default the vehicle's.
     """
 
     def __init__(
@@ -47,10 +47,9 @@ class ViewDisplay:
         config: Config,
         address: Address,
         name: str = "",
-        others: Callable[[], list[Json]] = list,
     ) -> None:
         self.url = self.viewer_url = ""
-        self._inner, self._config, self._address, self._others = inner, config, address, others
+        self._inner, self._config, self._address = inner, config, address
         self._name = name or ", ".join(config.link.connections) or f"simulated {config.simulation.autopilot}"
         self._encoder = StateEncoder(config.aircraft.airspeed_m_s, config.aircraft.height_m)
         self._feed: Feed | None = None
@@ -176,8 +175,11 @@ class ViewDisplay:
             self._vehicle, self._vehicle_at_s = self._status(), time.monotonic()
         if self._snapshot is not None:
             silent_s = time.monotonic() - self._heard_at_s
-            told["state"] = self._encoder.state(self._snapshot, silent_s, self._vehicle) | {"others": self._others()}
+            told["state"] = self._state(self._snapshot, silent_s)
         return told
+
+    def _state(self, snapshot: Snapshot, silent_s: float) -> Json:
+        return self._encoder.state(snapshot, silent_s, self._vehicle)
 
     def _pressed(self, press: Json) -> None:
         if self._request is None or self._snapshot is None or not math.isfinite(self._snapshot.time_s):

@@ -18,7 +18,7 @@ from app.link.vehicle_status import VehicleStatus
 from app.view.panel import REFRESH_HZ, STYLES, clock, target_motion, target_range_m
 from estimators.frames import LocalPlane
 from mission.control.snapshot import Snapshot
-from mission.core.events import Announce, OperatorRequest
+from mission.core.events import Announce
 
 _PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time
 
@@ -40,7 +40,7 @@ class AircraftDisplay:
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         self._request = request
 
-    def ask(self, wish: OperatorRequest) -> None:
+    def ask(self, wish: Wish) -> None:
         """Pass a person's wish on to the aircraft, at its own time."""
         if self._request is not None and self.snapshot is not None and math.isfinite(self.snapshot.time_s):
             self._request(replace(wish, time_s=self.snapshot.time_s))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 from app.config import Config
 from app.flight.display import FlightDisplay, Wish
@@ -11,16 +12,36 @@ from app.view.display import ViewDisplay
 from app.view.fleet_panel import AircraftDisplay, FleetPanel
 from app.view.state import Json, other_aircraft
 from estimators.frames import LocalPlane
-from mission.core.events import OperatorRequest
+from mission.control.snapshot import Snapshot
+from mission.core.events import MissionChange
+from mission.core.requirement import Side
+
+
+class FleetRequests(Protocol):
+    """What a person may ask of the whole fleet; each returns why not, '' where it is passed on."""
+
+    def watch_from(self, side: Side, who: str) -> str:
+        """Make that the wanted side."""
+        ...
+
+    def relieve(self, name: str, who: str) -> str:
+        """Let another one take that aircraft's place."""
+        ...
 
 
 class FleetView(ViewDisplay):
-    """A ``FlightDisplay`` of the first aircraft; ``of`` returns everybody's. Use as ``with``, as ``ViewDisplay``."""
+    """A ``FlightDisplay`` of the first aircraft; ``of`` returns everybody's. Use as ``with``, as ``ViewDisplay``.
+
+    ``requests`` has to be set before a button is pressed.
+    """
+
+    requests: FleetRequests
 
     def __init__(self, panel: FleetPanel, names: tuple[str, ...], config: Config, address: Address) -> None:
         self._aircraft = {name: panel.of(name) for name in names}
         self._first = self._aircraft[names[0]]
-        super().__init__(self._first, config, address, ", ".join(names), self._beside)
+        self._wanted = config.requirement.requirement().side
+        super().__init__(self._first, config, address, ", ".join(names))
 
     def of(self, name: str) -> FlightDisplay:
         """Return the display of one aircraft."""
@@ -31,16 +52,41 @@ class FleetView(ViewDisplay):
         super().begin(plane, request)
         self._request = self._ask_all
 
+    def _pressed(self, press: Json) -> None:
+        if press["action"] != "relieve":
+            super()._pressed(press)
+            return
+        name = press["name"]
+        refused = self.requests.relieve(name, press["who"]) if name in self._aircraft else "there is no such aircraft"
+        self.note(f"relieving {name} refused: {refused}" if refused else f"relieve {name} by {press['who']}")
+
     def _ask_all(self, wish: Wish) -> None:
-        if not isinstance(wish, OperatorRequest) or wish.action == "side":
-            self.note("refused: the sides, heights and circles of a fleet are not changed in flight")
+        """Pass a wish on to all; the side is the coordinator's to give, and the heights are layers."""
+        if isinstance(wish, MissionChange):
+            if wish.height_m is not None:
+                self.note("refused: the heights of a fleet are layers, which are not changed in flight")
+                return
+            if wish.side is not None:
+                self.note("refused: change the side of a fleet by itself")
+                return
+        elif wish.action == "side" and wish.side is not None:
+            refused = self.requests.watch_from(wish.side, wish.who)
+            self._wanted = self._wanted if refused else wish.side
+            if refused:
+                self.note(f"refused: {refused}")
             return
         for one in self._aircraft.values():
             one.ask(wish)
 
-    def _beside(self) -> list[Json]:
-        return [
+    def _set(self) -> Json:
+        return super()._set() | {"fleet": list(self._aircraft)}
+
+    def _state(self, snapshot: Snapshot, silent_s: float) -> Json:
+        """Return the first one's state with the others, and with the wanted side in place of its own."""
+        state = super()._state(snapshot, silent_s)
+        others = [
             other_aircraft(name, one.snapshot)
             for name, one in self._aircraft.items()
             if one is not self._first and one.snapshot is not None
         ]
+        return state | {"others": others, "wanted": self._wanted, "asked": state["asked"] | {"side": self._wanted}}

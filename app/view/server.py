@@ -55,6 +55,7 @@ _TRAIL_KEPT, _SERIES_KEPT, _WORDS_KEPT = 2400, 2400, 500  # 20 minutes of trail
 _UNSENT_MAX = 50  # states; a browser that is further behind is made to begin anew
 _ACTIONS: dict[str, set[str | None]] = {"hold": {None}, "resume": {None}, "end": {None}, "side": {"left", "right"}}
 _NUMBERS, _NUMBER_MAX, _WORDS_MAX = ("radius_m", "range_min_m", "range_max_m", "height_m"), 1e5, 20  # of a change
+_NAME_MAX = 32  # of an aircraft of a fleet
 _SERIES = ("nis", "range_age_s", "gimbal_age_s", "link_age_s")
 
 
@@ -287,6 +288,11 @@ def _shown(data: bytes | None) -> Response:
 def button_of(press: Json) -> Json:
     """Return a press as far as it is known. Raises one of many errors where it is none."""
     action = press["action"]
+    if action == "relieve":
+        name = press["name"]
+        if not isinstance(name, str) or len(name) > _NAME_MAX:
+            raise ValueError
+        return {"action": action, "name": name}
     if action != "change":
         side = press.get("side")
         if side not in _ACTIONS[action]:

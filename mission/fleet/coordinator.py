@@ -30,26 +30,26 @@ Rules
    is asked for. Below ``leave_below`` it leaves whatever happens. A reserve is asked for too when nobody is left.
 4. Several targets: aircraft are given out by the time to get there, those that are free or with a target that is lost
    at once, others only where all together gain ``reassign_gain_s``.
-5. Each aircraft keeps the height layer that it was set up with, so layers are never swapped.
+5. Each aircraft keeps the height layer that it was set up with: layers are never swapped, so nothing has to be
+   confirmed before one is free.
+6. The wanted side is a person's to change (``SideRequested``), for all aircraft at once; a band or radius that one
+   core took up (``RequirementReported``) holds for the roles too.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Protocol
-
-import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.joint_track import JointTrack
-from estimators.settings import TrackerSettings
 from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from mission.core.plan import AircraftState, Plan
 from mission.core.requirement import Aircraft, Requirement, Wind
-from mission.fleet.clocks import VehicleTime, shifted_estimate, shifted_plan, shifted_state
+from mission.fleet.assignment import spread_over
+from mission.fleet.clocks import shifted_estimate, shifted_plan, shifted_state
 from mission.fleet.events import (
     BatteryReported,
     ClockReported,
@@ -60,6 +60,9 @@ from mission.fleet.events import (
     LaunchRequested,
     PlansReported,
     ReliefRequested,
+    RequirementChanged,
+    RequirementReported,
+    SideRequested,
     SightingReported,
     Tell,
     Tick,
@@ -67,28 +70,11 @@ from mission.fleet.events import (
     VehicleReported,
 )
 from mission.fleet.roles import RoleAssignment, RoleCosts
+from mission.fleet.vehicle import FleetMember, FleetVehicle
 
 _FOREIGN_FORGOTTEN_S = 30.0
-_STANDING_M_S = 0.3  # a slower target has no course
 # An aircraft that is to be relieved pays so much more for the wanted side.
 _RELIEVED_S = 1000.0
-
-
-@dataclass(frozen=True, slots=True)
-class FleetMember:
-    """One aircraft as the fleet file has it.
-
-    height_m: of its layer, above the common home. target: to begin with. reserve: it waits until it is asked for.
-    endurance_s: it is relieved after watching for so long.
-    """
-
-    name: str
-    aircraft: Aircraft
-    tracker: TrackerSettings
-    height_m: float
-    target: str = ""
-    reserve: bool = False
-    endurance_s: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,36 +106,19 @@ class RoleJudge(Protocol):
         ...
 
 
-@dataclass(slots=True, eq=False)
-class _Vehicle:
-    """What is known of one aircraft; ``report`` is on mission time, ``plans`` as the aircraft has them."""
-
-    member: FleetMember
-    clock: VehicleTime = field(default_factory=VehicleTime)
-    report: VehicleReported | None = None
-    plans: PlansReported | None = None
-    lost: str = ""
-    remaining: float = 1.0
-    relief_asked: bool = False
-    since_s: float = math.inf  # it watches
-    leaving: bool = False
-    target: str = ""
-    role: Role = Role.WANTED
-    told: tuple[Role, str] | None = None
-    launch_asked: bool = False
-
-
 class FleetCoordinator:
-    """See the module. make_judge builds what tells one aircraft's costs for a requirement, from what is at hand.
+    """See the module.
 
-    Raises ValueError where names repeat, there is no aircraft or no target, or a requirement has no sides.
+    make_judge builds what tells the costs of a named aircraft, from what is at hand; it is called again when a person
+    changes what is asked. Raises ValueError where names repeat, there is no aircraft or no target, or a requirement
+    has no sides.
     """
 
     def __init__(
         self,
         members: Sequence[FleetMember],
         targets: Sequence[FleetTarget],
-        make_judge: Callable[[str, Requirement], RoleJudge],
+        make_judge: Callable[[str, Aircraft, Requirement], RoleJudge],
         settings: FleetSettings | None = None,
     ) -> None:
         names = [one.name for one in members]
@@ -158,14 +127,17 @@ class FleetCoordinator:
         if not targets or not members:
             raise ValueError("a fleet needs an aircraft and a target")
         self.settings = settings or FleetSettings()
-        self._vehicles = {one.name: _Vehicle(one, target=one.target or targets[0].name) for one in members}
+        self._vehicles = {one.name: FleetVehicle(one, target=one.target or targets[0].name) for one in members}
         self._targets = {one.name: one for one in targets}
         payloads = {one.name: one.tracker for one in members}
         self._tracks = {one.name: JointTrack(payloads) for one in targets}
         for one in targets:
             if one.requirement.either_side or one.requirement.sector is not None:
                 raise ValueError("several aircraft share the sides of a target: side has to be left or right")
-        self._judges = {(name, one.name): make_judge(name, one.requirement) for name in names for one in targets}
+        self._make_judge = make_judge
+        self._judges: dict[tuple[str, str], RoleJudge] = {}
+        for one in targets:
+            self._ask(one.name, one.requirement)
         self._assignments = {one.name: RoleAssignment() for one in targets}
         self._foreign: dict[str, ForeignAircraftReported] = {}
         self._refused: dict[str, Mapping[str, str]] = {}
@@ -174,6 +146,10 @@ class FleetCoordinator:
         self._out: list[FleetCommand] = []
 
     # -- what a display wants -------------------------------------------------------------------------------
+
+    def requirement(self, target: str) -> Requirement:
+        """Return how a target is to be watched now."""
+        return self._targets[target].requirement
 
     def estimate(self, target: str) -> TargetEstimate | None:
         """Return the joint estimate of a target at the mission's present time."""
@@ -208,12 +184,16 @@ class FleetCoordinator:
                 self._foreign[event.identity] = event
             case ReliefRequested():
                 self._vehicles[event.name].relief_asked = True
+            case SideRequested():
+                self._side_requested(event)
+            case RequirementReported():
+                self._requirement_reported(event)
         if self._now_s >= self._next_s:
             self._next_s = self._now_s + self.settings.period_s
             self._coordinate()
         return tuple(self._out)
 
-    def _reported(self, vehicle: _Vehicle, event: VehicleReported) -> None:
+    def _reported(self, vehicle: FleetVehicle, event: VehicleReported) -> None:
         if not vehicle.clock.known:
             return
         before, by_s = vehicle.report, vehicle.clock.offset_s
@@ -235,13 +215,13 @@ class FleetCoordinator:
                     self._tell_plans(vehicle, other)
                     self._tell_plans(other, vehicle)
 
-    def _planned(self, vehicle: _Vehicle, event: PlansReported) -> None:
+    def _planned(self, vehicle: FleetVehicle, event: PlansReported) -> None:
         vehicle.plans = event
         for other in self._vehicles.values():
             if other is not vehicle:
                 self._tell_plans(other, vehicle)
 
-    def _tell_plans(self, listener: _Vehicle, other: _Vehicle) -> None:
+    def _tell_plans(self, listener: FleetVehicle, other: FleetVehicle) -> None:
         if listener.report is None or other.report is None or other.plans is None:
             return
         told, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s
@@ -257,7 +237,7 @@ class FleetCoordinator:
             )
         )
 
-    def _sighted(self, vehicle: _Vehicle, event: SightingReported) -> None:
+    def _sighted(self, vehicle: FleetVehicle, event: SightingReported) -> None:
         if not vehicle.clock.known:
             return
         sighting = event.sighting
@@ -265,13 +245,38 @@ class FleetCoordinator:
         on_mission = replace(sighting, time_s=vehicle.clock.mission_s(sighting.time_s))
         self._tracks[vehicle.target].add(event.name, on_mission, sigma_s)
 
-    def _lost(self, vehicle: _Vehicle, reason: str) -> None:
+    def _lost(self, vehicle: FleetVehicle, reason: str) -> None:
         if not vehicle.lost:
             vehicle.lost = reason
             self._say(vehicle.member.name, f"is out: {reason}")
             self._next_s = -math.inf  # the others close the gap at once
-            if not any(self._takes_part(one) for one in self._vehicles.values() if one.target == vehicle.target):
+            if not any(one.takes_part for one in self._vehicles.values() if one.target == vehicle.target):
                 self._launch_reserve(f"{vehicle.member.name} is out", vehicle.target)
+
+    def _side_requested(self, event: SideRequested) -> None:
+        for name, target in self._targets.items():
+            if target.requirement.side is not event.side:
+                self._change(name, replace(target.requirement, side=event.side))
+                self._assignments[name] = RoleAssignment()  # who is nearest to it holds it at once
+        self._say("", f"the wanted side is the {event.side} one now")
+        self._next_s = -math.inf
+
+    def _requirement_reported(self, event: RequirementReported) -> None:
+        """Give the roles out by what that aircraft is flown with now, and keep the wanted side."""
+        vehicle = self._vehicles[event.name]
+        vehicle.member = replace(vehicle.member, aircraft=event.aircraft)
+        wanted = self._targets[vehicle.target].requirement.side
+        self._change(vehicle.target, replace(event.requirement, side=wanted))
+
+    def _change(self, target: str, wanted: Requirement) -> None:
+        if wanted != self._targets[target].requirement:
+            self._out.append(RequirementChanged(self._now_s, target, wanted))
+        self._ask(target, wanted)
+
+    def _ask(self, target: str, wanted: Requirement) -> None:
+        self._targets[target] = FleetTarget(target, wanted)
+        for name, one in self._vehicles.items():
+            self._judges[name, target] = self._make_judge(name, one.member.aircraft, wanted)
 
     def _say(self, name: str, text: str) -> None:
         self._out.append(FleetAnnounce(self._now_s, name, text))
@@ -305,30 +310,21 @@ class FleetCoordinator:
                     self._say(payload, f"its sightings are left out: {reason}")
             self._refused[name] = dict(track.refused)
 
-    def _takes_part(self, vehicle: _Vehicle) -> bool:
-        return vehicle.report is not None and vehicle.report.watching and not vehicle.lost and not vehicle.leaving
-
     def _assign_targets(self, estimates: Mapping[str, TargetEstimate | None]) -> None:
         """Give the aircraft out to the targets that are seen, as evenly as can be."""
         known = {
             name: one for name, one in estimates.items() if one is not None and one.quality is not TrackQuality.LOST
         }
-        free = [one for one in self._vehicles.values() if self._takes_part(one) and estimates[one.target] is not None]
+        free = [one for one in self._vehicles.values() if one.takes_part and estimates[one.target] is not None]
         if len(self._targets) < 2 or not known or not free:
             return
-        names = list(known)
-        slots = [names[k % len(names)] for k in range(len(free))]
-        to_s = np.array([[_way_s(one, known[name]) for name in slots] for one in free])
-        rows, columns = linear_sum_assignment(to_s)
-        at = [slots.index(one.target) if one.target in known else -1 for one in free]
-        bound = all(k >= 0 for k in at) and sorted(one.target for one in free) == sorted(slots)
-        present_s = sum(to_s[row, k] for row, k in enumerate(at))
-        if bound and present_s - float(to_s[rows, columns].sum()) < self.settings.reassign_gain_s:
-            return
-        for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
-            if free[row].target != slots[column]:
-                free[row].target = slots[column]
-                self._say(free[row].member.name, f"goes to {slots[column]}")
+        at = [one.target for one in free]
+        way_s = [[one.way_s(known[name]) for name in known] for one in free]
+        given = spread_over(list(known), way_s, at, self.settings.reassign_gain_s)
+        for one, target in zip(free, given, strict=True):
+            if one.target != target:
+                one.target = target
+                self._say(one.member.name, f"goes to {target}")
 
     def _assign_roles(self, target: str, estimate: TargetEstimate | None) -> None:
         if estimate is None or estimate.quality is TrackQuality.LOST:
@@ -336,7 +332,7 @@ class FleetCoordinator:
         costs: dict[str, RoleCosts] = {}
         for name, vehicle in self._vehicles.items():
             report, plans = vehicle.report, vehicle.plans
-            if vehicle.target != target or report is None or plans is None or not self._takes_part(vehicle):
+            if vehicle.target != target or report is None or plans is None or not vehicle.takes_part:
                 continue
             present = shifted_plan(plans.present, vehicle.clock.offset_s)
             if present is None:
@@ -348,41 +344,32 @@ class FleetCoordinator:
         for name, role in self._assignments[target].assign(self._now_s, costs).items():
             self._vehicles[name].role = role
 
-    def _is_to_be_relieved(self, vehicle: _Vehicle) -> bool:
+    def _is_to_be_relieved(self, vehicle: FleetVehicle) -> bool:
         watched_s = self._now_s - vehicle.since_s
         low = vehicle.remaining < self.settings.relieve_below or watched_s > vehicle.member.endurance_s
         return low or vehicle.relief_asked
 
     def _relieve(self, estimates: Mapping[str, TargetEstimate | None]) -> None:
         for vehicle in self._vehicles.values():
-            if not self._takes_part(vehicle) or not self._is_to_be_relieved(vehicle):
+            if not vehicle.takes_part or not self._is_to_be_relieved(vehicle):
                 continue
             others = [
                 one
                 for one in self._vehicles.values()
-                if one is not vehicle and one.target == vehicle.target and self._takes_part(one)
+                if one is not vehicle and one.target == vehicle.target and one.takes_part
             ]
             vehicle.role = Role.WANTED  # with who takes over, until that one is there
-            estimate = estimates[vehicle.target]
-            if any(one.role is Role.WANTED and self._is_beside(one, estimate) for one in others):
+            estimate, wanted = estimates[vehicle.target], self._targets[vehicle.target].requirement
+            if estimate is not None and any(
+                one.role is Role.WANTED and one.is_beside(estimate, wanted) for one in others
+            ):
                 self._leave(vehicle, "another aircraft has taken over")
             elif vehicle.remaining < self.settings.leave_below:
                 self._leave(vehicle, f"{100.0 * vehicle.remaining:.0f} % of the battery is left")
             else:
                 self._launch_reserve(f"{vehicle.member.name} has to be relieved", vehicle.target)
 
-    def _is_beside(self, vehicle: _Vehicle, estimate: TargetEstimate | None) -> bool:
-        """Tell whether an aircraft is on the wanted side and in the band."""
-        requirement, report = self._targets[vehicle.target].requirement, vehicle.report
-        if report is None or estimate is None:
-            return False
-        east_m, north_m = report.state.east_m - estimate.east_m, report.state.north_m - estimate.north_m
-        normal_rad = estimate.course_rad + requirement.side.normal_turn_rad
-        beside = east_m * math.sin(normal_rad) + north_m * math.cos(normal_rad) >= 0.0
-        in_band = requirement.range_min_m <= math.hypot(east_m, north_m) <= requirement.range_max_m
-        return in_band and (beside or estimate.speed_m_s < _STANDING_M_S)
-
-    def _leave(self, vehicle: _Vehicle, reason: str) -> None:
+    def _leave(self, vehicle: FleetVehicle, reason: str) -> None:
         vehicle.leaving, vehicle.role = True, Role.LEAVE
         self._say(vehicle.member.name, f"goes home: {reason}")
 
@@ -397,7 +384,7 @@ class FleetCoordinator:
                 self._out.append(LaunchRequested(name, self._now_s, reason))
                 return
 
-    def _advise(self, vehicle: _Vehicle, estimate: TargetEstimate | None) -> None:
+    def _advise(self, vehicle: FleetVehicle, estimate: TargetEstimate | None) -> None:
         by_s, name = -vehicle.clock.offset_s, vehicle.member.name
         wanted = self._targets[vehicle.target].requirement.side
         side = wanted if vehicle.role is not Role.OPPOSITE else wanted.opposite
@@ -416,7 +403,7 @@ class FleetCoordinator:
         )
         self._out.append(Tell(name, advice))
 
-    def _neighbours(self, vehicle: _Vehicle, by_s: float) -> tuple[Neighbour, ...]:
+    def _neighbours(self, vehicle: FleetVehicle, by_s: float) -> tuple[Neighbour, ...]:
         ours = [
             Neighbour(name, shifted_state(one.report.state, by_s), one.report.height_m, True, one.target, one.role)
             for name, one in self._vehicles.items()
@@ -426,15 +413,7 @@ class FleetCoordinator:
         return (*ours, *foreign)
 
 
-def _way_s(vehicle: _Vehicle, target: TargetEstimate) -> float:
-    """Return about how long an aircraft needs to a target."""
-    assert vehicle.report is not None
-    state = vehicle.report.state
-    way_m = math.hypot(state.east_m - target.east_m, state.north_m - target.north_m)
-    return way_m / vehicle.member.aircraft.airspeed_m_s
-
-
-def _reason(vehicle: _Vehicle) -> str:
+def _reason(vehicle: FleetVehicle) -> str:
     match vehicle.role:
         case Role.LEAVE:
             return "another aircraft has taken over, or the battery is low"

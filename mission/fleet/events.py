@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from estimators.sighting import AnySighting
 from mission.core.fleet import FleetAdvice, NeighbourPlanned
 from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Wind
+from mission.core.requirement import Aircraft, Requirement, Side, Wind
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,10 +97,30 @@ class ForeignAircraftReported:
 
 @dataclass(frozen=True, slots=True)
 class ReliefRequested:
-    """A person's wish, or the clock of the shifts: another is to take this aircraft's place."""
+    """A person's wish: another is to take this aircraft's place. who: as the page knows the person."""
 
     name: str
     mission_time_s: float
+    who: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SideRequested:
+    """A person's wish: which side is the wanted one from now on. who: as the page knows the person."""
+
+    mission_time_s: float
+    side: Side
+    who: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RequirementReported:
+    """What one core flies by since a person changed it; its side is the one that the fleet gave it."""
+
+    name: str
+    mission_time_s: float
+    aircraft: Aircraft
+    requirement: Requirement
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +139,8 @@ FleetEvent = (
     | VehicleLost
     | ForeignAircraftReported
     | ReliefRequested
+    | SideRequested
+    | RequirementReported
     | Tick
 )
 
@@ -149,4 +171,13 @@ class FleetAnnounce:
     text: str
 
 
-FleetCommand = Tell | LaunchRequested | FleetAnnounce
+@dataclass(frozen=True, slots=True)
+class RequirementChanged:
+    """From now on the target is to be watched like this; its side is the wanted one."""
+
+    mission_time_s: float
+    target: str
+    requirement: Requirement
+
+
+FleetCommand = Tell | LaunchRequested | FleetAnnounce | RequirementChanged

@@ -7,9 +7,16 @@ from collections.abc import Iterable
 
 from mission.control.controller import StandoffController
 from mission.control.snapshot import Phase
-from mission.core.events import End, LinkReported, Yield
+from mission.core.events import End, LinkReported, MissionChange, Yield
 from mission.core.plan import Plan
-from mission.fleet.events import FleetEvent, PlansReported, SightingReported, VehicleLost, VehicleReported
+from mission.fleet.events import (
+    FleetEvent,
+    PlansReported,
+    RequirementReported,
+    SightingReported,
+    VehicleLost,
+    VehicleReported,
+)
 
 _EVERY_S = 0.5
 
@@ -35,6 +42,9 @@ class FleetReporter:
                 found.append(VehicleLost(self._name, mission_time_s, output.reason))
         if isinstance(event, LinkReported) and not event.connected:
             found.append(VehicleLost(self._name, mission_time_s, "its link is lost"))
+        if isinstance(event, MissionChange):
+            settings = controller.settings
+            found.append(RequirementReported(self._name, mission_time_s, settings.aircraft, settings.requirement))
         plans = (controller.present, controller.coming)
         if plans[0] is not self._plans[0] or plans[1] is not self._plans[1]:
             self._plans = plans

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from app.analysis.fleet_summary import FlownAircraft, FlownTrack, min_separation_m, summarise_fleet
@@ -10,6 +12,7 @@ from app.analysis.summary import Summary
 from mission.core.requirement import Requirement, Side
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0)
+ASKED = [(-math.inf, REQUIREMENT)]
 SUMMARY = Summary(100.0, 1.0, 0.5, 150.0, 400.0, "truth", 1, 1, 0, 10, 0, 1.0, "completed")
 
 
@@ -28,7 +31,7 @@ def flown(name, places, offset_s=0.0, track=None):
 def test_a_side_counts_while_any_aircraft_has_it():
     one = flown("a", [-200.0] * 100 + [200.0] * 100)
     other = flown("b", [200.0] * 120 + [-200.0] * 80, offset_s=1000.0)
-    found = summarise_fleet([one, other], REQUIREMENT, "completed", "truth")
+    found = summarise_fleet([one, other], ASKED, "completed", "truth")
     assert found.duration_s == pytest.approx(100.0, abs=1.0)
     assert found.time_on_side_any == pytest.approx(0.9, abs=0.01)
     assert found.longest_off_side_any_s == pytest.approx(10.0, abs=1.0)
@@ -38,21 +41,21 @@ def test_a_side_counts_while_any_aircraft_has_it():
 def test_it_counts_from_when_all_have_come_into_the_band():
     one = flown("a", [200.0] * 100 + [-200.0] * 100)
     late = flown("b", [900.0] * 100 + [300.0] * 100)
-    found = summarise_fleet([one, late], REQUIREMENT, "completed", "truth")
+    found = summarise_fleet([one, late], ASKED, "completed", "truth")
     assert found.duration_s == pytest.approx(50.0, abs=1.0)
     assert found.time_on_side_any == 1.0
 
 
 def test_an_aircraft_that_is_lost_watches_no_more():
     one, lost = flown("a", [200.0] * 200), flown("b", [-200.0] * 100)
-    found = summarise_fleet([one, lost], REQUIREMENT, "completed", "truth")
+    found = summarise_fleet([one, lost], ASKED, "completed", "truth")
     assert found.time_on_side_any == pytest.approx(0.5, abs=0.03)
 
 
 def test_an_aircraft_that_never_watched_does_not_hide_the_others():
-    found = summarise_fleet([flown("a", [-200.0] * 100), flown("b", [])], REQUIREMENT, "completed", "truth")
+    found = summarise_fleet([flown("a", [-200.0] * 100), flown("b", [])], ASKED, "completed", "truth")
     assert found.time_on_side_any == 1.0
-    assert summarise_fleet([flown("b", [])], REQUIREMENT, "failed", "estimate").time_on_side_any is None
+    assert summarise_fleet([flown("b", [])], ASKED, "failed", "estimate").time_on_side_any is None
 
 
 def track(*rows):
@@ -78,7 +81,7 @@ def test_a_gap_of_a_track_is_no_place():
 
 
 def test_the_json_holds_each_aircraft_by_name():
-    found = summarise_fleet([flown("a", [-200.0] * 10)], REQUIREMENT, "completed", "truth").as_json()
+    found = summarise_fleet([flown("a", [-200.0] * 10)], ASKED, "completed", "truth").as_json()
     assert found["aircraft"][0]["name"] == "a"
     assert found["aircraft"][0]["time_on_side"] == 0.5
     assert {"time_on_side_any", "time_in_band_any", "min_separation_m"} <= set(found)

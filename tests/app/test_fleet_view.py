@@ -68,12 +68,68 @@ def test_a_button_is_for_all_each_at_its_own_time(view, snapshot):
     }
 
 
-@pytest.mark.parametrize("wish", [OperatorRequest(1.0, "side", Side.RIGHT), MissionChange(1.0, height_m=160.0)])
+@pytest.mark.parametrize("wish", [MissionChange(1.0, side="right"), MissionChange(1.0, height_m=160.0)])
 def test_what_would_bring_them_together_is_refused(view, snapshot, wish):
     shown, wishes = view
     shown.of("plane").show(snapshot)
     shown._request(wish)
     assert wishes == {"plane": [], "wing": []}
+
+
+def test_a_band_is_changed_for_all_each_at_its_own_time(view, snapshot):
+    shown, wishes = view
+    other = beside(snapshot)
+    shown.of("plane").show(snapshot)
+    shown.of("wing").show(other)
+    shown._pressed({"action": "change", "values": {"range_min_m": 150}, "who": "operator 1"})
+    (one,), (two,) = wishes.values()
+    assert (one.time_s, two.time_s) == (snapshot.time_s, other.time_s)
+    assert one.range_min_m == two.range_min_m == 150.0
+
+
+class Requests:
+    """Takes down what a person asked of the fleet, and refuses what it is told to."""
+
+    def __init__(self, refused=""):
+        self.asked, self.refused = [], refused
+
+    def watch_from(self, side, who):
+        self.asked.append((side, who))
+        return self.refused
+
+    def relieve(self, name, who):
+        self.asked.append((name, who))
+        return self.refused
+
+
+@pytest.mark.parametrize("refused", ["", "nothing is flown yet"])
+def test_the_side_is_asked_of_the_fleet_and_shown_once_it_is_given(view, snapshot, refused):
+    shown, wishes = view
+    shown.requests = Requests(refused)
+    shown.of("plane").show(replace(snapshot, side=Side.RIGHT))  # its role: the other side
+    assert shown._told()["state"]["wanted"] == Side.LEFT
+    shown._pressed({"action": "side", "side": "right", "who": "operator 1"})
+    assert shown.requests.asked == [(Side.RIGHT, "operator 1")]
+    assert shown._told()["state"]["wanted"] == (Side.LEFT if refused else Side.RIGHT)
+    assert wishes == {"plane": [], "wing": []}
+
+
+def test_one_aircraft_is_relieved_by_a_button_of_its_own(browser, snapshot):
+    panel = FleetPanel(Console(file=io.StringIO()), quiet=True)
+    with FleetView(panel, NAMES, Config(), Address(port=0)) as shown:
+        shown.requests = Requests()
+        for name in NAMES:
+            shown.of(name).begin(PLANE, lambda _wish: None)
+            shown.of(name).show(snapshot)
+        shown.pump()
+        page = browser.new_page()
+        page.goto(shown.url)
+        page.get_by_role("button", name="Relieve wing").click()
+        page.get_by_role("dialog").get_by_role("button", name="Yes").click()
+        while not shown.requests.asked:
+            shown.pump()
+        assert [name for name, _ in shown.requests.asked] == ["wing"]
+        page.close()
 
 
 def test_the_map_draws_the_others_with_their_circles(browser, snapshot):

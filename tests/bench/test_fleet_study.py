@@ -23,7 +23,7 @@ from estimators.sighting import Sighting
 from mission.core.circle import Circle
 from mission.core.plan import AircraftState, Plan
 from mission.core.requirement import Wind
-from mission.fleet.coordinator import FleetCoordinator, FleetMember, FleetTarget
+from mission.fleet.coordinator import FleetCoordinator, FleetTarget
 from mission.fleet.events import (
     ClockReported,
     FleetEvent,
@@ -34,6 +34,7 @@ from mission.fleet.events import (
     VehicleReported,
 )
 from mission.fleet.team_planner import TeamPlanner
+from mission.fleet.vehicle import FleetMember
 from mission.predictive.planner import table_configuration
 from mission.predictive.value_table import ValueTable
 
@@ -101,7 +102,7 @@ def test_decisions_of_four_on_two_targets(settings, table):
             for k, name in enumerate(names)
         ],
         [FleetTarget(name, requirement) for name in ("boat", "bike")],
-        lambda _name, wanted: TeamPlanner(aircraft, wanted, table),
+        lambda _name, flown, wanted: TeamPlanner(flown, wanted, table),
     )
     planners = {name: TeamPlanner(aircraft, requirement, table) for name in names}
     circles = {

@@ -13,11 +13,11 @@ from estimators.tracker import Tracker, TrackerSettings
 from mission.control.controller import StandoffController, StandoffSettings
 from mission.control.snapshot import Phase
 from mission.core.circle import Circle
-from mission.core.events import Command, ControlAcquired, End, UploadPlan
+from mission.core.events import Command, ControlAcquired, End, MissionChange, UploadPlan
 from mission.core.fleet import Role
 from mission.core.plan import AircraftState, Decision, Plan
 from mission.core.requirement import Aircraft, Requirement, Side
-from mission.fleet.coordinator import FleetCoordinator, FleetMember, FleetTarget
+from mission.fleet.coordinator import FleetCoordinator, FleetTarget
 from mission.fleet.events import (
     BatteryReported,
     ClockReported,
@@ -27,6 +27,8 @@ from mission.fleet.events import (
     LaunchRequested,
     PlansReported,
     ReliefRequested,
+    RequirementChanged,
+    SideRequested,
     SightingReported,
     Tell,
     Tick,
@@ -34,6 +36,7 @@ from mission.fleet.events import (
 )
 from mission.fleet.reports import FleetReporter
 from mission.fleet.roles import RoleCosts
+from mission.fleet.vehicle import FleetMember
 
 RADIUS_M, SPEED_M_S = 50.0, 15.0
 AIRCRAFT = Aircraft(SPEED_M_S, RADIUS_M)
@@ -116,7 +119,7 @@ class Fleet:
         self.members = members
         self.coordinator = self.new_coordinator()
         self.journal: list[FleetEvent] = []
-        self.said: list[FleetAnnounce | LaunchRequested] = []
+        self.said: list[FleetAnnounce | LaunchRequested | RequirementChanged] = []
         self.time_s = 0.0
         for one in vehicles:
             self.tell(ClockReported(one.name, one.ahead_s, 0.0, 0.01))
@@ -124,8 +127,13 @@ class Fleet:
                 self.tell(news)
 
     def new_coordinator(self) -> FleetCoordinator:
-        targets = [FleetTarget("boat", REQUIREMENT)]
-        return FleetCoordinator(self.members, targets, lambda _name, requirement: Aside(requirement))
+        self.judged: list[Aircraft] = []  # the aircraft as the coordinator takes them to be
+
+        def judge(_name: str, aircraft: Aircraft, requirement: Requirement) -> Aside:
+            self.judged.append(aircraft)
+            return Aside(requirement)
+
+        return FleetCoordinator(self.members, [FleetTarget("boat", REQUIREMENT)], judge)
 
     def tell(self, event: FleetEvent) -> None:
         self.journal.append(event)
@@ -203,6 +211,48 @@ def test_who_is_alone_asks_for_a_reserve_and_leaves_without_one_only_when_it_mus
     assert [command.action for command in alone.vehicles["a"].commands if isinstance(command, End)] == ["return"]
 
 
+def test_who_has_watched_for_its_time_is_relieved_by_the_other():
+    fleet = Fleet(Vehicle("a", WEST, 0.0), Vehicle("b", WEST - 30.0, 0.0, 160.0))
+    fleet.members[0] = replace(fleet.members[0], endurance_s=20.0)
+    fleet.coordinator = fleet.new_coordinator()
+    for one in fleet.vehicles.values():
+        fleet.tell(ClockReported(one.name, 0.0, 0.0, 0.01))
+        fleet.tell(PlansReported(one.name, Plan(one.circle)))
+    fleet.fly(15.0)
+    assert fleet.role("a") is Role.WANTED
+    fleet.fly(10.0)
+    assert (fleet.role("a"), fleet.role("b")) == (Role.LEAVE, Role.WANTED)
+    assert [command.action for command in fleet.vehicles["a"].commands if isinstance(command, End)] == ["return"]
+
+
+def test_a_persons_side_holds_for_all_at_once_and_is_not_taken_back():
+    fleet = pair()
+    fleet.fly(10.0)
+    fleet.tell(SideRequested(fleet.time_s, Side.RIGHT, "operator 1"))
+    fleet.fly(1.5)
+    for _ in range(5):
+        assert (fleet.role("a"), fleet.role("b")) == (Role.OPPOSITE, Role.WANTED)
+        assert [one.core.snapshot().side for one in fleet.vehicles.values()] == [Side.LEFT, Side.RIGHT]
+        fleet.fly(4.0)
+    changed = [said for said in fleet.said if isinstance(said, RequirementChanged)]
+    assert [(one.target, one.requirement) for one in changed] == [("boat", replace(REQUIREMENT, side=Side.RIGHT))]
+
+
+def test_a_band_that_one_core_took_up_holds_for_the_roles_and_leaves_the_wanted_side():
+    fleet = pair()
+    fleet.fly(10.0)
+    fleet.tell(SideRequested(fleet.time_s, Side.RIGHT))
+    for vehicle in fleet.vehicles.values():
+        change = MissionChange(vehicle.core.time_s, radius_m=60.0, range_min_m=150.0)
+        for news in vehicle.take(change, fleet.time_s):
+            fleet.tell(news)
+    fleet.fly(2.0)
+    assert fleet.coordinator.requirement("boat") == replace(REQUIREMENT, range_min_m=150.0, side=Side.RIGHT)
+    flown = {one.core.settings.aircraft.radius_m for one in fleet.vehicles.values()}
+    assert flown == {made.radius_m for made in fleet.judged[-2:]} == {60.0}
+    assert (fleet.role("a"), fleet.role("b")) == (Role.OPPOSITE, Role.WANTED)
+
+
 def test_a_reserve_is_asked_for_when_nobody_is_left():
     fleet = Fleet(Vehicle("a", WEST, 0.0), Vehicle("b", EAST, 0.0, 160.0), reserve="c")
     fleet.fly(5.0)
@@ -216,7 +266,7 @@ def test_aircraft_are_given_out_to_the_targets_and_a_lost_target_frees_its_own()
     members = [FleetMember(name, AIRCRAFT, TrackerSettings(), 100.0 + 60.0 * k) for k, name in enumerate("abcd")]
     targets = [FleetTarget(name, REQUIREMENT) for name in ("boat", "bike")]
     members = [replace(one, target="bike" if one.name == "d" else "boat") for one in members]
-    coordinator = FleetCoordinator(members, targets, lambda _name, requirement: Aside(requirement))
+    coordinator = FleetCoordinator(members, targets, lambda _name, _aircraft, requirement: Aside(requirement))
     places = {"a": (-300.0, 0.0), "b": (300.0, 0.0), "c": (2700.0, 0.0), "d": (3300.0, 0.0)}
 
     def fly(from_s: int, until_s: int, unseen: str = "") -> None:

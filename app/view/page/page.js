@@ -62,10 +62,21 @@ function set(setting) {
   byId("legend").querySelector(".fence").hidden = !(setting.keep_in.length + setting.keep_out.length);
   byId("name").textContent = setting.name;
   byId("buttons").hidden = Boolean(setting.replay);
+  for (const name of setting.fleet ?? []) relief(name);
   if (setting.replay) {
     bar.set(setting.replay, startS);
     document.title = "sidelong: replay";
   }
+}
+
+// The button by which another aircraft takes the place of this one.
+function relief(name) {
+  if (document.querySelector(`[data-name="${name}"]`)) return;
+  const button = document.createElement("button");
+  button.type = "button";
+  button.textContent = `Relieve ${name}`;
+  Object.assign(button.dataset, { action: "relieve", name, ask: `Relieve ${name}? It goes home once another has taken over.` });
+  byId("buttons").insertBefore(button, document.querySelector("[data-action=end]"));
 }
 
 function say(timeS, kind, text) {
@@ -260,17 +271,17 @@ async function press(body) {
 }
 
 byId("buttons").addEventListener("click", async ({ target: button }) => {
-  const { action, ask } = button.dataset;
+  const { action, ask, name } = button.dataset;
   if (!action) return;
   if (action === "change") {
     const values = await changed();
     if (values && (await asked(`Change ${described(values).join(", ")}?`))) press({ action, values });
     return;
   }
-  const side = action !== "side" ? null : state.side === "left" ? "right" : "left";
+  const side = action !== "side" ? null : (state.wanted ?? state.side) === "left" ? "right" : "left";
   const question = side ? `Watch from the target's ${side} instead?` : ask;
   if (!(await asked(question))) return;
-  press({ action, side });
+  press(name ? { action, name } : { action, side });
 });
 
 byId("places").addEventListener("click", async ({ target: button }) => {

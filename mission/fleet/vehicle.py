@@ -1,0 +1,74 @@
+"""One aircraft of a fleet: as its file has it, and what the coordinator knows of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from estimators.estimate import TargetEstimate
+from estimators.settings import TrackerSettings
+from mission.core.fleet import Role
+from mission.core.requirement import Aircraft, Requirement
+from mission.fleet.clocks import VehicleTime
+from mission.fleet.events import PlansReported, VehicleReported
+
+_STANDING_M_S = 0.3  # a slower target has no course
+
+
+@dataclass(frozen=True, slots=True)
+class FleetMember:
+    """One aircraft as the fleet file has it.
+
+    height_m: of its layer, above the common home. target: to begin with. reserve: it waits until it is asked for.
+    endurance_s: it is relieved after watching for so long.
+    """
+
+    name: str
+    aircraft: Aircraft
+    tracker: TrackerSettings
+    height_m: float
+    target: str = ""
+    reserve: bool = False
+    endurance_s: float = math.inf
+
+
+@dataclass(slots=True, eq=False)
+class FleetVehicle:
+    """What is known of one aircraft; ``report`` is on mission time, ``plans`` as the aircraft has them."""
+
+    member: FleetMember
+    clock: VehicleTime = field(default_factory=VehicleTime)
+    report: VehicleReported | None = None
+    plans: PlansReported | None = None
+    lost: str = ""
+    remaining: float = 1.0
+    relief_asked: bool = False
+    since_s: float = math.inf  # it watches
+    leaving: bool = False
+    target: str = ""
+    role: Role = Role.WANTED
+    told: tuple[Role, str] | None = None
+    launch_asked: bool = False
+
+    @property
+    def takes_part(self) -> bool:
+        """Whether it watches, or could."""
+        return self.report is not None and self.report.watching and not self.lost and not self.leaving
+
+    def way_s(self, target: TargetEstimate) -> float:
+        """Return about how long it needs to a target."""
+        assert self.report is not None
+        state = self.report.state
+        way_m = math.hypot(state.east_m - target.east_m, state.north_m - target.north_m)
+        return way_m / self.member.aircraft.airspeed_m_s
+
+    def is_beside(self, target: TargetEstimate, requirement: Requirement) -> bool:
+        """Tell whether it is on the wanted side and in the band."""
+        if self.report is None:
+            return False
+        state = self.report.state
+        east_m, north_m = state.east_m - target.east_m, state.north_m - target.north_m
+        normal_rad = target.course_rad + requirement.side.normal_turn_rad
+        beside = east_m * math.sin(normal_rad) + north_m * math.cos(normal_rad) >= 0.0
+        in_band = requirement.range_min_m <= math.hypot(east_m, north_m) <= requirement.range_max_m
+        return in_band and (beside or target.speed_m_s < _STANDING_M_S)
