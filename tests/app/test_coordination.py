@@ -13,8 +13,18 @@ from app.link.message import Message
 from mission.core.circle import Circle
 from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from mission.core.plan import AircraftState, HeightProfile, Plan
-from mission.core.requirement import Side
-from mission.fleet.events import BatteryReported, ClockReported, Tell, Tick, VehicleLost, VehicleReported
+from mission.core.requirement import Requirement, Side
+from mission.fleet.events import (
+    BatteryReported,
+    ClockReported,
+    ReliefRequested,
+    RequirementChanged,
+    SideRequested,
+    Tell,
+    Tick,
+    VehicleLost,
+    VehicleReported,
+)
 from mission.fleet.reports import FleetReporter
 
 UTC_S = 1.8e9
@@ -154,3 +164,18 @@ def test_heights_are_above_the_common_home_for_the_coordinator_and_above_its_own
     assert advised.neighbours[0].height_m == 70.0
     assert (planned.present.heights.from_m, planned.present.heights.to_m) == (80.0, 100.0)
     assert math.isclose(planned.present.heights.slope, 0.1)
+
+
+def test_what_a_person_asks_reaches_the_coordinator_at_mission_time_and_is_written_down(pair):
+    coordination, coordinator, journal, _, _, _ = pair
+    coordination.message("a", said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_000))
+    changed = RequirementChanged(UTC_S, "boat", Requirement(100.0, 500.0, Side.RIGHT, 5.0))
+    coordinator.answers = [changed]
+    coordination.watch_from(Side.RIGHT, "operator 1")
+    coordination.relieve("b", "operator 2")
+    assert coordinator.heard[-2:] == [
+        SideRequested(UTC_S, Side.RIGHT, "operator 1"),
+        ReliefRequested("b", UTC_S, "operator 2"),
+    ]
+    assert coordination.changes == [(UTC_S, changed.requirement)]
+    assert set(coordinator.heard[-2:]) | {changed} <= set(journal.lines)
