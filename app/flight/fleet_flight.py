@@ -16,36 +16,32 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 
-from app.analysis.fleet_summary import FleetSummary, FlownAircraft, FlownTrack, summarise_fleet
-from app.analysis.summary import Summary
-from app.analysis.truth import Truth, truth_if_whole
+from app.analysis.fleet_summary import FleetSummary, FlownAircraft, summarise_fleet
+from app.analysis.truth import truth_if_whole
 from app.assembly import controller_of
 from app.autopilots.queries import is_flying
 from app.errors import FlightError, InputError, Interrupted
 from app.fleet.assembly import coordinator_of
-from app.fleet.fleet_file import FleetFile, Member
+from app.fleet.fleet_file import FleetFile
 from app.flight.coordination import Coordination, Participant
 from app.flight.display import FlightDisplay
-from app.flight.flight import Flight, Session, Sharing, connected
+from app.flight.fleet_aircraft import FleetAircraft
+from app.flight.flight import Flight, Sharing, connected
 from app.flight.foreign import ForeignAircraft
-from app.flight.life import Life, describe_aircraft
+from app.flight.life import Life
 from app.flight.link_log import link_log
-from app.flight.recording import Recording, beginning
+from app.flight.recording import beginning
 from app.flight.simulated import SimulatedVehicles
 from app.link.discovery import SETTLING_S
-from app.link.frames import Frame
-from app.link.mavsdk_link import OWN_SYSTEM_ID
 from app.link.message import Message
 from app.link.raw_links import opened_url
 from app.link.shared import sharing_opener
 from app.link.transport import Transport
 from app.records.journal import Header, JournalWriter
-from app.records.run_folder import FleetFolder, RunFolder
-from mission.control.controller import StandoffController
-from mission.control.snapshot import Phase
+from app.records.run_folder import FleetFolder
 from mission.core.requirement import Side
 from mission.exchange.mission_controller import InboundEvent, Output
 
@@ -59,49 +55,6 @@ class FleetEnded:
     folder: FleetFolder
     summary: FleetSummary
     reason: Exception | None
-
-
-class _Aircraft:
-    """One aircraft of the fleet, from its connection to its summary."""
-
-    def __init__(self, member: Member, folder: RunFolder, display: FlightDisplay) -> None:
-        self.name, self.config, self.folder, self.display = member.name, member.config, folder, display
-        self.wanted = asyncio.Event()  # in the air
-        if not member.reserve:
-            self.wanted.set()
-        self._event_loop = asyncio.get_running_loop()
-        self.recording = Recording(folder, member.config, self.trouble)
-        self.track = FlownTrack()
-        self.outcome = ""
-        self.error: Exception | None = None
-        self.controller: StandoffController
-        self.session: Session
-        self.flight: Flight
-
-    def own_frame(self, data: bytes) -> None:
-        """Take a frame of a link that is shared, from any thread: the others' are theirs to record."""
-        frame = Frame(data)
-        if frame.source[0] in (self.config.link.system_id, OWN_SYSTEM_ID):
-            self.recording.frame(data)
-
-    def trouble(self, text: str) -> None:
-        """Tell of trouble, from any thread."""
-        self._event_loop.call_soon_threadsafe(self.display.note, text)
-
-    @property
-    def settled(self) -> bool:
-        """Whether nothing is waited for: it flies by our commands, its flight is over, or it is not wanted yet."""
-        ours = self.controller.phase in (Phase.WATCHING, Phase.HOLDING)
-        return ours or bool(self.outcome) or not self.wanted.is_set()
-
-    def described(self, simulated: bool) -> str:
-        session = self.session
-        does = describe_aircraft(session.vehicle, session.autopilot, self.controller.snapshot(), simulated=simulated)
-        return f"{self.name}: {does}"
-
-    def summary(self, truth: Truth | None, outcome: str | None) -> Summary:
-        links = tuple(report.as_json() for report in self.session.vehicle.link.reports())
-        return replace(self.flight.summary(outcome or self.outcome, truth), links=links)
 
 
 class FleetFlight:
@@ -120,7 +73,7 @@ class FleetFlight:
         self._duration_s, self._sharing = duration_s, sharing
         self._displays = {member.name: display(member.name) for member in fleet.members}
         self._aircraft = [
-            _Aircraft(member, folder.make(member.name), self._displays[member.name]) for member in fleet.members
+            FleetAircraft(member, folder.make(member.name), self._displays[member.name]) for member in fleet.members
         ]
         self._recordings = [one.recording for one in self._aircraft]
         self._over = asyncio.Event()
@@ -227,7 +180,7 @@ class FleetFlight:
     async def _join(
         self,
         stack: contextlib.AsyncExitStack,
-        one: _Aircraft,
+        one: FleetAircraft,
         urls: tuple[str, ...],
         opener: Callable[[str], Transport] | None,
         simulated: bool,
@@ -329,7 +282,7 @@ class FleetFlight:
                 clock.cancel()
             await asyncio.gather(*clocks, return_exceptions=True)
 
-    def _in_turn(self) -> list[_Aircraft]:
+    def _in_turn(self) -> list[FleetAircraft]:
         """Return who flies first: those in the air, then the rest from the highest layer down."""
         for one in self._aircraft:
             if is_flying(one.session.vehicle):
@@ -339,7 +292,7 @@ class FleetFlight:
             key=lambda one: (not is_flying(one.session.vehicle), -one.config.aircraft.height_m),
         )
 
-    async def _fly_one(self, one: _Aircraft, coordination: Coordination, stopped: asyncio.Event) -> None:
+    async def _fly_one(self, one: FleetAircraft, coordination: Coordination, stopped: asyncio.Event) -> None:
         """Fly one aircraft, a reserve as soon as it is wanted."""
         events = [asyncio.create_task(event.wait()) for event in (one.wanted, stopped, self._over)]
         await asyncio.wait(events, return_when=asyncio.FIRST_COMPLETED)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from app.analysis.fleet_summary import judged_together, min_separation_m
 from app.report import series
-from app.report.fleet_flown import FleetAircraft, FleetFlown
+from app.report.fleet_flown import AircraftPart, FleetFlown
 from app.report.history import FloatArray
 from app.report.html import Drawing
 from app.report.plot_style import BAD, BAND, TARGET, WIDTH_IN, figure, legend_above
@@ -33,7 +33,7 @@ def fleet_drawings(flown: FleetFlown) -> Iterator[Drawing]:
         yield _separation(flown)
 
 
-def _coloured(flown: FleetFlown) -> Iterator[tuple[FleetAircraft, str]]:
+def _coloured(flown: FleetFlown) -> Iterator[tuple[AircraftPart, str]]:
     for k, one in enumerate(flown.aircraft):
         yield one, _COLOURS[k % len(_COLOURS)]
 

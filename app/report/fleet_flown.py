@@ -22,7 +22,7 @@ from mission.fleet.events import ClockReported, FleetAnnounce, RequirementChange
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FleetAircraft:
+class AircraftPart:
     """One aircraft's part. offset_s added to its own times is mission time; roles: (since, role) in mission time."""
 
     name: str
@@ -42,7 +42,7 @@ class FleetFlown:
     name: str
     program: str
     asked: tuple[tuple[float, Requirement], ...]
-    aircraft: tuple[FleetAircraft, ...]
+    aircraft: tuple[AircraftPart, ...]
     said: tuple[FleetAnnounce, ...]
     summary: FleetSummary
 
@@ -63,10 +63,10 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
             case VehicleReported() if record.name in offsets_s:
                 at_s = record.state.time_s + offsets_s[record.name]
                 tracks[record.name].add(at_s, record.state.east_m, record.state.north_m, record.height_m)
-            case Tell(event=FleetAdvice()) if record.name in offsets_s:
+            case Tell(event=FleetAdvice() as advice) if record.name in offsets_s:
                 own = roles[record.name]
-                if not own or own[-1][1] is not record.event.role:
-                    own.append((record.event.time_s + offsets_s[record.name], record.event.role))
+                if not own or own[-1][1] is not advice.role:
+                    own.append((advice.time_s + offsets_s[record.name], advice.role))
             case FleetAnnounce():
                 said.append(record)
             case RequirementChanged():
@@ -77,21 +77,13 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
         raise InputError(f"{folder.path} holds no flight: nothing was heard of any aircraft's clock.")
     aircraft = []
     for k, name in enumerate(names):
-        flown = read_flight(
-            folder.path / name, progress=lambda share, before=k: progress((before + share) / len(names))
-        )
-        aircraft.append(FleetAircraft(name, flown, offsets_s[name], tracks[name], tuple(roles[name])))
-    return FleetFlown(
-        folder.path.resolve().name,
-        journal.header.program,
-        fleet,
-        tuple(aircraft),
-        tuple(said),
-        _summed(fleet, aircraft),
-    )
+        flown = read_flight(folder.path / name, progress=lambda share, k=k: progress((k + share) / len(names)))  # type: ignore[misc]
+        aircraft.append(AircraftPart(name, flown, offsets_s[name], tracks[name], tuple(roles[name])))
+    name, summary = folder.path.resolve().name, _summed(asked, aircraft)
+    return FleetFlown(name, journal.header.program, tuple(asked), tuple(aircraft), tuple(said), summary)
 
 
-def _summed(asked: Asked, aircraft: list[FleetAircraft]) -> FleetSummary:
+def _summed(asked: Asked, aircraft: list[AircraftPart]) -> FleetSummary:
     by_truth = all(one.flown.history.judged_by_truth for one in aircraft)
     parts = [
         FlownAircraft(one.name, one.flown.summary, one.flown.history.moments, one.offset_s, one.track)

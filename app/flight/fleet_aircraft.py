@@ -1,0 +1,63 @@
+"""One aircraft of a fleet in flight: its own flight, and what becomes of it."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+
+from app.analysis.fleet_summary import FlownTrack
+from app.analysis.summary import Summary
+from app.analysis.truth import Truth
+from app.fleet.fleet_file import Member
+from app.flight.display import FlightDisplay
+from app.flight.flight import Flight, Session
+from app.flight.life import describe_aircraft
+from app.flight.recording import Recording
+from app.link.frames import Frame
+from app.link.mavsdk_link import OWN_SYSTEM_ID
+from app.records.run_folder import RunFolder
+from mission.control.controller import StandoffController
+from mission.control.snapshot import Phase
+
+
+class FleetAircraft:
+    """One aircraft of the fleet, from its connection to its summary."""
+
+    def __init__(self, member: Member, folder: RunFolder, display: FlightDisplay) -> None:
+        self.name, self.config, self.folder, self.display = member.name, member.config, folder, display
+        self.wanted = asyncio.Event()  # in the air
+        if not member.reserve:
+            self.wanted.set()
+        self._event_loop = asyncio.get_running_loop()
+        self.recording = Recording(folder, member.config, self.trouble)
+        self.track = FlownTrack()
+        self.outcome = ""
+        self.error: Exception | None = None
+        self.controller: StandoffController
+        self.session: Session
+        self.flight: Flight
+
+    def own_frame(self, data: bytes) -> None:
+        """Take a frame of a link that is shared, from any thread: the others' are theirs to record."""
+        frame = Frame(data)
+        if frame.source[0] in (self.config.link.system_id, OWN_SYSTEM_ID):
+            self.recording.frame(data)
+
+    def trouble(self, text: str) -> None:
+        """Tell of trouble, from any thread."""
+        self._event_loop.call_soon_threadsafe(self.display.note, text)
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing is waited for: it flies by our commands, its flight is over, or it is not wanted yet."""
+        ours = self.controller.phase in (Phase.WATCHING, Phase.HOLDING)
+        return ours or bool(self.outcome) or not self.wanted.is_set()
+
+    def described(self, simulated: bool) -> str:
+        session = self.session
+        does = describe_aircraft(session.vehicle, session.autopilot, self.controller.snapshot(), simulated=simulated)
+        return f"{self.name}: {does}"
+
+    def summary(self, truth: Truth | None, outcome: str | None) -> Summary:
+        links = tuple(report.as_json() for report in self.session.vehicle.link.reports())
+        return replace(self.flight.summary(outcome or self.outcome, truth), links=links)
