@@ -83,15 +83,7 @@ class RunFolder:
 
     def read_summary(self) -> dict[str, Any]:
         """Return the summary; raises InputError when the run did not get as far as writing one."""
-        remedy = "the run has not ended in order; without this file its figures are made of the journal"
-        text = read_text(self.summary, _SUMMARY_MAX_BYTES, remedy)
-        try:
-            summary = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{self.summary}: is no JSON; {remedy}.") from error
-        if not isinstance(summary, dict):
-            raise InputError(f"{self.summary}: is no summary of a run; {remedy}.")
-        return summary
+        return _read_summary(self.summary)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +109,25 @@ class FleetFolder:
         """Make an aircraft's run folder. Raises InputError when it cannot be made."""
         return RunFolder._made(self.path / name)
 
+    def read_summary(self) -> dict[str, Any]:
+        """Return the summary, as ``RunFolder.read_summary`` does."""
+        return _read_summary(self.summary)
+
     def write_summary(self, summary: Mapping[str, Any]) -> None:
         """Write the summary whole or not at all."""
         _write_summary(self.summary, summary)
+
+
+def _read_summary(path: Path) -> dict[str, Any]:
+    remedy = "the run has not ended in order; without this file its figures are made of the journal"
+    text = read_text(path, _SUMMARY_MAX_BYTES, remedy)
+    try:
+        summary = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is no JSON; {remedy}.") from error
+    if not isinstance(summary, dict):
+        raise InputError(f"{path}: is no summary of a run; {remedy}.")
+    return summary
 
 
 def _new_folder(parent: Path, now: datetime) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from app.analysis.fleet_summary import FleetSummary, FlownAircraft, FlownTrack, summarise_fleet
 from app.analysis.score import Asked
@@ -15,6 +15,7 @@ from app.flight.coordination import FLEET_JOURNAL_TYPES
 from app.records.journal import JournalReader
 from app.records.run_folder import FleetFolder, RunFolder
 from app.records.windows import Progress
+from app.report.results import read_summary
 from app.report.sources import Flown, read_flight
 from mission.core.fleet import FleetAdvice, Role
 from mission.core.requirement import Requirement
@@ -79,8 +80,21 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
     for k, name in enumerate(names):
         flown = read_flight(folder.path / name, progress=lambda share, k=k: progress((k + share) / len(names)))  # type: ignore[misc]
         aircraft.append(AircraftPart(name, flown, offsets_s[name], tracks[name], tuple(roles[name])))
-    name, summary = folder.path.resolve().name, _summed(asked, aircraft)
+    # The figures of a run that was cut off are worth having all the same.
+    summary = _written(folder) if folder.summary.exists() else _summed(asked, aircraft)
+    name = folder.path.resolve().name
     return FleetFlown(name, journal.header.program, tuple(asked), tuple(aircraft), tuple(said), summary)
+
+
+def _written(folder: FleetFolder) -> FleetSummary:
+    """Return the summary that the run wrote."""
+    values, name = folder.read_summary(), str(folder.summary)
+    try:
+        plain = {field.name: values[field.name] for field in fields(FleetSummary) if field.name != "aircraft"}
+        aircraft = tuple((one["name"], read_summary(one, name)) for one in values["aircraft"])
+    except (KeyError, TypeError) as error:
+        raise InputError(f"{name}: a figure is missing or wrong; delete the file to have it made anew.") from error
+    return FleetSummary(**plain, aircraft=aircraft)
 
 
 def _summed(asked: Asked, aircraft: list[AircraftPart]) -> FleetSummary:

@@ -12,90 +12,77 @@ import numpy as np
 
 from estimators.compiled import compiled
 from mission.core.path import FloatArray
-from mission.predictive._cost_kernel import Float32, IntArray, table_value
+from mission.predictive._cost_kernel import IntArray, table_value
 from mission.predictive._decision_kernel import Looker
 from mission.predictive._future_kernel import fill_classes
 from mission.predictive._moves_kernel import STEP_S
-from mission.predictive._rollout_kernel import TURN_STRIDE, Futures, from_target
+from mission.predictive._rollout_kernel import Futures, from_target
 from mission.predictive._scene_kernel import Scene, in_frame
 
 FORESEEN = 111  # seconds, as far as any line leads
+_BACK_SHARE = 0.6  # of the airspeed, at which an aircraft comes back over the edge of the side
+_OFF_MAX_S = 60.0
 
 
 class Team(NamedTuple):
     """What joint decisions are made with.
 
-    wanted: the side, 1 left, -1 right. moving, stood (directions of the wind, headings, n, n): value tables after a
-    turn, by the mean over speeds, and after a stop. turns_rad, chances (t,): of a turn's angle; stop: chance of none.
-    alone_running, alone_end: shares of what an aircraft alone would pay on the way, and from the end of its line on.
-    opposite: per second, of the share of courses that nobody would cover. price: share of what changes cost alone.
-    futures: 1 for the target's velocity kept alone.
+    wanted: the side, 1 left, -1 right. turns_rad, chances (t,): the turns that the target may make. alone_running,
+    alone_end: shares of what an aircraft alone would pay on the way, and from the end of its line on. opposite: per
+    second, of the share of courses that nobody would cover. turn: weight of what turns would cost. margin: of the
+    side, in radii of the circle. price: share of what changes cost alone. futures: 1 for the target's velocity kept
+    alone.
     """
 
     wanted: float
-    moving: Float32
-    stood: Float32
     turns_rad: FloatArray
     chances: FloatArray
-    stop: float
     alone_running: float
     alone_end: float
     together: float
     price: float
     opposite: float
+    turn: float
+    margin: float
     futures: int
 
 
 class Cover(NamedTuple):
     """What the others cover, foretold in the departure's frame of one aircraft every STEP_S from its departure on.
 
-    off (f, FORESEEN): the chance that none of them is on the wanted side. after (f, FORESEEN, t + 1): the least
-    value of theirs after each turn, last after a stop; now (f, FORESEEN): if the target goes on as it does. Infinite
-    where there are none. bearings (f, FORESEEN, m): of each from the target.
+    off (f, FORESEEN): the chance that none of them is on the wanted side; now (f, FORESEEN): what the one that is
+    best off would pay if the target goes on as it does. after, settled (f, FORESEEN, t): how long the best of them
+    would be off the side after each turn, from where they are and from the middle of their next lap. Infinite where
+    there are none. bearings (f, FORESEEN, m): of each from the target.
     """
 
     off: FloatArray
-    after: FloatArray
     now: FloatArray
+    after: FloatArray
+    settled: FloatArray
     bearings: FloatArray
 
 
 @compiled
-def asking_room(team: Team) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return room to ask tables with: classes (1, 1, 4) of the first only, their shares, and an answer per turn."""
-    share = np.zeros((1, 1, 4))
-    share[0, 0, 0] = 1.0
-    return np.zeros((1, 1, 4), np.int64), share, np.empty(len(team.turns_rad) + 1)
+def off_after_turns(team: Team, scene: Scene, x_m: float, y_m: float, frame_rad: float, found: FloatArray) -> None:
+    """Fill in for how long a place of the wanted frame would be off the side after each turn from frame_rad, (t,).
+
+    The target goes on along the new course, so the way back is across it alone; the margin stands for the circle that
+    leads to and fro over the edge.
+    """
+    for i in range(len(team.turns_rad)):
+        angle_rad = frame_rad + team.turns_rad[i]
+        across_m = x_m * math.cos(angle_rad) - y_m * math.sin(angle_rad)
+        off_s = (across_m + team.margin * scene.radius_m) / (_BACK_SHARE * scene.air.airspeed_m_s)
+        found[i] = min(max(off_s, 0.0), _OFF_MAX_S)
 
 
 @compiled
-def after_turns(
-    team: Team,
-    cell_m: float,
-    x_m: float,
-    y_m: float,
-    heading_rad: float,
-    frame_rad: float,
-    wind_rad: float,
-    classes: IntArray,
-    share: FloatArray,
-    found: FloatArray,
-) -> None:
-    """Fill in the values (t + 1,) of a place of the wanted frame, whose target then goes on at frame_rad + a turn."""
-    turns = len(team.turns_rad)
-    directions = team.moving.shape[0]
-    for i in range(turns + 1):
-        angle_rad = frame_rad + (team.turns_rad[i] if i < turns else 0.0)
-        if directions > 1:
-            direction = (wind_rad - angle_rad) / (2.0 * math.pi) * directions
-            direction -= directions * math.floor(direction / directions)
-            first = min(int(direction), directions - 1)
-            classes[0, 0, 0], classes[0, 0, 1] = first, (first + 1) % directions
-            share[0, 0, 0], share[0, 0, 1] = 1.0 - (direction - first), direction - first
-        sin_a, cos_a = math.sin(angle_rad), math.cos(angle_rad)
-        across_m, along_m = x_m * cos_a - y_m * sin_a, x_m * sin_a + y_m * cos_a
-        values = team.moving if i < turns else team.stood
-        found[i] = table_value(values, cell_m, across_m, along_m, heading_rad - angle_rad, classes, share, 0, 0)
+def asking_room() -> tuple[IntArray, FloatArray]:
+    """Return room to ask tables with: classes (1, 1, 4) of the first only, and their shares."""
+    share = np.zeros((1, 1, 4))
+    share[0, 0, 0] = 1.0
+    return np.zeros((1, 1, 4), np.int64), share
 
 
 @compiled
@@ -154,17 +141,17 @@ def wanted_value(
 @compiled
 def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, looker: Looker, team: Team) -> Cover:
     """Return what the others cover. others (m, 3, n): east, north, course every STEP_S from first_s (m,) on."""
-    futures, turns = len(f.weight), len(team.turns_rad)
-    off, after = np.ones((futures, FORESEEN)), np.full((futures, FORESEEN, turns + 1), np.inf)
-    now, bearings = np.full((futures, FORESEEN), np.inf), np.empty((futures, FORESEEN, len(others)))
-    classes, share, found = asking_room(team)
+    futures, turns, m = len(f.weight), len(team.turns_rad), len(others)
+    off, now = np.ones((futures, FORESEEN)), np.full((futures, FORESEEN), np.inf)
+    after, settled = np.full((futures, FORESEEN, turns), np.inf), np.full((futures, FORESEEN, turns), np.inf)
+    bearings, found = np.empty((futures, FORESEEN, m)), np.empty(turns)
+    classes, share = asking_room()
     s = scene.mirror * team.wanted
-    wind_rad = math.atan2(s * scene.air.wind_x_m_s, scene.air.wind_y_m_s)
     near_m, far_m = looker.terms.near_m, looker.terms.far_m
-    n = others.shape[2]
+    n, lap = others.shape[2], int(2.0 * math.pi * scene.radius_m / (scene.air.airspeed_m_s * STEP_S))
     for k in range(FORESEEN):
         time_s = k * STEP_S
-        for j in range(len(others)):
+        for j in range(m):
             at = (scene.departure_s - first_s[j]) / STEP_S + k
             i = min(max(int(at), 0), n - 2)
             past = min(max(at - i, 0.0), 1.0)
@@ -172,6 +159,9 @@ def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, 
             north_m = others[j, 1, i] + past * (others[j, 1, i + 1] - others[j, 1, i])
             x_m, y_m = in_frame(scene, east_m, north_m)
             heading_rad = scene.mirror * (others[j, 2, i] - scene.course_rad)
+            until = min(i + lap, n)
+            east_m, north_m = float(np.mean(others[j, 0, i:until])), float(np.mean(others[j, 1, i:until]))
+            middle_x_m, middle_y_m = in_frame(scene, east_m, north_m)
             for one in range(futures):
                 p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
                 sin_t, cos_t = f.facing[one, p, 0], f.facing[one, p, 1]
@@ -182,15 +172,15 @@ def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, 
                     off[one, k] *= off_side(across_m, blurred_m(scene, f.facing[one, p, 2], along_m, time_s))
                 value = wanted_value(scene, f, looker, s, one, p, off_x, off_y, heading_rad, classes, share)
                 now[one, k] = min(now[one, k], value)
-                if k % TURN_STRIDE == 0:
-                    frame_rad = s * f.course[one, p, 2]
-                    after_turns(
-                        team, looker.table.cell_m, s * off_x, off_y, s * heading_rad, frame_rad,
-                        wind_rad, classes, share, found,
-                    )  # fmt: skip
-                    for t in range(turns + 1):
-                        after[one, k, t] = min(after[one, k, t], found[t])
-    return Cover(off, after, now, bearings)
+                frame_rad = s * f.course[one, p, 2]
+                off_after_turns(team, scene, s * off_x, off_y, frame_rad, found)
+                for t in range(turns):
+                    after[one, k, t] = min(after[one, k, t], found[t])
+                _, off_x, off_y = from_target(f.place, f.step_s, one, middle_x_m, middle_y_m, time_s)
+                off_after_turns(team, scene, s * off_x, off_y, frame_rad, found)
+                for t in range(turns):
+                    settled[one, k, t] = min(settled[one, k, t], found[t])
+    return Cover(off, now, after, settled, bearings)
 
 
 @compiled

@@ -3,9 +3,9 @@
 Each line of an aircraft costs, beside the walls of the band:
 
 - the time in which nobody watches from the wanted side: the chances of all to be off it, multiplied;
-- the same after each turn that the target may make on the way: of all aircraft the one that would be off the wanted
-  side for the shortest time counts. So two aircraft stand opposite each other, and not on the line in which a
-  likely turn would put both ahead and astern;
+- the same after each turn that the target may make on the way, and while the aircraft circles after it: of all
+  aircraft the one that would be off the wanted side for the shortest time counts. So two aircraft stand opposite each
+  other, and not on the line in which a likely turn would put both ahead and astern;
 - the courses of the target for which nobody would be on the wanted side: none while the aircraft stand opposite;
 - a share of what the line would cost the aircraft alone on the side of its role, so that it stays near to that.
 """
@@ -22,10 +22,10 @@ from mission.fleet._cover_kernel import (
     FORESEEN,
     Cover,
     Team,
-    after_turns,
     asking_room,
     blurred_m,
     cover_of,
+    off_after_turns,
     off_side,
     uncovered,
     wanted_value,
@@ -35,7 +35,6 @@ from mission.predictive._decision_kernel import Looker, add_prices, alternatives
 from mission.predictive._future_kernel import first_of, winding
 from mission.predictive._moves_kernel import STEP_S
 from mission.predictive._rollout_kernel import (
-    TURN_STRIDE,
     Futures,
     Lines,
     Pose,
@@ -48,6 +47,7 @@ from mission.predictive._scene_kernel import Scene, Situation, in_frame, scene_o
 from mission.viewpoint._viewpoint_kernel import SIDE
 
 _TAIL_S = 30.0  # how they stand at the end of a line lasts for so long
+_CIRCLING_S = 60.0  # and the circle that it ends in
 
 
 @compiled
@@ -80,37 +80,29 @@ def _team_rate(
 
 
 @compiled
-def _turn_rate(
+def _turn_cost(
     scene: Scene,
     f: Futures,
-    cover: Cover,
-    looker: Looker,
+    covered_s: FloatArray,
     team: Team,
     x_m: float,
     y_m: float,
-    heading_rad: float,
     time_s: float,
-    classes: IntArray,
-    share: FloatArray,
     found: FloatArray,
 ) -> float:
-    """Return what the target's turning now would cost all together, over all futures and turns."""
-    s, turns = scene.mirror * team.wanted, len(team.turns_rad)
-    wind_rad = math.atan2(s * scene.air.wind_x_m_s, scene.air.wind_y_m_s)
-    k = min(int(time_s / STEP_S), FORESEEN - 1) // TURN_STRIDE * TURN_STRIDE
+    """Return for how long the target's turning now would leave all off the side, over all futures and turns.
+
+    covered_s (f, FORESEEN, t): for how long the others would be.
+    """
+    s = scene.mirror * team.wanted
+    k = min(int(time_s / STEP_S), FORESEEN - 1)
     total = 0.0
     for one in range(len(f.weight)):
         p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
-        after_turns(
-            team, looker.table.cell_m, s * off_x, off_y, s * heading_rad, s * f.course[one, p, 2],
-            wind_rad, classes, share, found,
-        )  # fmt: skip
-        expected = 0.0
-        for t in range(turns + 1):
-            chance = (1.0 - team.stop) * team.chances[t] if t < turns else team.stop
-            expected += chance * min(found[t], cover.after[one, k, t])
-        total += f.weight[one] * expected
-    return team.together * total
+        off_after_turns(team, scene, s * off_x, off_y, s * f.course[one, p, 2], found)
+        for t in range(len(team.turns_rad)):
+            total += f.weight[one] * team.chances[t] * min(found[t], covered_s[one, k, t])
+    return team.turn * total
 
 
 @compiled
@@ -134,21 +126,32 @@ def _end_value(
     cover: Cover,
     looker: Looker,
     team: Team,
-    x_m: float,
-    y_m: float,
-    heading_rad: float,
+    end: Pose,
     time_s: float,
+    curvature_per_m: float,
     classes: IntArray,
     share: FloatArray,
+    found: FloatArray,
 ) -> float:
-    """Return what is to be paid from the end of a line on: its share alone, and together."""
+    """Return what is to be paid from the end of a line on: its share alone, and together.
+
+    There it circles with that curvature: what a turn of the target would cost then is counted from its middle.
+    """
+    x_m, y_m, heading_rad = end
     k, s, total = min(int(time_s / STEP_S), FORESEEN - 1), scene.mirror * team.wanted, 0.0
     for one in range(len(f.weight)):
         p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
         value = wanted_value(scene, f, looker, s, one, p, off_x, off_y, heading_rad, classes, share)
         gap = uncovered(math.atan2(off_x, off_y), cover.bearings[one, k])
         total += f.weight[one] * (min(value, cover.now[one, k]) + _TAIL_S * team.opposite / team.together * gap)
-    return team.together * total + team.alone_end * _role_value(f, looker, x_m, y_m, heading_rad, time_s)
+    middle_x = x_m + math.cos(heading_rad) / curvature_per_m
+    middle_y = y_m - math.sin(heading_rad) / curvature_per_m
+    turn = _turn_cost(scene, f, cover.settled, team, middle_x, middle_y, time_s, found)
+    return (
+        team.together * total
+        + team.alone_end * _role_value(f, looker, x_m, y_m, heading_rad, time_s)
+        + _CIRCLING_S / looker.table.mean_leg_s * turn
+    )
 
 
 @compiled
@@ -160,25 +163,31 @@ def team_lines_costs(
     cover: Cover,
     looker: Looker,
     team: Team,
+    end_per_m: float,
     costs: FloatArray,
 ) -> None:
-    """Fill in what each line costs all together, as :func:`mission.predictive._rollout_kernel.lines_costs` does."""
+    """Fill in what each line costs all together, as :func:`mission.predictive._rollout_kernel.lines_costs` does.
+
+    end_per_m: the curvature of the circles that they end in.
+    """
     time_s, weight, hazard_per_s = lines.time_s, lines.weight, 1.0 / looker.table.mean_leg_s
     n, lines_count = len(time_s), len(lines.trunk)
     x, y = placed(lines, start)
     heading_rad = start.heading_rad + lines.turned_rad
-    classes, share, found = asking_room(team)
+    classes, share = asking_room()
+    found = np.empty(len(team.turns_rad))
     rates, turn_rates, ends = np.empty(n), np.empty(n), np.empty(lines_count)
     for s in range(n):
         rates[s] = weight[s] * _team_rate(scene, f, cover, looker, team, x[s], y[s], time_s[s])
     for s in turn_samples(lines):
-        turn_rates[s] = hazard_per_s * weight[s] * _turn_rate(
-            scene, f, cover, looker, team, x[s], y[s], heading_rad[s], time_s[s], classes, share, found
-        )  # fmt: skip
+        turn = _turn_cost(scene, f, cover.after, team, x[s], y[s], time_s[s], found)
+        turn_rates[s] = hazard_per_s * weight[s] * turn
     for i in range(lines_count):
         s = lines.own_first[i + 1] - 1
-        end = _end_value(scene, f, cover, looker, team, x[s], y[s], heading_rad[s], time_s[s], classes, share)
-        ends[i] = weight[s] * end
+        end = Pose(x[s], y[s], heading_rad[s])
+        ends[i] = weight[s] * _end_value(
+            scene, f, cover, looker, team, end, time_s[s], end_per_m, classes, share, found
+        )
     costs[:lines_count] = 0.0
     add_up(lines, rates, turn_rates, ends, 1.0, costs)
 
@@ -190,8 +199,9 @@ def team_look_ahead(
     """Fill in what each move costs (MOVES,), its price included, and return what going on as planned costs."""
     among, prices = alternatives(scene, now, looker, 0.0), looker.prices
     stay_costs = np.empty(len(among.stays.trunk))
-    team_lines_costs(among.moves, among.start, scene, f, cover, looker, team, costs)
-    team_lines_costs(among.stays, among.stays_start, scene, f, cover, looker, team, stay_costs)
+    stay_per_m = scene.mirror / now.circle.radius_m
+    team_lines_costs(among.moves, among.start, scene, f, cover, looker, team, 1.0 / scene.radius_m, costs)
+    team_lines_costs(among.stays, among.stays_start, scene, f, cover, looker, team, stay_per_m, stay_costs)
     add_prices(among, scene.radius_m, team.price * prices.leave, team.price * prices.change, costs)
     return float(stay_costs.min())
 

@@ -15,16 +15,19 @@ from mission.predictive.value_table import ValueTable
 class TeamSettings:
     """alone_running, alone_end: shares of what an aircraft would pay alone, on its line and after it.
 
-    opposite: per second, of the share of courses for which nobody would be on the wanted side.
     together: weight of the time without anybody on the wanted side. price: share of an aircraft's prices of changes.
+    opposite: per second, of the share of courses for which nobody would be on the wanted side. turn: weight of the
+    time that a turn of the target would leave all off it; margin: of the side then, in radii of the circle.
     futures: 1 to foretell the target by its velocity alone, 3 to count on turns too.
     """
 
     alone_running: float = 0.2
     alone_end: float = 0.2
     together: float = 1.0
-    price: float = 0.3
+    price: float = 1.0
     opposite: float = 0.3
+    turn: float = 2.0
+    margin: float = 0.5
     futures: int = 1
 
 
@@ -34,19 +37,16 @@ def team_of(table: ValueTable, wanted: Side, settings: TeamSettings | None = Non
     if not configuration.follows_course:
         raise ValueError("several aircraft share the sides of a target, not a sector")
     habits = configuration.habits
-    weights = habits.speed_weights()
-    rings = table.values.reshape(len(weights), -1, *table.values.shape[1:])
     return Team(
         1.0 if wanted is Side.LEFT else -1.0,
-        np.ascontiguousarray(np.tensordot(weights, rings, axes=1).astype(np.float32)),
-        np.ascontiguousarray(rings[0]),
         np.radians(habits.turns_deg),
         np.array(habits.chances),
-        habits.stop,
         own.alone_running,
         own.alone_end,
         own.together,
         own.price,
         own.opposite,
+        own.turn,
+        own.margin,
         own.futures,
     )

@@ -86,7 +86,7 @@ def test_its_tracks_go_into_one_file_and_its_missions_into_one_each(flown, tmp_p
     tracks = re.findall(r"<name>([^<]*)</name>", (tmp_path / "flight.gpx").read_text())
     assert tracks == ["plane aircraft", "plane target", "wing aircraft", "wing target"]
     done = sidelong("export", run, "--format", "plan", "--out", tmp_path / "flight.plan")
-    assert (done.returncode, "leave it out" in " ".join(done.stderr.split())) == (2, True)
+    assert (done.returncode, "leave out --out" in " ".join(done.stderr.split())) == (2, True)
     done = sidelong("export", run, "--format", "plan")
     assert done.returncode == 0, done.stderr
     assert (run / "plane" / "flight.plan").is_file()
