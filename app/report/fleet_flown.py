@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields
 
 from app.analysis.fleet_summary import FleetSummary, FlownAircraft, FlownTrack, summarise_fleet
 from app.analysis.score import Asked
-from app.config import validated
 from app.errors import InputError
 from app.fleet.fleet_file import FleetFile
 from app.flight.coordination import FLEET_JOURNAL_TYPES
@@ -17,6 +16,7 @@ from app.records.run_folder import FleetFolder, RunFolder
 from app.records.windows import Progress
 from app.report.results import read_summary
 from app.report.sources import Flown, read_flight
+from app.section import validated
 from mission.core.fleet import FleetAdvice, Role
 from mission.core.requirement import Requirement
 from mission.fleet.events import ClockReported, FleetAnnounce, RequirementChanged, Tell, VehicleReported
