@@ -34,7 +34,10 @@ def compiled(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """Do as :func:`compiled`, and put the function's code where it is called: for what is called in inner loops."""
+    """Do as :func:`compiled`, and put the function's code where it is called.
+
+    For what is handed arrays in an inner loop: handing them over takes longer than a short function does.
+    """
     return cast(F, _Compiled(cast(FunctionType, function), forceinline=True))
 
 

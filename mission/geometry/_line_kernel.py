@@ -70,13 +70,13 @@ class Circling(NamedTuple):
     radius_m: float
 
 
-@inlined
+@compiled
 def remainder(angle_rad: float) -> float:
     """Return the same angle within half a turn of zero."""
     return angle_rad - _TWO_PI * round(angle_rad / _TWO_PI)
 
 
-@inlined
+@compiled
 def ground_speed_m_s(heading_rad: float, airspeed_m_s: float, wind_east_m_s: float, wind_north_m_s: float) -> float:
     """Return the speed over the ground on a heading over the ground: the long side of the wind triangle.
 
@@ -118,7 +118,7 @@ def sharpnesses_per_m2(speed_m_s: FloatArray, craft: Craft, found: FloatArray) -
         found[i] = sharpness_per_m2(speed_m_s[i], craft)
 
 
-@inlined
+@compiled
 def trapezoid(start_per_m: float, hold_per_m: float, length_m: float, final_per_m: float, ramp: float) -> Trapezoid:
     """Return the trapezoid that ramps from start to hold, holds that for a length, and ramps on to final."""
     first_end_m = abs(hold_per_m - start_per_m) / ramp
@@ -133,14 +133,14 @@ def trapezoid(start_per_m: float, hold_per_m: float, length_m: float, final_per_
     )
 
 
-@inlined
+@compiled
 def with_last_ramp(one: Trapezoid, ramp: float) -> Trapezoid:
     """Return the trapezoid with another last ramp that begins where the old one did."""
     change_per_m = abs(one[3]) * (one[5] - one[4])
     return one[0], one[1], one[2], math.copysign(ramp, one[3]), one[4], one[4] + change_per_m / ramp
 
 
-@inlined
+@compiled
 def turned_rad(one: Trapezoid, arc_m: float) -> float:
     """Return the change of course since the start, exactly."""
     first = min(arc_m, one[2])
@@ -152,13 +152,13 @@ def turned_rad(one: Trapezoid, arc_m: float) -> float:
     )
 
 
-@inlined
+@compiled
 def curvature_per_m(one: Trapezoid, arc_m: float) -> float:
     """Return the curvature at an arc."""
     return one[0] + one[1] * min(arc_m, one[2]) + one[3] * min(max(arc_m - one[4], 0.0), one[5] - one[4])
 
 
-@inlined
+@compiled
 def moved_m(one: Trapezoid, course_rad: float, from_m: float, to_m: float) -> tuple[float, float]:
     """Return (east, north) from one arc to another, up to about 10 m on."""
     step = to_m - from_m
@@ -232,7 +232,7 @@ def circle_after(line: FloatArray, radius_m: float) -> Circling:
 # -- along a plan ----------------------------------------------------------------------------------------------------
 
 
-@inlined
+@compiled
 def course_on_circle(circle: Circling, east_m: float, north_m: float) -> float:
     """Return the course flown at the point of the circle nearest to a place."""
     outward_rad = math.atan2(east_m - circle.east_m, north_m - circle.north_m)
@@ -268,7 +268,7 @@ def nearest_arc_m(line: FloatArray, circle: Circling, east_m: float, north_m: fl
     return float(min(max(line[ARC, best] + ahead_m, 0.0), length_m))
 
 
-@inlined
+@compiled
 def arc_point(start: LinePoint, sharpness_per_m2: float, flown_m: float) -> LinePoint:
     """Return the point further on where curvature changes linearly: exact in course, Simpson's rule in place."""
     middle_rad = start.course_rad + (start.curvature_per_m + 0.25 * sharpness_per_m2 * flown_m) * 0.5 * flown_m

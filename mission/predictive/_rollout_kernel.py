@@ -237,7 +237,7 @@ def from_target(
     )
 
 
-@inlined
+@compiled
 def _relate(
     x_m: FloatArray,
     y_m: FloatArray,
@@ -267,7 +267,7 @@ def _relate(
             across[i], along[i] = off_x * cos_t - off_y * sin_t, off_x * sin_t + off_y * cos_t
 
 
-@inlined
+@compiled
 def _rates(
     across: FloatArray,
     along: FloatArray,
@@ -289,7 +289,7 @@ def _rates(
         found[i] = cost_rate(across[i], along[i], math.sqrt(sigma2), blur_m, c) * weight[i]
 
 
-@inlined
+@compiled
 def placed(lines: Lines, start: Pose) -> tuple[FloatArray, FloatArray]:
     """Return the places x, y (samples,) of lines from a start."""
     n, own_x, own_y = len(lines.x_m), lines.x_m, lines.y_m
@@ -302,7 +302,7 @@ def placed(lines: Lines, start: Pose) -> tuple[FloatArray, FloatArray]:
     return x, y
 
 
-@inlined
+@compiled
 def turn_samples(lines: Lines) -> IntArray:
     """Return the samples at which it is looked at what a turn of the target would cost."""
     trunk_first, own_first, on_trunk = lines.trunk_first, lines.own_first, lines.on_trunk
@@ -316,7 +316,7 @@ def turn_samples(lines: Lines) -> IntArray:
     return found[:n]
 
 
-@inlined
+@compiled
 def add_up(
     lines: Lines, rates: FloatArray, turn_rates: FloatArray, ends: FloatArray, share: float, costs: FloatArray
 ) -> None:

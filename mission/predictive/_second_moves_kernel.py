@@ -103,7 +103,7 @@ class Fan(NamedTuple):
     last: IntArray
 
 
-@inlined
+@compiled
 def stretch(s: Seconds, level: int, heading_rad: float, speeds: FloatArray, last: int, flown: FloatArray) -> None:
     """Fill in how far along each second move (k, lines) the aircraft is in wind, in samples, each second up to last.
 

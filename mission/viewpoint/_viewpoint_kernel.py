@@ -138,7 +138,7 @@ def place_at(memory: FloatArray, time_s: float) -> tuple[float, float]:
     )
 
 
-@inlined
+@compiled
 def made_good_sigma_rad(sigma_m: float, way_m: float) -> float:
     """Return one standard deviation of a course made good on a way that is known across to sigma_m."""
     return min(sigma_m / max(way_m, MIN_WAY_M), COURSE_SIGMA_MAX_RAD)
