@@ -26,7 +26,7 @@ class TeamSettings:
     together: float = 1.0
     price: float = 0.6
     opposite: float = 0.3
-    turn: float = 2.0
+    turn: float = 1.0
     margin: float = 0.5
     futures: int = 1
 
