@@ -126,6 +126,7 @@ async def listen(vehicle: Vehicle, wall_s: float, sharing: SharingSection) -> tu
     finally:
         if beacon is not None:
             beacon.stop()
+            await asyncio.sleep(0)  # its port is free again once the loop has turned
         vehicle.listeners.remove(count)
     # A simulation may run faster than the clock on the wall.
     duration_s = times_s[-1] - times_s[0] if len(times_s) > 1 and times_s[-1] > times_s[0] else wall_s
