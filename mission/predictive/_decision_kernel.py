@@ -212,7 +212,9 @@ def look_deeper(
         depth.horizon_s,
     )
     wind_m_s = math.hypot(air.wind_x_m_s, air.wind_y_m_s)
-    ramp = sharpness_per_m2(air.airspeed_m_s + math.ceil(wind_m_s / _WIND_STEP_M_S) * _WIND_STEP_M_S, looker.craft)
+    # A wind of a whole step stays of that step, however its direction was rounded.
+    steps = math.ceil(wind_m_s / _WIND_STEP_M_S - 1e-6)
+    ramp = sharpness_per_m2(air.airspeed_m_s + steps * _WIND_STEP_M_S, looker.craft)
     lay_out_seconds(looker.seconds, scene.radius_m, ramp, air.airspeed_m_s * STEP_S)
     ahead, end = staying_ahead(scene, now, under_way)
     stay_cost = deep_cost(ahead, end, STAY_BRANCHES, scene, second)
