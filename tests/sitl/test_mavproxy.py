@@ -128,6 +128,11 @@ def test_a_whole_session_goes_without_an_error(session, tmp_path):
     station.do("arm throttle", "ARMED")
     station.do("disarm", "DISARMED")
     for kind in ("fence", "rally", "wp"):
-        station.do(f"{kind} clear", f"TYPE_{'MISSION' if kind == 'wp' else kind.upper()}: ACCEPTED")
+        answer = f"TYPE_{'MISSION' if kind == 'wp' else kind.upper()}: (ACCEPTED|ERROR)"
+        while "ERROR" in station.do(f"{kind} clear", answer)[0]:
+            # MAVProxy acknowledges no list that it has read: PX4 is busy with it for 5 s more, and says so.
+            assert flavour == "px4"
+            station.lines.pop()
+            time.sleep(0.5)
     station.do("reboot", "PREFLIGHT_REBOOT_SHUTDOWN: ACCEPTED")
     assert [line for line in station.lines if ERROR.search(line)] == []
