@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -62,7 +62,7 @@ async def _recorded(
             recording = Recording(folder, config, trouble)
             life = begun(Life(lambda: recording.begun, display.note))
             with life.heeding_signals(), contextlib.closing(recording):
-                return await _fly(config, duration_s, folder, recording, display, sharing, life)
+                return await _fly(config, duration_s, folder, recording, display, sharing, life, trouble)
 
 
 @contextlib.asynccontextmanager
@@ -84,6 +84,7 @@ async def _fly(
     display: FlightDisplay,
     sharing: Sharing,
     life: Life,
+    trouble: Callable[[str], None],
 ) -> FlightEnded:
     async with contextlib.AsyncExitStack() as stack:
         with life.computing():
@@ -96,11 +97,7 @@ async def _fly(
             stack.callback(pace.cancel)
             urls, truth = vehicle.urls, folder.truth
         display.note(f"connecting to {' and '.join(urls)}")
-        link, loop = config.link, asyncio.get_running_loop()
-
-        def trouble(text: str) -> None:
-            loop.call_soon_threadsafe(display.note, text)
-
+        link = config.link
         session = await stack.enter_async_context(
             connected(
                 urls,

@@ -92,6 +92,34 @@ class Flown:
     decision_s: list[float]
 
 
+def payload_in(errors: PayloadErrors, told: TrackerSettings, perfect: bool = False, apart: bool = False) -> Payload:
+    """Return a payload as the loops know it: what its errors are, and what the filter is told of them."""
+    return Payload(
+        perfect,
+        apart,
+        errors.range_sigma_m,
+        errors.angle_sigma_rad,
+        errors.yaw_bias_rad,
+        told.range_sigma_m,
+        told.yaw_sigma_rad,
+        told.pitch_sigma_rad,
+        told.position_sigma_m,
+    )
+
+
+def filtering_in(told: TrackerSettings, drift_per_s: tuple[float, float, float]) -> Filtering:
+    """Return how the loops filter; drift_per_s: of the payload's errors."""
+    return Filtering(
+        told.gate_nis,
+        told.soft_nis,
+        DENSITIES[told.target_kind],
+        drift_per_s,
+        told.reacquire_after,
+        told.lost_after_s,
+        told.lost_sigma_m,
+    )
+
+
 def can_fly(settings: TrackerSettings) -> bool:
     """Tell whether the loop flies such a payload: measured at once, at the aircraft's place, with its own filter."""
     placed = any(settings.lever_arm_body_m) or any(settings.mount_roll_pitch_yaw_rad)
@@ -145,17 +173,7 @@ class CompiledFlight:
         apart = not sensed.perfect and not can_fly(told)
         noise = np.zeros((steps, 3)) if sensed.perfect or apart else sensed.rng.normal(size=(steps, 3))
         self._target = Target(np.ascontiguousarray(target.sampled(time_s)), noise)
-        self._payload = Payload(
-            sensed.perfect,
-            apart,
-            sensed.errors.range_sigma_m,
-            sensed.errors.angle_sigma_rad,
-            sensed.errors.yaw_bias_rad,
-            told.range_sigma_m,
-            told.yaw_sigma_rad,
-            told.pitch_sigma_rad,
-            told.position_sigma_m,
-        )
+        self._payload = payload_in(sensed.errors, told, sensed.perfect, apart)
         self._hills, self._ground = FLAT, None
         if over is not None:
             self._hills, self._ground = over.hills, over.ground if over.known else None
@@ -165,15 +183,7 @@ class CompiledFlight:
             if self._ground is not None:
                 # A laser that is only hidden is not silent.
                 self._sensing.tracker.stand_on(self._ground, angles_alone=False)
-        self._filtering = Filtering(
-            told.gate_nis,
-            told.soft_nis,
-            DENSITIES[told.target_kind],
-            drift_per_s(self._prior),
-            told.reacquire_after,
-            told.lost_after_s,
-            told.lost_sigma_m,
-        )
+        self._filtering = filtering_in(told, drift_per_s(self._prior))
         self._told, self._wind = told, wind
         self._frame = start.frame(kernel.STEP_S)
         circling = Circling(circle.east_m, circle.north_m, circle.radius_m if circle.clockwise else -circle.radius_m)

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from app.study import _fleet_kernel as kernel
-from app.study._flight_kernel import Filtering, Payload, Target
+from app.study._flight_kernel import Target
+from app.study.flight import filtering_in, payload_in
 from app.study.judging import FloatArray
 from app.study.run import payload_of
 from app.study.scene import Scene
@@ -18,7 +19,6 @@ from estimators._mixture_kernel import combine
 from estimators.biases import Biases
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.joint import JointImm, PayloadSighting, prior_of
-from estimators.motion import DENSITIES
 from estimators.target_filter import bias_drift
 
 
@@ -30,27 +30,9 @@ class JointSight:
         self._told, count = told, len(heights_m)
         self._noise = np.stack([rng.normal(size=(steps, 3)) for rng in flown.sensor_rng.spawn(count)])
         self._heights_m = np.array(heights_m)
-        self._payload = Payload(
-            False,
-            False,
-            errors.range_sigma_m,
-            errors.angle_sigma_rad,
-            errors.yaw_bias_rad,
-            told.range_sigma_m,
-            told.yaw_sigma_rad,
-            told.pitch_sigma_rad,
-            told.position_sigma_m,
-        )
+        self._payload = payload_in(errors, told)
         yaw, pitch, offset = bias_drift(np.arange(3)).tolist()
-        self._filtering = Filtering(
-            told.gate_nis,
-            told.soft_nis,
-            DENSITIES[told.target_kind],
-            (yaw, pitch, offset),
-            told.reacquire_after,
-            told.lost_after_s,
-            told.lost_sigma_m,
-        )
+        self._filtering = filtering_in(told, (yaw, pitch, offset))
         self._prior = prior_of([told] * count, [0.0] * count)
         self._state: FloatArray | None = None
         self._clock, self._rejections = np.zeros(2), np.zeros(1, np.int64)

@@ -27,7 +27,7 @@ from mission.predictive.planner import PredictivePlanner, PredictiveSettings, ch
 from mission.predictive.situation import situation
 from mission.predictive.value_table import ValueTable
 from mission.viewpoint._viewpoint_kernel import SIDE
-from mission.viewpoint.descriptions import describe_move
+from mission.viewpoint.descriptions import describe_new_circle
 
 _ADVICE_S = 5.0  # advice is followed for so long
 _FORETOLD = 160  # seconds of the others' lines: longer than any line, and what their reports may be late
@@ -107,8 +107,7 @@ class TeamPlanner:
         values = {"stay_cost_s": float(stay_cost), "move_cost_s": float(costs.min())}
         move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self._check)
         if plan is not None:
-            old, new = present.circle, plan.circle
-            moved = describe_move(new.east_m - old.east_m, new.north_m - old.north_m)
+            moved = describe_new_circle(present.circle, plan.circle)
             reason = f"moving {moved}: better beside {_names(others)}"
             return Decision(aircraft.time_s, plan, reason, {**values, "move": float(move)})
         reason = f"staying: {broken}" if broken else f"staying beside {_names(others)}"

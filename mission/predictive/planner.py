@@ -38,7 +38,7 @@ from mission.predictive.cost import WatchCost
 from mission.predictive.forecast import Outlook, describe_breach, describe_range
 from mission.predictive.situation import situation
 from mission.predictive.value_table import TableConfiguration, ValueTable
-from mission.viewpoint.descriptions import describe_move
+from mission.viewpoint.descriptions import describe_new_circle
 from mission.viewpoint.side_policy import SidePolicy
 
 _WINDY = 0.25  # of the airspeed
@@ -202,8 +202,7 @@ class PredictivePlanner:
         bar = stay_cost - kernel.commitment(scene, now, futures, looker)
         move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self._check)
         if plan is not None:
-            old, new = present.circle, plan.circle
-            moved = describe_move(new.east_m - old.east_m, new.north_m - old.north_m)
+            moved = describe_new_circle(present.circle, plan.circle)
             reason = f"moving {moved}: {breach or _NO_BREACH}"
         elif broken is not None:
             reason = f"staying: {broken}"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from mission.core.circle import Circle
+
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 _SAME_PLACE_M = 3.0
 
@@ -11,6 +13,11 @@ _SAME_PLACE_M = 3.0
 def compass_word(bearing_rad: float) -> str:
     """Return the nearest of the eight winds."""
     return _WINDS[round(bearing_rad / (math.pi / 4)) % 8]
+
+
+def describe_new_circle(old: Circle, new: Circle) -> str:
+    """Return where one circle lies from another in words."""
+    return describe_move(new.east_m - old.east_m, new.north_m - old.north_m)
 
 
 def describe_move(east_m: float, north_m: float) -> str:
