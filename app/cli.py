@@ -6,6 +6,7 @@ import contextlib
 import signal
 import sys
 import traceback
+from difflib import get_close_matches
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
@@ -47,7 +48,12 @@ class _Commands(TyperGroup):
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        return load_command(cmd_name) if cmd_name in COMMANDS else None
+        if cmd_name in COMMANDS:
+            return load_command(cmd_name)
+        near = get_close_matches(cmd_name, COMMANDS, 1)
+        if near:
+            ctx.fail(f"No such command {cmd_name!r}. Did you mean {near[0]!r}?")
+        return None
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         listed = {
@@ -58,12 +64,25 @@ class _Commands(TyperGroup):
             formatter.write_dl([(name, command.get_short_help_str(width)) for name, command in listed.items()])
 
 
+class _Command(TyperCommand):
+    """One command; what is wrong with a value is told in words of our own only."""
+
+    def make_context(self, *arguments: Any, **options: Any) -> Any:
+        try:
+            return super().make_context(*arguments, **options)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")
+            raise
+
+
 def load_command(name: str) -> Any:
     """Return a command, ready to be called, with its module loaded."""
     module = import_module(COMMANDS[name][0])
     single = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    single.command(name)(getattr(module, "run" if name == "sitl" else name))
-    return typer.main.get_command(single)
+    single.command(name, cls=_Command)(getattr(module, "run" if name == "sitl" else name))
+    command = typer.main.get_command(single)
+    command.help = (command.help or "").replace("\nExamples:", "\n\b\nExamples:")  # lines as they are
+    return command
 
 
 app = typer.Typer(

@@ -143,12 +143,11 @@ def run(
 ) -> None:
     """Fly a simulated vehicle that speaks MAVLink over UDP, with a laser and a gimbal on a moving target.
 
-    Example: sidelong sitl --autopilot px4 --target walk --target-speed 4 --speed 10 --truth truth.csv
-
-    Several about one target: sidelong sitl --vehicles 2 --autopilot arduplane,px4
-
-    A real vehicle's simulator gets the payload by: sidelong sitl --payload-for tcpout://127.0.0.1:5763
-    or is started with it by: sidelong sitl --autopilot px4 --binary build/px4_sitl_default/bin/px4
+    Examples:
+      sidelong sitl --autopilot px4 --target walk --target-speed 4 --speed 10
+      sidelong sitl --vehicles 2 --autopilot arduplane,px4
+      sidelong sitl --payload-for tcpout://127.0.0.1:5763    # laser and gimbal for your own SITL
+      sidelong sitl --autopilot px4 --binary build/px4_sitl_default/bin/px4
     """
     flavours = [flavour_of(name) for name in autopilot.split(",")]
     airspeeds_m_s = numbers("--airspeed", airspeed, range(1, MAX_VEHICLES + 1), "A or A,B")

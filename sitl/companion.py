@@ -110,8 +110,7 @@ class Companion:
             sight.bearing_rad,
             measured.laser_valid,
             measured.laser_outlier,
-            aircraft_m[2] - hills.height_m(*aircraft_m[:2]),
-            sight.clear,
+            *hills.told(aircraft_m, sight.clear),
         )
         self.on_truth(row)
         return measured.messages

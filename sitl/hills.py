@@ -51,6 +51,14 @@ class Hills:
             return 0.0
         return float(self._above_sea_m(np.array([east_m]), np.array([north_m]))[0]) - self.home_altitude_m
 
+    def told(
+        self, aircraft_m: tuple[float, float, float], in_sight: bool
+    ) -> tuple[float | None, bool | None]:
+        """Return the clearance over the ground and whether the target is in sight; None where no ground is known."""
+        if self.flat:
+            return None, None
+        return aircraft_m[2] - self.height_m(*aircraft_m[:2]), in_sight
+
     def see(self, one_m: tuple[float, float, float], other_m: tuple[float, float, float]) -> bool:
         """Tell whether no hill stands between two points (east, north, height)."""
         if self._folder is None:

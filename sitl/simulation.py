@@ -158,8 +158,7 @@ class Simulation:
             sight.bearing_rad,
             valid,
             outlier,
-            craft.height_m - ground_m,
-            in_sight,
+            *self.hills.told(aircraft_m, in_sight),
         )
         self.on_truth(row)
 

@@ -19,7 +19,7 @@ _FLUSH_S = 1.0
 class TruthRow:
     """Target and aircraft at one moment of the vehicle's clock. bearing_rad is the target's, from the aircraft.
 
-    clearance_m is the aircraft's height over the ground below it.
+    clearance_m is the aircraft's height over the ground below it; it and in_sight are None where no ground is known.
     """
 
     time_s: float
@@ -31,16 +31,18 @@ class TruthRow:
     bearing_rad: float
     laser_valid: bool
     laser_outlier: bool
-    clearance_m: float
-    in_sight: bool
+    clearance_m: float | None
+    in_sight: bool | None
 
     def line(self) -> str:
+        clearance = "" if self.clearance_m is None else f"{self.clearance_m:.2f}"
+        in_sight = "" if self.in_sight is None else f"{self.in_sight:d}"
         return (
             f"{self.time_s:.3f},{self.target_m[0]:.3f},{self.target_m[1]:.3f},"
             f"{self.target_deg[0]:.8f},{self.target_deg[1]:.8f},{self.aircraft_deg[0]:.8f},{self.aircraft_deg[1]:.8f},"
             f"{self.aircraft_m[2]:.2f},{self.slant_range_m:.3f},{math.degrees(self.bearing_rad):.4f},"
             f"{int(self.laser_valid)},{int(self.laser_outlier)},"
-            f"{self.target_m[2]:.2f},{self.clearance_m:.2f},{int(self.in_sight)}"
+            f"{self.target_m[2]:.2f},{clearance},{in_sight}"
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -60,11 +60,7 @@ class Summary:
             ("time on side", _percent(self.time_on_side)),
             ("by the target's present course", _percent(self.time_on_side_now)),
             ("range", _between(self.min_range_m, self.max_range_m)),
-            ("time in sight", _percent(self.time_in_sight)),
-            (
-                "least height over the ground",
-                "-" if self.min_clearance_m is None else f"{self.min_clearance_m:.0f} m",
-            ),
+            *self._ground_rows(),
             ("judged by", self.source),
             ("moves of the circle", str(self.moves)),
             ("uploads", f"{self.uploads}, failed {self.upload_failures}"),
@@ -77,6 +73,13 @@ class Summary:
         for link in self.links:
             table.add_row(f"link {link['url']}", describe_link(link))
         return table
+
+    def _ground_rows(self) -> Iterator[tuple[str, str]]:
+        """Yield what is known over elevation data only."""
+        if self.time_in_sight is not None:
+            yield "time in sight", _percent(self.time_in_sight)
+        if self.min_clearance_m is not None:
+            yield "least height over the ground", f"{self.min_clearance_m:.0f} m"
 
 
 def describe_link(link: dict[str, Any]) -> str:

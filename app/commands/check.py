@@ -44,7 +44,11 @@ def check(
     """Check whether the paper's method can keep the requirement, and say which number to change if not.
 
     Of a fleet file each aircraft is checked, and what tells them apart.
-    Example: sidelong check --airspeed 10 --radius 50 --target-speed 3 --dmin 100 --dmax 500 --threshold 1
+
+    Examples:
+      sidelong check
+      sidelong check mission.toml --optimise
+      sidelong check --airspeed 10 --radius 50 --target-speed 3 --dmin 100 --dmax 500 --threshold 1
     """
     checked_output(json)
     overrides = {

@@ -45,7 +45,11 @@ def connect(
     """Tell what is there: autopilot, mode, position, sensors, parameters, and what is not ready yet and why.
 
     Nothing is armed or changed. Of a fleet file all aircraft are asked, one after the other.
-    Examples: sidelong connect udpin://0.0.0.0:14540; sidelong connect --config fleet.toml
+
+    Examples:
+      sidelong connect udpin://0.0.0.0:14540
+      sidelong connect serial:///dev/ttyUSB0:57600 --config mission.toml
+      sidelong connect --config fleet.toml
     """
     checked_output(json)
     overrides = {"link": {"heartbeat_timeout_s": timeout, "signing_key_file": signing_key, "system_id": system_id}}

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from app.assembly import tracker_of
-from app.commands.output import console
+from app.commands.output import checked_file, console
 from app.commands.progress import progress_bar
 from app.errors import InputError
 from app.records.export import MISSIONS, Format
@@ -47,8 +47,11 @@ def export(
     All of it: mcap, for Foxglove and PlotJuggler. The metadata of a video: klv (MISB ST 0601). Of a fleet's run
     folder the tracks of all aircraft go into one file, and so does mcap.
 
-    Examples: sidelong export runs/20261121T101500Z --format plan; sidelong export flight.tlog --format gpx
+    Examples:
+      sidelong export runs/20261121T101500Z --format plan
+      sidelong export flight.tlog --format gpx
     """
+    checked_file("--out", out)
     write_export(source, wanted, out, config)
 
 
@@ -123,7 +126,7 @@ def _whole(out: Path) -> Iterator[Path]:
         if whole:
             partial.replace(out)
     except OSError as error:
-        raise InputError(f"{out} cannot be written: {error.strerror}.") from error
+        raise InputError(f"{out} cannot be written ({error.strerror}); give another file to --out.") from error
     finally:
         if whole:
             partial.unlink(missing_ok=True)

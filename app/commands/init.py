@@ -67,7 +67,10 @@ def init(
 ) -> None:
     """Write a configuration file with every key, its unit, limits and default, to be changed as needed.
 
-    Examples: sidelong init; sidelong init x8.toml --preset skywalker-x8; sidelong init fleet.toml --fleet 2
+    Examples:
+      sidelong init
+      sidelong init x8.toml --preset skywalker-x8
+      sidelong init fleet.toml --fleet 2
     """
     if preset is not None and preset not in PRESETS:
         known = "; ".join(f"{name} ({known.about})" for name, known in PRESETS.items())

@@ -152,8 +152,13 @@ def launch(
     """Fly: circle beside the target and move the circle as the target moves.
 
     Without --connect this starts a simulated vehicle and target and flies them, about ten times faster than the
-    clock. Examples: sidelong launch; sidelong launch --autopilot px4 --target walk --side right;
-    sidelong launch mission.toml --connect udpin://0.0.0.0:14540; sidelong launch --fleet 2 --autopilot arduplane,px4
+    clock.
+
+    Examples:
+      sidelong launch
+      sidelong launch --autopilot px4 --target walk --side right --view
+      sidelong launch mission.toml --connect udpin://0.0.0.0:14540
+      sidelong launch --fleet 2 --autopilot arduplane,px4
     """
     checked_output(json)
     overrides: dict[str, dict[str, Any]] = {

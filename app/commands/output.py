@@ -112,8 +112,18 @@ def checked_output(path: Path | None) -> None:
     """
     if str(path) == "-":
         standard.to_stderr = True
-    elif path is not None and not path.parent.is_dir():
-        raise InputError(f"{path}: there is no folder {path.parent}; create it or give another file to --json.")
+    else:
+        checked_file("--json", path)
+
+
+def checked_file(option: str, path: Path | None) -> None:
+    """Complain about a file that cannot be written, before the work begins. Raises InputError naming the option."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; give a file to {option}.")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: there is no folder {path.parent}; create it or give another file to {option}.")
 
 
 def latitude_longitude_deg(option: str, text: str | None) -> tuple[float, float] | None:

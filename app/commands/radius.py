@@ -11,7 +11,10 @@ from app.config import Config, room_warning
 
 
 def _parsed(words: str) -> float | str:
-    return words if words == "auto" else float(words)
+    try:
+        return words if words == "auto" else float(words)
+    except ValueError:
+        raise ValueError(f"{words!r} is neither a number of metres nor auto.") from None
 
 
 # A float, or "auto".

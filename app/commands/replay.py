@@ -68,9 +68,12 @@ def replay(
 ) -> None:
     """Run the filter and the planner over a recorded flight: what was decided, and how far off the estimate was.
 
-    Examples: sidelong replay flight.tlog --truth flight.truth.csv; sidelong replay runs/20261121T100000Z --verify;
-    sidelong replay flight.tlog --set requirement.side=right. With --view the page plays it, and what --set would have
-    decided is shown beside what was flown: sidelong replay runs/20261121T100000Z --view --set aircraft.radius_m=80
+    With --view a page plays it, and what --set would have decided is shown beside what was flown.
+
+    Examples:
+      sidelong replay runs/20261121T100000Z --verify
+      sidelong replay runs/20261121T100000Z --view --set aircraft.radius_m=80
+      sidelong replay flight.tlog --truth flight.truth.csv
     """
     checked_output(json)
     changes = _changes(change or [], planner)

@@ -32,8 +32,10 @@ def report(
     """Write one HTML file about a flight: paths, range, angles, errors, uploads, decisions. It opens offline.
 
     Of a fleet's run folder: one about all aircraft, and one about each in its own folder.
-    Examples: sidelong report runs/20261121T101500Z --png figures;
-    sidelong report flight.tlog --truth flight.truth.csv
+
+    Examples:
+      sidelong report runs/20261121T101500Z --png figures
+      sidelong report flight.tlog --truth flight.truth.csv
     """
     if out is None:
         out = run / "report.html" if run.is_dir() else run.with_suffix(".report.html")

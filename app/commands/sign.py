@@ -26,8 +26,11 @@ def sign(
     """Make a key for MAVLink signing and set it up on a vehicle, which then obeys only what is signed with it.
 
     The vehicle has to be disarmed, and on a cable: the key is sent in the clear. Then fly with --signing-key FILE.
-    Examples: sidelong sign plane.key; sidelong sign plane.key --connect serial:///dev/ttyACM0:115200;
-    sidelong sign plane.key --connect serial:///dev/ttyACM0:115200 --remove
+
+    Examples:
+      sidelong sign plane.key
+      sidelong sign plane.key --connect serial:///dev/ttyACM0:115200
+      sidelong sign plane.key --connect serial:///dev/ttyACM0:115200 --remove
     """
     if remove and connect is None:
         raise InputError("--remove needs the vehicle: give --connect URL.")

@@ -12,8 +12,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.measure import Measurement
 
-from app.commands.output import JsonOption, checked_output, console, latitude_longitude_deg, write_json
+from app.commands.output import (
+    JsonOption,
+    checked_file,
+    checked_output,
+    console,
+    latitude_longitude_deg,
+    write_json,
+)
 from app.commands.progress import runs_progress
 from app.commands.radius import RadiusOption
 from app.config import load_config
@@ -35,6 +43,7 @@ from estimators.frames import LocalPlane
 from mission.core.requirement import Requirement
 
 _LEGS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
+_WIDE = 400  # characters, more than any table
 _FIGURES = (".png", ".pdf", ".svg")
 _BATCH_MAX = 50  # runs that go to a process or worker at once
 _BATCHES_EACH = 16  # for each process at least, so that little is lost when a study ends early
@@ -111,28 +120,25 @@ def study(
     park are guidance laws of the literature. A random target's side is that of its course; a recorded one's that of
     the course it made good in 30 s, once it has moved 10 m. Its track is smoothed over 2.5 s.
 
-    Example: sidelong study --runs 50 --planner predictive --planner paper --out study.png
+    On many machines: dask scheduler; dask worker tcp://HOST:8786 --nthreads 1 --nworkers -1 (on each).
 
-    Recorded: sidelong study --targets tracks --airspeed 12 --radius 40 --target-speed-max 5 --noise-draws 3
-
-    Sweep: sidelong study --sweep aircraft.airspeed_m_s=12,15,18 --sweep requirement.range_max_m=300:600:50
-    --planner predictive --store sweep.db --report sweep.html --export sweep.parquet
-
-    As an autopilot flies it: sidelong study --autopilot arduplane --wind 4
-
-    Several aircraft: sidelong study --fleet 2 --runs 50
-
-    Over hills: sidelong study --terrain dem --home 36.59,-84.24 --runs 50
-
-    Cluster: dask scheduler; dask worker tcp://HOST:8786 --nthreads 1 --nworkers -1 (on each machine);
-    sidelong study --runs 10000 --scheduler tcp://HOST:8786 --store study.db
+    Examples:
+      sidelong study --runs 50 --planner predictive --planner paper --out study.png
+      sidelong study --targets tracks --airspeed 12 --radius 40 --target-speed-max 5
+      sidelong study --sweep aircraft.airspeed_m_s=12,15,18 --store sweep.db --report sweep.html
+      sidelong study --autopilot arduplane --wind 4
+      sidelong study --fleet 2 --runs 50
+      sidelong study --terrain dem --home 36.59,-84.24 --runs 50
+      sidelong study --runs 10000 --scheduler tcp://HOST:8786 --store study.db
     """
     checked_output(json)
     latency, lag = _answer(autopilot, latency, lag)
     _checked_file("--out", out, _FIGURES)
     _checked_file("--export", export, exporting.SUFFIXES)
     _checked_file("--report", report, (".html",))
-    _checked_file("--store", store, None)
+    checked_file("--store", store)
+    if scheduler is not None and not re.fullmatch(r"[a-z]+://.+:\d+", scheduler):
+        raise InputError(f"--scheduler: {scheduler!r} is no address such as tcp://HOST:8786.")
     if export is not None and export.suffix.lower() == ".parquet":
         exporting.parquet_writer()
     options = {
@@ -275,7 +281,10 @@ def _tell(study: Study, json: Path | None) -> None:
     swept = len(study.designs) > 1
     if str(json) != "-":
         console.print(study_title(first))
-        console.print(sweep_table(study) if swept else study_table(first))
+        table = sweep_table(study) if swept else study_table(first)
+        wide = console.options.update_width(_WIDE)
+        needed = Measurement.get(console, wide, table).maximum
+        console.print(table, width=max(console.width, needed), crop=False)  # rather broken lines than a column less
     write_json(json, sweep_json(study) if swept else study_json(first))
 
 
@@ -358,14 +367,11 @@ def _legs(words: str) -> tuple[float, float]:
     return float(match[1]), float(match[2])
 
 
-def _checked_file(option: str, file: Path | None, suffixes: tuple[str, ...] | None) -> None:
-    """Complain about a file that cannot be written before the work begins."""
-    if file is None:
-        return
-    if suffixes is not None and file.suffix.lower() not in suffixes:
+def _checked_file(option: str, file: Path | None, suffixes: tuple[str, ...]) -> None:
+    """Complain about a file that cannot be written, or not in that format, before the work begins."""
+    if file is not None and file.suffix.lower() not in suffixes:
         raise InputError(f"{file}: {option} writes {', '.join(suffixes)}; give it such a file name.")
-    if not file.parent.is_dir():
-        raise InputError(f"{file}: there is no folder {file.parent}; create it or give another file to {option}.")
+    checked_file(option, file)
 
 
 def _written(option: str, file: Path, write: Callable[[], object]) -> None:

@@ -24,7 +24,9 @@ def terrain(
 ) -> None:
     """Tell what elevation data covers and where it is void.
 
-    Example: sidelong terrain dem --bounds 36.4,-84.5,36.8,-84.0
+    Examples:
+      sidelong terrain dem
+      sidelong terrain dem --bounds 36.4,-84.5,36.8,-84.0
     """
     checked_output(json)
     data = ElevationData(folder)

@@ -147,7 +147,9 @@ def _making(parent: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"no run folder can be made in {parent}: {error.strerror}.") from error
+        raise InputError(
+            f"no run folder can be made in {parent} ({error.strerror}); give a folder of your own to --out."
+        ) from error
 
 
 def _write_summary(path: Path, summary: Mapping[str, Any]) -> None:

@@ -76,9 +76,7 @@ def sweep_table(study: Study) -> Table:
     headings = summary_headings(study.designs[0].settings)
     table = Table(*keys, "planner", *headings, box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1))
     for column in table.columns:
-        column.justify = "right"
-    for column in table.columns[len(keys) :]:
-        column.no_wrap = True
+        column.justify, column.no_wrap = "right", True
     for design in study.designs:
         for name, planner in study.result(design).planners.items():
             swept = (f"{value:g}" if isinstance(value, float) else value for _, value in design.swept)

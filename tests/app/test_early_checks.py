@@ -24,7 +24,11 @@ from app.commands import launch_one, replay
         (["launch", "--terrain", "none"], "none: there is no such folder of elevation data"),
         (["launch", "--signing-key", "none"], "signing key none cannot be read"),
         (["launch", "--side", "up"], "requirement.side: 'up' is none of left, right"),
+        (["launch", "--json", "tests"], "tests is a folder; give a file to --json"),
         (["replay", "tests/data/arduplane-follow-bike.tlog", "--truth", "pyproject.toml"], "is no truth file"),
+        (["export", "tests/data/arduplane-follow-bike.tlog", "--out", "none/x.kml"], "there is no folder none"),
+        (["study", "--scheduler", "here"], "--scheduler: 'here' is no address"),
+        (["study", "--store", "tests"], "tests is a folder; give a file to --store"),
     ],
 )
 def test_a_wrong_option_is_told_at_once(monkeypatch, arguments, sentence):
@@ -39,6 +43,22 @@ def test_a_wrong_option_is_told_at_once(monkeypatch, arguments, sentence):
     ended = CliRunner().invoke(app, arguments)
     assert sentence in str(ended.exception)
     assert not late.called
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["lanch"], "No such command 'lanch'. Did you mean 'launch'?"),
+        (["launch", "--speeed", "3"], "No such option: --speeed (Possible options: --seed, --speed"),
+        (["export", "run", "--format", "gpxx"], "Invalid value for '--format': 'gpxx' is not one of 'plan'"),
+        (["check", "--radius", "wide"], "'wide' is neither a number of metres nor auto"),
+    ],
+)
+def test_what_is_mistyped_is_named_with_what_there_is(arguments, sentence):
+    ended = CliRunner().invoke(app, arguments)
+    assert ended.exit_code == 2
+    assert sentence in ended.output
+    assert "Value error" not in ended.output
 
 
 def test_lengths_below_nothing_are_not_told_as_lengths(tmp_path, capsys):

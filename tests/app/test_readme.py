@@ -34,6 +34,16 @@ def test_a_command_of_the_documents_is_understood(name, arguments):
     assert context.command.name == name
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_shows_examples_on_lines_of_their_own_that_can_be_given(name):
+    command = load_command(name)
+    with command.make_context(name, [], resilient_parsing=True) as context:
+        lines = re.findall(rf"^ +sidelong {name}\b([^#\n]*)", command.get_help(context), re.MULTILINE)
+    assert lines
+    for arguments in lines:
+        command.make_context(name, shlex.split(arguments))
+
+
 def test_the_readme_lists_every_command():
     listed = re.findall(r"^\| `([a-z]+)", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert set(COMMANDS) <= set(listed)

@@ -68,6 +68,7 @@ def test_the_truth_file_has_the_columns_of_the_recorded_ones(simulate, tmp_path)
     assert HEADER.startswith("time_boot_s,target_east_m,target_north_m,target_lat_deg,target_lon_deg,uav_lat_deg,")
     assert lines[0].count(",") == lines[1].count(",") == 14
     assert lines[10].startswith("1.000,250.000,300.000,")
+    assert all(line.endswith(",,") for line in lines[1:])  # no ground is known: neither clearance nor sight is told
     assert len(lines) == 31
 
 
