@@ -33,7 +33,7 @@ from app.study.fleet import FleetPlannerName
 from app.study.fleet_study import fleet_json, fleet_table, fly_fleets
 from app.study.processes import on_processes
 from app.study.recorded import recorded_targets
-from app.study.report import study_json, study_table, study_title, sweep_json, sweep_table
+from app.study.report import HEADINGS_EXPLAINED, study_json, study_table, study_title, sweep_json, sweep_table
 from app.study.settings import AUTOPILOTS, Hills, PlannerName, StudySettings
 from app.study.store import ResultStore
 from app.study.study import Study, table_of
@@ -285,6 +285,8 @@ def _tell(study: Study, json: Path | None) -> None:
         wide = console.options.update_width(_WIDE)
         needed = Measurement.get(console, wide, table).maximum
         console.print(table, width=max(console.width, needed), crop=False)  # rather broken lines than a column less
+        if swept:
+            console.print(HEADINGS_EXPLAINED)
     write_json(json, sweep_json(study) if swept else study_json(first))
 
 

@@ -24,7 +24,7 @@ def fleet_page(flown: FleetFlown, pages: Mapping[str, str]) -> str:
     body = f"""<h1>Flight {escape(flown.name)}, {len(flown.aircraft)} aircraft</h1>
 <p>Asked: watch {escape(wanted)}.
 Recorded by {escape(flown.program)}. Each by itself: {links}.</p>
-<div class="wide">{_figures(flown)}</div>
+{_figures(flown)}
 {figures}
 {_said(flown)}"""
     return html.document(f"{flown.name}: flight report", body)
@@ -35,7 +35,7 @@ def _figures(flown: FleetFlown) -> str:
     columns = [[str(cell) for cell in column.cells] for column in table.columns]
     height = max(map(len, columns))
     rows = zip(*(column + [""] * (height - len(column)) for column in columns), strict=True)
-    return html.table((str(column.header) for column in table.columns), rows)
+    return html.table((str(column.header) for column in table.columns), rows, "Summary")
 
 
 def _said(flown: FleetFlown) -> str:
@@ -43,5 +43,5 @@ def _said(flown: FleetFlown) -> str:
         return ""
     start_s = min(one.flown.history.start_s + one.offset_s for one in flown.aircraft)
     rows = ((f"{one.mission_time_s - start_s:.0f} s", one.name, one.text) for one in flown.said)
-    told = html.table(("time", "aircraft", "what"), rows)
+    told = html.table(("time", "aircraft", "what"), rows, "What the coordinator said")
     return f"<details><summary>What the coordinator said ({len(flown.said)})</summary>{told}</details>"

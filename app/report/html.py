@@ -35,6 +35,7 @@ td:first-child { font-variant-numeric: tabular-nums; white-space: nowrap; }
 summary { cursor: pointer; font-weight: 600; margin-top: 1.5rem; }
 figure { margin: 0; break-inside: avoid; }
 .wide { overflow-x: auto; }
+code { overflow-wrap: anywhere; }
 @media (max-width: 700px) {
   body { margin: 1rem auto; } .wide svg { min-width: 42rem; } dl { grid-template-columns: repeat(2, minmax(0, 1fr)); }
   td { overflow-wrap: anywhere; }
@@ -79,19 +80,23 @@ def tiles(results: Iterable[tuple[str, str]]) -> str:
     return f"<dl>{tiles}</dl>"
 
 
-def table(headings: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """Return a table of plain words."""
+def table(headings: Iterable[str], rows: Iterable[Iterable[str]], about: str) -> str:
+    """Return a table of plain words, that scrolls by itself where it is too wide; ``about`` says what is in it."""
     head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
     body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{body}</table>"
+    return _wide(f"<table><tr>{head}</tr>{body}</table>", about)
+
+
+def _wide(content: str, about: str) -> str:
+    """Return what may be wider than a telephone: it is scrolled, also by keys, and the page is not."""
+    return f'<div class="wide" tabindex="0" role="group" aria-label="{escape(about)}">{content}</div>'
 
 
 def figure(drawing: Drawing) -> str:
     """Return the figure with its heading. Use within ``plot_style.styled()``."""
     return (
         f'<figure id="{drawing.name}"><h2>{escape(drawing.title)}</h2><p>{escape(drawing.caption)}</p>'
-        f'<div class="wide" tabindex="0" role="group" aria-label="{escape(drawing.title)}">{_svg(drawing)}</div>'
-        "</figure>"
+        f"{_wide(_svg(drawing), drawing.title)}</figure>"
     )
 
 

@@ -13,7 +13,7 @@ from app.report import html
 from app.report.plot_style import BAD, figure, legend_above, styled
 from app.study.design import Design
 from app.study.figure import draw_paths
-from app.study.report import study_title, summary_headings, summary_row
+from app.study.report import HEADINGS_EXPLAINED, study_title, summary_headings, summary_row
 from app.study.settings import PlannerName
 from app.study.store import RunId
 from app.study.study import PlannerResult, Study, StudyResult, flown_again
@@ -63,7 +63,8 @@ def _tables(study: Study, keys: list[str]) -> str:
     ]
     more = len(study.designs) - _TABLED
     left_out = f"<p>{more} more designs are not shown; --export writes all.</p>" if more > 0 else ""
-    return html.table((*keys, "planner", *summary_headings(study.designs[0].settings)), rows) + left_out
+    headings = (*keys, "planner", *summary_headings(study.designs[0].settings))
+    return f"{html.table(headings, rows, 'Designs')}<p>{HEADINGS_EXPLAINED}</p>{left_out}"
 
 
 def _word(value: float | str) -> str:
@@ -89,7 +90,8 @@ def _spreads(result: StudyResult, design: Design) -> Iterator[html.Drawing]:
         if not any(v.size for v in known.values()):
             continue
         everything = np.concatenate(list(known.values()))
-        edges = np.linspace(everything.min(), max(everything.max(), everything.min() + 1e-6), _BINS + 1)
+        least, most = everything.min(), everything.max()
+        edges = np.linspace(least, most, _BINS + 1) if most > least else np.array([least - 0.5, least + 0.5])
         for name, v in known.items():
             axes.stairs(np.histogram(v, edges)[0], edges, label=str(name))
         axes.set(xlabel=title, ylabel="runs")

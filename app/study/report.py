@@ -103,6 +103,10 @@ def _mean_and_worst(values: FloatArray) -> str:
     return f"{values.mean():.1f}/{values.min():.1f}" if values.size else "-"
 
 
+HEADINGS_EXPLAINED = (
+    "Shares of time: mean / worst run; 5 s: on the side of the course made good in 5 s. Least range of all runs. "
+    "Moves an hour, and those within 10 s of the last."
+)
 _SUMMARY: tuple[tuple[str, Callable[[PlannerResult], str]], ...] = (
     ("in band, %", lambda p: _mean_and_worst(p.time_in_band)),
     ("on side, %", lambda p: _mean_and_worst(p.time_on_side)),

@@ -254,6 +254,7 @@ def test_a_sweep_is_told_exported_and_shown(command, tmp_path):
     )
     result = command(*words, "--json", str(summary), "--export", str(table), "--report", str(page))
     assert result.exit_code == 0, result.output
+    assert all(heading in result.output for heading in ("airspeed_m_s", "range_max_m", "least, m", "quick/h"))
     told = json.loads(summary.read_text())
     assert [design["swept"] for design in told["designs"]] == [
         {"aircraft.airspeed_m_s": v, "requirement.range_max_m": r} for v in (10.0, 12.0) for r in (400.0, 500.0)

@@ -15,6 +15,8 @@ from app.config import Config
 from app.link.vehicle_status import VehicleStatus
 from app.view.address import Address
 from app.view.display import ViewDisplay
+from app.view.fleet_panel import FleetPanel
+from app.view.fleet_view import FleetView
 from app.view.panel import PanelDisplay, clock
 from estimators.frames import LocalPlane
 from mission.control.snapshot import Phase
@@ -184,7 +186,7 @@ def test_the_range_on_the_tile_is_that_of_the_flight(page, snapshots):
 
 @pytest.mark.parametrize(
     ("name", "text", "look"),
-    [("battery", "19 %, 10.9 V", "bad"), ("GPS", "3D, 11 satellites", ""), ("link", "97 %, 120 ms", "")],
+    [("battery", "19 %, 10.9\u00a0V", "bad"), ("GPS", "3D, 11 satellites", ""), ("link", "97 %, 120\u00a0ms", "")],
 )
 def test_the_vehicle_s_state_is_on_tiles(page, name, text, look):
     tile = page.locator("#tiles div", has=page.locator("dt", has_text=re.compile(f"^{name}$"))).locator("dd")
@@ -258,6 +260,49 @@ def test_a_lost_track_and_a_lost_link_catch_the_eye(page, display, snapshots):
     display.pump()
     page.locator("#quality.bad", has_text="track lost").wait_for()
     assert page.locator("#link.bad").inner_text() == "link lost"
+    assert "Nothing is heard of the aircraft" in page.locator("#seen.bad").inner_text()
+
+
+def test_before_the_flight_there_are_no_empty_plots_and_a_long_name_is_cut(browser, snapshots):
+    config = Config.model_validate({"link": {"urls": [f"serial:///dev/serial/by-id/{'usb-radio-' * 12}:57600"]}})
+    with ViewDisplay(PanelDisplay(Console(), quiet=True), config, Address(port=0)) as display:
+        display.note("connecting")
+        display.pump()
+        page = browser.new_context(viewport={"width": 1440, "height": 900}).new_page()
+        page.goto(display.url)
+        page.locator("#log li", has_text="connecting").wait_for()
+        name = page.locator("#name")
+        assert not page.locator("#plots").is_visible()
+        assert page.locator("header").bounding_box()["height"] < 60
+        assert name.get_attribute("title") == name.inner_text() == config.link.urls[0]
+        page.context.close()
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+def test_the_names_of_a_fleet_are_told_within_the_map(browser, snapshots, width):
+    names = ("north-survey-plane", "a-wing-with-a-long-name")
+    view = FleetView(FleetPanel(Console(), quiet=True), names, Config(), Address(port=0))
+    with view:
+        for name in names:
+            view.of(name).connected(lambda: VehicleStatus(19, 10.9, "3D, 11 satellites", True, 97, 0.12))
+            view.of(name).begin(PLANE, lambda _request: None)
+            view.of(name).engage(START_S, None)
+        last = snapshots[-1][0]
+        view.of(names[0]).show(last)
+        view.of(names[1]).show(replace(last, aircraft=replace(last.aircraft, east_m=last.aircraft.east_m + 600.0)))
+        view.show(last)
+        view.pump()
+        with opened(browser, view, (width, 860)) as page:
+            page.locator("#map .label", has_text=names[1]).wait_for()
+            where = page.locator("#where").bounding_box()
+            for name in names:
+                box = page.locator("#map .label", has_text=name).bounding_box()
+                assert where["x"] <= box["x"]
+                assert box["x"] + box["width"] <= where["x"] + where["width"]
+                button = page.get_by_role("button", name=f"Relieve {name}").bounding_box()
+                assert button["x"] + button["width"] <= width
+                assert button["height"] < 50
+            assert page.locator(".place[data-of=aircraft]").inner_text().startswith(f"{names[0]} 47.")
 
 
 def test_when_the_flight_s_program_ends_the_page_says_so(browser, snapshots):

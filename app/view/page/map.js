@@ -267,19 +267,30 @@ export class FlightMap {
     this.aircraft.toggleAttribute("hidden", !aircraft);
     const placed = (one) => `translate(${x(one.at_m[0])} ${y(one.at_m[1])}) rotate(${(one.course_rad * 180) / Math.PI})`;
     if (aircraft) this.aircraft.setAttribute("transform", placed(aircraft));
-    this.drawOthers((state?.others ?? []).filter((one) => one.at_m), placed, x, y);
+    this.drawFleet((state?.others ?? []).filter((one) => one.at_m), placed, x, y);
   }
 
-  // The other aircraft of a fleet: each with its circle and its name.
-  drawOthers(others, placed, x, y) {
+  // The names of a fleet's aircraft, and the others with their circles.
+  drawFleet(others, placed, x, y) {
     this.others.replaceChildren();
     this.otherCircles.replaceChildren();
+    const own = this.state?.aircraft;
+    if (own && this.setting.fleet) this.nameOf(own, this.setting.fleet[0], x, y);
     for (const one of others) {
       svg("path", { class: "aircraft other", d: AIRCRAFT, transform: placed(one) }, this.others);
-      const words = svg("text", { class: "label", x: x(one.at_m[0]) + 12, y: y(one.at_m[1]) + 4 }, this.others);
-      words.textContent = one.height_m === null ? one.name : `${one.name}, ${Math.round(one.height_m)} m`;
+      this.nameOf(one, one.name, x, y);
       const [cx, cy, r] = one.circle ?? [0, 0, 0];
       svg("circle", { class: "circle other", cx, cy, r }, this.otherCircles);
+    }
+  }
+
+  // Name and height beside an aircraft, on the side where there is room.
+  nameOf(one, name, x, y) {
+    const words = svg("text", { class: "label", x: x(one.at_m[0]) + 12, y: y(one.at_m[1]) + 4 }, this.others);
+    words.textContent = one.height_m === null ? name : `${name}, ${Math.round(one.height_m)} m`;
+    if (x(one.at_m[0]) + 12 + words.getComputedTextLength() > this.root.clientWidth) {
+      words.setAttribute("x", x(one.at_m[0]) - 12);
+      words.setAttribute("text-anchor", "end");
     }
   }
 

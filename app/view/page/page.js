@@ -60,7 +60,7 @@ function set(setting) {
   map.setting = plots.setting = setting;
   map.drawFences();
   byId("legend").querySelector(".fence").hidden = !(setting.keep_in.length + setting.keep_out.length);
-  byId("name").textContent = setting.name;
+  byId("name").textContent = byId("name").title = setting.name;
   byId("buttons").hidden = Boolean(setting.replay);
   for (const name of setting.fleet ?? []) relief(name);
   if (setting.replay) {
@@ -108,6 +108,9 @@ function chip(id, text, look) {
 
 const known = (value, text) => (value === null || value === undefined ? "–" : text(value));
 
+// What stands has no course that means anything.
+const moves = (target) => target && Math.hypot(...target.velocity_m_s) >= 0.2;
+
 // [name, text, look] of what an operator reads.
 function tiles() {
   const { target, aircraft, vehicle } = state;
@@ -116,9 +119,9 @@ function tiles() {
     ["angle from abeam", known(target?.angle_rad, (v) => `${Math.round((v * 180) / Math.PI)}°`), ""],
     ["watched from", state.side, ""],
     ["target's speed", target ? `${Math.hypot(...target.velocity_m_s).toFixed(1)} m/s` : "–", ""],
-    ["target's course", known(target?.course_rad, (v) => `${degrees(v)}°`), ""],
+    ["target's course", moves(target) ? known(target.course_rad, (v) => `${degrees(v)}°`) : "–", ""],
     ["course made good", known(target?.watch_course_rad, (v) => `${degrees(v)}°`), ""],
-    ["known to", target ? `${target.ellipse[0].toFixed(1)} m` : "–", ""],
+    ["known within", target ? `${target.ellipse[0].toFixed(1)} m` : "–", ""],
     ["ground speed", aircraft ? `${aircraft.ground_speed_m_s.toFixed(1)} m/s` : "–", ""],
     ["height", known(aircraft?.height_m, (v) => `${Math.round(v)} m`), ""],
     ["wind", `${Math.hypot(...state.wind_m_s).toFixed(1)} m/s`, ""],
@@ -130,8 +133,9 @@ function tiles() {
   ];
 }
 
-const volts = (value) => (value === null ? "" : `, ${value.toFixed(1)} V`);
-const delay = (seconds) => (seconds === null ? "" : `, ${Math.round(seconds * 1000)} ms`);
+// A number stays beside its unit.
+const volts = (value) => (value === null ? "" : `, ${value.toFixed(1)}\u00a0V`);
+const delay = (seconds) => (seconds === null ? "" : `, ${Math.round(seconds * 1000)}\u00a0ms`);
 
 // The same for engineers.
 function innerTiles() {
@@ -167,6 +171,11 @@ function seen() {
   const target = state.target;
   const unseen = target?.unseen_s;
   const line = byId("seen");
+  if (!state.connected) {
+    line.textContent = "Nothing is heard of the aircraft; all below is as heard last.";
+    line.className = "bad";
+    return;
+  }
   line.textContent = !target ? "The target has not been seen yet."
     : unseen < 2 ? "The target is in sight."
       : `The target was last seen ${ago(unseen)}.`;
@@ -178,9 +187,12 @@ function places() {
     const at = state[button.dataset.of]?.at_deg;
     button.disabled = !at;
     button.value = at ? at.map((v) => v.toFixed(6)).join(", ") : "";
-    button.textContent = `${button.dataset.of} ${button.value || "–"}`;
+    button.textContent = `${called(button.dataset.of)} ${button.value || "–"}`;
   }
 }
+
+// The aircraft by its name, where it is one of several.
+const called = (what) => (what === "aircraft" ? map.setting.fleet?.[0] ?? what : what);
 
 function inBand(range) {
   const band = map.setting.band_m;
@@ -287,7 +299,7 @@ byId("buttons").addEventListener("click", async ({ target: button }) => {
 byId("places").addEventListener("click", async ({ target: button }) => {
   if (!button.value) return;
   await navigator.clipboard.writeText(button.value);
-  button.textContent = `${button.dataset.of}: copied`;
+  button.textContent = `${called(button.dataset.of)}: copied`;
 });
 
 new ResizeObserver(() => plots.draw()).observe(byId("plots"));

@@ -111,6 +111,7 @@ class Plot {
 export class Plots {
   // inner: where the plots for engineers go.
   constructor(parent, inner) {
+    this.parent = parent;
     this.samples = [];
     this.setting = {};
     this.plots = PLOTS.map((kind) => new Plot(kind, kind.inner ? inner : parent));
@@ -129,6 +130,7 @@ export class Plots {
   }
 
   draw() {
+    this.parent.hidden = !this.samples.length;
     for (const plot of this.plots) plot.draw(this.samples, this.setting);
   }
 }
