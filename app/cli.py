@@ -81,7 +81,7 @@ def load_command(name: str) -> Any:
     single = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     single.command(name, cls=_Command)(getattr(module, "run" if name == "sitl" else name))
     command = typer.main.get_command(single)
-    command.help = (command.help or "").replace("\nExamples:", "\n\b\nExamples:")  # lines as they are
+    command.help = (command.help or "").replace("\nFor example:", "\n\b\nFor example:")  # lines as they are
     return command
 
 

@@ -143,7 +143,7 @@ def run(
 ) -> None:
     """Fly a simulated vehicle that speaks MAVLink over UDP, with a laser and a gimbal on a moving target.
 
-    Examples:
+    For example:
       sidelong sitl --autopilot px4 --target walk --target-speed 4 --speed 10
       sidelong sitl --vehicles 2 --autopilot arduplane,px4
       sidelong sitl --payload-for tcpout://127.0.0.1:5763    # laser and gimbal for your own SITL

@@ -45,7 +45,7 @@ def check(
 
     Of a fleet file each aircraft is checked, and what tells them apart.
 
-    Examples:
+    For example:
       sidelong check
       sidelong check mission.toml --optimise
       sidelong check --airspeed 10 --radius 50 --target-speed 3 --dmin 100 --dmax 500 --threshold 1

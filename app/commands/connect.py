@@ -46,7 +46,7 @@ def connect(
 
     Nothing is armed or changed. Of a fleet file all aircraft are asked, one after the other.
 
-    Examples:
+    For example:
       sidelong connect udpin://0.0.0.0:14540
       sidelong connect serial:///dev/ttyUSB0:57600 --config mission.toml
       sidelong connect --config fleet.toml

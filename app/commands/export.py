@@ -47,7 +47,7 @@ def export(
     All of it: mcap, for Foxglove and PlotJuggler. The metadata of a video: klv (MISB ST 0601). Of a fleet's run
     folder the tracks of all aircraft go into one file, and so does mcap.
 
-    Examples:
+    For example:
       sidelong export runs/20261121T101500Z --format plan
       sidelong export flight.tlog --format gpx
     """

@@ -67,7 +67,7 @@ def init(
 ) -> None:
     """Write a configuration file with every key, its unit, limits and default, to be changed as needed.
 
-    Examples:
+    For example:
       sidelong init
       sidelong init x8.toml --preset skywalker-x8
       sidelong init fleet.toml --fleet 2

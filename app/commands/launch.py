@@ -154,7 +154,7 @@ def launch(
     Without --connect this starts a simulated vehicle and target and flies them, about ten times faster than the
     clock.
 
-    Examples:
+    For example:
       sidelong launch
       sidelong launch --autopilot px4 --target walk --side right --view
       sidelong launch mission.toml --connect udpin://0.0.0.0:14540

@@ -12,9 +12,13 @@ from typing import Annotated, Any, TextIO, cast
 
 import typer
 from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
 
 from app.errors import InputError
 from app.shutdown import abandon
+
+_WIDE = 400  # characters, more than any table
 
 
 class _Standard:
@@ -66,6 +70,12 @@ class _Console(Console):
 
 standard = _Standard()
 console = _Console(file=cast(TextIO, standard), highlight=False, markup=False)
+
+
+def print_whole(table: Table) -> None:
+    """Print a table with all its columns: on a narrow terminal rather broken lines than a column less."""
+    needed = Measurement.get(console, console.options.update_width(_WIDE), table).maximum
+    _Console(file=cast(TextIO, standard), highlight=False, width=max(console.width, needed)).print(table)
 
 
 @contextlib.contextmanager

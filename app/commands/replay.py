@@ -70,7 +70,7 @@ def replay(
 
     With --view a page plays it, and what --set would have decided is shown beside what was flown.
 
-    Examples:
+    For example:
       sidelong replay runs/20261121T100000Z --verify
       sidelong replay runs/20261121T100000Z --view --set aircraft.radius_m=80
       sidelong replay flight.tlog --truth flight.truth.csv

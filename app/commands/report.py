@@ -33,7 +33,7 @@ def report(
 
     Of a fleet's run folder: one about all aircraft, and one about each in its own folder.
 
-    Examples:
+    For example:
       sidelong report runs/20261121T101500Z --png figures
       sidelong report flight.tlog --truth flight.truth.csv
     """

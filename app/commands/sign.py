@@ -27,7 +27,7 @@ def sign(
 
     The vehicle has to be disarmed, and on a cable: the key is sent in the clear. Then fly with --signing-key FILE.
 
-    Examples:
+    For example:
       sidelong sign plane.key
       sidelong sign plane.key --connect serial:///dev/ttyACM0:115200
       sidelong sign plane.key --connect serial:///dev/ttyACM0:115200 --remove

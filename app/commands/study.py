@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.measure import Measurement
 
 from app.commands.output import (
     JsonOption,
@@ -20,6 +19,7 @@ from app.commands.output import (
     checked_output,
     console,
     latitude_longitude_deg,
+    print_whole,
     write_json,
 )
 from app.commands.progress import runs_progress
@@ -43,7 +43,6 @@ from estimators.frames import LocalPlane
 from mission.core.requirement import Requirement
 
 _LEGS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
-_WIDE = 400  # characters, more than any table
 _FIGURES = (".png", ".pdf", ".svg")
 _BATCH_MAX = 50  # runs that go to a process or worker at once
 _BATCHES_EACH = 16  # for each process at least, so that little is lost when a study ends early
@@ -122,7 +121,7 @@ def study(
 
     On many machines: dask scheduler; dask worker tcp://HOST:8786 --nthreads 1 --nworkers -1 (on each).
 
-    Examples:
+    For example:
       sidelong study --runs 50 --planner predictive --planner paper --out study.png
       sidelong study --targets tracks --airspeed 12 --radius 40 --target-speed-max 5
       sidelong study --sweep aircraft.airspeed_m_s=12,15,18 --store sweep.db --report sweep.html
@@ -237,7 +236,7 @@ def _fly_fleet(settings: StudySettings, designs: int, jobs: int | None, json: Pa
         console.print(f"skipped {name}: {reason}")
     if str(json) != "-":
         console.print(f"{settings.fleet} aircraft on each target, {settings.layer_m:g} m of height apart")
-        console.print(fleet_table(flown))
+        print_whole(fleet_table(flown))
     write_json(json, fleet_json(flown))
 
 
@@ -281,10 +280,7 @@ def _tell(study: Study, json: Path | None) -> None:
     swept = len(study.designs) > 1
     if str(json) != "-":
         console.print(study_title(first))
-        table = sweep_table(study) if swept else study_table(first)
-        wide = console.options.update_width(_WIDE)
-        needed = Measurement.get(console, wide, table).maximum
-        console.print(table, width=max(console.width, needed), crop=False)  # rather broken lines than a column less
+        print_whole(sweep_table(study) if swept else study_table(first))
         if swept:
             console.print(HEADINGS_EXPLAINED)
     write_json(json, sweep_json(study) if swept else study_json(first))

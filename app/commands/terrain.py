@@ -24,7 +24,7 @@ def terrain(
 ) -> None:
     """Tell what elevation data covers and where it is void.
 
-    Examples:
+    For example:
       sidelong terrain dem
       sidelong terrain dem --bounds 36.4,-84.5,36.8,-84.0
     """

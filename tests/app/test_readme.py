@@ -14,11 +14,17 @@ ROOT = Path(__file__).resolve().parents[2]
 _COMMAND = re.compile(r"\bsidelong ([a-z]+)((?:[ ]+[^\s`|#]+)*)")
 
 
+DOCUMENTS = (
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")),
+    *(ROOT / "docs").glob("*.md"),
+)
+
+
 def shown() -> list[tuple[str, str]]:
     """Return (command, arguments) of every command line in the documents."""
     found = []
-    for document in ("README.md", "CONTRIBUTING.md", "SECURITY.md"):
-        text = (ROOT / document).read_text(encoding="utf-8").replace("\\\n", " ")
+    for document in DOCUMENTS:
+        text = document.read_text(encoding="utf-8").replace("\\\n", " ")
         code = re.findall(r"```sh\n(.*?)```", text, re.DOTALL) + re.findall(r"`((?:SIDE[A-Z_=\w]+ )?[^`\n]*)`", text)
         for line in (line for block in code for line in re.split(r"\n|&&|;|   +", block)):
             found += [(name, rest.strip()) for name, rest in _COMMAND.findall(line)]
@@ -42,6 +48,15 @@ def test_help_shows_examples_on_lines_of_their_own_that_can_be_given(name):
     assert lines
     for arguments in lines:
         command.make_context(name, shlex.split(arguments))
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_a_link_between_documents_leads_somewhere(document):
+    for file, place in re.findall(r"\]\(([\w./-]*)(?:#([\w-]+))?\)", document.read_text(encoding="utf-8")):
+        there = document.parent / file if file else document
+        assert there.exists(), file
+        headings = re.findall(r"^#+ (.*)$", there.read_text(encoding="utf-8"), re.MULTILINE) if place else []
+        assert not place or place in {heading.lower().replace(" ", "-") for heading in headings}, place
 
 
 def test_the_readme_lists_every_command():

@@ -29,4 +29,4 @@ def test_a_check_loads_no_link_and_no_compiler():
 def test_each_command_loads(name):
     command = load_command(name)
     assert command.name == name
-    assert "Example" in command.help
+    assert "For example:" in command.help

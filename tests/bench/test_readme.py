@@ -1,6 +1,6 @@
-"""Every command line of the README, run as it stands there but for hosts, files and durations.
+"""Every command line of the documents, run as it stands there but for hosts, files and durations.
 
-Each runs in a reader's folder with the files that the README has made by then. The end of what each printed
+Each runs in a reader's folder with the files that the lines before have made. The end of what each printed
 goes to standard output (pytest -s).
 """
 

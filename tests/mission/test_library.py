@@ -1,4 +1,4 @@
-"""The library as the README shows it: its very lines are run."""
+"""The library as its document shows it: its very lines are run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import estimators
 import mission
 from mission import AircraftState, Circle, Decision, Plan, Planner, Wind
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+LIBRARY = Path(__file__).resolve().parents[2] / "docs" / "library.md"
 
 
 @pytest.mark.parametrize("package", [estimators, mission], ids=lambda package: package.__name__)
@@ -21,7 +21,7 @@ def test_what_is_public_is_there(package):
 
 def test_the_lines_of_the_readme_run(capsys):
     world: dict[str, object] = {}
-    for block in re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL):
+    for block in re.findall(r"```python\n(.*?)```", LIBRARY.read_text(encoding="utf-8"), re.DOTALL):
         exec(block, world)  # that they run is what is tested
     said, reason = capsys.readouterr().out.strip().splitlines()
     assert re.fullmatch(r"[12]\.\d m/s at 1[12]\d m north", said)
