@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 
-_LEAD_S, _LEAD_WALL_S = 0.5, 0.15
+_LEAD_S, _LEAD_WALL_S, _LEAD_MAX_S = 0.3, 0.02, 0.75
 _SILENT_MAX_S = 2.0
 
 
 class Pace:
     """Told what time the program has come to, it lets the simulation be ahead by what a quick one needs to follow.
 
-    lead: half a second, and what goes by in 0.15 s of the wall clock. A program that has told nothing yet, or nothing
-    for two seconds of the wall clock, is not waited for.
+    The lead is what every question and answer between the two may take of the vehicle's time, whatever else the
+    machine does: it is kept to what a link takes, so that a simulation gets slower rather than its link worse. A
+    program that has told nothing yet, or nothing for two seconds of the wall clock, is not waited for.
     """
 
     def __init__(self, speed: float) -> None:
-        self._lead_s = _LEAD_S + _LEAD_WALL_S * speed
+        self._lead_s = min(_LEAD_S + _LEAD_WALL_S * speed, _LEAD_MAX_S)
         self._told: tuple[float, float] | None = None
 
     def follow(self, time_s: float, now_s: float) -> None:

@@ -89,13 +89,12 @@ async def _fly(
     async with contextlib.AsyncExitStack() as stack:
         with life.computing():
             controller = controller_of(config, table_progress(display.note), display.note)
-        urls, truth = config.link.connections, None
+        urls, truth, simulated = config.link.connections, None, None
         if not urls:
             display.note(f"starting a simulated {config.simulation.autopilot} and its target")
-            vehicle = await stack.enter_async_context(SimulatedVehicles([config], [folder.truth], life.fail))
-            pace = asyncio.create_task(vehicle.keep_pace(lambda: controller.time_s))
-            stack.callback(pace.cancel)
-            urls, truth = vehicle.urls, folder.truth
+            simulated = SimulatedVehicles([config], [folder.truth], life.fail)
+            await stack.enter_async_context(simulated)
+            urls, truth = simulated.urls, folder.truth
         display.note(f"connecting to {' and '.join(urls)}")
         link = config.link
         session = await stack.enter_async_context(
@@ -113,6 +112,9 @@ async def _fly(
         recording.follow(session.vehicle.system_id)
         life.watch(session.vehicle)
         flight = Flight(session, config, controller, recording, display, duration_s, sharing)
+        if simulated is not None:
+            pace = asyncio.create_task(simulated.keep_pace(lambda: flight.come_to_s))
+            stack.callback(pace.cancel)
         try:
             async with link_log(session.vehicle.link, folder.links, lambda: session.telemetry.now_s, trouble):
                 outcome, error = await flight.fly(life.stopped), None

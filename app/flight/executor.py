@@ -15,6 +15,12 @@ class CommandExecutor:
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
         self._waiting: asyncio.Queue[SendMessage] = asyncio.Queue()
+        self._sending = False
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether something waits to be sent."""
+        return self._sending or not self._waiting.empty()
 
     def send(self, message: SendMessage) -> None:
         """Send a message after those that wait already."""
@@ -28,7 +34,9 @@ class CommandExecutor:
     async def run(self) -> None:
         """Send until cancelled."""
         while True:
+            self._sending = False
             message = await self._waiting.get()
+            self._sending = True
             try:
                 await self._vehicle.tell(message.name, message.fields)
             except LinkError:

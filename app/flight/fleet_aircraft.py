@@ -34,6 +34,7 @@ class FleetAircraft:
         self.outcome = ""
         self.error: Exception | None = None
         self.controller: StandoffController
+        self.joined = False  # once it is, it has a session and a flight
         self.session: Session
         self.flight: Flight
 
@@ -46,6 +47,11 @@ class FleetAircraft:
     def trouble(self, text: str) -> None:
         """Tell of trouble, from any thread."""
         self._event_loop.call_soon_threadsafe(self.display.note, text)
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether its link is not silent."""
+        return self.controller.snapshot().sensor_status.connected
 
     @property
     def settled(self) -> bool:

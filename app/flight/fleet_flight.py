@@ -154,13 +154,9 @@ class FleetFlight:
         return [(url,) for url in vehicles.urls], True
 
     def _come_to_s(self) -> float:
-        """Return the time of the simulation that all have come to whose flights run and who are heard."""
-        running = [
-            one.controller.time_s
-            for one in self._aircraft
-            if not one.outcome and one.controller.snapshot().sensor_status.connected
-        ]
-        return min((time_s for time_s in running if math.isfinite(time_s)), default=-math.inf)
+        """Return the time of the simulation that all have come to who are heard and whose flights are not over."""
+        heard = [one for one in self._aircraft if one.joined and not one.outcome and one.is_heard]
+        return min((one.flight.come_to_s for one in heard), default=math.inf)
 
     async def _connect(
         self, stack: contextlib.AsyncExitStack, urls: Sequence[tuple[str, ...]], simulated: bool, life: Life
@@ -204,6 +200,7 @@ class FleetFlight:
         one.flight = Flight(
             one.session, one.config, one.controller, one.recording, one.display, self._duration_s, self._sharing
         )
+        one.joined = True
 
     async def _prepare(self) -> None:
         """Check all, and let all fly in one plane."""
@@ -312,7 +309,7 @@ class FleetFlight:
 
         try:
             one.outcome = await one.flight.watch(stopped, heard, self._over)
-            if not one.controller.snapshot().sensor_status.connected:
+            if not one.is_heard:
                 one.outcome = "lost: its link is silent"
         except Exception as error:  # whatever befalls one, the others go on
             known = isinstance(error, FlightError | InputError)

@@ -214,6 +214,17 @@ class Flight:
         assert self._ready is not None
         return self._ready.home
 
+    @property
+    def come_to_s(self) -> float:
+        """What time of the vehicle has been dealt with: -inf while something is still to be sent, inf: not known.
+
+        Before the control step runs, that is the time that the vehicle told last.
+        """
+        if self._loop is not None and math.isfinite(self._controller.time_s):
+            return -math.inf if self._loop.is_sending else self._controller.time_s
+        said = self._vehicle.latest.get("GLOBAL_POSITION_INT")
+        return math.inf if said is None else float(said.fields["time_boot_ms"]) * 1e-3
+
     def tell(self, event: Event) -> None:
         """Let the core hear an event that does not come from the vehicle; nothing where it does not run."""
         if self._loop is not None:
@@ -291,12 +302,15 @@ class Flight:
         return WindTables(kind, self._controller, winds, loop.put, self._display.note)
 
     async def _tell_delay(self, loop: ControlLoop) -> None:
-        watch = RoundTripWatch()
+        watch, rate = RoundTripWatch(), self._vehicle_rate
         while True:
+            began_s, at_s = self._telemetry.now_s, loop.link_s
             await asyncio.sleep(_DELAY_EVERY_S)
-            round_trip_s = watch.news(self._vehicle.link.recent())
+            if not self._config.link.connections and math.isfinite(began_s):  # a simulation waits for us at times
+                rate = (self._telemetry.now_s - began_s) / (loop.link_s - at_s)
+            round_trip_s = watch.news(self._vehicle.link.recent(), rate)
             if round_trip_s is not None:
-                loop.put(RoundTripReported(self._telemetry.now_s, round_trip_s * self._vehicle_rate))
+                loop.put(RoundTripReported(self._telemetry.now_s, round_trip_s))
 
     def _status(self) -> VehicleStatus:
         return vehicle_status(self._vehicle.latest, self._vehicle.link.recent())

@@ -81,6 +81,11 @@ class ControlLoop:
         """The link's clock: seconds since this loop was made."""
         return time.monotonic() - self._start_s
 
+    @property
+    def is_sending(self) -> bool:
+        """Whether something waits to be sent."""
+        return self._executor.is_busy
+
     def put(self, event: InboundEvent) -> None:
         """Add an event to the queue."""
         self._queue.put_nowait(event)

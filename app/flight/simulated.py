@@ -15,7 +15,7 @@ from app.errors import FlightError, InputError
 
 _READY_S = 30.0
 _STOP_S = 5.0
-_PACE_S = 0.05
+_PACE_S = 0.01
 
 
 def free_udp_port() -> int:
@@ -88,7 +88,7 @@ class SimulatedVehicles:
         await self._stop()
 
     async def keep_pace(self, time_s: Callable[[], float]) -> None:
-        """Let the simulation wait for who flies it, where that falls behind; time_s: what it has come to.
+        """Let the simulation wait for who flies it, where that falls behind; time_s: what it has come to, inf: nothing.
 
         Who comes no further, because nothing is flown any more, is silent, and not waited for.
         """
@@ -99,7 +99,7 @@ class SimulatedVehicles:
             while True:
                 await asyncio.sleep(_PACE_S)
                 now_s = time_s()
-                if now_s > told_s:
+                if told_s < now_s < math.inf:
                     told_s = now_s
                     self._process.stdin.write(f"{now_s:.3f}\n".encode())
                     await self._process.stdin.drain()

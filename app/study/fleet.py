@@ -41,7 +41,7 @@ from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from mission.core.path import Path
 from mission.core.plan import AircraftState, Plan
 from mission.core.requirement import Side
-from mission.fleet.roles import RoleAssignment
+from mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_beside, is_moving
 from mission.fleet.team import TeamSettings
 from mission.fleet.team_planner import TeamPlanner
 from mission.geometry._line_kernel import Circling
@@ -194,12 +194,17 @@ class FleetRun:
     def _decide(self, estimate: TargetEstimate) -> None:
         settings, wind = self._settings, self._settings.wind
         flying = [member for member in self._members if not member.lost]
-        costs = {
-            one.name: one.planner.role_costs(one.state, estimate, one.plan(), wind, settings.latency_s)
+        requirement = settings.requirement()
+        candidates = {
+            one.name: Candidate(
+                one.planner.role_costs(one.state, estimate, one.plan(), wind, settings.latency_s),
+                is_beside(one.state, estimate, requirement),
+                one.busy or is_moving(one.state, one.plan(), None),
+            )
             for one in flying
         }
         before = self._roles.holder
-        roles = self._roles.assign(estimate.time_s, costs)
+        roles = self._roles.assign(estimate.time_s, candidates, course_known=course_is_known(estimate))
         self._handovers += before is not None and self._roles.holder != before
         neighbours = {
             one.name: Neighbour(one.name, one.state, one.height_m, True, role=roles[one.name]) for one in flying
@@ -211,7 +216,7 @@ class FleetRun:
             for other in flying:
                 if other is not member:
                     other.planner.advise(told)
-        wanted = settings.requirement().side
+        wanted = requirement.side
         for member in sorted(flying, key=lambda one: roles[one.name] is not Role.WANTED):
             role = roles[member.name]
             side = wanted if role is Role.WANTED else wanted.opposite

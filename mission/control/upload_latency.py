@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-# The longest of so many uploads but one: one that hung says nothing of the next. Each took as many round trips as the
+# The longest of so many uploads but one, once there are three: one that hung says nothing of the next. Each took as many round trips as the
 # next will take, at least two of them: the announcement's and the items'.
 _UPLOADS, _MARGIN_S = 5, 0.1
 _ROUND_TRIPS = 2.0
@@ -14,7 +14,7 @@ class UploadLatency:
     """expected_s: of the next upload, on the vehicle's clock; as it is given until one was measured."""
 
     def __init__(self, expected_s: float) -> None:
-        self.expected_s = expected_s
+        self.expected_s = self._given_s = expected_s
         self._round_trip_s: float | None = None  # of the link, now
         self._took_s: deque[tuple[float, float | None]] = deque([(expected_s, None)], _UPLOADS)
 
@@ -34,7 +34,9 @@ class UploadLatency:
             took_s if now_s is None or then_s is None else took_s + _ROUND_TRIPS * (now_s - then_s)
             for took_s, then_s in self._took_s
         )
-        if len(expected) > 1:
-            self.expected_s = expected[-2] + _MARGIN_S
+        if len(self._took_s) > 1:
+            self.expected_s = expected[-2 if len(expected) > 2 else -1] + _MARGIN_S
+        else:
+            self.expected_s = self._given_s
         if now_s is not None:
             self.expected_s = max(self.expected_s, _ROUND_TRIPS * now_s)

@@ -48,6 +48,7 @@ from mission.viewpoint._viewpoint_kernel import SIDE
 
 _TAIL_S = 30.0  # how they stand at the end of a line lasts for so long
 _CIRCLING_S = 60.0  # and the circle that it ends in
+_QUICK_S = 1.0  # an upload that takes no longer is over by the end of any line
 
 
 @compiled
@@ -197,7 +198,10 @@ def team_look_ahead(
     scene: Scene, now: Situation, f: Futures, cover: Cover, looker: Looker, team: Team, costs: FloatArray
 ) -> float:
     """Fill in what each move costs (MOVES,), its price included, and return what going on as planned costs."""
-    among, prices = alternatives(scene, now, looker, 0.0), looker.prices
+    # No other plan departs before it was uploaded: until then the circle is flown that a line ends in. Whole seconds,
+    # because lines of the same length are kept.
+    beyond_m = scene.air.airspeed_m_s * math.ceil(max(now.latency_s - _QUICK_S, 0.0))
+    among, prices = alternatives(scene, now, looker, beyond_m), looker.prices
     stay_costs = np.empty(len(among.stays.trunk))
     stay_per_m = scene.mirror / now.circle.radius_m
     team_lines_costs(among.moves, among.start, scene, f, cover, looker, team, 1.0 / scene.radius_m, costs)

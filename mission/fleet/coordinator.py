@@ -69,12 +69,10 @@ from mission.fleet.events import (
     VehicleLost,
     VehicleReported,
 )
-from mission.fleet.roles import RoleAssignment, RoleCosts
+from mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside, is_moving
 from mission.fleet.vehicle import FleetMember, FleetVehicle
 
 _FOREIGN_FORGOTTEN_S = 30.0
-# An aircraft that is to be relieved pays so much more for the wanted side.
-_RELIEVED_S = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,7 +327,8 @@ class FleetCoordinator:
     def _assign_roles(self, target: str, estimate: TargetEstimate | None) -> None:
         if estimate is None or estimate.quality is TrackQuality.LOST:
             return
-        costs: dict[str, RoleCosts] = {}
+        candidates: dict[str, Candidate] = {}
+        wanted = self._targets[target].requirement
         for name, vehicle in self._vehicles.items():
             report, plans = vehicle.report, vehicle.plans
             if vehicle.target != target or report is None or plans is None or not vehicle.takes_part:
@@ -338,10 +337,13 @@ class FleetCoordinator:
             if present is None:
                 continue
             judge = self._judges[name, target]
-            found = judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
-            more_s = _RELIEVED_S if self._is_to_be_relieved(vehicle) else 0.0
-            costs[name] = RoleCosts(found.wanted_s + more_s, found.opposite_s)
-        for name, role in self._assignments[target].assign(self._now_s, costs).items():
+            costs = judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
+            if self._is_to_be_relieved(vehicle):
+                costs = replace(costs, wanted_s=math.inf)
+            moving = is_moving(report.state, present, plans.coming)
+            candidates[name] = Candidate(costs, is_beside(report.state, estimate, wanted), moving)
+        roles = self._assignments[target].assign(self._now_s, candidates, course_known=course_is_known(estimate))
+        for name, role in roles.items():
             self._vehicles[name].role = role
 
     def _is_to_be_relieved(self, vehicle: FleetVehicle) -> bool:
@@ -361,7 +363,8 @@ class FleetCoordinator:
             vehicle.role = Role.WANTED  # with who takes over, until that one is there
             estimate, wanted = estimates[vehicle.target], self._targets[vehicle.target].requirement
             if estimate is not None and any(
-                one.role is Role.WANTED and one.is_beside(estimate, wanted) for one in others
+                one.role is Role.WANTED and one.report is not None and is_beside(one.report.state, estimate, wanted)
+                for one in others
             ):
                 self._leave(vehicle, "another aircraft has taken over")
             elif vehicle.remaining < self.settings.leave_below:

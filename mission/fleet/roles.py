@@ -4,10 +4,13 @@ One aircraft loses the side whenever the target reverses. With another one oppos
 because the two sides change places. Rules
 -----
 1. The wanted side is held by the aircraft to which it is worth most: whose expected cost there, less that on the
-   other side, is least.
-2. It is handed over when that has been better for another by ``gain_s`` for ``patience_s``, or at once when the
-   holder is out. So it is never left empty for a change: whoever takes over is nearer to it by then.
-3. The others are spread over the opposite and the wanted side in turn, those that it is worth least to first.
+   other side, is least. A holder that is out, or to be relieved, is replaced at once.
+2. Else it is handed over when that has been better for another by ``gain_s`` for ``patience_s``, and that other one
+   watches from the wanted side then: so the side is never left empty for a change. The target's course has to be known
+   for that: which side is which hangs on it.
+3. A hand-over is flown before the next one: that waits ``settling_s`` for plans to be made, and then until none is
+   under way to either aircraft and neither is on its line to another circle, for ``flown_within_s`` at most.
+4. The others are spread over the opposite and the wanted side in turn, those that it is worth least to first.
 """
 
 from __future__ import annotations
@@ -16,7 +19,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from estimators.estimate import TargetEstimate
 from mission.core.fleet import Role
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Requirement
+from mission.geometry.progress import nearest_arc_m
+
+_STANDING_M_S = 0.3  # a slower target has no course
+_COURSE_SIGMA_RAD = math.radians(30.0)  # one standard deviation of a course that is barely known
+_NEARLY_FLOWN_M = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,25 +43,41 @@ class RoleCosts:
         return self.wanted_s - self.opposite_s if math.isfinite(self.wanted_s) else math.inf
 
 
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One aircraft that takes part. beside: it watches from the wanted side; moving: to another circle, or soon."""
+
+    costs: RoleCosts
+    beside: bool = True
+    moving: bool = False
+
+
 @dataclass(slots=True)
 class RoleAssignment:
     """Decides the roles, each time from all aircraft's costs; deterministic.
 
     gain_s: how much better another has to be, in seconds off the side: a circle's phase alone is worth some of them.
-    patience_s: for how long.
+    patience_s: for how long. settling_s, flown_within_s: see the rules.
     """
 
     gain_s: float = 15.0
     patience_s: float = 2.0
+    settling_s: float = 10.0
+    flown_within_s: float = 60.0
     holder: str | None = None
     _better_since_s: dict[str, float] = field(default_factory=dict)
+    _handed_s: float = -math.inf
+    _to_be_flown: frozenset[str] = frozenset()  # by these the last hand-over
 
-    def assign(self, time_s: float, costs: Mapping[str, RoleCosts]) -> dict[str, Role]:
-        """Return every aircraft's role at ``time_s``; costs are by aircraft, those that take part only."""
-        if not costs:
+    def assign(
+        self, time_s: float, candidates: Mapping[str, Candidate], *, course_known: bool = True
+    ) -> dict[str, Role]:
+        """Return every aircraft's role at ``time_s``; candidates: by name, those that take part only."""
+        if not candidates:
             self.holder = None
             return {}
-        self._hand_over(time_s, costs)
+        costs = {name: one.costs for name, one in candidates.items()}
+        self._hand_over(time_s, costs, candidates, course_known=course_known)
         others = sorted((name for name in costs if name != self.holder), key=lambda name: -costs[name].regret_s)
         opposite = len(costs) // 2
         roles = {name: Role.OPPOSITE if k < opposite else Role.WANTED for k, name in enumerate(others)}
@@ -58,17 +85,53 @@ class RoleAssignment:
             roles[self.holder] = Role.WANTED
         return roles
 
-    def _hand_over(self, time_s: float, costs: Mapping[str, RoleCosts]) -> None:
+    def _hand_over(
+        self, time_s: float, costs: Mapping[str, RoleCosts], candidates: Mapping[str, Candidate], *, course_known: bool
+    ) -> None:
         best = min(costs, key=lambda name: (costs[name].regret_s, name))
         held_s = costs[self.holder].regret_s if self.holder is not None and self.holder in costs else math.inf
         if not math.isfinite(held_s):
-            self.holder, self._better_since_s = best, {}
+            self._hand_to(best, time_s)
             return
+        since_s = time_s - self._handed_s
+        if since_s >= self.settling_s:
+            moving = (name for name in self._to_be_flown if name in candidates and candidates[name].moving)
+            self._to_be_flown = frozenset(moving if since_s < self.flown_within_s else ())
         self._better_since_s = {
             name: self._better_since_s.get(name, time_s)
-            for name, cost in costs.items()
-            if cost.regret_s < held_s - self.gain_s
+            for name, one in candidates.items()
+            if costs[name].regret_s < held_s - self.gain_s and one.beside and course_known
         }
-        since_s = self._better_since_s.get(best)
-        if since_s is not None and time_s - since_s >= self.patience_s:
-            self.holder, self._better_since_s = best, {}
+        better_s = time_s - self._better_since_s.get(best, math.inf)
+        if better_s >= self.patience_s and not self._to_be_flown:
+            self._hand_to(best, time_s)
+
+    def _hand_to(self, name: str, time_s: float) -> None:
+        before = self.holder
+        self.holder, self._better_since_s = name, {}
+        if before is not None and before != name:
+            self._handed_s, self._to_be_flown = time_s, frozenset((before, name))
+
+
+def course_is_known(target: TargetEstimate) -> bool:
+    """Tell whether a target's course is known well enough to say which side of it is which, or it stands."""
+    if target.speed_m_s < _STANDING_M_S:
+        return True
+    across = (math.cos(target.course_rad), -math.sin(target.course_rad))
+    (a, b), (_, d) = target.covariance[2:, 2:].tolist()
+    sigma_m_s = math.sqrt(max(a * across[0] ** 2 + 2.0 * b * across[0] * across[1] + d * across[1] ** 2, 0.0))
+    return sigma_m_s < math.tan(_COURSE_SIGMA_RAD) * target.speed_m_s
+
+
+def is_beside(aircraft: AircraftState, target: TargetEstimate, requirement: Requirement) -> bool:
+    """Tell whether an aircraft is on the wanted side of a target and in the band."""
+    east_m, north_m = aircraft.east_m - target.east_m, aircraft.north_m - target.north_m
+    normal_rad = target.course_rad + requirement.side.normal_turn_rad
+    beside = east_m * math.sin(normal_rad) + north_m * math.cos(normal_rad) >= 0.0
+    in_band = requirement.range_min_m <= math.hypot(east_m, north_m) <= requirement.range_max_m
+    return in_band and (beside or target.speed_m_s < _STANDING_M_S)
+
+
+def is_moving(aircraft: AircraftState, present: Plan, coming: Plan | None) -> bool:
+    """Tell whether an aircraft is on its way to another circle, or a plan is under way to it."""
+    return coming is not None or nearest_arc_m(present, aircraft) < present.transition_m - _NEARLY_FLOWN_M

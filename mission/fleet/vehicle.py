@@ -8,11 +8,9 @@ from dataclasses import dataclass, field
 from estimators.estimate import TargetEstimate
 from estimators.settings import TrackerSettings
 from mission.core.fleet import Role
-from mission.core.requirement import Aircraft, Requirement
+from mission.core.requirement import Aircraft
 from mission.fleet.clocks import VehicleTime
 from mission.fleet.events import PlansReported, VehicleReported
-
-_STANDING_M_S = 0.3  # a slower target has no course
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,14 +59,3 @@ class FleetVehicle:
         state = self.report.state
         way_m = math.hypot(state.east_m - target.east_m, state.north_m - target.north_m)
         return way_m / self.member.aircraft.airspeed_m_s
-
-    def is_beside(self, target: TargetEstimate, requirement: Requirement) -> bool:
-        """Tell whether it is on the wanted side and in the band."""
-        if self.report is None:
-            return False
-        state = self.report.state
-        east_m, north_m = state.east_m - target.east_m, state.north_m - target.north_m
-        normal_rad = target.course_rad + requirement.side.normal_turn_rad
-        beside = east_m * math.sin(normal_rad) + north_m * math.cos(normal_rad) >= 0.0
-        in_band = requirement.range_min_m <= math.hypot(east_m, north_m) <= requirement.range_max_m
-        return in_band and (beside or target.speed_m_s < _STANDING_M_S)

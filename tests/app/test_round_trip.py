@@ -16,6 +16,12 @@ def test_a_change_is_told_and_noise_is_not():
     assert told == [None, 0.3, None, None, 0.9, None, 0.02, None]
 
 
+def test_it_is_told_in_the_vehicles_time_which_a_busy_simulation_makes_slower():
+    watch = RoundTripWatch()
+    told = [watch.news([measured(0.2)], rate) for rate in (10.0, 10.0, 2.0, 10.0)]
+    assert told == [2.0, None, 0.4, 2.0]
+
+
 def test_only_the_link_in_use_counts():
     assert RoundTripWatch().news([measured(2.0, in_use=False), measured(0.1)]) == 0.1
     assert RoundTripWatch().news([]) is None

@@ -74,10 +74,11 @@ class Vehicle:
         )
         self.commands: list[Command] = []
         self.sees, self.shift_m = True, 0.0  # of what it sees, towards east
+        self.phase_rad = 0.0
 
     def fly(self, mission_time_s: float) -> list[FleetEvent]:
         time_s = mission_time_s + self.ahead_s
-        course_rad = mission_time_s * SPEED_M_S / RADIUS_M
+        course_rad = mission_time_s * SPEED_M_S / RADIUS_M + self.phase_rad
         east_m, north_m = self.circle.position_at_course(course_rad)
         velocity = SPEED_M_S * math.sin(course_rad), SPEED_M_S * math.cos(course_rad)
         bank_rad = math.atan(SPEED_M_S**2 / (9.80665 * RADIUS_M))
@@ -181,6 +182,18 @@ def test_the_one_left_takes_the_wanted_side_when_the_other_falls_silent():
     assert any("nothing was heard" in said.text for said in fleet.said if said.name == "a")
     fleet.fly(5.0)
     assert any(said.text == "is back" for said in fleet.said)
+
+
+def test_one_that_circles_about_the_target_does_not_take_the_side_from_one_that_watches():
+    fleet = pair()
+    holder, near = fleet.vehicles["a"], fleet.vehicles["b"]
+    holder.circle, near.circle = Circle(-60.0, 250.0, RADIUS_M, True), Circle(-40.0, 0.0, RADIUS_M, True)
+    near.phase_rad = math.pi  # it would cost less now and then, and see nothing from there
+    held = []
+    for _ in range(40):
+        fleet.fly(1.0)
+        held.append(fleet.role("a"))
+    assert set(held[3:]) == {Role.WANTED}
 
 
 def test_a_low_battery_gives_up_the_side_and_goes_home_once_another_one_watches():

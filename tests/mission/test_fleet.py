@@ -15,15 +15,15 @@ from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from mission.core.plan import AircraftState, Decision, Plan
 from mission.core.requirement import Aircraft, Requirement, Side, Wind
 from mission.fleet import _cover_kernel as kernel
-from mission.fleet.roles import RoleAssignment, RoleCosts
+from mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside, is_moving
 from mission.fleet.team_planner import TeamPlanner
 from mission.predictive.planner import PredictivePlanner, table_configuration
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0, course_horizon_s=0.0)
 
 
-def costs(a: float, b: float) -> dict[str, RoleCosts]:
-    return {"a": RoleCosts(a, 1.0), "b": RoleCosts(b, 1.0)}
+def costs(a: float, b: float, **of_b: bool) -> dict[str, Candidate]:
+    return {"a": Candidate(RoleCosts(a, 1.0)), "b": Candidate(RoleCosts(b, 1.0), **of_b)}
 
 
 def test_the_cheapest_holds_the_wanted_side_and_the_other_waits_opposite():
@@ -44,7 +44,49 @@ def test_a_gain_that_does_not_last_changes_nothing():
         assert roles.assign(float(t), costs(2.0, 0.5 if better and t else 5.0))["a"] is Role.WANTED
 
 
-@pytest.mark.parametrize("left", [{"b": RoleCosts(9.0, 1.0)}, costs(math.inf, 9.0)], ids=["gone", "blind"])
+def test_nobody_takes_the_side_who_does_not_watch_from_there_or_of_a_target_whose_course_nobody_knows():
+    roles = RoleAssignment()
+    roles.assign(0.0, costs(2.0, 5.0))
+    for t in range(1, 30):
+        assert roles.assign(float(t), costs(50.0, 2.0, beside=False))["a"] is Role.WANTED
+        assert roles.assign(float(t), costs(50.0, 2.0), course_known=False)["a"] is Role.WANTED
+    for t in range(30, 33):
+        roles.assign(float(t), costs(50.0, 2.0))
+    assert roles.holder == "b"
+
+
+def test_a_hand_over_is_flown_before_the_next_one():
+    roles = RoleAssignment(gain_s=1.0, patience_s=2.0, flown_within_s=60.0)
+    roles.assign(0.0, costs(2.0, 50.0))
+    holders = []
+    for t in range(1, 100):
+        better_b = t // 10 % 2 == 0  # as the two pass each other
+        roles.assign(float(t), costs(50.0, 2.0, moving=t < 50) if better_b else costs(2.0, 50.0, moving=t < 50))
+        holders.append(roles.holder)
+    handed_s = [t for t, (one, other) in enumerate(zip(holders, holders[1:], strict=False), 2) if one != other]
+    assert handed_s[0] == 3
+    assert handed_s[1] >= 50
+    stuck = RoleAssignment(gain_s=1.0, patience_s=2.0, flown_within_s=60.0)
+    stuck.assign(0.0, costs(2.0, 50.0))
+    for t in range(1, 100):
+        stuck.assign(float(t), costs(50.0, 2.0, moving=True) if t < 20 else costs(2.0, 50.0, moving=True))
+    assert stuck.holder == "a"  # it is not waited for without end
+
+
+def test_what_a_hand_over_hangs_on():
+    north = going(0.0)
+    requirement = replace(REQUIREMENT, side=Side.LEFT)
+    state, plan = on_circle(-200.0, 0.0, clockwise=True)
+    assert is_beside(state, north, requirement)
+    assert not is_beside(state, going(180.0), requirement)
+    assert not is_beside(replace(state, east_m=-90.0, north_m=0.0), north, requirement)
+    assert not is_moving(state, plan, None)
+    assert is_moving(state, plan, plan)
+    assert course_is_known(north)
+    assert not course_is_known(replace(north, covariance=9.0 * np.eye(4)))
+
+
+@pytest.mark.parametrize("left", [{"b": Candidate(RoleCosts(9.0, 1.0))}, costs(math.inf, 9.0)], ids=["gone", "blind"])
 def test_a_holder_that_is_out_is_replaced_at_once(left):
     roles = RoleAssignment()
     roles.assign(0.0, costs(2.0, 5.0))
@@ -54,7 +96,9 @@ def test_a_holder_that_is_out_is_replaced_at_once(left):
 def test_somebody_always_holds_the_wanted_side():
     roles = RoleAssignment()
     for t in range(200):
-        told = {name: RoleCosts(3.0 + math.sin(t * k), 1.0) for k, name in enumerate("abc", 1) if (t // 7) % 4 != k}
+        told = {
+            name: Candidate(RoleCosts(3.0 + math.sin(t * k), 1.0)) for k, name in enumerate("abc", 1) if t // 7 % 4 != k
+        }
         assert list(roles.assign(float(t), told).values()).count(Role.WANTED) >= 1
 
 

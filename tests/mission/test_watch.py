@@ -155,6 +155,9 @@ def test_the_latency_expected_follows_the_links_delay():
     controller.step(RoundTripReported(2.0, 1.5))
     assert controller.snapshot().latency_s == 3.0  # the announcement's round trip and the items'
     controller.step(RoundTripReported(3.0, 0.1))
+    assert controller.snapshot().latency_s == 1.0  # one slow answer is not remembered
+    controller.latency.note(2.0)
+    assert controller.snapshot().latency_s == pytest.approx(2.1)  # the first tells at once
     for _ in range(5):
         controller.latency.note(0.4)
     assert controller.snapshot().latency_s == pytest.approx(0.5)
