@@ -88,9 +88,10 @@ class SimulatedVehicles:
         await self._stop()
 
     async def keep_pace(self, time_s: Callable[[], float]) -> None:
-        """Let the simulation wait for who flies it, where that falls behind; time_s: what it has come to, inf: nothing.
+        """Let the simulation wait for who flies it, where that falls behind.
 
-        Who comes no further, because nothing is flown any more, is silent, and not waited for.
+        time_s: what it has come to, inf where that is not known. Who comes no further, because nothing is flown any
+        more, is silent, and not waited for.
         """
         assert self._process is not None
         assert self._process.stdin is not None

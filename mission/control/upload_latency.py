@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
-# The longest of so many uploads but one, once there are three: one that hung says nothing of the next. Each took as many round trips as the
-# next will take, at least two of them: the announcement's and the items'.
+# The longest of so many uploads but one, once there are three: one that hung says nothing of the next. Each took as
+# many round trips as the next will take, at least two of them: the announcement's and the items'.
 _UPLOADS, _MARGIN_S = 5, 0.1
 _ROUND_TRIPS = 2.0
 

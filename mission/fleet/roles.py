@@ -6,8 +6,8 @@ because the two sides change places. Rules
 1. The wanted side is held by the aircraft to which it is worth most: whose expected cost there, less that on the
    other side, is least. A holder that is out, or to be relieved, is replaced at once.
 2. Else it is handed over when that has been better for another by ``gain_s`` for ``patience_s``, and that other one
-   watches from the wanted side then: so the side is never left empty for a change. The target's course has to be known
-   for that: which side is which hangs on it.
+   watches from the wanted side then: so the side is never left empty for a change. The target's course has to be
+   known for that: which side is which hangs on it.
 3. A hand-over is flown before the next one: that waits ``settling_s`` for plans to be made, and then until none is
    under way to either aircraft and neither is on its line to another circle, for ``flown_within_s`` at most.
 4. The others are spread over the opposite and the wanted side in turn, those that it is worth least to first.
@@ -86,7 +86,12 @@ class RoleAssignment:
         return roles
 
     def _hand_over(
-        self, time_s: float, costs: Mapping[str, RoleCosts], candidates: Mapping[str, Candidate], *, course_known: bool
+        self,
+        time_s: float,
+        costs: Mapping[str, RoleCosts],
+        candidates: Mapping[str, Candidate],
+        *,
+        course_known: bool,
     ) -> None:
         best = min(costs, key=lambda name: (costs[name].regret_s, name))
         held_s = costs[self.holder].regret_s if self.holder is not None and self.holder in costs else math.inf

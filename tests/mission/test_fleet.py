@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -63,7 +64,7 @@ def test_a_hand_over_is_flown_before_the_next_one():
         better_b = t // 10 % 2 == 0  # as the two pass each other
         roles.assign(float(t), costs(50.0, 2.0, moving=t < 50) if better_b else costs(2.0, 50.0, moving=t < 50))
         holders.append(roles.holder)
-    handed_s = [t for t, (one, other) in enumerate(zip(holders, holders[1:], strict=False), 2) if one != other]
+    handed_s = [t for t, (one, other) in enumerate(itertools.pairwise(holders), 2) if one != other]
     assert handed_s[0] == 3
     assert handed_s[1] >= 50
     stuck = RoleAssignment(gain_s=1.0, patience_s=2.0, flown_within_s=60.0)
@@ -96,9 +97,8 @@ def test_a_holder_that_is_out_is_replaced_at_once(left):
 def test_somebody_always_holds_the_wanted_side():
     roles = RoleAssignment()
     for t in range(200):
-        told = {
-            name: Candidate(RoleCosts(3.0 + math.sin(t * k), 1.0)) for k, name in enumerate("abc", 1) if t // 7 % 4 != k
-        }
+        present = [(k, name) for k, name in enumerate("abc", 1) if t // 7 % 4 != k]
+        told = {name: Candidate(RoleCosts(3.0 + math.sin(t * k), 1.0)) for k, name in present}
         assert list(roles.assign(float(t), told).values()).count(Role.WANTED) >= 1
 
 
