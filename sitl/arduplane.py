@@ -309,6 +309,9 @@ class ArduPlane(Autopilot):
     # Commands.
 
     def set_current_item(self, index: int) -> bool:
+        # By MISSION_SET_CURRENT the leg begins here. The command forgets the old leg only once the new one has begun,
+        # which then leads from the goal before, and the leg after it begins where the aircraft is by then.
+        self.navigator.start_over()
         return self.mission.set_current(index)
 
     def _on_set_current(self, command: Command) -> int:
@@ -317,6 +320,7 @@ class ArduPlane(Autopilot):
             return DENIED
         if not self.mission.set_current(index):
             return FAILED
+        self.navigator.start_over()
         self.broadcast_now(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
         return ACCEPTED
 

@@ -6,8 +6,8 @@ because the two sides change places. Rules
 1. The wanted side is held by the aircraft to which it is worth most: whose expected cost there, less that on the
    other side, is least. A holder that is out, or to be relieved, is replaced at once.
 2. Else it is handed over when that has been better for another by ``gain_s`` for ``patience_s``, and that other one
-   watches from the wanted side then: so the side is never left empty for a change. The target's course has to be
-   known for that: which side is which hangs on it.
+   watches from the wanted side then, or neither does: so the side is never left empty for a change. The target's
+   course has to be known for that: which side is which hangs on it.
 3. A hand-over is flown before the next one: that waits ``settling_s`` for plans to be made, and then until none is
    under way to either aircraft and neither is on its line to another circle, for ``flown_within_s`` at most.
 4. The others are spread over the opposite and the wanted side in turn, those that it is worth least to first.
@@ -94,10 +94,11 @@ class RoleAssignment:
         course_known: bool,
     ) -> None:
         best = min(costs, key=lambda name: (costs[name].regret_s, name))
-        held_s = costs[self.holder].regret_s if self.holder is not None and self.holder in costs else math.inf
-        if not math.isfinite(held_s):
+        held = candidates.get(self.holder) if self.holder is not None else None
+        if held is None or not math.isfinite(held.costs.regret_s):
             self._hand_to(best, time_s)
             return
+        held_s = held.costs.regret_s
         since_s = time_s - self._handed_s
         if since_s >= self.settling_s:
             moving = (name for name in self._to_be_flown if name in candidates and candidates[name].moving)
@@ -105,7 +106,7 @@ class RoleAssignment:
         self._better_since_s = {
             name: self._better_since_s.get(name, time_s)
             for name, one in candidates.items()
-            if costs[name].regret_s < held_s - self.gain_s and one.beside and course_known
+            if costs[name].regret_s < held_s - self.gain_s and course_known and (one.beside or not held.beside)
         }
         better_s = time_s - self._better_since_s.get(best, math.inf)
         if better_s >= self.patience_s and not self._to_be_flown:

@@ -54,6 +54,12 @@ def test_nobody_takes_the_side_who_does_not_watch_from_there_or_of_a_target_whos
     for t in range(30, 33):
         roles.assign(float(t), costs(50.0, 2.0))
     assert roles.holder == "b"
+    blind = RoleAssignment()
+    blind.assign(0.0, costs(2.0, 5.0))
+    neither = {name: replace(one, beside=False) for name, one in costs(50.0, 2.0).items()}
+    for t in range(1, 4):
+        blind.assign(float(t), neither)
+    assert blind.holder == "b"  # nobody watches: who comes first holds it
 
 
 def test_a_hand_over_is_flown_before_the_next_one():

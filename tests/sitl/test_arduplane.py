@@ -78,6 +78,22 @@ def test_an_upload_in_auto_changes_nothing_until_an_item_is_made_current(ground)
     assert ground.simulation.vehicle.navigator.goal.east_m == pytest.approx(900.0, abs=0.1)
 
 
+@pytest.mark.parametrize("by_command", [False, True])
+def test_a_leg_begins_here_by_the_message_and_at_the_goal_before_by_the_command(ground, by_command):
+    circling(ground)
+    items = ground.takeoff(60.0), ground.loiter(300.0, 300.0, 100.0, 60.0), ground.waypoint(300.0, 3000.0, 60.0)
+    ground.upload(ground.mission(*items, ground.loiter(300.0, 3000.0, 100.0, 60.0)))
+    craft = ground.simulation.vehicle.craft
+    ground.run_until(lambda: craft.east_m > 395.0)
+    if by_command:
+        assert ground.command_long(mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, 3) == ACCEPTED
+    else:
+        ground.send(mavlink.MAVLink_mission_set_current_message(1, 1, 3))
+    ground.run(45.0)
+    off_m = craft.east_m - 300.0  # of the line between the two
+    assert off_m < 15.0 if by_command else off_m > 40.0
+
+
 def test_leaving_auto_and_coming_back_reads_the_item_again(ground):
     circling(ground)
     ground.upload(ground.mission(ground.takeoff(60.0), ground.loiter(900.0, 300.0, 100.0, 60.0)))
