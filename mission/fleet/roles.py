@@ -9,7 +9,8 @@ because the two sides change places. Rules
    watches from the wanted side then, or neither does: so the side is never left empty for a change. The target's
    course has to be known for that: which side is which hangs on it.
 3. A hand-over is flown before the next one: that waits ``settling_s`` for plans to be made, and then until none is
-   under way to either aircraft and neither is on its line to another circle, for ``flown_within_s`` at most.
+   under way to either aircraft and neither is on its line to another circle, for ``flown_within_s`` at most. It does
+   not wait for one that watches from the wanted side already and is not on its way, or where the holder does not.
 4. The others are spread over the opposite and the wanted side in turn, those that it is worth least to first.
 """
 
@@ -102,7 +103,9 @@ class RoleAssignment:
         since_s = time_s - self._handed_s
         if since_s >= self.settling_s:
             moving = (name for name in self._to_be_flown if name in candidates and candidates[name].moving)
-            self._to_be_flown = frozenset(moving if since_s < self.flown_within_s else ())
+            takes = candidates[best]
+            is_there = takes.beside and not (takes.moving and held.beside)
+            self._to_be_flown = frozenset(() if is_there or since_s >= self.flown_within_s else moving)
         self._better_since_s = {
             name: self._better_since_s.get(name, time_s)
             for name, one in candidates.items()

@@ -78,6 +78,12 @@ def test_a_hand_over_is_flown_before_the_next_one():
     for t in range(1, 100):
         stuck.assign(float(t), costs(50.0, 2.0, moving=True) if t < 20 else costs(2.0, 50.0, moving=True))
     assert stuck.holder == "a"  # it is not waited for without end
+    turned = RoleAssignment(gain_s=1.0, patience_s=2.0)
+    turned.assign(0.0, costs(2.0, 50.0))
+    for t in range(1, 30):
+        told = costs(50.0, 2.0, moving=True) if t < 10 else costs(2.0, 50.0, moving=True, beside=False)
+        turned.assign(float(t), told)
+    assert turned.holder == "a"  # nor where the target has turned
 
 
 def test_what_a_hand_over_hangs_on():
