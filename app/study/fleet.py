@@ -41,7 +41,7 @@ from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from mission.core.path import Path
 from mission.core.plan import AircraftState, Plan
 from mission.core.requirement import Side
-from mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_beside, is_moving
+from mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_beside
 from mission.fleet.team import TeamSettings
 from mission.fleet.team_planner import TeamPlanner
 from mission.geometry._line_kernel import Circling
@@ -199,7 +199,7 @@ class FleetRun:
             one.name: Candidate(
                 one.planner.role_costs(one.state, estimate, one.plan(), wind, settings.latency_s),
                 is_beside(one.state, estimate, requirement),
-                one.busy or is_moving(one.state, one.plan(), None),
+                one.busy,
             )
             for one in flying
         }

@@ -69,7 +69,7 @@ from mission.fleet.events import (
     VehicleLost,
     VehicleReported,
 )
-from mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside, is_moving
+from mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside
 from mission.fleet.vehicle import FleetMember, FleetVehicle
 
 _FOREIGN_FORGOTTEN_S = 30.0
@@ -340,8 +340,8 @@ class FleetCoordinator:
             costs = judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
             if self._is_to_be_relieved(vehicle):
                 costs = replace(costs, wanted_s=math.inf)
-            moving = is_moving(report.state, present, plans.coming)
-            candidates[name] = Candidate(costs, is_beside(report.state, estimate, wanted), moving)
+            beside = is_beside(report.state, estimate, wanted)
+            candidates[name] = Candidate(costs, beside, plans.coming is not None)
         roles = self._assignments[target].assign(self._now_s, candidates, course_known=course_is_known(estimate))
         for name, role in roles.items():
             self._vehicles[name].role = role

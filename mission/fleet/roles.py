@@ -8,9 +8,9 @@ because the two sides change places. Rules
 2. Else it is handed over when that has been better for another by ``gain_s`` for ``patience_s``, and that other one
    watches from the wanted side then, or neither does: so the side is never left empty for a change. The target's
    course has to be known for that: which side is which hangs on it.
-3. A hand-over is flown before the next one: that waits ``settling_s`` for plans to be made, and then until none is
-   under way to either aircraft and neither is on its line to another circle, for ``flown_within_s`` at most. It does
-   not wait for one that watches from the wanted side already and is not on its way, or where the holder does not.
+3. After a hand-over the next one waits ``settling_s``, in which both make their plans, and until these have reached
+   the autopilots, ``under_way_max_s`` at most. It does not wait for whole lines to be flown: where a target turned
+   meanwhile that cost more of the side than it spared of changes.
 4. The others are spread over the opposite and the wanted side in turn, those that it is worth least to first.
 """
 
@@ -22,13 +22,11 @@ from dataclasses import dataclass, field
 
 from estimators.estimate import TargetEstimate
 from mission.core.fleet import Role
-from mission.core.plan import AircraftState, Plan
+from mission.core.plan import AircraftState
 from mission.core.requirement import Requirement
-from mission.geometry.progress import nearest_arc_m
 
 _STANDING_M_S = 0.3  # a slower target has no course
 _COURSE_SIGMA_RAD = math.radians(30.0)  # one standard deviation of a course that is barely known
-_NEARLY_FLOWN_M = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +44,11 @@ class RoleCosts:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One aircraft that takes part. beside: it watches from the wanted side; moving: to another circle, or soon."""
+    """One aircraft that takes part. beside: it watches from the wanted side; under_way: a plan to it."""
 
     costs: RoleCosts
     beside: bool = True
-    moving: bool = False
+    under_way: bool = False
 
 
 @dataclass(slots=True)
@@ -58,17 +56,17 @@ class RoleAssignment:
     """Decides the roles, each time from all aircraft's costs; deterministic.
 
     gain_s: how much better another has to be, in seconds off the side: a circle's phase alone is worth some of them.
-    patience_s: for how long. settling_s, flown_within_s: see the rules.
+    patience_s: for how long. settling_s, under_way_max_s: see the rules.
     """
 
     gain_s: float = 15.0
     patience_s: float = 2.0
     settling_s: float = 10.0
-    flown_within_s: float = 60.0
+    under_way_max_s: float = 30.0
     holder: str | None = None
     _better_since_s: dict[str, float] = field(default_factory=dict)
     _handed_s: float = -math.inf
-    _to_be_flown: frozenset[str] = frozenset()  # by these the last hand-over
+    _waited_for: frozenset[str] = frozenset()  # these have to take up their new roles first
 
     def assign(
         self, time_s: float, candidates: Mapping[str, Candidate], *, course_known: bool = True
@@ -102,24 +100,22 @@ class RoleAssignment:
         held_s = held.costs.regret_s
         since_s = time_s - self._handed_s
         if since_s >= self.settling_s:
-            moving = (name for name in self._to_be_flown if name in candidates and candidates[name].moving)
-            takes = candidates[best]
-            is_there = takes.beside and not (takes.moving and held.beside)
-            self._to_be_flown = frozenset(() if is_there or since_s >= self.flown_within_s else moving)
+            under_way = (name for name in self._waited_for if name in candidates and candidates[name].under_way)
+            self._waited_for = frozenset(under_way if since_s < self.under_way_max_s else ())
         self._better_since_s = {
             name: self._better_since_s.get(name, time_s)
             for name, one in candidates.items()
             if costs[name].regret_s < held_s - self.gain_s and course_known and (one.beside or not held.beside)
         }
         better_s = time_s - self._better_since_s.get(best, math.inf)
-        if better_s >= self.patience_s and not self._to_be_flown:
+        if better_s >= self.patience_s and not self._waited_for:
             self._hand_to(best, time_s)
 
     def _hand_to(self, name: str, time_s: float) -> None:
         before = self.holder
         self.holder, self._better_since_s = name, {}
         if before is not None and before != name:
-            self._handed_s, self._to_be_flown = time_s, frozenset((before, name))
+            self._handed_s, self._waited_for = time_s, frozenset((before, name))
 
 
 def course_is_known(target: TargetEstimate) -> bool:
@@ -139,8 +135,3 @@ def is_beside(aircraft: AircraftState, target: TargetEstimate, requirement: Requ
     beside = east_m * math.sin(normal_rad) + north_m * math.cos(normal_rad) >= 0.0
     in_band = requirement.range_min_m <= math.hypot(east_m, north_m) <= requirement.range_max_m
     return in_band and (beside or target.speed_m_s < _STANDING_M_S)
-
-
-def is_moving(aircraft: AircraftState, present: Plan, coming: Plan | None) -> bool:
-    """Tell whether an aircraft is on its way to another circle, or a plan is under way to it."""
-    return coming is not None or nearest_arc_m(present, aircraft) < present.transition_m - _NEARLY_FLOWN_M

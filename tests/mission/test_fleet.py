@@ -16,7 +16,7 @@ from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from mission.core.plan import AircraftState, Decision, Plan
 from mission.core.requirement import Aircraft, Requirement, Side, Wind
 from mission.fleet import _cover_kernel as kernel
-from mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside, is_moving
+from mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside
 from mission.fleet.team_planner import TeamPlanner
 from mission.predictive.planner import PredictivePlanner, table_configuration
 
@@ -62,39 +62,32 @@ def test_nobody_takes_the_side_who_does_not_watch_from_there_or_of_a_target_whos
     assert blind.holder == "b"  # nobody watches: who comes first holds it
 
 
-def test_a_hand_over_is_flown_before_the_next_one():
-    roles = RoleAssignment(gain_s=1.0, patience_s=2.0, flown_within_s=60.0)
+def test_the_next_hand_over_waits_until_plans_for_the_last_one_are_on_board():
+    roles = RoleAssignment(gain_s=1.0, patience_s=2.0, settling_s=10.0, under_way_max_s=60.0)
     roles.assign(0.0, costs(2.0, 50.0))
     holders = []
-    for t in range(1, 100):
-        better_b = t // 10 % 2 == 0  # as the two pass each other
-        roles.assign(float(t), costs(50.0, 2.0, moving=t < 50) if better_b else costs(2.0, 50.0, moving=t < 50))
+    for t in range(1, 120):
+        better_b = t // 5 % 2 == 0  # as the two pass each other
+        roles.assign(float(t), costs(50.0, 2.0) if better_b else costs(2.0, 50.0, under_way=20 < t < 50))
         holders.append(roles.holder)
     handed_s = [t for t, (one, other) in enumerate(itertools.pairwise(holders), 2) if one != other]
-    assert handed_s[0] == 3
-    assert handed_s[1] >= 50
-    stuck = RoleAssignment(gain_s=1.0, patience_s=2.0, flown_within_s=60.0)
+    assert min(later - one for one, later in itertools.pairwise(handed_s)) >= 10
+    stuck = RoleAssignment(gain_s=1.0, patience_s=2.0, settling_s=10.0, under_way_max_s=60.0)
     stuck.assign(0.0, costs(2.0, 50.0))
-    for t in range(1, 100):
-        stuck.assign(float(t), costs(50.0, 2.0, moving=True) if t < 20 else costs(2.0, 50.0, moving=True))
-    assert stuck.holder == "a"  # it is not waited for without end
-    turned = RoleAssignment(gain_s=1.0, patience_s=2.0)
-    turned.assign(0.0, costs(2.0, 50.0))
-    for t in range(1, 30):
-        told = costs(50.0, 2.0, moving=True) if t < 10 else costs(2.0, 50.0, moving=True, beside=False)
-        turned.assign(float(t), told)
-    assert turned.holder == "a"  # nor where the target has turned
+    for t in range(1, 63):
+        stuck.assign(float(t), costs(50.0, 2.0) if t < 5 else costs(2.0, 50.0, under_way=True))
+        assert stuck.holder == ("a" if t < 3 else "b")
+    stuck.assign(63.0, costs(2.0, 50.0, under_way=True))
+    assert stuck.holder == "a"  # they are not waited for without end
 
 
 def test_what_a_hand_over_hangs_on():
     north = going(0.0)
     requirement = replace(REQUIREMENT, side=Side.LEFT)
-    state, plan = on_circle(-200.0, 0.0, clockwise=True)
+    state, _ = on_circle(-200.0, 0.0, clockwise=True)
     assert is_beside(state, north, requirement)
     assert not is_beside(state, going(180.0), requirement)
     assert not is_beside(replace(state, east_m=-90.0, north_m=0.0), north, requirement)
-    assert not is_moving(state, plan, None)
-    assert is_moving(state, plan, plan)
     assert course_is_known(north)
     assert not course_is_known(replace(north, covariance=9.0 * np.eye(4)))
 
