@@ -59,12 +59,18 @@ def fly_fleets(
     """Fly all runs on so many processes, one for each core by default. progress hears of each run that is done."""
     tasks = [(planner, number) for number in settings.numbers for planner in planners]
     found: dict[tuple[FleetPlannerName, int], FleetResult] = {}
-    with uninterrupted():
-        pool = multiprocessing.get_context("spawn").Pool(jobs or os.cpu_count() or 1, _begin, (settings, table))
-    with pool:
-        for task, result in pool.imap_unordered(_fly, tasks):
-            found[task] = result
+    processes = min(jobs or os.cpu_count() or 1, len(tasks))
+    if processes == 1:
+        for planner, number in tasks:
+            found[planner, number] = run_fleet(settings, number, table, planner)
             progress(1)
+    else:
+        with uninterrupted():
+            pool = multiprocessing.get_context("spawn").Pool(processes, _begin, (settings, table))
+        with pool:
+            for task, result in pool.imap_unordered(_fly, tasks):
+                found[task] = result
+                progress(1)
     return FleetStudy(
         settings, {planner: tuple(found[planner, number] for number in settings.numbers) for planner in planners}
     )

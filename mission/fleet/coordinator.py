@@ -45,11 +45,12 @@ from typing import Protocol
 
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.joint_track import JointTrack
-from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from mission.core.fleet import Role
 from mission.core.plan import AircraftState, Plan
 from mission.core.requirement import Aircraft, Requirement, Wind
+from mission.fleet.advice import advice_to, plans_told
 from mission.fleet.assignment import spread_over
-from mission.fleet.clocks import shifted_estimate, shifted_plan, shifted_state
+from mission.fleet.clocks import shifted_plan, shifted_state
 from mission.fleet.events import (
     BatteryReported,
     ClockReported,
@@ -220,20 +221,9 @@ class FleetCoordinator:
                 self._tell_plans(other, vehicle)
 
     def _tell_plans(self, listener: FleetVehicle, other: FleetVehicle) -> None:
-        if listener.report is None or other.report is None or other.plans is None:
-            return
-        told, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s
-        self._out.append(
-            Tell(
-                listener.member.name,
-                NeighbourPlanned(
-                    self._now_s - listener.clock.offset_s,
-                    told.name,
-                    shifted_plan(told.present, by_s),
-                    shifted_plan(told.coming, by_s),
-                ),
-            )
-        )
+        told = plans_told(listener, other, self._now_s)
+        if told is not None:
+            self._out.append(Tell(listener.member.name, told))
 
     def _sighted(self, vehicle: FleetVehicle, event: SightingReported) -> None:
         if not vehicle.clock.known:
@@ -298,7 +288,10 @@ class FleetCoordinator:
         }
         for vehicle in self._vehicles.values():
             if vehicle.report is not None:
-                self._advise(vehicle, estimates[vehicle.target])
+                target, fleet, foreign = vehicle.target, self._vehicles.values(), self._foreign.values()
+                wanted = self._targets[target].requirement.side
+                advice = advice_to(vehicle, self._now_s, wanted, estimates[target], fleet, foreign)
+                self._out.append(Tell(vehicle.member.name, advice))
 
     def _tell_refusals(self) -> None:
         for name, track in self._tracks.items():
@@ -386,46 +379,3 @@ class FleetCoordinator:
                 self._asked.add(reason)
                 self._out.append(LaunchRequested(name, self._now_s, reason))
                 return
-
-    def _advise(self, vehicle: FleetVehicle, estimate: TargetEstimate | None) -> None:
-        by_s, name = -vehicle.clock.offset_s, vehicle.member.name
-        wanted = self._targets[vehicle.target].requirement.side
-        side = wanted if vehicle.role is not Role.OPPOSITE else wanted.opposite
-        told = (vehicle.role, vehicle.target)
-        reason = "" if told == vehicle.told else _reason(vehicle)
-        vehicle.told = told
-        advice = FleetAdvice(
-            self._now_s + by_s,
-            vehicle.target,
-            vehicle.role,
-            side,
-            shifted_estimate(estimate, by_s),
-            vehicle.member.height_m,
-            self._neighbours(vehicle, by_s),
-            reason,
-        )
-        self._out.append(Tell(name, advice))
-
-    def _neighbours(self, vehicle: FleetVehicle, by_s: float) -> tuple[Neighbour, ...]:
-        ours = [
-            Neighbour(name, shifted_state(one.report.state, by_s), one.report.height_m, True, one.target, one.role)
-            for name, one in self._vehicles.items()
-            if one is not vehicle and one.report is not None
-        ]
-        foreign = [_neighbour(one, by_s) for one in self._foreign.values()]
-        return (*ours, *foreign)
-
-
-def _reason(vehicle: FleetVehicle) -> str:
-    match vehicle.role:
-        case Role.LEAVE:
-            return "another aircraft has taken over, or the battery is low"
-        case Role.OPPOSITE:
-            return "another aircraft holds the wanted side"
-        case _:
-            return "this aircraft is to hold the wanted side"
-
-
-def _neighbour(one: ForeignAircraftReported, by_s: float) -> Neighbour:
-    state = AircraftState(one.mission_time_s + by_s, one.east_m, one.north_m, one.course_rad, one.speed_m_s, 0.0)
-    return Neighbour(one.identity, state, one.height_m, ours=False)

@@ -1,0 +1,73 @@
+"""What one aircraft of a fleet is told of the others, on its own clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from estimators.estimate import TargetEstimate
+from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from mission.core.plan import AircraftState
+from mission.core.requirement import Side
+from mission.fleet.clocks import shifted_estimate, shifted_plan, shifted_state
+from mission.fleet.events import ForeignAircraftReported
+from mission.fleet.vehicle import FleetVehicle
+
+
+def advice_to(
+    vehicle: FleetVehicle,
+    now_s: float,
+    wanted: Side,
+    estimate: TargetEstimate | None,
+    fleet: Iterable[FleetVehicle],
+    foreign: Iterable[ForeignAircraftReported],
+) -> FleetAdvice:
+    """Return an aircraft's advice at mission time ``now_s``; wanted: the side of its target."""
+    by_s = -vehicle.clock.offset_s
+    told = (vehicle.role, vehicle.target)
+    reason = "" if told == vehicle.told else _reason(vehicle.role)
+    vehicle.told = told
+    ours = [
+        Neighbour(
+            one.member.name, shifted_state(one.report.state, by_s), one.report.height_m, True, one.target, one.role
+        )
+        for one in fleet
+        if one is not vehicle and one.report is not None
+    ]
+    return FleetAdvice(
+        now_s + by_s,
+        vehicle.target,
+        vehicle.role,
+        wanted.opposite if vehicle.role is Role.OPPOSITE else wanted,
+        shifted_estimate(estimate, by_s),
+        vehicle.member.height_m,
+        (*ours, *(_neighbour(one, by_s) for one in foreign)),
+        reason,
+    )
+
+
+def plans_told(listener: FleetVehicle, other: FleetVehicle, now_s: float) -> NeighbourPlanned | None:
+    """Return what an aircraft is told of another's plans at mission time ``now_s``; None: nothing is known yet."""
+    if listener.report is None or other.report is None or other.plans is None:
+        return None
+    told, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s
+    return NeighbourPlanned(
+        now_s - listener.clock.offset_s,
+        told.name,
+        shifted_plan(told.present, by_s),
+        shifted_plan(told.coming, by_s),
+    )
+
+
+def _reason(role: Role) -> str:
+    match role:
+        case Role.LEAVE:
+            return "another aircraft has taken over, or the battery is low"
+        case Role.OPPOSITE:
+            return "another aircraft holds the wanted side"
+        case _:
+            return "this aircraft is to hold the wanted side"
+
+
+def _neighbour(one: ForeignAircraftReported, by_s: float) -> Neighbour:
+    state = AircraftState(one.mission_time_s + by_s, one.east_m, one.north_m, one.course_rad, one.speed_m_s, 0.0)
+    return Neighbour(one.identity, state, one.height_m, ours=False)
