@@ -80,8 +80,9 @@ class Autopilot(ABC):
     def attach(self, stores: Sequence[Store], builders: dict[int, Builder]) -> None:
         """Take what the flavour has made: one store for each mission type, and its telemetry."""
         for mission_type, store in zip(self.mission_types, stores, strict=True):
-            transfer = Transfer(mission_type, store, self.radio, self.quirks, self.settings.link_rate, self.say)
-            self.transfers[mission_type] = transfer
+            self.transfers[mission_type] = Transfer(
+                mission_type, store, self.radio, self.quirks, self.settings.link_rate, self.say, self.transfers
+            )
         self._builders = builders
 
     # What a flavour adds.

@@ -7,7 +7,7 @@ as it arrives, or swap the whole list at the end) is its :class:`Store`'s busine
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -86,7 +86,7 @@ class _Download:
 
 
 class Transfer:
-    """Serves one mission type."""
+    """Serves one mission type. beside: those of the same vehicle, this one too: read in order, it is busy in all."""
 
     def __init__(
         self,
@@ -96,6 +96,7 @@ class Transfer:
         quirks: ProtocolQuirks,
         link_rate: float,
         tell: Callable[[int, str], None],
+        beside: Mapping[int, Transfer],
     ) -> None:
         self.mission_type = mission_type
         self.store = store
@@ -103,15 +104,21 @@ class Transfer:
         self._quirks = quirks
         self._retry_s = quirks.retry_s * link_rate
         self._timeout_s = quirks.timeout_s * link_rate
-        self._tell = tell
+        self._tell, self._beside = tell, beside
         self._upload: _Upload | None = None
         self._latest: tuple[tuple[int, int], int, int | None] | None = None  # sender, index and checksum
         self._downloads: dict[Station, _Download] = {}  # of those who read in order
 
     def is_busy_with(self, station: Station) -> bool:
         """Tell whether it heeds nothing but the list that this station reads or writes."""
-        writes = self._upload is not None and self._upload.station is station
-        return self._quirks.reads_in_order and (writes or station in self._downloads)
+        return self._quirks.reads_in_order and (self._is_written_by(station) or self._read_by(station) is not None)
+
+    def _is_written_by(self, station: Station) -> bool:
+        uploads = (one._upload for one in self._beside.values())
+        return any(upload is not None and upload.station is station for upload in uploads)
+
+    def _read_by(self, station: Station) -> Transfer | None:
+        return next((one for one in self._beside.values() if station in one._downloads), None)
 
     def step(self, now_s: float) -> None:
         for station, download in list(self._downloads.items()):
@@ -138,6 +145,8 @@ class Transfer:
                 self._on_partial(station, sender, message, now_s)
             case "MISSION_ITEM_INT" | "MISSION_ITEM":
                 self._on_item(station, sender, message, now_s)
+            case "MISSION_REQUEST_LIST" if self._quirks.reads_in_order:
+                self._on_list_in_order(station, sender, now_s)
             case "MISSION_REQUEST_LIST":
                 if self._upload is not None:
                     self._acknowledge(station, sender, self._quirks.busy_result)
@@ -182,7 +191,8 @@ class Transfer:
 
     def _may_start(self, station: Station, sender: tuple[int, int]) -> bool:
         upload = self._upload
-        if station in self._downloads:
+        if self._read_by(station) is not None:
+            self._tell(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN MISSION_COUNT: Busy\t")
             self._acknowledge(station, sender, self._quirks.busy_result)
             return False
         if upload is None:
@@ -276,8 +286,25 @@ class Transfer:
             return
         self._on_request(station, sender, message)
 
+    def _on_list_in_order(self, station: Station, sender: tuple[int, int], now_s: float) -> None:
+        """Begin to be read, unless another list is; one whose last item was sent is taken for read."""
+        reading = self._read_by(station)
+        if reading is not None:
+            download = reading._downloads[station]
+            if download.next_index == download.count:
+                del reading._downloads[station]
+            elif reading is not self or download.sender != sender:
+                self._tell(mavlink.MAV_SEVERITY_INFO, "Mission download request ignored, already active\t")
+                return
+        if self._is_written_by(station):
+            self._tell(mavlink.MAV_SEVERITY_INFO, "Mission download request ignored, already active\t")
+            return
+        self._send_count(station, sender, now_s)
+
     def _on_clear(self, station: Station, sender: tuple[int, int]) -> None:
-        if self._may_start(station, sender):
+        if self.is_busy_with(station):  # told in words only
+            self._tell(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN CLEAR CMD: Busy\t")
+        elif self._may_start(station, sender):
             self._acknowledge(station, sender, self.store.clear())
 
     def _acknowledge(

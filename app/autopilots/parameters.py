@@ -14,7 +14,7 @@ from app.link.modes import AUTOPILOT_PX4
 from app.link.vehicle import Vehicle
 
 _ANSWER_S = 0.8  # since the last answer; then those that are missing are asked for again
-_IDLE_ROUNDS = 2
+_IDLE_S, _IDLE_ROUNDS = 1.6, 2  # so long, and so often, without an answer: there is none of that name
 _REAL32 = 9  # MAV_PARAM_TYPE
 
 
@@ -38,17 +38,20 @@ async def read_parameters(vehicle: Vehicle, names: Iterable[str]) -> dict[str, f
     values: dict[str, float | None] = {}
     bytewise = int(vehicle.latest["HEARTBEAT"].fields["autopilot"]) == AUTOPILOT_PX4
     with vehicle.hearing("PARAM_VALUE") as answers:
-        idle_rounds = 0
-        while idle_rounds < _IDLE_ROUNDS and (missing := [name for name in wanted if name not in values]):
-            before = len(values)
+        idle_s, idle_rounds = 0.0, 0
+        while missing := [name for name in wanted if name not in values]:
+            before, answer_s = len(values), _ANSWER_S
             for name in missing:
                 await vehicle.tell("PARAM_REQUEST_READ", {"param_id": name, "param_index": -1})
             with contextlib.suppress(TimeoutError):
                 while len(values) < len(wanted):
-                    answer = await asyncio.wait_for(answers.get(), _ANSWER_S)
+                    answer_s = vehicle.answer_s(_ANSWER_S)
+                    answer = await asyncio.wait_for(answers.get(), answer_s)
                     if answer.fields["param_id"] in wanted:
                         values[answer.fields["param_id"]] = _value(answer.fields, bytewise)
-            idle_rounds = idle_rounds + 1 if len(values) == before else 0
+            idle_s, idle_rounds = (idle_s + answer_s, idle_rounds + 1) if len(values) == before else (0.0, 0)
+            if idle_s >= _IDLE_S and idle_rounds >= _IDLE_ROUNDS:
+                break
     # Some of PX4's whole numbers look like no number on the way; the slow way reads them.
     found = {name: await vehicle.link.parameter(name) if value is None else value for name, value in values.items()}
     return {name: found[name] for name in wanted if found.get(name) is not None}  # type: ignore[misc]  # none is None

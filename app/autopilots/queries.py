@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
+
 from app.link.modes import ARMED_FLAG, mode_name
 from app.link.vehicle import Vehicle
 from mission.exchange.dialect import Home
 
 _FLYING_HEIGHT_M = 25.0
-_HOME_POSITION_ID = 242
+_ANSWER_S, _TRIES = 0.8, 3
+_REQUEST_MESSAGE, _HOME_POSITION_ID = 512, 242
+_ASK_FOR_HOME = {"command": _REQUEST_MESSAGE, "confirmation": 0, "param1": float(_HOME_POSITION_ID)}
+_ASK_FOR_HOME |= {f"param{i}": 0.0 for i in range(2, 8)}
 
 
 def mode_of(vehicle: Vehicle) -> str:
@@ -25,12 +30,15 @@ def is_flying(vehicle: Vehicle) -> bool:
     return bool(armed) and position is not None and position.fields["relative_alt"] * 1e-3 > _FLYING_HEIGHT_M
 
 
-async def home_of(vehicle: Vehicle, timeout_s: float = 1.0) -> Home | None:
+async def home_of(vehicle: Vehicle) -> Home | None:
     """Return the vehicle's home, asking for it if it has not been told."""
+    for _ in range(_TRIES):
+        if "HOME_POSITION" in vehicle.latest:
+            break
+        waiting = asyncio.ensure_future(vehicle.heard("HOME_POSITION", vehicle.answer_s(_ANSWER_S)))
+        await vehicle.tell("COMMAND_LONG", _ASK_FOR_HOME)
+        await waiting
     if "HOME_POSITION" not in vehicle.latest:
-        await vehicle.command(512, _HOME_POSITION_ID)
-    message = await vehicle.heard("HOME_POSITION", timeout_s)
-    if message is None:
         return None
-    fields = message.fields
+    fields = vehicle.latest["HOME_POSITION"].fields
     return Home(fields["latitude"] * 1e-7, fields["longitude"] * 1e-7, fields["altitude"] * 1e-3)

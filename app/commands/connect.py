@@ -17,7 +17,8 @@ from app.config import Config, load_config
 from app.errors import InputError
 from app.fleet.fleet_file import load_fleet, names_a_fleet
 from app.flight.flight import connected
-from app.flight.preflight import Check, checks, listen
+from app.flight.preflight import Check, checks
+from app.flight.source_rates import SourceRates
 from app.flight.source_use import describe_use
 from app.flight.streams import ask_for_streams
 from app.shutdown import run
@@ -92,7 +93,9 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
     ) as session:
         vehicle, autopilot = session.vehicle, session.autopilot
         await ask_for_streams(vehicle)
-        rates = await listen(vehicle, listen_s, config.sharing)
+        sources = SourceRates(vehicle)
+        rates = await sources.heard(listen_s, config.sharing)
+        sources.close()
         home = await home_of(vehicle)
         values = await read_parameters(vehicle, autopilot.relevant_parameters)
         limits = autopilot.limits(values)

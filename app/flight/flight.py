@@ -25,9 +25,10 @@ from app.flight.display import FlightDisplay, Wish
 from app.flight.loop import ControlLoop, Display, Stepped
 from app.flight.outputs import open_beacon, outputs
 from app.flight.point_gimbal import GimbalPointer
-from app.flight.preflight import autopilot_of, checks, listen
+from app.flight.preflight import autopilot_of, checks
 from app.flight.recording import Recording
 from app.flight.round_trip import RoundTripWatch
+from app.flight.source_rates import SourceRates
 from app.flight.streams import ask_for_streams, is_slow
 from app.flight.terrain_server import TerrainServer
 from app.flight.wind_tables import WindTables
@@ -72,6 +73,7 @@ class Session:
     autopilot: Autopilot
     telemetry: Telemetry
     senders: SenderCheck
+    beside: set[asyncio.Task[None]]  # what ends with the connection
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,16 +123,17 @@ async def connected(
     senders.system_id = link.system_id
     vehicle = Vehicle(link)
     vehicle.listeners.append(senders.message)
-    pump = asyncio.create_task(vehicle.run())
+    beside = {asyncio.create_task(vehicle.run())}
     try:
         if await vehicle.heard("HEARTBEAT", timeout_s) is None:
             raise InputError(f"{' and '.join(urls)}: the autopilot stopped talking; check the link.")
-        yield Session(vehicle, autopilot_of(vehicle), Telemetry(vehicle.system_id), senders)
+        yield Session(vehicle, autopilot_of(vehicle), Telemetry(vehicle.system_id), senders, beside)
     finally:
         with ends_within(_CLOSE_S, "closing the link"):
             await link.close()
-        pump.cancel()
-        await asyncio.gather(pump, return_exceptions=True)
+        for task in beside:
+            task.cancel()
+        await asyncio.gather(*beside, return_exceptions=True)
 
 
 class Flight:
@@ -150,6 +153,7 @@ class Flight:
         self._config, self._recording, self._display = config, recording, display
         self._duration_s, self._sharing = duration_s, sharing
         self._controller, self._senders = controller, session.senders
+        self._beside = session.beside
         self._collector = SummaryCollector(config.requirement.requirement())
         self._start_s = math.inf
         self._battery_percent: int | None = None  # when watching began
@@ -170,13 +174,14 @@ class Flight:
             self._terrain = TerrainServer(self._vehicle, elevation_data(Path(self._config.terrain.folder)))
         link = self._config.link
         few = is_slow(link.connections) if link.few_messages is None else link.few_messages
-        # Beside one another: over a slow link each waits for its answers.
-        values, _, _ = await asyncio.gather(
-            read_parameters(self._vehicle, self._autopilot.relevant_parameters),
-            ask_for_streams(self._vehicle, few),
-            home_of(self._vehicle),
+        # Beside one another: over a slow link each waits for its answers. Rates may be confirmed later.
+        self._beside.add(asyncio.create_task(ask_for_streams(self._vehicle, few)))
+        sources = SourceRates(self._vehicle)
+        values, _ = await asyncio.gather(
+            read_parameters(self._vehicle, self._autopilot.relevant_parameters), home_of(self._vehicle)
         )
-        home, required_parameters = await self._check(values)
+        home, required_parameters = await self._check(values, sources)
+        sources.close()
         self._vehicle.listeners.remove(self._telemetry.event)
         self._vehicle.listeners.remove(self._senders.message)  # from here on the control step looks
         plane = self._telemetry.plane
@@ -283,7 +288,8 @@ class Flight:
         interrupt = asyncio.create_task(stopped.wait())
         flying, mode = is_flying(self._vehicle), mode_of(self._vehicle)
         delay = asyncio.create_task(self._tell_delay(loop))
-        loop.put(TakeoverRequested(self._telemetry.now_s, loop.link_s, flying, mode, 1.0 / self._vehicle_rate))
+        arm_period_s, round_trip_s = 1.0 / self._vehicle_rate, self._vehicle.round_trip_s or 0.0
+        loop.put(TakeoverRequested(self._telemetry.now_s, loop.link_s, flying, mode, arm_period_s, round_trip_s))
         try:
             await asyncio.wait((running, over, interrupt), return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -332,13 +338,15 @@ class Flight:
         """How much faster than ours the vehicle's clock runs."""
         return 1.0 if self._config.link.connections else self._config.simulation.speed
 
-    async def _check(self, values: Mapping[str, float]) -> tuple[Home, tuple[RequiredParameter, ...]]:
+    async def _check(
+        self, values: Mapping[str, float], sources: SourceRates
+    ) -> tuple[Home, tuple[RequiredParameter, ...]]:
         self._display.note("checking the vehicle and its sensors")
         limits = self._autopilot.limits(values)
         required_parameters = self._autopilot.required_parameters(values, self._config.aircraft.airspeed_m_s)
         deadline_s, wall_s = self._telemetry.now_s + _READY_WITHIN_S, time.monotonic() + _READY_WALL_S
         while True:
-            rates = await listen(self._vehicle, _LISTEN_S, self._config.sharing)
+            rates = await sources.heard(_LISTEN_S, self._config.sharing)
             if self._senders.two is not None:
                 raise InputError(f"{self._senders.two}.")
             home = await home_of(self._vehicle)

@@ -2,38 +2,25 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
 from app.autopilots.autopilot import Autopilot, Limits
 from app.autopilots.parameters import RequiredParameter
 from app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
-from app.config import Config, SharingSection
+from app.config import Config
 from app.errors import InputError
-from app.flight.outputs import open_beacon
-from app.link.message import Message
+from app.flight.source_rates import SourceRate
 from app.link.modes import TYPE_FIXED_WING
-from app.link.telemetry import Telemetry, has_fix
+from app.link.telemetry import has_fix
 from app.link.vehicle import Vehicle
 from app.terrain.elevation_data import elevation_data
-from estimators.frames import LocalPlane
-from estimators.readings import (
-    BEACON_MESSAGES,
-    GimbalReading,
-    PositionReading,
-    RangeReading,
-    Source,
-    TargetFixReading,
-)
 from mission.core.requirement import Aircraft
 from mission.exchange.dialect import Home
 
 _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
-_ANYWHERE = LocalPlane(0.0, 0.0)  # before the flight has one, a beacon is only counted
 _HOME_OFF_MAX_M = 60.0  # geoid models differ by a metre, a GPS height by some, terrain data by twenty
 _TERRAIN_OFF_MAX_M = 40.0  # other posts, other sources
 _SENSORS = {
@@ -63,23 +50,6 @@ class Check:
         return f"{self.name}: {self.found}" + (f"; {self.remedy}" if self.remedy and not self.ready else "")
 
 
-@dataclass(frozen=True, slots=True)
-class SourceRate:
-    """How often a range or gimbal source speaks."""
-
-    kind: str
-    source: Source
-    rate_hz: float
-
-    def __str__(self) -> str:
-        if self.source.message in BEACON_MESSAGES:
-            return f"{self.source.message} of a beacon at {self.rate_hz:.1f} Hz"
-        where = f"component {self.source.component_id} id {self.source.sensor_id}"
-        if self.kind == "range":
-            where += f" orientation {self.source.orientation}"
-        return f"{self.source.message} of {where} at {self.rate_hz:.1f} Hz"
-
-
 def autopilot_of(vehicle: Vehicle) -> Autopilot:
     """Return the module for the vehicle's autopilot. Raises InputError if it is no fixed wing or unknown."""
     heartbeat = vehicle.latest["HEARTBEAT"].fields
@@ -94,46 +64,6 @@ def autopilot_of(vehicle: Vehicle) -> Autopilot:
             f"{' and '.join(one.name for one in AUTOPILOTS)} are supported."
         )
     return autopilot
-
-
-async def listen(vehicle: Vehicle, wall_s: float, sharing: SharingSection) -> tuple[SourceRate, ...]:
-    """Return the sources of the target heard during ``wall_s``, with their rates on the vehicle's clock.
-
-    Raises InputError when the beacon's address is not free or not here.
-    """
-    counts: Counter[tuple[str, Source]] = Counter()
-    telemetry = Telemetry(vehicle.system_id)
-    times_s: list[float] = []
-
-    def count_fix(reading: TargetFixReading) -> None:
-        counts["target", reading.source] += 1
-
-    def count(message: Message) -> None:
-        event = telemetry.event(message)
-        if isinstance(event, RangeReading):
-            counts["range", event.source] += 1
-        elif isinstance(event, GimbalReading):
-            counts["gimbal", event.source] += 1
-        elif isinstance(event, TargetFixReading):
-            count_fix(event)
-        elif isinstance(event, PositionReading):
-            times_s.append(event.time_s)
-
-    beacon = await open_beacon(sharing, _ANYWHERE, lambda: telemetry.now_s, count_fix)
-    vehicle.listeners.append(count)
-    try:
-        await asyncio.sleep(wall_s)
-    finally:
-        if beacon is not None:
-            beacon.stop()
-            await asyncio.sleep(0)  # its port is free again once the loop has turned
-        vehicle.listeners.remove(count)
-    # A simulation may run faster than the clock on the wall.
-    duration_s = times_s[-1] - times_s[0] if len(times_s) > 1 and times_s[-1] > times_s[0] else wall_s
-    return tuple(
-        SourceRate(kind, source, number / duration_s)
-        for (kind, source), number in sorted(counts.items(), key=lambda item: (item[0][0], -item[1]))
-    )
 
 
 def checks(

@@ -59,12 +59,11 @@ def _checksum(body: bytes, message_id: int) -> bytes:
 class FrameSplitter:
     """Finds the frames in what comes in, in pieces of any size.
 
-    Bytes that belong to no whole frame of a known message are passed over and counted in ``skipped_bytes``.
+    Bytes that belong to no whole frame of a known message are passed over.
     """
 
     def __init__(self) -> None:
         self._rest = b""
-        self.skipped_bytes = 0
 
     def split(self, data: bytes) -> list[Frame]:
         """Return the frames that ``data`` completes, in order."""
@@ -74,7 +73,6 @@ class FrameSplitter:
         while at < len(data):
             if data[at] not in (_MARKER_V1, _MARKER_V2):
                 at += 1
-                self.skipped_bytes += 1
                 continue
             size = _size(data, at)
             if size is None or at + size > len(data):
@@ -84,7 +82,6 @@ class FrameSplitter:
                 at += size
             else:
                 at += 1
-                self.skipped_bytes += 1
         self._rest = data[at:]
         return found
 

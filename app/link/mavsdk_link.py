@@ -27,7 +27,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from app.errors import InputError
 from app.link import mavsdk_log
-from app.link.discovery import SETTLING_S, the_vehicle
+from app.link.discovery import SETTLING_S, check_alone, the_vehicle
 from app.link.link import LinkError
 from app.link.message import Message
 from app.link.meter import LinkMeter
@@ -66,8 +66,7 @@ class MavsdkLink:
         self._closed = False
         self._pending: set[asyncio.Future[Any]] = set()
         self._queue: asyncio.Queue[Message | None] = asyncio.Queue()
-        self._pump = asyncio.create_task(self._receive())
-        self._asker = asyncio.create_task(self._ask_delay())
+        self._tasks = [asyncio.create_task(self._receive())]
 
     @classmethod
     async def open(
@@ -88,13 +87,14 @@ class MavsdkLink:
         open_transport: of a URL that others use as well. on_frame gets every raw frame, received and sent, from
         several threads. With key_file every link is signed. on_trouble hears of refused frames and changes of link,
         from several threads as well. Raises InputError for a bad URL, a busy port, an unusable key, when no heartbeat
-        comes within ``timeout_s``, and when several vehicles are heard (for ``settling_s`` after the first) and none
-        is named.
+        comes within ``timeout_s``, and when several vehicles are heard (in ``settling_s`` since the first frame) and
+        none is named; until then nothing is sent, and what the first one says is kept.
         """
         own = (own_system_id, own_component_id)
         mavsdk_log.silence()
         instance = Mavsdk(Configuration.create_manual(*own, True))
         ours = contextlib.ExitStack()  # transports of our own
+        link: MavsdkLink | None = None
         try:
             raw, meter = None, LinkMeter(urls[0], own)
             if key_file is None and len(urls) == 1 and open_transport is None:
@@ -106,11 +106,17 @@ class MavsdkLink:
                 await instance.add_any_connection("raw://", ForwardingOption.OFF)
                 raw.start(instance._mavsdk.pass_received_raw_bytes)
             where = " and ".join(map(repr, urls))
-            system = await the_vehicle(instance, where, timeout_s, system_id, settling_s)
+            system = await the_vehicle(instance, where, timeout_s, system_id)
             if system is None:
                 raise InputError(_unheard(urls, timeout_s, raw.reports() if raw is not None else ()))
             found_id = await system.get_system_id()
+            link = cls(instance, system, found_id, own, raw or meter, ours)
+            if system_id is None:
+                heard_since_s = link._measured.heard_since_s
+                await check_alone(instance, where, (heard_since_s or time.monotonic()) + settling_s)
         except BaseException:
+            if link is not None:
+                await link._end_tasks()
             await asyncio.to_thread(ours.close)  # before the instance goes: they call it
             await _destroy(instance)
             raise
@@ -122,7 +128,8 @@ class MavsdkLink:
             instance._mavsdk.pass_received_raw_bytes(heard)
         if meter.vehicle_signs:
             on_trouble("the vehicle signs what it says: without --signing-key it may not hear us")
-        return cls(instance, system, found_id, own, raw or meter, ours)
+        link._tasks.append(asyncio.create_task(link._ask_delay()))
+        return link
 
     def reports(self) -> tuple[LinkReport, ...]:
         """Return how each link has been since the beginning."""
@@ -220,15 +227,20 @@ class MavsdkLink:
         if self._closed:
             return
         self._closed = True
-        self._pump.cancel()
-        self._asker.cancel()
+        for task in self._tasks:
+            task.cancel()
         self._queue.put_nowait(None)
         if self._pending:
             await asyncio.wait(self._pending, timeout=_PENDING_AT_CLOSE_S)
         if not self._pending:
-            await asyncio.gather(self._pump, self._asker, return_exceptions=True)
+            await self._end_tasks()
             await asyncio.to_thread(self._ours.close)
             await _destroy(self._instance)
+
+    async def _end_tasks(self) -> None:
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
 
 
 def _both(on_frame: FrameListener | None, measure: FrameListener) -> FrameListener | None:

@@ -60,6 +60,11 @@ class LinkMeter:
                 del self._asked_s[next(iter(self._asked_s))]
         return _TIMESYNC, {"tc1": 0, "ts1": stamp, "target_system": 0, "target_component": 0}
 
+    @property
+    def heard_since_s(self) -> float | None:
+        """When the first frame came, on the monotonic clock."""
+        return self._quality.heard_since_s
+
     def reports(self) -> tuple[LinkReport, ...]:
         """Return how the link has been since the beginning."""
         with self._lock:

@@ -105,6 +105,12 @@ class RawLinks:
         if self._watcher.is_alive():
             self._watcher.join(2.0)
 
+    @property
+    def heard_since_s(self) -> float | None:
+        """When the first frame came, on the monotonic clock."""
+        heard_s = [link.quality.heard_since_s for link in self._links if link.quality.heard_since_s is not None]
+        return min(heard_s, default=None)
+
     def reports(self) -> tuple[LinkReport, ...]:
         """Return how the links have been since the beginning."""
         return self._reports(LinkQuality.total)

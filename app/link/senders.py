@@ -6,7 +6,7 @@ place. Where frame numbers go back again and again, kinds change, or clocks or p
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 
 from app.link.message import Message
 from app.link.modes import AUTOPILOT_INVALID
@@ -21,12 +21,12 @@ _REMEDY = "give one of them another system id, or end the second route to it"
 
 
 class SenderCheck:
-    """Hears frames (from any thread) and messages of one system id."""
+    """Hears frames (from any thread) and messages; ``system_id`` is that of the vehicle, once it is known."""
 
     def __init__(self) -> None:
         self.system_id: int | None = None
-        self._last: int | None = None
-        self._back: deque[bool] = deque(maxlen=_FRAMES)
+        self._last: dict[int, int] = {}  # by system: which one is meant is known later
+        self._back: defaultdict[int, deque[bool]] = defaultdict(lambda: deque(maxlen=_FRAMES))
         self._kinds: list[tuple[int, int]] = []
         self._telemetry: Telemetry | None = None
         self._door = Plausibility()
@@ -34,14 +34,14 @@ class SenderCheck:
     def frame(self, data: bytes) -> None:
         """Take a raw frame."""
         places = _HEADERS.get(data[0]) if len(data) > 6 else None
-        if places is None or self.system_id is None:
+        if places is None:
             return
         number, system, component = (data[place] for place in places)
-        if system != self.system_id or component != AUTOPILOT_COMPONENT:
+        if component != AUTOPILOT_COMPONENT:
             return
-        if self._last is not None:
-            self._back.append((number - self._last) % 256 >= 128)
-        self._last = number
+        if system in self._last:
+            self._back[system].append((number - self._last[system]) % 256 >= 128)
+        self._last[system] = number
 
     def message(self, message: Message) -> None:
         """Take a message of the vehicle."""
@@ -61,7 +61,7 @@ class SenderCheck:
         reason = self._door.two_vehicles
         if reason is None and len(self._kinds) > 1:
             reason = "two vehicles speak with the same system id: their heartbeats tell different kinds"
-        back = list(self._back)
+        back = list(self._back[self.system_id]) if self.system_id is not None else []
         if reason is None and len(back) == _FRAMES and sum(back) > _BACK_MAX_SHARE * _FRAMES:
             reason = "two vehicles speak with the same system id: their frame numbers take turns"
         return None if reason is None else f"{reason}; {_REMEDY}"

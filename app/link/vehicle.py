@@ -19,6 +19,7 @@ _TRIES = 4
 _IN_PROGRESS = 5
 _SET_MESSAGE_INTERVAL = 511
 _RATE_ROUNDS, _RATE_ANSWER_S = 5, 0.6
+_ROUND_TRIPS, _MORE_S = 1.5, 0.15  # an answer may take so many of them and so much longer
 _ACCEPTED = 0
 
 Listener = Callable[[Message], object]
@@ -79,6 +80,16 @@ class Vehicle:
             return None
         finally:
             self._waiting.remove(entry)
+
+    def answer_s(self, unknown_s: float) -> float:
+        """Return how long to wait for an answer: by the measured round trip, unknown_s as long as there is none."""
+        round_trip_s = self.round_trip_s
+        return unknown_s if round_trip_s is None else _MORE_S + _ROUND_TRIPS * round_trip_s
+
+    @property
+    def round_trip_s(self) -> float | None:
+        """What a question and its answer take over the link in use, as measured; None: not known."""
+        return next((link.measured.round_trip_s for link in self.link.recent() if link.in_use), None)
 
     @contextlib.contextmanager
     def hearing(self, *names: str) -> Iterator[asyncio.Queue[Message]]:
@@ -173,7 +184,7 @@ class Vehicle:
                 missing = len(rates_hz) if round_ < rounds - 1 else 0
                 with contextlib.suppress(TimeoutError):
                     while missing:
-                        answer = await asyncio.wait_for(answers.get(), _RATE_ANSWER_S)
+                        answer = await asyncio.wait_for(answers.get(), self.answer_s(_RATE_ANSWER_S))
                         missing -= self.is_for_us(answer) and answer.fields["command"] == _SET_MESSAGE_INTERVAL
             if not missing:
                 return

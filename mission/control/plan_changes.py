@@ -122,7 +122,8 @@ class PlanChanges:
                 late_s = event.time_s - change.plan.departure_s
                 if late_s > 0.0 and not _can_still_join(aircraft, change.plan, late_s):
                     self.under_way = None
-                    return (Announce(event.time_s, "plan", f"plan {event.number} was ready {late_s:.1f} s too late"),)
+                    text = f"plan {event.number} was on board {late_s:.1f} s too late: the present circle goes on"
+                    return (Announce(event.time_s, "plan", text),)
                 change.stage = "ready"
                 return self.activate_due(now_s, watching=watching)
         self._departed(change, event.time_s)

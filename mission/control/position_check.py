@@ -22,6 +22,7 @@ _DRIFT_M_S = 3.0  # of dead reckoning
 _VELOCITY_SLACK_M_S, _VELOCITY_RATE_M_S2 = 6.0, 15.0
 _CLIMB_SLACK_M, _CLIMB_RATE_M_S = 20.0, 10.0
 _PROOF_S = 15.0
+_SILENT_S, _CIRCLING_RAD, _OFF_CIRCLE_M = 3.0, math.radians(12.0), 60.0
 _ODD_S = 1.0  # so long after the one before it a believed reading may turn out to have been the odd one
 _SETTLED = 5  # so many readings in order, before there is anything to hold on to
 _TURNS_MAX, _TURN_MAX_S = 20, 0.5
@@ -72,12 +73,12 @@ class PositionCheck:
             return self._believe(reading)
         step_s = reading.time_s - last.time_s
         if step_s <= 0.0:
-            return reading if possible and self.astray_s is None and self._follows(last, reading) else None
+            return reading if possible and self.astray_s is None and self._follows(last, reading, bank_rad) else None
         before = self._before
         after_odd_one = (
             before is not None and reading.time_s - before.time_s <= _ODD_S and _reachable(before, reading, 0.0)
         )
-        if possible and (after_odd_one or self._follows(last, reading)):
+        if possible and (after_odd_one or self._follows(last, reading, bank_rad)):
             return self._believe(reading)
         self._note_elsewhere(last, reading)
         proven = sound and reading.time_s - self._elsewhere_since_s >= _PROOF_S
@@ -111,9 +112,11 @@ class PositionCheck:
         self._elsewhere_count = self._elsewhere_count + 1 if agrees else 1
         self._elsewhere = reading
 
-    def _follows(self, last: PositionReading, reading: PositionReading) -> bool:
+    def _follows(self, last: PositionReading, reading: PositionReading, bank_rad: float) -> bool:
         reckoned_for_s = 0.0 if self.astray_s is None else last.time_s - self.astray_s
-        return _reachable(last, reading, reckoned_for_s + self._drifted_m / _DRIFT_M_S)
+        return _reachable(last, reading, reckoned_for_s + self._drifted_m / _DRIFT_M_S) and (
+            reading.time_s - last.time_s <= _SILENT_S or _still_circles(last, reading, bank_rad)
+        )
 
 
 def _reachable(last: PositionReading, reading: PositionReading, reckoned_for_s: float) -> bool:
@@ -131,6 +134,16 @@ def _reachable(last: PositionReading, reading: PositionReading, reckoned_for_s: 
     if abs(climbed_m) > _CLIMB_SLACK_M + _CLIMB_RATE_M_S * (abs(step_s) + reckoned_for_s):
         return False
     return _velocity_follows(last, reading, speed_m_s, reckoned_for_s)
+
+
+def _still_circles(last: PositionReading, reading: PositionReading, bank_rad: float) -> bool:
+    """Tell whether a place heard after silence is on the circle that was flown, if one was: there it needs nobody."""
+    if abs(bank_rad) < _CIRCLING_RAD:
+        return True
+    speed_m_s = math.hypot(last.velocity_east_m_s, last.velocity_north_m_s)
+    radius_m = speed_m_s**2 / (GRAVITY_M_S2 * math.tan(abs(bank_rad)))
+    moved_m = math.hypot(reading.east_m - last.east_m, reading.north_m - last.north_m)
+    return moved_m <= 2.0 * radius_m + _OFF_CIRCLE_M
 
 
 def _velocity_follows(

@@ -33,7 +33,8 @@ class Activation:
     """Makes the line of ``layout`` current while that of ``before`` is flown.
 
     MISSION_SET_CURRENT is repeated, each time for an item that the aircraft cannot have passed, should it have heard
-    of the one before. Where no answer comes, a question whose answer passes through the same link tells which reports
+    of the one before. A vehicle that is read in order heeds none while it waits for the end of a reading to be told:
+    it is told again. Where no answer comes, a question whose answer passes through the same link tells which reports
     are newer than the last request.
     """
 
@@ -45,7 +46,9 @@ class Activation:
         plans: tuple[Plan, Plan],
         round_trip_s: float,
         target: PositionTargetReported | None,
+        read_in_order: bool,
     ) -> None:
+        self._read_in_order = read_in_order
         self._outbox, self.layout, self.before = outbox, layout, before
         self._plan, self._plan_before = plans
         self._round_trip_s = round_trip_s
@@ -78,6 +81,8 @@ class Activation:
         again_s = max(_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS * self._round_trip_s)
         if self._sends < _SENDS:
             self._sends, self._sent_s, self._due_s = self._sends + 1, now_s, now_s + again_s
+            if self._read_in_order and self._sends > 1:
+                self._outbox.end_reading()
             self._outbox.send("MISSION_SET_CURRENT", seq=first_ahead)
             return
         settled_s = self._sent_s + max(again_s, _SETTLED_S + _SETTLED_ROUND_TRIPS * self._round_trip_s)

@@ -107,9 +107,9 @@ class MissionItemBackend:
         self._upload.begin(layout, _FIRST_UPLOAD_S, lambda: layout.head)
         self._judge_upload()
 
-    def adopt(self) -> None:
-        """Read the mission that is flown; ``adopted`` then tells what it is."""
-        self._read = MissionRead(self._outbox, self._dialect.quirks, self._outbox.link_s + _READ_S)
+    def adopt(self, round_trip_s: float) -> None:
+        """Read the mission that is flown; ``adopted`` then tells what it is. round_trip_s: as far as it is known."""
+        self._read = MissionRead(self._outbox, self._dialect.quirks, self._outbox.link_s + _READ_S, round_trip_s)
 
     @property
     def reading(self) -> bool:
@@ -185,7 +185,13 @@ class MissionItemBackend:
         change.stage = _Stage.ACTIVATING
         plans = (change.command.plan, change.command.present)
         change.activation = Activation(
-            self._outbox, change.layout, self._layout, plans, self._upload.round_trip_s, self._target
+            self._outbox,
+            change.layout,
+            self._layout,
+            plans,
+            self._upload.round_trip_s,
+            self._target,
+            read_in_order=not self._dialect.quirks.stores_items_one_by_one,
         )
         self._waits = True
 
@@ -330,8 +336,7 @@ class MissionItemBackend:
             self._taken_after_all(report.seq)
         if report.seq in self._layout:
             self._left = None
-        activating = self._change.layout if self._change is not None and self._change.activation else None
-        self._ownership.current(report, (self._layout, self._left, activating))
+        self._ownership.current(report, (self._layout, self._left))
 
     def _judge_activation(self, change: _Change) -> None:
         activation = change.activation

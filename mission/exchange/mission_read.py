@@ -115,7 +115,9 @@ class MissionRead:
         self._due_s = self._outbox.link_s + self._again_s * min(_SLOWER**self._repeats, _SLOWEST)
         if self._count is None:
             self._asked_s = self._outbox.link_s  # of the last time: a round trip is not as long as what was lost
-            self._outbox.send_mission("MISSION_REQUEST_LIST")
+            # Asked again it answers again: once more costs little where the first was lost.
+            for _ in range(1 + (self._in_order and self._repeats > 0)):
+                self._outbox.send_mission("MISSION_REQUEST_LIST")
             return
         missing = [seq for seq in range(self._count) if seq not in self._read]
         if self._singly:

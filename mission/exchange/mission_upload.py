@@ -14,6 +14,7 @@ from mission.exchange.raw_item import RawItem
 from mission.exchange.reports import VehicleReport
 
 _DURATION_WEIGHT = 0.5
+_LOSES_UPLOADS = 5  # so long a link that lost items is taken to lose more
 
 
 class MissionUpload:
@@ -30,6 +31,7 @@ class MissionUpload:
         self._layout: MissionLayout | None = None
         self._result: WriteResult | None = None
         self._began_s = 0.0
+        self._since_lost = _LOSES_UPLOADS  # so many uploads without an item that was lost
         self.took_s = 0.0
         self.round_trip_s = 0.0
 
@@ -71,6 +73,7 @@ class MissionUpload:
             self._ownership.mission_ids,
             self._ownership.doubtful,
             self.round_trip_s,
+            self._since_lost < _LOSES_UPLOADS,
         )
 
     def receive(self, report: VehicleReport) -> None:
@@ -108,6 +111,7 @@ class MissionUpload:
         return layout, result
 
     def _learn(self, write: MissionWrite, result: WriteResult) -> None:
+        self._since_lost = 0 if write.has_lost else self._since_lost + 1
         if write.round_trip_s is not None:
             self.round_trip_s = write.round_trip_s
             self._ownership.measured(write.round_trip_s)

@@ -23,6 +23,7 @@ _AGAIN_S, _MIN_AGAIN_S, _AGAIN_ROUND_TRIPS = 0.25, 0.1, 2.0
 _READ_S = 5.0  # after an upload that was not acknowledged
 _SLOWER, _SLOWEST = 1.25, 2.0
 _REFUSALS = 3
+_GIVEN_UP_S = 4.0  # of silence: PX4 gives an upload up after 5 s
 _LONG_ROUND_TRIP_S = 0.2  # then the items are sent with the announcement, without waiting for the first request
 
 
@@ -45,7 +46,8 @@ class MissionWrite:
 
     ``changed`` as long as ``items`` replaces the whole list, however long that was. marked tells which item is to be
     flown on taking the list over. deadline_s is of the link's clock. mission_ids_before: of uploads before, whose
-    acknowledgements may still come; doubt_before: so may that of one whose id is not known. ``result`` is None while
+    acknowledgements may still come; doubt_before: so may that of one whose id is not known. loses: items of an upload
+    before were lost; then, and as soon as one is, they are sent twice where that is allowed. ``result`` is None while
     it goes on; ACCEPTED: verified. After TIMEOUT and DENIED what is on board at ``changed`` is not known.
     """
 
@@ -60,13 +62,15 @@ class MissionWrite:
         mission_ids_before: Collection[int] = (),
         doubt_before: bool = False,
         round_trip_s: float = 0.0,
+        loses: bool = False,
     ) -> None:
         self._outbox, self._quirks, self._marked = outbox, quirks, marked
+        self._loses, self.has_lost = loses, False
         self.items, self.changed = tuple(items), changed
         self._deadline_s, self._mission_ids_before = deadline_s, mission_ids_before
         self._doubt_before = doubt_before
         self._round_trip_before_s = round_trip_s
-        self._again_s = max(_AGAIN_S, _AGAIN_ROUND_TRIPS * round_trip_s)
+        self._again_s = max(_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS * round_trip_s) if round_trip_s else _AGAIN_S
         self._at_once = round_trip_s > _LONG_ROUND_TRIP_S
         self._overtaken = False
         self._awaited = changed.start
@@ -74,6 +78,7 @@ class MissionWrite:
         self._onboard: dict[int, RawItem] = {}
         self._read: MissionRead | None = None
         self._said_s = self._due_s = 0.0
+        self._requested_s = -math.inf
         self._repeats = 0
         self.round_trip_s: float | None = None
         self.result: WriteResult | None = None
@@ -119,6 +124,7 @@ class MissionWrite:
             self._give_up()
         elif self._outbox.link_s >= self._due_s:
             self._repeats += 1
+            self.has_lost = self.has_lost or self._phase is _Phase.SENDING
             self._say()
 
     def cancel(self) -> None:
@@ -134,7 +140,7 @@ class MissionWrite:
         self._say()
 
     def _requested(self, report: MissionItemRequested) -> None:
-        repeated, self._awaited = report.seq == self._awaited, report.seq
+        repeated, self._awaited, self._requested_s = report.seq == self._awaited, report.seq, report.link_s
         repeats, self._repeats = self._repeats, 0
         self._due_s = report.link_s + self._again_s
         if self._phase is _Phase.ANNOUNCING:
@@ -175,10 +181,14 @@ class MissionWrite:
             self.result = WriteResult.DENIED
         elif report.mission_id and report.mission_id in self._mission_ids_before:
             pass  # of the upload before, come late
-        elif self._quirks.stores_items_one_by_one or self._doubt_before or self._awaited != self.changed[-1]:
-            self._verify()  # PX4 acknowledges the item that came last again, also where it has given the upload up
+        elif self._quirks.stores_items_one_by_one or self._doubt_before or self._may_be_given_up(report.link_s):
+            self._verify()
         else:
             self.mission_id, self.result = report.mission_id, WriteResult.ACCEPTED
+
+    def _may_be_given_up(self, now_s: float) -> bool:
+        """Tell whether not all may have come: PX4 acknowledges the item that came last again after giving up, too."""
+        return self._awaited != self.changed[-1] and now_s - self._requested_s > _GIVEN_UP_S
 
     def _say(self) -> None:
         outbox, changed = self._outbox, self.changed
@@ -187,6 +197,8 @@ class MissionWrite:
         self._due_s = outbox.link_s + self._again_s * min(_SLOWER**self._repeats, _SLOWEST)
         self._refused = False
         if self._phase is _Phase.ANNOUNCING:
+            if self._repeats and not self._quirks.stores_items_one_by_one:
+                outbox.end_reading()  # it may wait for that, and heed nothing else
             if len(changed) == len(self.items):
                 outbox.send_mission("MISSION_COUNT", count=len(self.items))
             else:
@@ -195,11 +207,18 @@ class MissionWrite:
         if self._phase is _Phase.SENDING or (self._phase is _Phase.ANNOUNCING and self._at_once):
             marked = self._marked()
             for seq in range(self._awaited, max(changed.stop, self._awaited + 1)):
-                outbox.send_item(seq, self.items[seq], seq == marked)
+                for _ in range(self._copies):
+                    outbox.send_item(seq, self.items[seq], seq == marked)
         elif self._phase is _Phase.VERIFYING:
             for seq in self._to_verify():
                 if seq not in self._onboard:
                     outbox.send_mission("MISSION_REQUEST_INT", seq=seq)
+
+    @property
+    def _copies(self) -> int:
+        """How often an item is sent: after one that was lost, all that follow were for nothing."""
+        twice = (self._loses or self.has_lost) and not self._quirks.stores_items_one_by_one
+        return 2 if twice and not self._overtaken else 1
 
     def _give_up(self) -> None:
         self._outbox.send_mission("MISSION_ACK", type=CANCELLED)

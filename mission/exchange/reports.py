@@ -104,7 +104,7 @@ class TimerExpired:
 class TakeoverRequested:
     """Bring the aircraft onto a circle of ours: from the ground, or from ``mode``, in which it flies already.
 
-    arm_period_s: between two requests to arm, of the link's clock.
+    arm_period_s: between two requests to arm; round_trip_s: as far as it is known. Both are of the link's clock.
     """
 
     time_s: float
@@ -112,6 +112,7 @@ class TakeoverRequested:
     flying: bool
     mode: str
     arm_period_s: float = 1.0
+    round_trip_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

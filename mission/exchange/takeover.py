@@ -75,7 +75,7 @@ class Takeover:
         self._aircraft: AircraftState | None = None
         self._command: CommandExchange | None = None
         self._circle_reported: CircleOrder | None = None
-        self._arm_period_s = 1.0
+        self._arm_period_s, self._round_trip_s = 1.0, 0.0
         self._until_s = math.inf
         self._now_s = outbox.link_s
 
@@ -93,6 +93,7 @@ class Takeover:
     def begin(self, request: TakeoverRequested) -> None:
         """Start it."""
         self._mode, self._arm_period_s = request.mode, request.arm_period_s
+        self._round_trip_s = request.round_trip_s
         self._script = self._take_over(request.flying)
         self.step()
 
@@ -189,10 +190,10 @@ class Takeover:
         if self._aircraft is None:
             raise _FailedError("the aircraft's place is not known")
         if self._mode == self._dialect.mission_mode:
-            yield from self._until(lambda: self._missions.flown_index is not None, _REPORTED_WITHIN_S)
-            self._missions.adopt()
+            self._missions.adopt(self._round_trip_s)
             while self._missions.reading:
                 yield
+            yield from self._until(lambda: self._missions.flown_index is not None, _REPORTED_WITHIN_S)
             flown = self._missions.adopted()
             return flown, flown is not None
         if self._mode == self._dialect.circle_mode:

@@ -5,7 +5,8 @@ import pytest
 from app.autopilots.arduplane import ArduPlane
 from app.autopilots.px4 import Px4
 from app.config import Config
-from app.flight.preflight import SourceRate, checks
+from app.flight.preflight import checks
+from app.flight.source_rates import SourceRate
 from app.link.message import Message
 from estimators.readings import Source
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import statistics
 import subprocess
 import sys
 from collections import Counter
@@ -16,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from app.flight.simulated import free_udp_port
-from mission.core.events import ActivatePlan, Announce, PlanStatus, Yield
+from mission.core.events import ActivatePlan, Announce, PlanStatus, UploadPlan, Yield
 from sitl.link import LinkFaults
 
 CHANGES, FLIGHTS = int(os.environ.get("CHANGES", "50")), int(os.environ.get("FLIGHTS", "4"))
@@ -35,10 +36,12 @@ def harness():
 
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])
 @pytest.mark.parametrize(
-    ("loss", "duplicate", "delay_s"), [(0.0, 0.0, 0.01), (0.05, 0.05, 0.1), (0.05, 0.0, 1.0), (0.2, 0.0, 0.025)]
+    ("loss", "duplicate", "delay_s"),
+    [(0.0, 0.0, 0.01), (0.05, 0.05, 0.1), (0.05, 0.0, 1.0), (0.05, 0.0, 0.025), (0.2, 0.0, 0.025)],
 )
 def test_plan_changes_are_told_as_they_are_flown(harness, flavour, loss, duplicate, delay_s):
     activated, told, late, yields, uploads, seed = 0, Counter(), 0, 0, Counter(), 0
+    took_s: list[float] = []
     while activated < CHANGES:
         seed += 1
         flight = harness.Flight(flavour, seed=seed, faults=LinkFaults(loss, duplicate, delay_s))
@@ -52,15 +55,24 @@ def test_plan_changes_are_told_as_they_are_flown(harness, flavour, loss, duplica
         told.update(one.stage for one in statuses if one.number in numbers)
         uploads.update(one.stage for one in statuses if one.number not in numbers or one.stage == "ready")
         yields += len(flight.found(Yield))
+        took_s += durations_s(flight)
+        uploads["too late"] += sum("too late" in one.text for one in flight.found(Announce))
         failed = {one.number for one in statuses if one.stage == "failed"} & numbers
         late += len(failed & {one.number for one in statuses if one.stage == "departed"})
     print(
         f"\n{flavour:9} loss {loss:4.0%} delay {delay_s:5.3f} s each way: {activated} plans activated, "
         f"{told['departed']} told as flown ({told['unconfirmed']} asked about, {late} late), "
-        f"{uploads['ready']} uploads of {uploads['ready'] + uploads['failed']}, {yields} yields"
+        f"{uploads['ready']} uploads of {uploads['ready'] + uploads['failed']}, {uploads['too late']} too late, "
+        f"median {statistics.median(took_s):.2f} s, most {max(took_s):.2f} s, {yields} yields"
     )
     assert told["departed"] == activated
     assert yields == 0
+
+
+def durations_s(flight):
+    """Return how long each upload took until its plan was ready."""
+    begun_s = {one.number: one.time_s for one in flight.found(UploadPlan)}
+    return [one.time_s - begun_s[one.number] for one in flight.found(PlanStatus) if one.stage == "ready"]
 
 
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])

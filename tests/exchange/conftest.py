@@ -155,8 +155,8 @@ class Flight:
             Home(home.latitude_deg, home.longitude_deg, home.altitude_m),
         )
 
-    def take_over(self, flying=False, mode=""):
-        self.put(TakeoverRequested(self.telemetry.now_s, self.link_s, flying, mode))
+    def take_over(self, flying=False, mode="", round_trip_s=0.0):
+        self.put(TakeoverRequested(self.telemetry.now_s, self.link_s, flying, mode, round_trip_s=round_trip_s))
 
     def spoil(self, faults, late_current_s=0.0):
         """Change the link's faults; MISSION_CURRENT comes later still."""

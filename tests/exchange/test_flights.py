@@ -11,7 +11,7 @@ from app.flight.recording import JOURNAL_TYPES
 from app.records.journal import Header, JournalReader, JournalWriter
 from mission.core.events import ActivatePlan, Command, PlanStatus, UploadPlan, Yield
 from mission.exchange.mission_controller import DERIVED
-from mission.exchange.outbox import SendMessage, TakeoverFailed
+from mission.exchange.outbox import ExternalControl, SendMessage, TakeoverFailed
 from sitl.link import LinkFaults
 
 BAD = LinkFaults(loss=0.05, duplicate=0.05, delay_s=0.1)
@@ -47,6 +47,23 @@ def test_a_replay_repeats_uploads_and_switches_to_the_last_bit(in_the_air, tmp_p
     replay = replayed(flight, tmp_path / "journal.jsonl")
     assert replay.difference is None
     assert replay.compared >= len(flight.found((SendMessage, Command, *DERIVED, TakeoverFailed)))
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_the_circle_is_taken_over_again_in_two_round_trips(in_the_air, flavour):
+    flight = in_the_air(flavour)
+    flight.run(5.0)
+    flight.core = flight.make_core(flight.planner)  # as a program that was started again
+    flight.outputs.clear()
+    flight.spoil(LinkFaults(delay_s=0.4))
+    flight.run(2.0)
+    begun_s = flight.link_s
+    flight.take_over(True, flight.dialect.mission_mode, round_trip_s=0.8)
+    assert flight.run(10.0, lambda: flight.has_control)
+    assert flight.link_s - begun_s < 2.0
+    asked = [one.name for one in flight.found(SendMessage)]
+    assert asked.count("MISSION_REQUEST_LIST") == 1
+    assert "MISSION_COUNT" not in asked
 
 
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])
@@ -94,6 +111,19 @@ def test_a_switch_is_taken_after_all_when_the_next_plan_is_on_its_way(in_the_air
     set_current(layout.first)
     assert flight.run(10.0, lambda: number in statuses(flight, "departed"))
     assert not flight.found(Yield)
+
+
+def test_late_reports_of_the_line_before_are_no_other_station(in_the_air):
+    flight = in_the_air("arduplane")
+    flight.autopilot.silenced.add(42)  # the switch is confirmed by the track
+    flight.autopilot.broadcast_now = lambda _id: None
+    before = flight.core._backend._current
+    assert flight.run(60.0, lambda: bool(statuses(flight, "departed")))
+    assert before.seq not in flight.core._backend._layout
+    for _ in range(6):
+        flight.put(replace(before, time_s=flight.telemetry.now_s, link_s=flight.link_s))
+        flight.run(0.4)
+    assert not flight.found((Yield, ExternalControl))
 
 
 def yielded(flight, within_s):

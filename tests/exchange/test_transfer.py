@@ -202,21 +202,23 @@ def reported(items, mission_id):
 
 
 @pytest.mark.parametrize(
-    ("requested", "doubt_before"),
-    [(COUNT - 1, True), (COUNT - 2, False)],
+    ("requested", "doubt_before", "silent_s"),
+    [(COUNT - 1, True, 0.1), (COUNT - 2, False, 5.0)],
     ids=["one in doubt before", "a part of it"],
 )
-def test_what_may_be_another_acknowledgement_is_believed_only_by_the_items_on_board(requested, doubt_before):
+def test_what_may_be_another_acknowledgement_is_believed_only_by_the_items_on_board(
+    requested, doubt_before, silent_s
+):
     outbox = Outbox(0.0, 0.0)
     upload = MissionWrite(outbox, QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0, {77}, doubt_before)
-    upload.receive(MissionItemRequested(0.0, 0.2, requested))
-    upload.receive(MissionAcknowledged(0.0, 0.3, 0, 78))
+    upload.receive(MissionItemRequested(0.0, -silent_s, requested))
+    upload.receive(MissionAcknowledged(0.0, 0.0, 0, 78))
     assert upload.result is None
     for report in reported(OLD, 78):
         upload.receive(report)
     assert upload.result is None  # begun again
     upload.receive(MissionItemRequested(0.0, 0.7, requested))
-    upload.receive(MissionAcknowledged(0.0, 0.8, 0, 79))
+    upload.receive(MissionAcknowledged(0.0, 0.7 + silent_s, 0, 79))
     for report in reported(NEW, 79):
         upload.receive(report)
     assert upload.result is ACCEPTED
@@ -232,7 +234,15 @@ def test_a_vehicle_that_asks_for_items_still_has_not_acknowledged_them():
     outbox.sent.clear()
     outbox.begin(0.0, upload.next_timer_s)
     upload.expire()
-    assert [one.fields["seq"] for one in outbox.sent if one.name == "MISSION_ITEM_INT"] == list(range(4, COUNT))
+    sent = [one.fields["seq"] for one in outbox.sent if one.name == "MISSION_ITEM_INT"]
+    assert sent == [seq for seq in range(4, COUNT) for _ in range(2)]  # one was lost: from now on each twice
+
+
+def test_an_acknowledgement_is_of_all_items_where_their_last_requests_were_lost():
+    upload = MissionWrite(Outbox(0.0, 0.0), QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0, {77})
+    upload.receive(MissionItemRequested(0.0, 0.2, COUNT - 3))
+    upload.receive(MissionAcknowledged(0.0, 0.3, 0, 78))
+    assert upload.result is ACCEPTED
 
 
 def test_px4_acknowledges_a_part_after_an_outage_and_is_not_believed(fly, raw_items):

@@ -110,6 +110,50 @@ def payload_stamps(rng: np.random.Generator, begin_s: float) -> Fault:
     return Fault("payload stamps", begin_s, math.inf, only(PAYLOAD, change), f"{share:.0%} at random")
 
 
+def payload_drift(rng: np.random.Generator, begin_s: float) -> Fault:
+    """Let the payload's clock go wrong by up to a hundredth."""
+    drift = rng.uniform(-0.01, 0.01)
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
+        return later(message, drift * since_s)
+
+    return Fault("payload drift", begin_s, math.inf, only(PAYLOAD, change), f"{drift:+.2%}")
+
+
+_EXTREMES = {
+    "time_boot_ms": (0, 2**32 - 1),
+    "current_distance": (0, 65_535),
+    "min_distance": (0, 65_535),
+    "max_distance": (0, 65_535),
+    "covariance": (0, 255),
+    "signal_quality": (0, 1, 100, 255),
+    "orientation": (0, 255),
+    "id": (0, 255),
+    "type": (0, 255),
+    "quaternion": ([math.nan] * 4, [3.4e38] * 4, [0.0] * 4, [None] * 4),
+    "q": ([math.nan] * 4, [3.4e38] * 4, [0.0] * 4, [None] * 4),
+    "angular_velocity_x": (None, 3.4e38, -3.4e38),
+    "flags": (0, 65_535),
+    "failure_flags": (2**32 - 1,),
+    "delta_yaw": (None, 3.4e38),
+    "gimbal_device_id": (0, 255),
+}
+
+
+def payload_extremes(rng: np.random.Generator, begin_s: float) -> Fault:
+    """Set each field of the payload's messages to an end of its range, one a message."""
+    share = rng.uniform(0.01, 0.3)
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
+        names = [name for name in message.fields if name in _EXTREMES]
+        if rng.random() >= share:
+            return message
+        name = names[rng.integers(len(names))]
+        return with_fields(message, **{name: _EXTREMES[name][rng.integers(len(_EXTREMES[name]))]})
+
+    return Fault("payload extremes", begin_s, math.inf, only(PAYLOAD, change), f"{share:.0%} of them")
+
+
 def payload_restart(rng: np.random.Generator, begin_s: float) -> Fault:
     silent_s = float(rng.uniform(2.0, 8.0))
 
@@ -234,6 +278,9 @@ HARMLESS = (
 )
 
 
+BESIDE = (payload_drift, payload_extremes)
+
+
 def yielding(ending: str | None, ending_s: float) -> list[Fault]:
     """Return the faults by which a flight ends as it is to."""
     makers = {"reboot": reboot, "second vehicle": second_vehicle}
@@ -255,6 +302,10 @@ def drawn(seed: int, duration_s: float) -> tuple[list[Fault], tuple[str | None, 
         else one
         for one in faults
     ]
+    beside = np.random.default_rng((seed, 6))  # apart: what was drawn before stays as it was
+    if beside.random() < 0.25:
+        make = BESIDE[beside.integers(len(BESIDE))]
+        faults.append(make(beside, float(beside.uniform(20.0, 0.6 * duration_s))))
     if rng.random() < 0.15:
         return faults, (str(rng.choice(list(EXPECTED_YIELDS))), float(rng.uniform(0.75, 0.85)) * duration_s)
     return faults, (None, math.inf)

@@ -12,7 +12,7 @@ from mission.control.plausibility import Plausibility
 from tests.faults import flight_faults
 from tests.faults.flight import ClosedLoop, Scenario
 from tests.faults.flight_campaign import flight
-from tests.faults.flight_faults import HARMLESS, Fault, later, moved, only, with_fields
+from tests.faults.flight_faults import BESIDE, HARMLESS, Fault, later, moved, only, with_fields
 
 BEGIN_S = 60.0
 LOST_ON_SIDE_MAX = 2.0  # points
@@ -51,7 +51,7 @@ def test_without_the_door_each_of_them_would(monkeypatch):
         assert flight(3, "arduplane", [one], duration_s=110.0).broken
 
 
-@pytest.mark.parametrize("make", HARMLESS, ids=lambda make: make.__name__)
+@pytest.mark.parametrize("make", HARMLESS + BESIDE, ids=lambda make: make.__name__)
 def test_a_fault_neither_misleads_nor_ends_a_flight(make):
     rng = np.random.default_rng(11)
     verdicts = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import tracemalloc
 import zlib
 
 import pytest
@@ -95,6 +96,18 @@ def test_a_journal_line_that_is_none_is_passed_over(tmp_path, line):
     assert reader.damaged_lines
 
 
+def test_a_journal_line_without_end_takes_no_more_memory(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    path.write_bytes(HEADER + b"x" * (40 << 20) + b"\n")
+    tracemalloc.start()
+    try:
+        assert list(JournalReader(path, JOURNAL_TYPES)) == []
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 16 << 20
+
+
 @pytest.mark.parametrize(
     "fields", ['{"time_s":1.0}', '{"time_s":"soon","kind":"track","text":"x"}', f'{{"time_s":1{"0" * 400}}}']
 )
@@ -113,6 +126,13 @@ def test_a_summary_that_is_none_is_one_sentence(tmp_path, text):
     folder.summary.write_text(text)
     with pytest.raises(InputError, match=r"summary\.json"):
         read_summary(folder.read_summary(), str(folder.summary))
+
+
+@pytest.mark.parametrize("text", ["[]", "3"])
+def test_a_summary_that_is_no_object_is_refused_as_it_is_read(tmp_path, text):
+    (tmp_path / "summary.json").write_text(text)
+    with pytest.raises(InputError, match="is no summary of a run"):
+        RunFolder(tmp_path).read_summary()
 
 
 def test_a_summary_may_have_more_than_this_program_knows(tmp_path):
@@ -144,6 +164,19 @@ def test_a_track_that_is_none_is_one_sentence(tmp_path, name, content):
     with pytest.raises(TrackError, match=name) as caught:
         read_track(tmp_path / name)
     assert len(str(caught.value)) < 400
+
+
+def test_a_track_that_is_too_long_is_not_read(tmp_path):
+    path = tmp_path / "track.gpx"
+    path.write_bytes(b"<gpx>" + b" " * (9 << 20) + b"</gpx>")
+    with pytest.raises(TrackError, match="is longer than"):
+        read_track(path)
+
+
+def test_a_short_row_costs_that_row_only(tmp_path):
+    path = tmp_path / "track.csv"
+    path.write_text("time_s,east_m,north_m\n0,1,2\n1,2\n2,,4\n3,4,5\n")
+    assert list(read_track(path).time_s) == [0.0, 3.0]
 
 
 @pytest.mark.parametrize("read", [open_log, read_track])

@@ -257,6 +257,22 @@ def test_a_new_place_that_holds_is_believed(flown):
     assert flown.of(PositionReading)[-1].east_m == pytest.approx(position(126.9).east_m + 300.0)
 
 
+def test_after_a_silence_a_circling_aircraft_is_believed_where_it_circled(flown):
+    flown.fly(133.0, 136.0)
+    assert flown.of(PositionReading)[-1] == position(135.9)
+    assert flown.door.doubt is None
+    assert not flown.told
+
+
+def test_a_jump_that_meets_a_silence_is_still_a_jump(flown):
+    flown.fly(133.0, 138.0, away(614.0))
+    assert flown.door.doubt is not None
+    assert "jumped by" in flown.told[0]
+    flown.fly(138.0, 160.0)
+    assert flown.door.doubt is None
+    assert flown.of(PositionReading)[-1] == position(159.9)
+
+
 def test_a_new_place_is_not_believed_while_the_ekf_complains(flown):
     for begin_s in range(110, 150):
         flown.give(NavigationReported(float(begin_s), "EKF", "the EKF sees a GPS glitch"))

@@ -99,7 +99,11 @@ def test_a_download_is_refused_while_an_upload_runs(ground):
     ground.send(mavlink.MAVLink_mission_request_list_message(1, 1, 0))
     ground.run(0.1)
     assert not ground.all("MISSION_COUNT")
-    assert ground.last("MISSION_ACK").type != ACCEPTED
+    if ground.simulation.settings.flavour == Flavour.PX4:
+        assert not ground.all("MISSION_ACK")
+        assert "ignored, already active" in ground.last("STATUSTEXT").text
+    else:
+        assert ground.last("MISSION_ACK").type != ACCEPTED
 
 
 @pytest.mark.parametrize(("asked", "answered"), [([0, 0, 1, 2, 2], [0, 0, 1, 2, 2]), ([0, 2, 1], [0]), ([1], [])])
@@ -131,6 +135,26 @@ def test_px4_heeds_nothing_else_while_it_is_read(simulate, station):
     ground.run(0.1)
     assert ground.simulation.vehicle.mission.index == 2
     assert ground.upload(plan(ground)) == ACCEPTED
+
+
+def test_px4_says_in_words_only_that_it_clears_nothing_while_any_list_is_read(simulate, station):
+    ground = station(simulate(flavour=Flavour.PX4, payload=None))
+    ground.run(10.0)
+    ground.upload(plan(ground))
+    before = len(ground.all("MISSION_ACK"))
+    ground.send(mavlink.MAVLink_mission_request_list_message(1, 1, 0))
+    ground.send(mavlink.MAVLink_mission_request_list_message(1, 1, mavlink.MAV_MISSION_TYPE_FENCE))
+    ground.run(0.1)
+    assert [m.mission_type for m in ground.all("MISSION_COUNT")] == [0]
+    ground.send(mavlink.MAVLink_mission_clear_all_message(1, 1, mavlink.MAV_MISSION_TYPE_RALLY))
+    ground.run(0.1)
+    assert len(ground.all("MISSION_ACK")) == before
+    assert "IGN CLEAR CMD: Busy" in ground.last("STATUSTEXT").text
+    for sequence in range(len(plan(ground))):
+        ground.send(mavlink.MAVLink_mission_request_int_message(1, 1, sequence, 0))
+    ground.send(mavlink.MAVLink_mission_request_list_message(1, 1, mavlink.MAV_MISSION_TYPE_FENCE))
+    ground.run(0.1)
+    assert ground.last("MISSION_COUNT").mission_type == mavlink.MAV_MISSION_TYPE_FENCE
 
 
 def test_the_sender_may_break_off(ground):

@@ -1,0 +1,94 @@
+"""How often the sources of the target speak: counted while other questions to the vehicle are answered."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections import Counter
+from dataclasses import dataclass
+
+from app.config import SharingSection
+from app.flight.outputs import open_beacon
+from app.link.message import Message
+from app.link.telemetry import Telemetry
+from app.link.vehicle import Vehicle
+from estimators.frames import LocalPlane
+from estimators.readings import BEACON_MESSAGES, GimbalReading, RangeReading, Source, TargetFixReading
+
+_ANYWHERE = LocalPlane(0.0, 0.0)  # before the flight has one, a beacon is only counted
+
+
+@dataclass(frozen=True, slots=True)
+class SourceRate:
+    """How often a range or gimbal source speaks."""
+
+    kind: str
+    source: Source
+    rate_hz: float
+
+    def __str__(self) -> str:
+        if self.source.message in BEACON_MESSAGES:
+            return f"{self.source.message} of a beacon at {self.rate_hz:.1f} Hz"
+        where = f"component {self.source.component_id} id {self.source.sensor_id}"
+        if self.kind == "range":
+            where += f" orientation {self.source.orientation}"
+        return f"{self.source.message} of {where} at {self.rate_hz:.1f} Hz"
+
+
+class SourceRates:
+    """Listens to a vehicle until ``close``."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        vehicle.listeners.append(self._count)
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what was heard."""
+        self._telemetry = Telemetry(self._vehicle.system_id)
+        self._counts: Counter[tuple[str, Source]] = Counter()
+        self._begun_s = math.inf  # of our own clock
+        self._first_s = math.inf  # of the vehicle's
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._vehicle.listeners.remove(self._count)
+
+    async def heard(self, wall_s: float, sharing: SharingSection) -> tuple[SourceRate, ...]:
+        """Return the rates, on the vehicle's clock, when it was listened for ``wall_s`` in all; then begin anew.
+
+        Raises InputError when the beacon's address is not free or not here.
+        """
+        beacon = await open_beacon(sharing, _ANYWHERE, lambda: self._telemetry.now_s, self._count_fix)
+        listened_s = time.time() - self._begun_s if beacon is None else 0.0
+        try:
+            await asyncio.sleep(wall_s - min(max(listened_s, 0.0), wall_s))
+        finally:
+            if beacon is not None:
+                beacon.stop()
+                await asyncio.sleep(0)  # its port is free again once the loop has turned
+        # A simulation may run faster than the clock on the wall.
+        by_vehicle_s, by_wall_s = self._telemetry.now_s - self._first_s, time.time() - self._begun_s
+        duration_s = next((s for s in (by_vehicle_s, by_wall_s) if 0.0 < s < math.inf), wall_s)
+        rates = tuple(
+            SourceRate(kind, source, number / duration_s)
+            for (kind, source), number in sorted(self._counts.items(), key=lambda item: (item[0][0], -item[1]))
+        )
+        self.begin()
+        return rates
+
+    def _count(self, message: Message) -> None:
+        event = self._telemetry.event(message)
+        self._begun_s = min(self._begun_s, message.received_s)
+        if self._first_s == math.inf and self._telemetry.now_s > -math.inf:
+            self._first_s = self._telemetry.now_s
+        if isinstance(event, RangeReading):
+            self._counts["range", event.source] += 1
+        elif isinstance(event, GimbalReading):
+            self._counts["gimbal", event.source] += 1
+        elif isinstance(event, TargetFixReading):
+            self._count_fix(event)
+
+    def _count_fix(self, reading: TargetFixReading) -> None:
+        self._counts["target", reading.source] += 1
