@@ -104,6 +104,14 @@ def session(request, tmp_path, free_port) -> Iterator[tuple[str, Session]]:
             process.wait(10)
 
 
+def taken(station, flavour, command, kind):
+    """Say it until it is taken. MAVProxy acknowledges no list that it has read: PX4 is busy with it for 5 s more."""
+    while "ACCEPTED" not in (found := station.do(command, f"TYPE_{kind}: (ACCEPTED|ERROR)|IGN CLEAR CMD: Busy")[0]):
+        assert flavour == "px4"
+        station.lines.remove(found)
+        time.sleep(0.5)
+
+
 def test_a_whole_session_goes_without_an_error(session, tmp_path):
     flavour, station = session
     station.expect("online system 1", "Received [0-9]+ parameters")
@@ -115,9 +123,9 @@ def test_a_whole_session_goes_without_an_error(session, tmp_path):
         station.do("param set MIS_TKO_LAND_REQ 0")  # as it comes PX4 drops a mission without a landing
     station.do("wp load wp.txt", "TYPE_MISSION: ACCEPTED")
     station.do("wp list", r"17 [36] .* p3=60\.0", "Saved 4 waypoints")
-    station.do("fence load fence.txt", "TYPE_FENCE: ACCEPTED")
+    taken(station, flavour, "fence load fence.txt", "FENCE")
     station.do("fence list", "Saved [1-9] fence items")
-    station.do("rally load rally.txt", "TYPE_RALLY: ACCEPTED")
+    taken(station, flavour, "rally load rally.txt", "RALLY")
     station.do("rally list", "Saved 1 rally items")
     station.do("ftp list /", "Total size|Listing")
     if flavour == "arduplane":
@@ -128,11 +136,6 @@ def test_a_whole_session_goes_without_an_error(session, tmp_path):
     station.do("arm throttle", "ARMED")
     station.do("disarm", "DISARMED")
     for kind in ("fence", "rally", "wp"):
-        answer = f"TYPE_{'MISSION' if kind == 'wp' else kind.upper()}: ACCEPTED|IGN CLEAR CMD: Busy"
-        while "Busy" in station.do(f"{kind} clear", answer)[0]:
-            # MAVProxy acknowledges no list that it has read: PX4 is busy with it for 5 s more, and says so.
-            assert flavour == "px4"
-            station.lines.pop()
-            time.sleep(0.5)
+        taken(station, flavour, f"{kind} clear", "MISSION" if kind == "wp" else kind.upper())
     station.do("reboot", "PREFLIGHT_REBOOT_SHUTDOWN: ACCEPTED")
     assert [line for line in station.lines if ERROR.search(line)] == []
