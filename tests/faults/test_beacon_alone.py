@@ -17,7 +17,7 @@ SILENT_S = (150.0, 165.0)
 
 
 class BeaconLoop(ClosedLoop):
-    """A flight with a FOLLOW_TARGET frame a second in place of a payload; its error lasts, as a GPS receiver's does."""
+    """A flight with a FOLLOW_TARGET frame a second in place of a payload; its error lasts, as a receiver's does."""
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
