@@ -18,6 +18,7 @@ from mission.core.requirement import Aircraft, Requirement, Side, Wind
 from mission.fleet import _cover_kernel as kernel
 from mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside
 from mission.fleet.team_planner import TeamPlanner
+from mission.geometry.separation import flown_places
 from mission.predictive.planner import PredictivePlanner, table_configuration
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0, course_horizon_s=0.0)
@@ -195,6 +196,34 @@ def test_a_move_that_is_refused_gives_way_to_the_next():
     assert len(refused) >= 3
     never = flown_lap(planner(lambda _plan: "a fence"), 360.0, Role.WANTED, Side.LEFT)
     assert any(one.reason == "staying: a fence" for one in never)
+
+
+def test_where_uploads_take_long_no_plan_ends_in_a_circle_that_leads_too_near_before_the_next_one():
+    latency_s, rng, nearest_m = 6.0, np.random.default_rng(5), []
+    for _ in range(60):
+        target, bearing_rad = going(float(rng.uniform(0.0, 360.0))), rng.uniform(0.0, 2.0 * math.pi)
+        range_m, clockwise = rng.uniform(190.0, 330.0), bool(rng.integers(2))
+        circle = Circle(range_m * math.sin(bearing_rad), range_m * math.cos(bearing_rad), 50.0, clockwise)
+        course_rad, role = rng.uniform(-3.0, 3.0), (Role.OPPOSITE, Role.WANTED)[rng.integers(2)]
+        place = circle.position_at_course(course_rad)
+        state = AircraftState(100.0, *place, course_rad, 10.0, circle.curvature_per_m)
+        there, opposite = on_circle(-circle.east_m, -circle.north_m, not clockwise)
+        deciding = planner()
+        deciding.advise(NeighbourPlanned(100.0, "b", opposite, None))
+        held = Side.LEFT if role is Role.WANTED else Side.RIGHT
+        neighbour = Neighbour("b", there, 160.0, ours=True, target="t")
+        deciding.advise(FleetAdvice(100.0, "t", role, held, target, 100.0, (neighbour,)))
+        plan = deciding.decide(state, target, Plan(circle), Wind(), latency_s).plan
+        if plan is not None:
+            until_s = latency_s + plan.transition_m / 10.0 + latency_s
+            flown = flown_places(state, Plan(circle), plan, Wind(), 10.0, 0.5, round(2.0 * until_s))
+            went_s = 0.5 * np.arange(flown.shape[1])
+            off_m = np.hypot(
+                flown[0] - target.velocity_east_m_s * went_s, flown[1] - target.velocity_north_m_s * went_s
+            )
+            nearest_m.append(off_m[round(2.0 * latency_s) :].min())
+    assert len(nearest_m) > 10
+    assert min(nearest_m) > REQUIREMENT.range_min_m
 
 
 @pytest.mark.parametrize(
