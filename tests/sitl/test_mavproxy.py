@@ -109,7 +109,7 @@ def taken(station, flavour, command, kind):
     while "ACCEPTED" not in (found := station.do(command, f"TYPE_{kind}: (ACCEPTED|ERROR)|IGN CLEAR CMD: Busy")[0]):
         assert flavour == "px4"
         station.lines.remove(found)
-        time.sleep(0.5)
+        station.expect("Operation timeout")
 
 
 def test_a_whole_session_goes_without_an_error(session, tmp_path):
