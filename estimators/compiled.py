@@ -4,6 +4,10 @@ Compiled code lies beside its source where that can be written, else in the user
 another place. Where nothing can be written, each start compiles anew.
 
 numba is loaded with the first call, not with the modules: it takes a moment that not every command wants to wait.
+A function that returns numbers alone and makes no arrays, nor calls what hands it any, borrows the arrays that it is
+handed. An assignment of one array to a part of another makes one, too: numba buffers it, and asks for its runtime,
+which such a function is compiled without.
+
 It notices when a function's own file changes, not when one that it calls or a constant does: here the stamp of what
 is kept covers all of them.
 """
@@ -16,12 +20,14 @@ import sys
 from collections.abc import Callable
 from functools import cached_property, update_wrapper
 from pathlib import Path
-from types import CodeType, FunctionType
+from types import CodeType, FunctionType, GenericAlias
 from typing import Any, TypeVar, cast
 
 import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
+_NUMBERS = {"None", "bool", "float", "int", "tuple"}
+_MAKERS = {"append", "array", "argsort", "copy", "empty", "empty_like", "full", "ones", "zeros"}  # of arrays
 
 
 def compiled(function: F) -> F:
@@ -67,7 +73,7 @@ class _Compiled:
     @cached_property
     def stamp(self) -> str:
         """A hash of the function, of what it calls, and of the constants it uses."""
-        found = hashlib.sha256(_code_bytes(self._function.__code__) + bytes([self._forceinline]))
+        found = hashlib.sha256(_code_bytes(self._function.__code__) + bytes([self._forceinline, self.borrows]))
         for name, value in self._used.items():
             if isinstance(value, _Compiled):
                 found.update(f"{name} {value.stamp}".encode())
@@ -80,6 +86,23 @@ class _Compiled:
         return found.hexdigest()
 
     @cached_property
+    def borrows(self) -> bool:
+        """Whether the function makes no arrays, nor is handed any back, nor returns any.
+
+        Then nobody counts on its way who refers to them: that took a quarter of a study's time.
+        """
+        used = self._used.values()
+        makes = not _MAKERS.isdisjoint(_names(self._function.__code__))
+        handed = any(isinstance(value, _Compiled) and not value.returns_numbers for value in used)
+        return self.returns_numbers and not makes and not handed
+
+    @cached_property
+    def returns_numbers(self) -> bool:
+        """Whether numbers, or tuples of them, are all that the function returns."""
+        words = _words(self._function.__annotations__.get("return", "untold"))
+        return all(_is_number(word, self._function.__globals__) for word in words)
+
+    @cached_property
     def dispatcher(self) -> Any:
         """Numba's own, which compiles for the arguments of a call."""
         import numba  # noqa: PLC0415  # see above
@@ -89,10 +112,11 @@ class _Compiled:
         callees = {name: value.dispatcher for name, value in self._used.items() if isinstance(value, _Compiled)}
         linked = FunctionType(function.__code__, function.__globals__ | callees, function.__name__)
         linked.__module__, linked.__qualname__ = function.__module__, function.__qualname__
+        options: dict[str, Any] = {"error_model": "numpy", "forceinline": self._forceinline, "_nrt": not self.borrows}
         try:
-            dispatcher: Any = numba.njit(cache=True, error_model="numpy", forceinline=self._forceinline)(linked)
+            dispatcher: Any = numba.njit(cache=True, **options)(linked)
         except RuntimeError:  # numba finds no place to keep it
-            return numba.njit(error_model="numpy", forceinline=self._forceinline)(linked)
+            return numba.njit(**options)(linked)
         kept = dispatcher._cache
         # Under names of their own: numba reads even what is out of date, and with it types that are.
         name = f"{kept._impl.filename_base}-{self.stamp[:16]}"
@@ -108,6 +132,18 @@ def _layout(kind: type) -> str:
         known = vars(sys.modules[kind.__module__])
         parts += [field, *words, *(_layout(known[word]) for word in words if isinstance(known.get(word), type))]
     return f"{kind.__name__} {parts}"
+
+
+def _is_number(word: str, known: dict[str, Any]) -> bool:
+    """Tell whether a word of an annotation stands for a number, or a named tuple of numbers alone."""
+    if word in _NUMBERS:
+        return True
+    kind: Any = known.get(word)
+    if isinstance(kind, GenericAlias):
+        return all(part in _NUMBERS for part in _words(kind))
+    fields = kind.__annotations__.values() if isinstance(kind, type) and hasattr(kind, "_fields") else ()
+    inner = vars(sys.modules[kind.__module__]) if fields else {}
+    return bool(fields) and all(_is_number(part, inner) for field in fields for part in _words(field))
 
 
 def _words(annotation: object) -> list[str]:

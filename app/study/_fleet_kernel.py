@@ -18,6 +18,7 @@ from app.study._flight_kernel import (
     Payload,
     Target,
     body_of,
+    copy_state,
     plan_of,
     seen_from,
 )
@@ -77,7 +78,7 @@ def see(
         step_s = round((time_s - clock[0]) * 1e6) / 1e6
         if step_s > 0.0:
             predict(state, step_s, filtering.densities, filtering.drift_per_s, spare)
-            state[:] = spare
+            copy_state(spare, state)
             clock[0] = time_s
         for one in range(len(logs)):
             if seeing[one] == 0:

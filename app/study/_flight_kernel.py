@@ -176,7 +176,10 @@ def take_plan(f: Flight, departure_s: float, line: FloatArray, circle: Circling)
     f.counts[COMING], f.counts[SAMPLES + which], f.numbers[DEPARTURE_S] = 1, n, departure_s
     c = CIRCLES + 3 * which
     f.numbers[c], f.numbers[c + 1], f.numbers[c + 2] = circle.east_m, circle.north_m, circle.radius_m
-    f.lines[which, : 5 * n].reshape(5, n)[:] = line
+    taken = f.lines[which, : 5 * n].reshape(5, n)
+    for i in range(n):
+        for row in range(5):
+            taken[row, i] = line[row, i]
 
 
 @compiled
@@ -240,9 +243,17 @@ def _predict(state: FloatArray, step_s: float, filtering: Filtering, hills: Hill
 
 
 @compiled
+def copy_state(values: FloatArray, found: FloatArray) -> None:
+    """Fill in the values of another state (n, k): an assignment would buffer them."""
+    for i in range(found.shape[0]):
+        for k in range(found.shape[1]):
+            found[i, k] = values[i, k]
+
+
+@compiled
 def _carry_on(f: Flight, filtering: Filtering, hills: Hills, time_s: float) -> None:
     """Fill in the filter's state ahead, at a time: in steps of a second at most."""
-    f.ahead[:] = f.models
+    copy_state(f.models, f.ahead)
     at_s, spare = f.numbers[FILTER_S], f.models
     while time_s - at_s > 1.0:
         spare = f.ahead.copy()
@@ -266,12 +277,11 @@ def _see(
         _carry_on(f, filtering, hills, body.time_s)
         nis = update(f.ahead, seen, filtering.gate_nis, filtering.soft_nis)
     if nis <= filtering.gate_nis:
-        f.models[:] = f.ahead
+        copy_state(f.ahead, f.models)
         f.numbers[FILTER_S] = f.numbers[SEEN_S] = body.time_s
         f.counts[REJECTIONS] = 0
         return True
-    for i in range(len(f.rejected) - 1):
-        f.rejected[i] = f.rejected[i + 1]
+    copy_state(f.rejected[1:], f.rejected[:-1])
     last = f.rejected[-1]
     last[0], last[1], last[2], last[3] = body.time_s, seen.slant_range_m, seen.bearing_rad, seen.depression_rad
     last[4], last[5], last[6] = seen.range_variance_m2, seen.bearing_variance_rad2, seen.depression_variance_rad2

@@ -11,7 +11,7 @@ from mission.core.plan import AircraftState
 
 LAW_PERIOD_S = 0.2
 DECISION_PERIOD_S = 1.0
-TIMED_EVERY = 8
+TIMED_EVERY = 32
 
 T = TypeVar("T")
 GuidanceLaw = Callable[[AircraftState, TargetEstimate], float]

@@ -127,7 +127,8 @@ def _padded(wide: Float32, plane: Float32, pad: int) -> None:
     for i in range(len(wide)):
         row = plane[min(max(i - pad, 0), n - 1)]
         wide[i, :pad] = row[0]
-        wide[i, pad : pad + n] = row
+        for j in range(n):
+            wide[i, pad + j] = row[j]
         wide[i, pad + n :] = row[n - 1]
 
 

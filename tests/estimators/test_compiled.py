@@ -21,11 +21,32 @@ def outer(x):
 
 print(outer(1.0), sum(outer.dispatcher.stats.cache_hits.values()))
 """
+BORROWER = """
+from __future__ import annotations
+import numpy as np
+from estimators.compiled import compiled
+
+@compiled
+def first(rows: np.ndarray) -> np.ndarray:
+    return rows[0]
+
+@compiled
+def borrower(rows: np.ndarray) -> float:
+    row = rows[1]
+    return row[0] + row[1]
+
+@compiled
+def owner(rows: np.ndarray) -> float:
+    return first(rows)[0] + borrower(rows)
+
+print(owner(np.array([[1.0, 2.0], [3.0, 4.0]])))
+print(*("NRT_" in "".join(one.dispatcher.inspect_llvm().values()) for one in (borrower, owner)))
+"""
 
 
-def outer(folder, **environment):
+def outer(folder, script="caller.py", **environment):
     done = subprocess.run(
-        [sys.executable, str(folder / "caller.py")],
+        [sys.executable, str(folder / script)],
         env=os.environ | {"PYTHONPATH": f"{ROOT}:{folder}", "PYTHONDONTWRITEBYTECODE": "1"} | environment,
         capture_output=True,
         text=True,
@@ -50,3 +71,8 @@ def test_without_a_place_to_keep_it_each_start_compiles(tmp_path):
     nowhere = {"XDG_CACHE_HOME": str(tmp_path / "callee.py"), "NUMBA_CACHE_DIR": ""}
     assert outer(tmp_path, **nowhere) == ["3.0", "0"]
     assert outer(tmp_path, **nowhere) == ["3.0", "0"]
+
+
+def test_what_makes_no_arrays_counts_no_references(tmp_path):
+    (tmp_path / "borrower.py").write_text(BORROWER)
+    assert outer(tmp_path, "borrower.py") == ["8.0", "False", "True"]
