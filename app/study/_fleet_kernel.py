@@ -17,15 +17,14 @@ from app.study._flight_kernel import (
     Flight,
     Payload,
     Target,
+    along_plan_per_m,
     body_of,
     copy_state,
-    plan_of,
     seen_from,
 )
 from estimators._joint_kernel import predict, update
 from estimators.compiled import compiled
 from mission.core.path import FloatArray
-from mission.geometry._line_kernel import following_per_m
 from mission.predictive._cost_kernel import IntArray
 
 
@@ -43,8 +42,7 @@ def fly_on(f: Flight, target: Target, frame: Airframe, steps: int) -> None:
             f.counts[CHANGES] += 1
         command_per_m = f.numbers[COMMAND_PER_M]
         if math.isnan(command_per_m):
-            line, circle = plan_of(f, f.counts[PRESENT])
-            command_per_m = following_per_m(line, circle, body.east_m, body.north_m, body.course_rad)
+            command_per_m = along_plan_per_m(f, body)
         body = stepped(body, frame, command_per_m, STEP_S)
         b = f.body
         b[0], b[1], b[2], b[3] = body.time_s, body.east_m, body.north_m, body.course_rad

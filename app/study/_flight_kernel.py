@@ -168,6 +168,15 @@ def plan_of(f: Flight, which: int) -> tuple[FloatArray, Circling]:
 
 
 @compiled
+def along_plan_per_m(f: Flight, body: Body) -> float:
+    """Return the curvature that follows the present plan."""
+    which = f.counts[PRESENT]
+    n, c = f.counts[SAMPLES + which], CIRCLES + 3 * which
+    line, circle = f.lines[which, : 5 * n].reshape(5, n), Circling(f.numbers[c], f.numbers[c + 1], f.numbers[c + 2])
+    return following_per_m(line, circle, body.east_m, body.north_m, body.course_rad)
+
+
+@compiled
 def take_plan(f: Flight, departure_s: float, line: FloatArray, circle: Circling) -> None:
     """Take a plan as the coming one."""
     which, n = 1 - f.counts[PRESENT], line.shape[1]
@@ -389,8 +398,7 @@ def advance(
             f.changed_s[f.counts[CHANGES]] = body.time_s
             f.counts[CHANGES] += 1
         if steering.follows:
-            line, circle = plan_of(f, f.counts[PRESENT])
-            command_per_m = following_per_m(line, circle, body.east_m, body.north_m, body.course_rad)
+            command_per_m = along_plan_per_m(f, body)
         else:
             command_per_m = f.numbers[COMMAND_PER_M]
             command_per_m = body.curvature_per_m if math.isnan(command_per_m) else command_per_m

@@ -22,6 +22,7 @@ from mission.predictive._second_kernel import (
     deep_cost,
     foretold_of,
     moving_ahead,
+    room_for,
     staying_ahead,
 )
 from mission.predictive._second_moves_kernel import Seconds, lay_out_seconds
@@ -210,6 +211,7 @@ def look_deeper(
         prices.leave,
         prices.change,
         depth.horizon_s,
+        room_for(futures, air),
     )
     wind_m_s = math.hypot(air.wind_x_m_s, air.wind_y_m_s)
     # A wind of a whole step stays of that step, however its direction was rounded.

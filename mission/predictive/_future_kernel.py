@@ -99,8 +99,11 @@ def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turn
     more = 1 if again.chance > 0.0 else 0
     f = len(turns.rate_rad_s) + more
     place, weight = np.zeros((f, k, 4)), np.full(f, (1.0 - again.chance) / (f - more))
+    faded_s = np.empty(k)
+    for i in range(k):
+        faded_s[i] = turns.fades_s * (1.0 - math.exp(-(i + 0.5) * STEP_S / turns.fades_s))
     for one in range(f):
-        _turning(scene, turns, max(one - more, 0), place[one])
+        _turning(scene, turns.rate_rad_s[max(one - more, 0)], faded_s, place[one])
     if more > 0:
         weight[1], x_m, y_m = again.chance, np.empty(k + 1), np.empty(k + 1)
         lead(trail, again, scene.frame_east_m, scene.frame_north_m, speed_m_s * STEP_S, x_m, y_m)
@@ -112,15 +115,16 @@ def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turn
 
 
 @compiled
-def _turning(scene: Scene, turns: Turns, one: int, place: FloatArray) -> None:
-    """Fill in the places and velocities (k, 4) of a target that begins to turn."""
+def _turning(scene: Scene, rate_rad_s: float, faded_s: FloatArray, place: FloatArray) -> None:
+    """Fill in the places and velocities (k, 4) of a target that begins to turn: by the rate for faded_s (k,)."""
     speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
     course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
     x_m = y_m = 0.0
+    vx, vy = speed_m_s * math.sin(course_rad), speed_m_s * math.cos(course_rad)
     for i in range(len(place)):
-        faded_s = turns.fades_s * (1.0 - math.exp(-(i + 0.5) * STEP_S / turns.fades_s))
-        heading_rad = course_rad + turns.rate_rad_s[one] * faded_s
-        vx, vy = speed_m_s * math.sin(heading_rad), speed_m_s * math.cos(heading_rad)
+        if rate_rad_s != 0.0:
+            heading_rad = course_rad + rate_rad_s * faded_s[i]
+            vx, vy = speed_m_s * math.sin(heading_rad), speed_m_s * math.cos(heading_rad)
         place[i, 0], place[i, 1], place[i, 2], place[i, 3] = x_m, y_m, vx, vy
         x_m, y_m = x_m + vx * STEP_S, y_m + vy * STEP_S
 
@@ -136,20 +140,44 @@ def _watched(
     place: FloatArray,
 ) -> Futures:
     """Return futures of these weights (f,), places and velocities (f, k, 4), with the courses to watch from."""
-    horizon_s = wish.course_horizon_s
+    horizon_s, fixed = wish.course_horizon_s, not math.isnan(wish.fixed_course_rad)
     f, k = place.shape[:2]
-    facing, course = np.zeros((f, k, 3)), np.zeros((f, k, 3))
-    classes, share, turn_share = np.zeros((f, k, 4), np.int64), np.zeros((f, k, 4)), np.zeros((f, k, 4))
+    found = Futures(
+        weight,
+        STEP_S,
+        place,
+        np.empty((f, k, 3)),
+        np.empty((f, k, 3)),
+        np.empty((f, k, 4), np.int64),
+        np.empty((f, k, 4)),
+        np.empty((f, k, 4)),
+    )
+    past = np.empty((math.ceil(horizon_s / STEP_S) + 1 if horizon_s > 0.0 and not fixed else 0, 2))
+    _watch(scene, motions, wish, memory, moving, past, found)
+    return found
+
+
+@compiled
+def _watch(
+    scene: Scene,
+    motions: Motions,
+    wish: Wish,
+    memory: FloatArray,
+    moving: bool,
+    past: FloatArray,
+    found: Futures,
+) -> None:
+    """Fill in the courses to watch from, and the classes. past (n, 2): room for where it was before."""
+    horizon_s, place, facing, course = wish.course_horizon_s, found.place, found.facing, found.course
     air, doubt, fixed = scene.air, scene.doubt, not math.isnan(wish.fixed_course_rad)
     course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
     # Where it was so long before each of the first steps.
-    past = np.zeros((math.ceil(horizon_s / STEP_S) + 1 if horizon_s > 0.0 and not fixed else 0, 2))
     for i in range(len(past)):
         east_m, north_m = place_at(memory, scene.departure_s + min(i * STEP_S - horizon_s, 0.0))
         past[i, 0], past[i, 1] = in_frame(scene, east_m, north_m)
-    for one in range(f):
+    for one in range(len(place)):
         facing_rad = 0.0
-        for i in range(k):
+        for i in range(place.shape[1]):
             since_s = i * STEP_S
             x_m, y_m, vx, vy = place[one, i, 0], place[one, i, 1], place[one, i, 2], place[one, i, 3]
             heading_rad, sigma_rad = math.atan2(vx, vy), doubt.course_rad
@@ -181,11 +209,10 @@ def _watched(
                 vx * sin_t + vy * cos_t,
                 air.wind_x_m_s * cos_t - air.wind_y_m_s * sin_t,
                 air.wind_x_m_s * sin_t + air.wind_y_m_s * cos_t,
-                classes[one, i],
-                share[one, i],
-                turn_share[one, i],
+                found.classes[one, i],
+                found.share[one, i],
+                found.turn_share[one, i],
             )
-    return Futures(weight, STEP_S, place, facing, course, classes, share, turn_share)
 
 
 @compiled

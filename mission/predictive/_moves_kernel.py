@@ -156,6 +156,23 @@ def _stays(
 
 
 @compiled
+def _slot(kept: Kept, wanted: tuple[float, float, float, float, float, float, float]) -> tuple[int, int]:
+    """Return the slot with the lines of a key, -1 for none, and the one asked for longest ago."""
+    slots, oldest = len(kept.size), 0
+    kept.used[slots] += 1
+    for i in range(slots):
+        same = kept.used[i] > 0
+        for k in range(len(wanted)):
+            same &= kept.key[i, k] == wanted[k]
+        if same:
+            kept.used[i] = kept.used[slots]
+            return i, oldest
+        if kept.used[i] < kept.used[oldest]:
+            oldest = i
+    return -1, oldest
+
+
+@compiled
 def lines_from(
     family: float,
     scene: Scene,
@@ -168,51 +185,34 @@ def lines_from(
     kept: Kept,
 ) -> Lines:
     """Return the moves (family 0) or the stays (1) from a curvature, from those kept where they can be."""
-    slots = len(kept.size)
     calm = scene.air.wind_x_m_s == 0.0 and scene.air.wind_y_m_s == 0.0
-    kept.used[slots] += 1
-    oldest = 0
-    if calm:
-        for i in range(slots):
-            key = kept.key[i]
-            if (
-                kept.used[i] > 0
-                and key[0] == family
-                and key[1] == start_per_m
-                and key[2] == scene.radius_m
-                and key[3] == ramp
-                and key[4] == beyond_m
-                and key[5] == rate_per_s
-                and key[6] == scene.air.airspeed_m_s
-            ):
-                kept.used[i] = kept.used[slots]
-                n, lines, trunks = kept.size[i], MOVES, HOLD_CURVATURES.size + 1
-                if family > 0.0:
-                    lines, trunks = STAY_LENGTHS.size, 1
-                return Lines(
-                    kept.samples[i, 0, :n],
-                    kept.samples[i, 1, :n],
-                    kept.samples[i, 2, :n],
-                    kept.samples[i, 3, :n],
-                    kept.samples[i, 4, :n],
-                    kept.trunk_first[i, : trunks + 1],
-                    kept.own_first[i, : lines + 1],
-                    kept.trunk[i, :lines],
-                    kept.on_trunk[i, :lines],
-                    kept.end_m[i, :lines],
-                )
-            if kept.used[i] < kept.used[oldest]:
-                oldest = i
+    wanted = (family, start_per_m, scene.radius_m, ramp, beyond_m, rate_per_s, scene.air.airspeed_m_s)
+    i, oldest = _slot(kept, wanted) if calm else (-1, 0)
+    if i >= 0:
+        n, lines, trunks, samples = kept.size[i], MOVES, HOLD_CURVATURES.size + 1, kept.samples[i]
+        if family > 0.0:
+            lines, trunks = STAY_LENGTHS.size, 1
+        return Lines(
+            samples[0, :n],
+            samples[1, :n],
+            samples[2, :n],
+            samples[3, :n],
+            samples[4, :n],
+            kept.trunk_first[i, : trunks + 1],
+            kept.own_first[i, : lines + 1],
+            kept.trunk[i, :lines],
+            kept.on_trunk[i, :lines],
+            kept.end_m[i, :lines],
+        )
     if family > 0.0:
         made = _stays(scene, start_per_m, ramp, beyond_m, heading_rad, rate_per_s)
     else:
         made = _moves(scene, start_per_m, ramp, beyond_m, craft, heading_rad, rate_per_s)
     n = len(made.x_m)
     if calm and n <= kept.samples.shape[2]:
-        key = kept.key[oldest]
-        key[0], key[1], key[2], key[3], key[4] = family, start_per_m, scene.radius_m, ramp, beyond_m
-        key[5], key[6] = rate_per_s, scene.air.airspeed_m_s
-        kept.used[oldest], kept.size[oldest] = kept.used[slots], n
+        for k in range(len(wanted)):
+            kept.key[oldest, k] = wanted[k]
+        kept.used[oldest], kept.size[oldest] = kept.used[-1], n
         for row, values in enumerate((made.x_m, made.y_m, made.turned_rad, made.time_s, made.weight)):
             kept.samples[oldest, row, :n] = values
         kept.trunk_first[oldest, : len(made.trunk_first)] = made.trunk_first

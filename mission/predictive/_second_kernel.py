@@ -28,12 +28,13 @@ from mission.geometry._line_kernel import (
 )
 from mission.predictive._cost_kernel import CostTerms, Float32, IntArray, Table, cost_rate, fading_per_s, table_value
 from mission.predictive._moves_kernel import STEP_S, move_from, ramp_on
-from mission.predictive._rollout_kernel import Doubt, Futures, Pose
+from mission.predictive._rollout_kernel import Air, Doubt, Futures, Pose
 from mission.predictive._scene_kernel import Scene, Situation, in_frame
 from mission.predictive._second_moves_kernel import (
     LEVELS,
     SAMPLES,
     SECONDS,
+    BoolArray,
     Fan,
     Seconds,
     lay,
@@ -65,6 +66,22 @@ class Foretold(NamedTuple):
     min_turn_cost_per_s: float
 
 
+class Room(NamedTuple):
+    """Arrays to work in, made once a decision; speeds: see :func:`speeds_over_ground`, none in still air.
+
+    rows (3, k + SAMPLES); before (f, 4 * SAMPLES); best, first (f,); of second moves laid, last, ends (SECONDS,).
+    """
+
+    rows: FloatArray
+    before: FloatArray
+    best: FloatArray
+    first: FloatArray
+    laid: BoolArray
+    last: IntArray
+    ends: FloatArray
+    speeds: FloatArray
+
+
 class Second(NamedTuple):
     """What second moves are judged by. leave, change: what one costs from the circle, and before it."""
 
@@ -75,25 +92,56 @@ class Second(NamedTuple):
     leave: float
     change: float
     horizon_s: float
+    room: Room
 
 
 @compiled
 def foretold_of(f: Futures, d: Doubt, table: Table, min_values: FloatArray, min_after_turn: float) -> Foretold:
     """Return futures as this look needs them. min_values (classes,): of the table; min_after_turn: of all classes."""
     count, k = f.place.shape[:2]
-    min_value, classes, share = np.zeros((count, k)), f.classes, f.share
-    rows, sigma_m, weight = np.empty((count, 8, k)), np.empty(k), np.empty(k)
-    for i in range(k):
+    found = Foretold(
+        f,
+        np.empty((count, 8, k)),
+        np.empty(k),
+        np.empty(k),
+        np.zeros((count, k)),
+        min_after_turn / table.mean_leg_s,
+    )
+    _foretell(found, d, fading_per_s(table), min_values)
+    return found
+
+
+@compiled
+def _foretell(found: Foretold, d: Doubt, rate_per_s: float, min_values: FloatArray) -> None:
+    """Fill in the rows. rate_per_s: of the discount."""
+    f, rows, min_value = found.futures, found.rows, found.min_value
+    for i in range(rows.shape[2]):
         since_s = i * STEP_S
-        sigma_m[i] = math.hypot(d.position_m, d.velocity_m_s * since_s)
-        weight[i] = math.exp(-fading_per_s(table) * since_s)
-        for one in range(count):
-            rows[one, 0, i], rows[one, 1, i] = f.place[one, i, 0], f.place[one, i, 1]
+        found.sigma_m[i] = math.hypot(d.position_m, d.velocity_m_s * since_s)
+        found.weight[i] = math.exp(-rate_per_s * since_s)
+        for one in range(len(rows)):
+            rows[one, _X, i], rows[one, _Y, i] = f.place[one, i, 0], f.place[one, i, 1]
             for j in range(3):
-                rows[one, 2 + j, i], rows[one, 5 + j, i] = f.facing[one, i, j], f.course[one, i, j]
+                rows[one, _SIN + j, i], rows[one, _TABLE_SIN + j, i] = f.facing[one, i, j], f.course[one, i, j]
             for c in range(4):
-                min_value[one, i] += share[one, i, c] * min_values[classes[one, i, c]]
-    return Foretold(f, rows, sigma_m, weight, min_value, min_after_turn / table.mean_leg_s)
+                min_value[one, i] += f.share[one, i, c] * min_values[f.classes[one, i, c]]
+
+
+@compiled
+def room_for(f: Futures, air: Air) -> Room:
+    """Return arrays to work in."""
+    count, foretold = f.place.shape[:2]
+    calm = air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0
+    return Room(
+        np.empty((3, foretold + SAMPLES)),
+        np.empty((count, 4 * SAMPLES)),
+        np.empty(count),
+        np.empty(count),
+        np.empty(SECONDS, np.bool_),
+        np.empty(SECONDS, np.int64),
+        np.empty(SECONDS),
+        np.empty(0) if calm else speeds_over_ground(air),
+    )
 
 
 @compiled
@@ -205,14 +253,11 @@ def _asked(
 
 
 @inlined
-def _cheapest(
-    s: Seconds, fan: Fan, at: int, one: int, second: Second, bound: float, room: FloatArray, ends: FloatArray
-) -> float:
+def _cheapest(s: Seconds, fan: Fan, at: int, one: int, second: Second, bound: float) -> float:
     """Return what the cheapest of lines that begin at second ``at`` costs in one future, if it is below a bound.
 
     What the table says of a line's end bounds its cost from below: few lines have to be followed.
     """
-    # Parts of tuples are taken out once: in a loop each access would count its references.
     f, c, table = second.foretold, second.terms, second.table
     rows, sigma, weight, min_value = f.rows[one], f.sigma_m[at:], f.weight[at:], f.min_value[one, at:]
     to_x, to_y, sin_f, cos_f, beside = (
@@ -225,6 +270,7 @@ def _cheapest(
     values, after_turn, cell_m, mean_leg_s = table.values, table.after_turn, table.cell_m, table.mean_leg_s
     classes, share, turn_share = f.futures.classes, f.futures.share, f.futures.turn_share
     x, y, heading, laid, lasts = fan.placed[0], fan.placed[1], fan.placed[2], fan.laid, fan.last
+    room, ends = second.room.rows, second.room.ends
     turn_cost_per_s, best, most = f.min_turn_cost_per_s, 0, np.inf
     for j in range(SECONDS):
         last = lasts[j]
@@ -278,13 +324,15 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
     x, y, heading = ahead[0], ahead[1], ahead[2]
     values, after_turn, cell_m = table.values, table.after_turn, table.cell_m
     classes, share, turn_share = f.futures.classes, f.futures.share, f.futures.turn_share
-    room = np.empty((3, foretold + SAMPLES))
-    before, best, found = np.zeros((count, size)), np.empty(count), room[2]
+    room = second.room
+    before, best, found = room.before, room.best, room.rows[2]
     for one in range(count):
         rows = f.rows[one]
         to_x, to_y, sin_f, cos_f, beside = rows[_X], rows[_Y], rows[_SIN], rows[_COS], rows[_BESIDE]
-        _running(ahead[0:1], ahead[1:2], 0, size, to_x, to_y, sin_f, cos_f, beside, f.sigma_m, f.weight, terms, room)
-        turned = 0.0
+        _running(
+            ahead[0:1], ahead[1:2], 0, size, to_x, to_y, sin_f, cos_f, beside, f.sigma_m, f.weight, terms, room.rows
+        )
+        before[one, 0] = turned = 0.0
         for k in range(1, size):
             if (k - 1) % _STRIDE == 0:
                 m = min(k + 1, size - 1)
@@ -300,13 +348,7 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
             best[one] = min(best[one], cost)
             if end > 0:
                 break
-    n, ends = np.empty(SECONDS, np.int64), np.empty(SECONDS)
-    first, laid, calm = (
-        np.empty(count),
-        np.empty(SECONDS, np.bool_),
-        scene.air.wind_x_m_s == 0.0 and scene.air.wind_y_m_s == 0.0,
-    )
-    speeds = np.empty(0) if calm else speeds_over_ground(scene.air)
+    first, laid, n, calm = room.first, room.laid, room.last, len(room.speeds) == 0
     flown = seconds.flown[:0] if calm else seconds.flown
     for at in branches:
         if at >= size or at >= horizon:
@@ -315,10 +357,12 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
         for i in range(len(LEVELS)):
             if abs(LEVELS[i] - ahead[3, at] * radius_m) < abs(LEVELS[level] - ahead[3, at] * radius_m):
                 level = i
+        longest = 0
         for j in range(SECONDS):
             last = seconds.end[level, j]
             n[j] = min(max(last, horizon - at), SAMPLES - 1)
             n[j] = 0 if last == 0 or at + n[j] >= foretold else n[j]
+            longest = max(longest, n[j])
         # Nobody pays less than the least of the table's classes from a line's end on.
         promising = False
         for one in range(count):
@@ -331,7 +375,7 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
             continue
         start = Pose(x[at], y[at], heading[at])
         if not calm:
-            stretch(seconds, level, start.heading_rad, speeds, n.max(), flown)
+            stretch(seconds, level, start.heading_rad, room.speeds, longest, flown)
         fan = Fan(
             start, math.sin(start.heading_rad), math.cos(start.heading_rad), level, flown, seconds.placed, laid, n
         )
@@ -341,7 +385,7 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
                 lay(seconds, fan, j, n[j], n[j])
         for one in range(count):
             if first[one] < best[one]:
-                best[one] = first[one] + _cheapest(seconds, fan, at, one, second, best[one] - first[one], room, ends)
+                best[one] = first[one] + _cheapest(seconds, fan, at, one, second, best[one] - first[one])
     total = 0.0
     for one in range(count):
         total += f.futures.weight[one] * best[one]

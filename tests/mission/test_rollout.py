@@ -24,6 +24,7 @@ from mission.predictive._second_kernel import (
     deep_cost,
     foretold_of,
     moving_ahead,
+    room_for,
     staying_ahead,
 )
 from mission.predictive._second_moves_kernel import (
@@ -283,7 +284,7 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
     lay_out_seconds(seconds, scene.radius_m, ramp, 10.0)
     foretold = foretold_of(futures, scene.doubt, table.arrays, table.values.min(axis=(1, 2, 3)).astype(float), 0.0)
     for (line, ends), branches in (((ahead, end), STAY_BRANCHES), (moved, MOVE_BRANCHES)):
-        second = Second(foretold, terms, table.arrays, seconds, 3.0, 5.0, 15.0)
+        second = Second(foretold, terms, table.arrays, seconds, 3.0, 5.0, 15.0, room_for(futures, scene.air))
         found = deep_cost(line, ends, branches, scene, second)
         plain = plain_rollout.deep_cost(
             *(table, futures, scene.doubt, line, ends, branches, 15, (3.0, 5.0), scene.radius_m, ramp),
