@@ -99,6 +99,9 @@ def tls_context(certificate: Path | None, key: Path | None, authority: Path | No
     """
     try:
         context = ssl.create_default_context(cafile=authority)
+        if authority is not None:
+            # From Python 3.13 on a certificate has to tell its use, which few authorities of a server's own do.
+            context.verify_flags &= ~ssl.VERIFY_X509_STRICT
     except (OSError, ssl.SSLError) as error:
         raise InputError(f"{name}: {authority} holds no certificates ({_reason(error)}).") from error
     if certificate is not None:

@@ -124,7 +124,8 @@ class PanelDisplay:
         range_m = target_range_m(shown)
         if range_m is not None and shown.estimate is not None:
             parts += [f"range {range_m:.0f} m", f"target {target_motion(shown)}", f"track {shown.estimate.quality}"]
-        parts.append(f"moves {shown.moves}")
+        if self._start_s is not None:
+            parts.append(f"moves {shown.moves}")
         if shown.upload_failures:
             parts.append(f"failed uploads {shown.upload_failures}")
         return "  ".join(parts)
