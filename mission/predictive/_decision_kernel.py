@@ -219,7 +219,7 @@ def look_deeper(
     ramp = sharpness_per_m2(air.airspeed_m_s + steps * _WIND_STEP_M_S, looker.craft)
     lay_out_seconds(looker.seconds, scene.radius_m, ramp, air.airspeed_m_s * STEP_S)
     ahead, end = staying_ahead(scene, now, under_way)
-    stay_cost = deep_cost(ahead, end, STAY_BRANCHES, scene, second)
+    stay_cost = deep_cost(ahead, end, STAY_BRANCHES, scene, second, np.inf)
     order = np.argsort(costs, kind="mergesort")
     for i in range(MOVES):
         move = order[i]
@@ -227,7 +227,7 @@ def look_deeper(
             costs[move] = np.inf
         elif costs[move] < np.inf:
             ahead, end = moving_ahead(scene, looker.craft, move)
-            costs[move] = price + deep_cost(ahead, end, MOVE_BRANCHES, scene, second)
+            costs[move] = price + deep_cost(ahead, end, MOVE_BRANCHES, scene, second, stay_cost - price)
     return stay_cost
 
 

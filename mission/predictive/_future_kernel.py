@@ -54,7 +54,8 @@ def fill_classes(
     Of the wind only the direction counts: its speed is the table's. After a turn the speed before it is forgotten,
     but for that of a target that stood in a sector's table: it has no direction to turn from.
     """
-    speed = min(math.hypot(velocity_x_m_s, velocity_y_m_s) / motions.target_speed_max_m_s, 1.0) * (_SPEED_RINGS - 1)
+    speed_m_s = math.sqrt(velocity_x_m_s * velocity_x_m_s + velocity_y_m_s * velocity_y_m_s)
+    speed = min(speed_m_s / motions.target_speed_max_m_s, 1.0) * (_SPEED_RINGS - 1)
     ring = min(int(speed), _SPEED_RINGS - 2)
     outer = speed - ring
     classes[:], share[:], turn_share[:] = 0, 0.0, 0.0
@@ -175,15 +176,26 @@ def _watch(
     for i in range(len(past)):
         east_m, north_m = place_at(memory, scene.departure_s + min(i * STEP_S - horizon_s, 0.0))
         past[i, 0], past[i, 1] = in_frame(scene, east_m, north_m)
+    # No sine is taken where a way or a velocity has it: this is done for hundreds of places in each decision.
+    position2, velocity2 = doubt.position_m * doubt.position_m, doubt.velocity_m_s * doubt.velocity_m_s
     for one in range(len(place)):
-        facing_rad = 0.0
+        sin_f, cos_f, facing_rad = 0.0, 1.0, 0.0
+        sin_t, cos_t, table_rad = 0.0, 1.0, 0.0
+        before_x = before_y = np.nan
         for i in range(place.shape[1]):
             since_s = i * STEP_S
             x_m, y_m, vx, vy = place[one, i, 0], place[one, i, 1], place[one, i, 2], place[one, i, 3]
-            heading_rad, sigma_rad = math.atan2(vx, vy), doubt.course_rad
-            if fixed:
-                facing_rad = table_rad = 0.0
-            elif horizon_s > 0.0:
+            sigma_rad = doubt.course_rad
+            turns = not fixed and (vx != before_x or vy != before_y)
+            before_x, before_y = vx, vy
+            if turns and horizon_s > 0.0 and moving:
+                table_rad, speed_m_s = math.atan2(vx, vy), math.sqrt(vx * vx + vy * vy)
+                sin_t, cos_t = (vx / speed_m_s, vy / speed_m_s) if speed_m_s > 0.0 else (0.0, 1.0)
+            elif turns and horizon_s <= 0.0:
+                facing_rad = table_rad = math.atan2(vx, vy) - course_rad
+                sin_f, cos_f = math.sin(facing_rad), math.cos(facing_rad)
+                sin_t, cos_t = sin_f, cos_f
+            if horizon_s > 0.0 and not fixed:
                 back_s = since_s - horizon_s
                 if back_s > 0.0:
                     j = int(back_s / STEP_S)
@@ -192,16 +204,13 @@ def _watch(
                     way_y_m = y_m - place[one, j, 1] - place[one, j, 3] * rest_s
                 else:
                     way_x_m, way_y_m = x_m - past[i, 0], y_m - past[i, 1]
-                way_m = math.hypot(way_x_m, way_y_m)
+                way_m = math.sqrt(way_x_m * way_x_m + way_y_m * way_y_m)
                 if way_m > MIN_WAY_M:
-                    facing_rad = math.atan2(way_x_m, way_y_m)
-                sigma_rad = made_good_sigma_rad(math.hypot(doubt.position_m, doubt.velocity_m_s * since_s), way_m)
-                table_rad = heading_rad if moving else facing_rad
-            else:
-                facing_rad = table_rad = heading_rad - course_rad
-            facing[one, i, 0], facing[one, i, 1] = math.sin(facing_rad), math.cos(facing_rad)
-            facing[one, i, 2] = sigma_rad
-            sin_t, cos_t = math.sin(table_rad), math.cos(table_rad)
+                    sin_f, cos_f = way_x_m / way_m, way_y_m / way_m
+                    if not moving:
+                        sin_t, cos_t, table_rad = sin_f, cos_f, math.atan2(way_x_m, way_y_m)
+                sigma_rad = made_good_sigma_rad(math.sqrt(position2 + velocity2 * since_s * since_s), way_m)
+            facing[one, i, 0], facing[one, i, 1], facing[one, i, 2] = sin_f, cos_f, sigma_rad
             course[one, i, 0], course[one, i, 1], course[one, i, 2] = sin_t, cos_t, table_rad
             fill_classes(
                 motions,

@@ -115,9 +115,10 @@ def foretold_of(f: Futures, d: Doubt, table: Table, min_values: FloatArray, min_
 def _foretell(found: Foretold, d: Doubt, rate_per_s: float, min_values: FloatArray) -> None:
     """Fill in the rows. rate_per_s: of the discount."""
     f, rows, min_value = found.futures, found.rows, found.min_value
+    place2, velocity2 = d.position_m * d.position_m, d.velocity_m_s * d.velocity_m_s
     for i in range(rows.shape[2]):
         since_s = i * STEP_S
-        found.sigma_m[i] = math.hypot(d.position_m, d.velocity_m_s * since_s)
+        found.sigma_m[i] = math.sqrt(place2 + velocity2 * since_s * since_s)
         found.weight[i] = math.exp(-rate_per_s * since_s)
         for one in range(len(rows)):
             rows[one, _X, i], rows[one, _Y, i] = f.place[one, i, 0], f.place[one, i, 1]
@@ -315,9 +316,50 @@ def _cheapest(s: Seconds, fan: Fan, at: int, one: int, second: Second, bound: fl
     return bound
 
 
+@inlined
+def _lasts(s: Seconds, curvature: float, at: int, horizon: int, foretold: int, last: IntArray) -> tuple[int, int]:
+    """Fill in how many seconds of each second move count that begins at a curvature, in 1 / radius, 0 for none.
+
+    Return the level of curvature that is nearest, and the most seconds.
+    """
+    level, longest = 0, 0
+    for i in range(len(LEVELS)):
+        if abs(LEVELS[i] - curvature) < abs(LEVELS[level] - curvature):
+            level = i
+    for j in range(SECONDS):
+        end = s.end[level, j]
+        last[j] = min(max(end, horizon - at), SAMPLES - 1)
+        last[j] = 0 if end == 0 or at + last[j] >= foretold else last[j]
+        longest = max(longest, last[j])
+    return level, longest
+
+
+@inlined
+def _least_from(f: Foretold, one: int, at: int, last: IntArray) -> float:
+    """Return what second moves cost at least in one future: from the end on the least of the table's classes."""
+    least = np.inf
+    for j in range(SECONDS):
+        k = at + last[j]
+        if last[j] > 0:
+            least = min(least, f.weight[k] * (f.min_value[one, k] + f.min_turn_cost_per_s * last[j] * STEP_S))
+    return least
+
+
+@inlined
+def _expected(f: Foretold, costs: FloatArray) -> float:
+    """Return the mean of what futures cost (f,)."""
+    total = 0.0
+    for one in range(len(f.rows)):
+        total += f.futures.weight[one] * costs[one]
+    return total
+
+
 @compiled
-def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, second: Second) -> float:
-    """Return the expected cost of a line (4, k) that is on its circle from second ``end`` on."""
+def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, second: Second, bar: float) -> float:
+    """Return the expected cost of a line (4, k) that is on its circle from second ``end`` on.
+
+    Where it is the bar or more, something between the bar and it may be returned: then few second moves are followed.
+    """
     f, table, seconds, radius_m = second.foretold, second.table, second.moves, scene.radius_m
     count, foretold, terms = f.rows.shape[0], f.rows.shape[2], second.terms
     size, horizon = min(ahead.shape[1], foretold), int(second.horizon_s / STEP_S)
@@ -350,27 +392,27 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
                 break
     first, laid, n, calm = room.first, room.laid, room.last, len(room.speeds) == 0
     flown = seconds.flown[:0] if calm else seconds.flown
+    if bar < np.inf:
+        for one in range(count):
+            first[one] = best[one]
+        for at in branches:
+            if at >= size or at >= horizon:
+                break
+            _lasts(seconds, ahead[3, at] * radius_m, at, horizon, foretold, n)
+            for one in range(count):
+                paid = before[one, at] + f.weight[at] * (second.leave if at >= end else second.change)
+                first[one] = min(first[one], paid + _least_from(f, one, at, n))
+        least = _expected(f, first)
+        if least >= bar:
+            return least
     for at in branches:
         if at >= size or at >= horizon:
             break
-        level = 0
-        for i in range(len(LEVELS)):
-            if abs(LEVELS[i] - ahead[3, at] * radius_m) < abs(LEVELS[level] - ahead[3, at] * radius_m):
-                level = i
-        longest = 0
-        for j in range(SECONDS):
-            last = seconds.end[level, j]
-            n[j] = min(max(last, horizon - at), SAMPLES - 1)
-            n[j] = 0 if last == 0 or at + n[j] >= foretold else n[j]
-            longest = max(longest, n[j])
-        # Nobody pays less than the least of the table's classes from a line's end on.
+        level, longest = _lasts(seconds, ahead[3, at] * radius_m, at, horizon, foretold, n)
         promising = False
         for one in range(count):
             first[one] = before[one, at] + f.weight[at] * (second.leave if at >= end else second.change)
-            for j in range(SECONDS):
-                last = at + n[j]
-                least = f.weight[last] * (f.min_value[one, last] + f.min_turn_cost_per_s * n[j] * STEP_S)
-                promising |= n[j] > 0 and first[one] + least < best[one]
+            promising |= first[one] + _least_from(f, one, at, n) < best[one]
         if not promising:
             continue
         start = Pose(x[at], y[at], heading[at])
@@ -386,7 +428,4 @@ def deep_cost(ahead: FloatArray, end: int, branches: IntArray, scene: Scene, sec
         for one in range(count):
             if first[one] < best[one]:
                 best[one] = first[one] + _cheapest(seconds, fan, at, one, second, best[one] - first[one])
-    total = 0.0
-    for one in range(count):
-        total += f.futures.weight[one] * best[one]
-    return total
+    return _expected(f, best)

@@ -285,7 +285,9 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
     foretold = foretold_of(futures, scene.doubt, table.arrays, table.values.min(axis=(1, 2, 3)).astype(float), 0.0)
     for (line, ends), branches in (((ahead, end), STAY_BRANCHES), (moved, MOVE_BRANCHES)):
         second = Second(foretold, terms, table.arrays, seconds, 3.0, 5.0, 15.0, room_for(futures, scene.air))
-        found = deep_cost(line, ends, branches, scene, second)
+        found = deep_cost(line, ends, branches, scene, second, np.inf)
+        assert deep_cost(line, ends, branches, scene, second, found + 0.1) == found
+        assert found - 5.0 <= deep_cost(line, ends, branches, scene, second, found - 5.0) <= found
         plain = plain_rollout.deep_cost(
             *(table, futures, scene.doubt, line, ends, branches, 15, (3.0, 5.0), scene.radius_m, ramp),
             *(LEVELS, SECOND_LENGTHS),
