@@ -14,6 +14,7 @@ is kept covers all of them.
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import re
 import sys
@@ -49,8 +50,14 @@ def inlined(function: F) -> F:
 
 def is_kept(function: Callable[..., Any]) -> bool:
     """Tell whether a compiled function was compiled by an earlier start."""
-    kept: Any = cast(Any, function).dispatcher._cache
-    return hasattr(kept, "_cache_file") and Path(kept._cache_file._index_path).exists()
+    index = _index_of(cast(Any, function).dispatcher)
+    return index is not None and index.exists()
+
+
+def _index_of(dispatcher: Any) -> Path | None:
+    """Return the file that tells what of a function is kept, None where nothing can be."""
+    file = getattr(dispatcher._cache, "_cache_file", None)
+    return None if file is None else Path(file._index_path)
 
 
 class _Compiled:
@@ -58,10 +65,22 @@ class _Compiled:
 
     def __init__(self, function: FunctionType, forceinline: bool = False) -> None:
         self._function, self._forceinline = function, forceinline
+        self._call: Callable[..., Any] = self._first_call
         update_wrapper(self, function)
 
     def __call__(self, *arguments: Any) -> Any:
-        return self.dispatcher(*arguments)
+        return self._call(*arguments)
+
+    def _first_call(self, *arguments: Any) -> Any:
+        """Compile and call, or call what is kept. Processes that begin together do not all compile: one does."""
+        self._call = dispatcher = self.dispatcher
+        index = _index_of(dispatcher)
+        if index is None or index.exists():
+            return dispatcher(*arguments)
+        index.parent.mkdir(parents=True, exist_ok=True)
+        with index.with_suffix(".lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            return dispatcher(*arguments)
 
     @cached_property
     def _used(self) -> dict[str, Any]:

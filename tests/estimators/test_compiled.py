@@ -1,6 +1,7 @@
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -76,3 +77,11 @@ def test_without_a_place_to_keep_it_each_start_compiles(tmp_path):
 def test_what_makes_no_arrays_counts_no_references(tmp_path):
     (tmp_path / "borrower.py").write_text(BORROWER)
     assert outer(tmp_path, "borrower.py") == ["8.0", "False", "True"]
+
+
+def test_of_processes_that_begin_together_one_compiles(tmp_path):
+    (tmp_path / "caller.py").write_text(CALLER)
+    (tmp_path / "callee.py").write_text(CALLEE.format(2.0))
+    with ThreadPoolExecutor(3) as threads:
+        found = list(threads.map(lambda _: outer(tmp_path), range(3)))
+    assert sorted(found) == [["3.0", "0"], ["3.0", "1"], ["3.0", "1"]]
