@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar
 
-from pymavlink import mavutil
+from pymavlink.dialects.v20 import all as _mav
 
 from app.autopilots.autopilot import Limits
 from app.autopilots.parameters import RequiredParameter, required_airspeed
@@ -19,7 +19,6 @@ from mission.exchange.vehicle_command import VehicleCommand
 from mission.upload.items import Item
 from mission.upload.line_tracking import LineTracking, arduplane
 
-_mav = mavutil.mavlink
 _CUSTOM_MODE_ENABLED = 1
 _AUTO, _RTL = 10, 11
 _SPEED_UNCHANGED = -1.0

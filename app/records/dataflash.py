@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pymavlink.DFReader import FORMAT_TO_STRUCT
 
 from app.records.entry import Entry, in_order
 from app.records.windows import Progress, Window, windows
@@ -34,6 +33,8 @@ class _Kind:
     """One type of entry. Raises KeyError or ValueError when its definition is damaged."""
 
     def __init__(self, length: int, name: bytes, letters: bytes, fields: bytes) -> None:
+        from pymavlink.DFReader import FORMAT_TO_STRUCT  # noqa: PLC0415  # loads much that no other log needs
+
         formats = [FORMAT_TO_STRUCT[letter] for letter in _text(letters)]
         self._unpacker = struct.Struct("<" + "".join(code for code, _, _ in formats))
         self._divisors = [None if scale is None else round(1.0 / scale) for _, scale, _ in formats]
