@@ -17,7 +17,6 @@ from mission.exchange.reports import MissionCurrentReported, MissionItemReported
 _AUDIT_S, _AUDIT_AGAIN_S = 3.0, 0.6  # between two looks at the item that is flown
 _READ_S = 30.0
 _WRITTEN_MAX = 4
-_ACKNOWLEDGED_WITHIN_S = 10.0  # after its end no acknowledgement of an upload is on its way any more
 _READS = 2  # an item of the mission before may come late, once
 _CHANGED = "another station has changed the mission"
 
@@ -39,7 +38,6 @@ class MissionOwnership:
         self._read_of = (0, 0)  # total and id that were reported meanwhile
         self._reads_unlike = 0  # of that mission, in a row
         self._in_doubt = False
-        self._doubt_s = -math.inf  # when an upload ended in doubt
         self._begun = False
         self._audit_s = math.inf
 
@@ -60,8 +58,8 @@ class MissionOwnership:
 
     @property
     def doubtful(self) -> bool:
-        """Whether one of the latest uploads ended in doubt lately: its acknowledgement may still come."""
-        return self._outbox.link_s - self._doubt_s < _ACKNOWLEDGED_WITHIN_S
+        """Whether one of the latest uploads ended in doubt: its acknowledgement may still come."""
+        return not all(whole for _, whole in self._written)
 
     def begin(self) -> None:
         """Look out from now on."""
@@ -87,10 +85,8 @@ class MissionOwnership:
         self._call_off()
         self._in_doubt = self._begun and not accepted and not self._quirks.stores_items_one_by_one
         self._written.append((items, accepted))
-        if not accepted:
-            self._doubt_s = self._outbox.link_s
         self._identity.written(len(items) - self._quirks.home_at_zero, mission_id, accepted)
-        if not all(whole for _, whole in self._written):
+        if self.doubtful:
             self._identity.doubtful = {len(one) - self._quirks.home_at_zero for one, _ in self._written}
 
     def switched(self) -> None:
