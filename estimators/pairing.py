@@ -103,11 +103,14 @@ class Pairing:
         """Return the sighting at a time, with a range and its sigma, or where the line of sight meets the ground."""
         settings = self._settings
         position = self._poses.position_at(time_s)
-        attitude = self._poses.attitude_at(time_s) if self._needs_attitude else None
         found = self._gimbal_at(time_s)
-        if position is None or found is None or (attitude is None and self._needs_attitude):
+        if position is None or found is None:
             return None
         gimbal, gap_s = found
+        needs_attitude = self._needs_attitude or gimbal.frame != "earth"  # the newest may be of another frame
+        attitude = self._poses.attitude_at(time_s) if needs_attitude else None
+        if attitude is None and needs_attitude:
+            return None
         sight = line_of_sight(gimbal, attitude, self._parent_from_mount)
         arm_m = (0.0, 0.0, 0.0) if attitude is None else lever_arm_plane_m(settings.lever_arm_body_m, attitude)
         aircraft_m = position.east_m + arm_m[0], position.north_m + arm_m[1], position.height_m + arm_m[2]

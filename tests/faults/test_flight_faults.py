@@ -87,6 +87,13 @@ def test_a_wrong_velocity_beside_complaints_of_the_ekf_misleads_nobody():
     assert not verdict.broken, verdict.what
 
 
+def test_a_gimbal_that_changes_its_frame_ends_no_flight():
+    # A line of sight of the body's frame, found where only the newest one was asked whether it needs the attitude.
+    verdict = flight(70052, "arduplane")
+    assert "payload extremes" in verdict.names
+    assert not verdict.broken, verdict.what
+
+
 def test_the_same_flight_again_is_the_same_to_the_last_bit():
     scenario = Scenario(7, "px4", 60.0)
     faults = [replace(flight_faults.poor_link(np.random.default_rng(3), 10.0)), MISLEADING[3]]
