@@ -20,7 +20,18 @@ from mission.geometry._line_kernel import (
     remainder,
 )
 from mission.predictive._rollout_kernel import Air, Doubt
-from mission.viewpoint._viewpoint_kernel import Known, Wish, velocity_sigma_m_s, viewpoint
+from mission.viewpoint._viewpoint_kernel import (
+    AIRSPEED_S,
+    AIRSPEED_SHARE,
+    Known,
+    Wish,
+    velocity_sigma_m_s,
+    viewpoint,
+)
+
+# Autopilots fly another airspeed than they are told, by up to a tenth. It is found out over some laps, so that an
+# error of the wind averages out, and taken in steps, since lines are kept for an airspeed.
+_AIRSPEED_S, _AIRSPEED_GAP_S, _AIRSPEED_STEP, _AIRSPEED_OFF = 60.0, 2.0, 0.02, 0.16
 
 
 class Situation(NamedTuple):
@@ -67,11 +78,30 @@ class Scene(NamedTuple):
 
 
 @compiled
+def flown_airspeed_m_s(now: Situation, craft: Craft, memory: FloatArray) -> float:
+    """Take the velocity over the ground, in the order of time, and return the airspeed that is really flown."""
+    east_m_s = now.speed_m_s * math.sin(now.course_rad) - now.wind_east_m_s
+    north_m_s = now.speed_m_s * math.cos(now.course_rad) - now.wind_north_m_s
+    share = math.hypot(east_m_s, north_m_s) / craft.airspeed_m_s
+    since_s = now.time_s - memory[AIRSPEED_S]
+    memory[AIRSPEED_S] = now.time_s
+    if since_s > 0.0:
+        share = min(max(share, 1.0 - _AIRSPEED_OFF), 1.0 + _AIRSPEED_OFF)
+        new = 1.0 - math.exp(-min(since_s, _AIRSPEED_GAP_S) / _AIRSPEED_S)
+        memory[AIRSPEED_SHARE] += new * (share - memory[AIRSPEED_SHARE])
+    steps = round((memory[AIRSPEED_SHARE] - 1.0) / _AIRSPEED_STEP)
+    flown_m_s = craft.airspeed_m_s * (1.0 + _AIRSPEED_STEP * steps)
+    wind_m_s = math.hypot(now.wind_east_m_s, now.wind_north_m_s)
+    return flown_m_s if flown_m_s > wind_m_s else craft.airspeed_m_s
+
+
+@compiled
 def scene_of(now: Situation, target_speed_max_m_s: float, craft: Craft, wish: Wish, memory: FloatArray) -> Scene:
     """Return what is to be decided about."""
     target, line, circle = now.target, now.line, now.circle
     wind_m_s = math.hypot(now.wind_east_m_s, now.wind_north_m_s)
-    fastest_m_s = craft.airspeed_m_s + wind_m_s
+    airspeed_m_s = flown_airspeed_m_s(now, craft, memory)
+    fastest_m_s = max(airspeed_m_s, craft.airspeed_m_s) + wind_m_s
     # The tightest circle over the ground whose bank stays within the limit where the wind is astern.
     radius_m = max(craft.radius_m, fastest_m_s * fastest_m_s / (GRAVITY_M_S2 * math.tan(craft.bank_max_rad)))
     arc_m = nearest_arc_m(line, circle, now.east_m, now.north_m, now.course_rad)
@@ -106,7 +136,7 @@ def scene_of(now: Situation, target_speed_max_m_s: float, craft: Craft, wish: Wi
         mirror * (east_m_s * cos_c - north_m_s * sin_c),
         east_m_s * sin_c + north_m_s * cos_c,
         Air(
-            craft.airspeed_m_s,
+            airspeed_m_s,
             mirror * (now.wind_east_m_s * cos_c - now.wind_north_m_s * sin_c),
             now.wind_east_m_s * sin_c + now.wind_north_m_s * cos_c,
         ),

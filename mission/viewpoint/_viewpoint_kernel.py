@@ -18,9 +18,10 @@ _BEFORE_STOP_S = 3.0
 MIN_WAY_M = 10.0  # a shorter way tells no course
 COURSE_SIGMA_MAX_RAD = 0.8
 
-# The memory, an array: what it holds, then the times and courses of the last seconds of motion, oldest first, then
-# times and places of the last minute, and the trail.
-STANDING, COURSE, PRESUMED, SIDE, MADE_GOOD, RECENT = range(6)
+# The memory, an array: what it holds, the aircraft's own airspeed as a share of the wanted one, and when that was
+# looked at, then the times and courses of the last seconds of motion, oldest first, then times and places of the last
+# minute, and the trail.
+STANDING, COURSE, PRESUMED, SIDE, MADE_GOOD, AIRSPEED_SHARE, AIRSPEED_S, RECENT = range(8)
 _RECENT_MAX = 200  # of them: more than at any rate that decisions are made at
 _PLACES = RECENT + 1 + 2 * _RECENT_MAX
 _PLACES_MAX, _PLACE_EVERY_S = 72, 0.95
@@ -64,7 +65,7 @@ def fresh_memory(side: float) -> FloatArray:
     """Return the memory of one who has not seen the target yet. side: 1 left, -1 right."""
     memory = np.zeros(MEMORY_SIZE)
     memory[STANDING], memory[COURSE], memory[PRESUMED], memory[SIDE] = 1.0, np.nan, np.nan, side
-    memory[MADE_GOOD] = np.nan
+    memory[MADE_GOOD], memory[AIRSPEED_SHARE], memory[AIRSPEED_S] = np.nan, 1.0, np.nan
     return memory
 
 

@@ -240,6 +240,23 @@ def test_the_watch_course_turns_to_the_velocity_over_its_horizon(paper_aircraft,
         np.testing.assert_allclose(future.place[0, 10, :2], (side * 40.0, 0.0), atol=1e-9)
 
 
+@pytest.mark.parametrize(("share", "told"), [(0.913, 0.92), (1.004, 1.0), (1.08, 1.08), (0.5, 0.84)])
+@pytest.mark.parametrize("wind", [CALM, Wind(2.0, -1.0)])
+def test_lines_are_foretold_at_the_airspeed_that_is_flown(paper_aircraft, share, told, wind):
+    """10 m/s are wanted. Each second on circles it flies another airspeed: in steps of 2 %, within 16 %."""
+    memory, craft, found = fresh_memory(1.0), craft_of(paper_aircraft), []
+    present = Plan(Circle(-220.0, 90.0, 60.0, clockwise=True))
+    target = Known(0.0, 0.0, 0.0, 0.0, 3.0, np.eye(4))
+    for time_s in range(300):
+        course = 0.15 * time_s
+        speed = float(ground_speeds_m_s(np.array([course]), 10.0 * share, wind)[0])
+        place = float(time_s), *present.circle.position_at_course(course), course, speed, 1.0 / 60.0
+        now = Situation(*place, target, *line_of(present), wind.east_m_s, wind.north_m_s, 0.0, 0.0)
+        found.append(scene_of(now, 5.0, craft, WISH, memory).air.airspeed_m_s)
+    assert found[0] == 10.0
+    assert found[-1] == pytest.approx(10.0 * told)
+
+
 def test_a_target_that_paces_is_expected_to_turn_where_it_turned(paper_aircraft, paper_requirement):
     """It goes 200 m to and fro at 4 m/s; 48 m before it turns for the fourth time it is expected to."""
     motions, turns = a_table(paper_aircraft, paper_requirement).motions, Turns(np.radians([0.0, -3.0, 3.0]), 10.0)
