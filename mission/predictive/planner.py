@@ -44,6 +44,10 @@ from mission.viewpoint.side_policy import SidePolicy
 _WINDY = 0.25  # of the airspeed
 # So many moves are tried against fences and other aircraft, the cheapest first.
 _MAX_TRIES = 30
+# What a move must gain, in seconds off side. The wider the circle is in its band the more moves are needed, and the
+# more each has to be worth if no hour is to have too many: from a share of the band on, up to the widest circle that
+# leaves room in it.
+_PRICE_S, _PRICE_POWER, _MIN_SHARE, _MAX_SHARE = 4.0, 1.7, 0.175, 1.0 / 3.8
 _NO_BREACH = "a better place should the target turn"
 # The table's classes need some speed, even for a target that is said to stand.
 _MIN_TARGET_SPEED_M_S = 0.5
@@ -51,14 +55,14 @@ _MIN_TARGET_SPEED_M_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class PredictiveSettings:
-    """change_cost: what a change of a plan under way must gain, in seconds off side. Uploads are not free.
+    """change_cost: what a change of a plan under way must gain, in seconds off side; None: as much as any move.
 
     Within commit_s of a departure it must gain commit_cost more, unless the plan leads out of the band in threat_s.
     beam: so many of the best moves are looked at two moves deep over horizon_s at least, in futures in which the
     target keeps its course or begins to turn at turn_rate_rad_s either way, which fades with turn_fades_s.
     """
 
-    change_cost: float = 4.0
+    change_cost: float | None = None
     commit_s: float = 10.0
     commit_cost: float = 40.0
     threat_s: float = 14.0
@@ -67,6 +71,13 @@ class PredictiveSettings:
     turn_rate_rad_s: float = math.radians(3.0)
     turn_fades_s: float = 10.0
     lost_after_s: float = 60.0
+
+
+def price_s(aircraft: Aircraft, requirement: Requirement) -> float:
+    """Return what a move, or a change of one under way, must gain, in seconds off side: uploads are not free."""
+    share = aircraft.radius_m / (requirement.range_max_m - requirement.range_min_m)
+    share = min(max(share, _MIN_SHARE), _MAX_SHARE)
+    return _PRICE_S * float((share / _MIN_SHARE) ** _PRICE_POWER)
 
 
 def table_configuration(
@@ -91,6 +102,7 @@ def table_configuration(
         follows_course=sector is None,
         # A sector or wind needs classes for every direction; fewer cells keep the table's cost in bounds.
         wind_speed_m_s=wind_speed_m_s,
+        leave_cost=price_s(aircraft, requirement),
         cells=28 if simple else 20,
         improvements=(8, 5) if simple else (5, 3),
     )
@@ -136,7 +148,8 @@ class PredictivePlanner:
 
     def _looker(self, table: ValueTable) -> Looker:
         """Return what looks ahead with a table; all remember the same."""
-        own = self._settings
+        own, price = self._settings, table.configuration.leave_cost
+        change = price if own.change_cost is None else own.change_cost
         return Looker(
             craft_of(self._aircraft),
             self._requirement.target_speed_max_m_s,
@@ -144,7 +157,7 @@ class PredictivePlanner:
             table.configuration.cost.terms,
             table.arrays,
             table.motions,
-            Prices(table.configuration.leave_cost, own.change_cost, own.commit_cost, own.commit_s, own.threat_s),
+            Prices(price, change, own.commit_cost, own.commit_s, own.threat_s),
             self._policy.memory,
             self._kept,
             Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s),

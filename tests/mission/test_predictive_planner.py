@@ -309,6 +309,16 @@ def test_the_table_of_a_requirement(paper_aircraft, paper_requirement):
     assert standing.target_speed_max_m_s > 0.0
 
 
+def test_moves_of_wide_circles_are_dear_but_never_so_dear_that_the_band_is_lost(paper_aircraft, paper_requirement):
+    costs = []
+    for radius_m in (10.0, 50.0, 70.0, 105.0, 150.0):
+        aircraft = replace(paper_aircraft, radius_m=radius_m)
+        costs.append(table_configuration(aircraft, paper_requirement).leave_cost)
+    assert costs[:3] == [4.0, 4.0, 4.0]
+    assert costs[3] == pytest.approx(4.0 * 1.5**1.7)
+    assert costs[3] < costs[4] < 1.01 * costs[3]
+
+
 def begun(planner):
     """Fly until the planner has just departed; return the flight, with the target at 4.5 m/s to the north."""
     flight = Flight(planner, BESIDE, 0.0)
