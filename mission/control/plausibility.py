@@ -78,6 +78,7 @@ class Plausibility:
         self._wind_max_m_s = wind_max_m_s
         self._bank_rad = 0.0
         self._displaced = 0  # positions in a row that are ahead in time, and elsewhere
+        self._clock_stood = False  # whether a stamp was refused since the latest position that was believed
         self._faults: dict[str, tuple[float, float, str]] = {}  # by source: since, latest, what
         self._good_s: dict[str, float] = {}
         self._sources: dict[tuple[type, Source], SourceClock] = {}
@@ -133,7 +134,10 @@ class Plausibility:
 
     def _position(self, reading: PositionReading) -> Event | None:
         possible = _possible(reading)
-        if not self._on_time(reading.time_s, reading) or (self.position.believed is None and not possible):
+        if not self._on_time(reading.time_s, reading):
+            self._clock_stood = True
+            return None
+        if self.position.believed is None and not possible:
             return None
         was_astray = self.position.astray_s is not None
         sound = self._fault(reading.time_s) is None
@@ -145,6 +149,8 @@ class Plausibility:
         self.dead_reckoned = believed is not reading
         if self.dead_reckoned and not was_astray:
             self._tell("jump", "position", f"the position jumped by {_length(self.position.jump_m)}: dead reckoning")
+        elif self.position.believed is reading:
+            self._clock_stood = False
         self._judge(reading.time_s)
         return believed
 
@@ -220,7 +226,8 @@ class Plausibility:
         doubt = None
         if fault is not None and now_s - fault[0] > BRIDGED_S:
             doubt = fault[1]
-        elif astray_s is not None and now_s - astray_s > BRIDGED_S:
+        elif astray_s is not None and (now_s - astray_s > BRIDGED_S or self._clock_stood):
+            # Nothing is bridged from a place whose time is not known.
             doubt = f"the position jumped by {_length(self.position.jump_m)}"
         if doubt is not None and self.doubt is None:
             self._told.append(Announce(now_s, "position", f"{doubt}: holding the circle, nothing is decided on it"))

@@ -297,7 +297,7 @@ def drawn(seed: int, duration_s: float) -> tuple[list[Fault], tuple[str | None, 
     # just then cannot be told from that.
     lost = next((one for one in faults if one.name == "gps lost"), None)
     faults = [
-        replace(one, begin_s=one.begin_s + 40.0, end_s=one.end_s + 40.0)
+        replace(one, begin_s=lost.begin_s + 40.0, end_s=lost.begin_s + 40.0 + one.end_s - one.begin_s)
         if lost and one.name == "gps jump" and abs(one.begin_s - lost.begin_s) < 40.0
         else one
         for one in faults

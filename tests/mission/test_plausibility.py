@@ -192,6 +192,17 @@ def test_a_jump_that_meets_a_change_of_clock_is_still_a_jump(flown):
     assert flown.of(PositionReading)[-1] == position(129.9)
 
 
+def test_no_place_is_bridged_from_a_clock_that_came_back_from_ahead(flown):
+    flown.fly(114.0, 119.6, only(VEHICLE, later(7.7)))
+    for tick in range(1196, 1300):
+        now_s = tick / 10
+        flown.give(attitude(now_s), position(now_s))
+        believed, here = flown.door.position.believed, position(now_s)
+        if now_s > 127.3 and math.hypot(believed.east_m - here.east_m, believed.north_m - here.north_m) > 30.0:
+            assert flown.door.doubt is not None
+    assert any("holding the circle" in text for text in flown.told)
+
+
 def test_the_clock_goes_on_after_a_silence(flown):
     flown.fly(137.0, 140.0)
     assert flown.of(PositionReading)[-1].time_s == 139.9
