@@ -15,7 +15,7 @@ from rich.table import Table
 
 from app.study.fleet import FleetPlannerName, FleetResult, run_fleet
 from app.study.processes import uninterrupted
-from app.study.report import spread
+from app.study.report import spread, targets_json
 from app.study.settings import StudySettings
 from mission.predictive.value_table import ValueTable
 
@@ -102,12 +102,7 @@ def fleet_json(study: FleetStudy) -> dict[str, Any]:
     return {
         "planners": {planner.value: _figures(settings, runs) for planner, runs in study.runs.items()},
         "fleet": settings.fleet,
-        "runs": settings.runs,
-        "noise_draws": settings.noise_draws,
-        "seed": settings.seed,
-        "targets": settings.runs,
-        "skipped": len(settings.skipped),
-        "skipped_targets": [{"file": file, "reason": reason} for file, reason in settings.skipped],
+        **targets_json(settings),
     }
 
 

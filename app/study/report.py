@@ -122,17 +122,23 @@ _SUMMARY_OVER_GROUND: tuple[tuple[str, Callable[[PlannerResult], str]], ...] = (
 )
 
 
-def study_json(result: StudyResult) -> dict[str, Any]:
-    """Return the summary that ``--json`` writes."""
-    settings = result.settings
+def targets_json(settings: StudySettings) -> dict[str, Any]:
+    """Return what was flown against, as ``--json`` tells it."""
     return {
-        "planners": planners_json(result),
         "runs": settings.runs,
         "noise_draws": settings.noise_draws,
         "seed": settings.seed,
         "targets": settings.runs,
         "skipped": len(settings.skipped),
         "skipped_targets": [{"file": file, "reason": reason} for file, reason in settings.skipped],
+    }
+
+
+def study_json(result: StudyResult) -> dict[str, Any]:
+    """Return the summary that ``--json`` writes."""
+    return {
+        "planners": planners_json(result),
+        **targets_json(result.settings),
         "simulated_s": result.simulated_s,
         "wall_s": result.wall_s,
     }
