@@ -24,7 +24,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal
 
-from estimators.clock import PROOF_S, SILENCE_MAX_S, SourceClock, Stamp, VehicleClock
+from estimators.clock import BOOTING_S, PROOF_S, SILENCE_MAX_S, SourceClock, Stamp, VehicleClock
 from estimators.readings import (
     BEACON_MESSAGES,
     AttitudeReading,
@@ -50,6 +50,7 @@ _TOLD_AGAIN_S = 30.0
 _SOURCES_MAX = 32
 _FLYING_M_S = 5.0
 _SAME_PLACE_M, _DISPLACED_MIN = 15.0, 3
+_BOOT_S = 4.0  # who has started anew so long ago has been silent and has moved meanwhile
 
 _SPEED_MAX_M_S, _CLIMB_MAX_M_S = 150.0, 60.0
 _HEIGHT_MIN_M, _HEIGHT_MAX_M = -500.0, 12_000.0
@@ -77,7 +78,7 @@ class Plausibility:
         self.position = PositionCheck()
         self._wind_max_m_s = wind_max_m_s
         self._bank_rad = 0.0
-        self._displaced = 0  # positions in a row that are ahead in time, and elsewhere
+        self._displaced = 0  # positions in a row that are of another time, and elsewhere
         self._clock_stood = False  # whether a stamp was refused since the latest position that was believed
         self._faults: dict[str, tuple[float, float, str]] = {}  # by source: since, latest, what
         self._good_s: dict[str, float] = {}
@@ -158,9 +159,10 @@ class Plausibility:
         """Tell whether a stamp is of the vehicle's clock; place is where the aircraft is said to be then."""
         clock = self.clock
         ahead = 0.0 < stamp_s - clock.now_s <= SILENCE_MAX_S
-        if ahead and place is not None:
+        booted = clock.now_s > BOOTING_S and _BOOT_S < stamp_s - clock.questioned_for_s < BOOTING_S
+        if (ahead or booted) and place is not None:
             self._displaced = 0 if self._is_where_it_was(place) else self._displaced + 1
-        stamp = clock.take(stamp_s, PROOF_S if ahead and self._displaced < _DISPLACED_MIN else None)
+        stamp = clock.take(stamp_s, PROOF_S if (ahead or booted) and self._displaced < _DISPLACED_MIN else None)
         if stamp is Stamp.GOOD:
             self._displaced = 0
             return True

@@ -192,6 +192,15 @@ def test_a_jump_that_meets_a_change_of_clock_is_still_a_jump(flown):
     assert flown.of(PositionReading)[-1] == position(129.9)
 
 
+@pytest.mark.parametrize(("silent_s", "restarted"), [(0.0, False), (7.1, True)])
+def test_who_has_started_anew_seconds_ago_has_moved_meanwhile(flown, silent_s, restarted):
+    begin_s = 110.0 + silent_s
+    flown.fly(begin_s, begin_s + 6.0, only(VEHICLE, later(7.1 - begin_s)))
+    assert bool(flown.of(YieldRequested)) is restarted
+    flown.fly(begin_s + 6.0, begin_s + 10.0)
+    assert bool(flown.of(YieldRequested)) is restarted
+
+
 def test_no_place_is_bridged_from_a_clock_that_came_back_from_ahead(flown):
     flown.fly(114.0, 119.6, only(VEHICLE, later(7.7)))
     for tick in range(1196, 1300):
