@@ -50,6 +50,7 @@ _TOLD_AGAIN_S = 30.0
 _SOURCES_MAX = 32
 _FLYING_M_S = 5.0
 _SAME_PLACE_M, _DISPLACED_MIN = 15.0, 3
+_OVERTAKEN_S = 1.0
 _BOOT_S = 4.0  # who has started anew so long ago has been silent and has moved meanwhile
 
 _SPEED_MAX_M_S, _CLIMB_MAX_M_S = 150.0, 60.0
@@ -79,7 +80,7 @@ class Plausibility:
         self._wind_max_m_s = wind_max_m_s
         self._bank_rad = 0.0
         self._displaced = 0  # positions in a row that are of another time, and elsewhere
-        self._clock_stood = False  # whether a stamp was refused since the latest position that was believed
+        self._clock_stood = False  # whether a stamp was refused or long overtaken since the latest believed position
         self._faults: dict[str, tuple[float, float, str]] = {}  # by source: since, latest, what
         self._good_s: dict[str, float] = {}
         self._sources: dict[tuple[type, Source], SourceClock] = {}
@@ -140,6 +141,8 @@ class Plausibility:
             return None
         if self.position.believed is None and not possible:
             return None
+        if reading.time_s < self.clock.now_s - _OVERTAKEN_S:
+            self._clock_stood = True
         was_astray = self.position.astray_s is not None
         sound = self._fault(reading.time_s) is None
         believed = self.position.take(reading, self._bank_rad, possible=possible, sound=sound)

@@ -192,6 +192,15 @@ def test_a_jump_that_meets_a_change_of_clock_is_still_a_jump(flown):
     assert flown.of(PositionReading)[-1] == position(129.9)
 
 
+def test_nothing_is_seen_from_a_place_whose_clock_stood_still(flown):
+    flown.fly(110.0, 116.1, only(VEHICLE, later(-4.3)))
+    believed = flown.door.position.believed
+    assert math.hypot(believed.east_m - position(116.0).east_m, believed.north_m - position(116.0).north_m) > 40.0
+    assert not flown.door.place_is_known
+    flown.fly(116.1, 118.0)
+    assert flown.door.place_is_known
+
+
 @pytest.mark.parametrize(("silent_s", "restarted"), [(0.0, False), (7.1, True)])
 def test_who_has_started_anew_seconds_ago_has_moved_meanwhile(flown, silent_s, restarted):
     begin_s = 110.0 + silent_s
