@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from mission.core.plan import AircraftState, Plan
 from mission.exchange.layout import MissionLayout
-from mission.exchange.outbox import Outbox
+from mission.exchange.outbox import CANCELLED, Outbox
 from mission.exchange.raw_item import at_place
 from mission.exchange.reports import MissionCountReported, PositionTargetReported
 from mission.geometry.progress import nearest_arc_m, off_track, point_at
@@ -33,9 +33,9 @@ class Activation:
     """Makes the line of ``layout`` current while that of ``before`` is flown.
 
     MISSION_SET_CURRENT is repeated, each time for an item that the aircraft cannot have passed, should it have heard
-    of the one before. A vehicle that is read in order heeds none while it waits for the end of a reading to be told:
-    it is told again. Where no answer comes, a question whose answer passes through the same link tells which reports
-    are newer than the last request.
+    of the one before. A vehicle that is read in order heeds none while it waits for the end of a reading to be told,
+    or for the items of an upload that was announced once too often: it is told again. Where no answer comes, a
+    question whose answer passes through the same link tells which reports are newer than the last request.
     """
 
     def __init__(
@@ -83,6 +83,7 @@ class Activation:
             self._sends, self._sent_s, self._due_s = self._sends + 1, now_s, now_s + again_s
             if self._read_in_order and self._sends > 1:
                 self._outbox.end_reading()
+                self._outbox.send_mission("MISSION_ACK", type=CANCELLED)
             self._outbox.send("MISSION_SET_CURRENT", seq=first_ahead)
             return
         settled_s = self._sent_s + max(again_s, _SETTLED_S + _SETTLED_ROUND_TRIPS * self._round_trip_s)

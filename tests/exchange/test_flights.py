@@ -66,10 +66,12 @@ def test_the_circle_is_taken_over_again_in_two_round_trips(in_the_air, flavour):
     assert "MISSION_COUNT" not in asked
 
 
-@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
-def test_at_a_second_of_delay_every_switch_is_told_as_flown(in_the_air, flavour):
-    flight = in_the_air(flavour, faults=SLOW)
-    flight.run(100.0)
+@pytest.mark.parametrize(
+    ("flavour", "seed", "for_s"), [("arduplane", 1, 100.0), ("px4", 1, 100.0), ("px4", 8, 160.0)]
+)
+def test_at_a_second_of_delay_every_switch_is_told_as_flown(in_the_air, flavour, seed, for_s):
+    flight = in_the_air(flavour, seed=seed, faults=SLOW)
+    flight.run(for_s)
     flight.spoil(LinkFaults())
     flight.run(10.0)
     activated = [one.number for one in flight.found(ActivatePlan)]
