@@ -21,7 +21,7 @@ from app.errors import FlightError, InputError, Interrupted
 from app.flight.display import FlightDisplay
 from app.flight.flight import Flight, Sharing, connected
 from app.flight.life import Life, describe_aircraft
-from app.flight.link_log import Pace, link_log
+from app.flight.link_log import ClockRate, link_log
 from app.flight.recording import Recording
 from app.flight.simulated import SimulatedVehicles
 from app.link.discovery import SETTLING_S
@@ -115,15 +115,15 @@ async def _fly(
         if simulated is not None:
             pace = asyncio.create_task(simulated.keep_pace(lambda: flight.come_to_s))
             stack.callback(pace.cancel)
-        clocks = Pace(lambda: session.telemetry.now_s)
+        clock_rate = ClockRate(lambda: session.telemetry.now_s)
         try:
-            async with link_log(session.vehicle.link, folder.links, clocks, trouble):
+            async with link_log(session.vehicle.link, folder.links, clock_rate, trouble):
                 outcome, error = await flight.fly(life.stopped), None
         except Exception as raised:
             if not life.was_armed and not isinstance(raised, FlightError):
                 raise
             outcome, error = f"failed: {raised}", raised
-        links = tuple(report.as_json(clocks.rate) for report in session.vehicle.link.reports())
+        links = tuple(report.as_json(clock_rate.mean) for report in session.vehicle.link.reports())
         aircraft = describe_aircraft(
             session.vehicle, session.autopilot, controller.snapshot(), simulated=truth is not None
         )

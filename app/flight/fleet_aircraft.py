@@ -12,7 +12,7 @@ from app.fleet.fleet_file import Member
 from app.flight.display import FlightDisplay
 from app.flight.flight import Flight, Session
 from app.flight.life import describe_aircraft
-from app.flight.link_log import Pace
+from app.flight.link_log import ClockRate
 from app.flight.recording import Recording
 from app.link.frames import Frame
 from app.link.mavsdk_link import OWN_SYSTEM_ID
@@ -32,7 +32,7 @@ class FleetAircraft:
         self._event_loop = asyncio.get_running_loop()
         self.recording = Recording(folder, member.config, self.trouble)
         self.track = FlownTrack()
-        self.pace = Pace(lambda: self.session.telemetry.now_s)
+        self.clock_rate = ClockRate(lambda: self.session.telemetry.now_s)
         self.outcome = ""
         self.error: Exception | None = None
         self.controller: StandoffController
@@ -67,5 +67,5 @@ class FleetAircraft:
         return f"{self.name}: {does}"
 
     def summary(self, truth: Truth | None, outcome: str | None) -> Summary:
-        links = tuple(report.as_json(self.pace.rate) for report in self.session.vehicle.link.reports())
+        links = tuple(report.as_json(self.clock_rate.mean) for report in self.session.vehicle.link.reports())
         return replace(self.flight.summary(outcome or self.outcome, truth), links=links)

@@ -255,7 +255,7 @@ class FleetFlight:
 
         for one in self._aircraft:
             telemetry, vehicle = one.session.telemetry, one.session.vehicle
-            await stack.enter_async_context(link_log(vehicle.link, one.folder.links, one.pace, one.trouble))
+            await stack.enter_async_context(link_log(vehicle.link, one.folder.links, one.clock_rate, one.trouble))
             above_m = one.flight.home.altitude_m - home_m
             coordination.add(
                 Participant(one.name, one.controller, one.flight.tell, lambda own=telemetry: own.now_s, above_m)  # type: ignore[misc]

@@ -16,14 +16,14 @@ from app.link.link import Link
 from app.records.appender import Appender
 
 _EVERY_S = 1.0
-_PACE_MAX = 200.0  # no simulation is faster
+_RATE_MAX = 200.0  # no simulation is faster
 COLUMNS = (
     *("time_s", "url", "in_use", "silent_s", "loss", "round_trip_s", "received_bytes_s", "sent_bytes_s"),
     *("rssi", "remote_rssi", "refused"),
 )
 
 
-class Pace:
+class ClockRate:
     """How many seconds of the vehicle's clock, ``now_s``, go by in one of ours: ten in a fast simulation."""
 
     def __init__(self, now_s: Callable[[], float]) -> None:
@@ -36,19 +36,21 @@ class Pace:
         both_s = self.now_s(), ours_s
         vehicle_s, wall_s = (now_s - latest_s for now_s, latest_s in zip(both_s, self._latest_s, strict=True))
         self._latest_s = both_s
-        if wall_s > 0.0 and 0.0 < vehicle_s < _PACE_MAX * wall_s:
+        if wall_s > 0.0 and 0.0 < vehicle_s < _RATE_MAX * wall_s:
             self._elapsed_s[0] += vehicle_s
             self._elapsed_s[1] += wall_s
 
     @property
-    def rate(self) -> float:
-        """The mean since the first look."""
+    def mean(self) -> float:
+        """What it was since the first look."""
         return self._elapsed_s[0] / self._elapsed_s[1] if self._elapsed_s[1] else 1.0
 
 
 @contextlib.asynccontextmanager
-async def link_log(link: Link, path: Path, pace: Pace, on_trouble: Callable[[str], None]) -> AsyncIterator[None]:
-    """Write the links' measures to ``path`` meanwhile, and keep ``pace``: bytes a second are of the vehicle's."""
+async def link_log(
+    link: Link, path: Path, clock_rate: ClockRate, on_trouble: Callable[[str], None]
+) -> AsyncIterator[None]:
+    """Write the links' measures to ``path`` meanwhile, and keep up clock_rate: bytes a second are the vehicle's."""
     with beginning(path.parent):
         file = Appender(path, on_trouble, _line(COLUMNS))
     with file:
@@ -56,10 +58,10 @@ async def link_log(link: Link, path: Path, pace: Pace, on_trouble: Callable[[str
         async def write() -> None:
             while True:
                 await asyncio.sleep(_EVERY_S)
-                pace.look(time.monotonic())
+                clock_rate.look(time.monotonic())
                 for report in link.recent():
-                    values = report.as_json(pace.rate) | {
-                        "time_s": round(pace.now_s(), 2),
+                    values = report.as_json(clock_rate.mean) | {
+                        "time_s": round(clock_rate.now_s(), 2),
                         "in_use": int(report.in_use),
                         "refused": sum(report.refused.values()),
                     }

@@ -41,11 +41,11 @@ class LinkReport:
     measured: Measured
     refused: dict[str, int]
 
-    def as_json(self, pace: float = 1.0) -> dict[str, Any]:
+    def as_json(self, clock_rate: float = 1.0) -> dict[str, Any]:
         """Return it as plain values, in one level, with bytes a second of a clock that goes so much faster."""
         rates = {
-            "received_bytes_s": self.measured.received_bytes_s / pace,
-            "sent_bytes_s": self.measured.sent_bytes_s / pace,
+            "received_bytes_s": self.measured.received_bytes_s / clock_rate,
+            "sent_bytes_s": self.measured.sent_bytes_s / clock_rate,
         }
         values = asdict(self.measured) | rates
         measured = {name: None if value is None else round(value, 4) for name, value in values.items()}

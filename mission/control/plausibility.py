@@ -4,10 +4,11 @@ Rules
 -----
 1. The vehicle's clock is the line of its own stamps (:class:`estimators.clock.VehicleClock`). A stamp elsewhere is
    refused; a line elsewhere is followed once it has proved true. Until then nothing of the payload is taken. One that
-   begins anew is an autopilot that has started anew: Yield.
+   begins anew is an autopilot that has started anew: Yield; one that did so seconds ago has moved meanwhile.
 2. The aircraft's position is believed as far as flight allows (:mod:`mission.control.position_check`). What lies
    elsewhere is bridged by dead reckoning; after ``BRIDGED_S`` of that, or of a fault that GPS or EKF report, there is
-   ``doubt``: the circle is held, and nothing is decided. Nothing new is begun from the first complaint on.
+   ``doubt``: the circle is held, and nothing is decided. Nothing new is begun from the first complaint on. A place
+   whose clock stood still or was another one is not bridged from: there is doubt at once.
 3. A payload's stamp is compared with the vehicle's clock. A source whose clock is constantly off is corrected, and it
    is told; a single stamp that fits neither clock is refused. A source that is refused falls silent for the tracker,
    so that another may take over. A stamp of 0 is none: the reading is taken as of now.

@@ -6,22 +6,22 @@ import math
 
 import pytest
 
-from app.flight.link_log import Pace
+from app.flight.link_log import ClockRate
 from app.link.quality import LinkQuality, LinkReport
 
 
 def test_bytes_count_by_the_vehicles_seconds_in_a_fast_simulation():
     vehicle_s = -math.inf
-    pace = Pace(lambda: vehicle_s)
-    pace.look(100.0)
-    assert pace.rate == 1.0
+    clock_rate = ClockRate(lambda: vehicle_s)
+    clock_rate.look(100.0)
+    assert clock_rate.mean == 1.0
     for second in range(1, 11):
         vehicle_s = 50.0 + 10.0 * second + (3600.0 if second > 5 else 0.0)  # its clock is set once
-        pace.look(100.0 + second)
-    assert pace.rate == pytest.approx(10.0)
+        clock_rate.look(100.0 + second)
+    assert clock_rate.mean == pytest.approx(10.0)
     quality = LinkQuality(100.0)
     quality.frame((1, 1), 0, 20_000, 105.0)
     quality.sent(1_000, 105.0)
     report = LinkReport("udpin://127.0.0.1:14550", False, True, quality.total(110.0), {})
-    values = report.as_json(pace.rate)
+    values = report.as_json(clock_rate.mean)
     assert (values["received_bytes_s"], values["sent_bytes_s"]) == (pytest.approx(200.0), pytest.approx(10.0))
