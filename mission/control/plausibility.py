@@ -8,7 +8,8 @@ Rules
 2. The aircraft's position is believed as far as flight allows (:mod:`mission.control.position_check`). What lies
    elsewhere is bridged by dead reckoning; after ``BRIDGED_S`` of that, or of a fault that GPS or EKF report, there is
    ``doubt``: the circle is held, and nothing is decided. Nothing new is begun from the first complaint on. A place
-   whose clock stood still or was another one is not bridged from: there is doubt at once.
+   whose clock stood still or was another one is not bridged from: there is doubt at once. After a silence nothing is
+   begun or seen from a place until GPS and EKF have spoken again: it may have drifted, and they tell a second later.
 3. A payload's stamp is compared with the vehicle's clock. A source whose clock is constantly off is corrected, and it
    is told; a single stamp that fits neither clock is refused. A source that is refused falls silent for the tracker,
    so that another may take over. A stamp of 0 is none: the reading is taken as of now.
@@ -35,7 +36,7 @@ from estimators.readings import (
     Source,
     TargetFixReading,
 )
-from mission.control.position_check import PositionCheck
+from mission.control.position_check import SILENT_S, PositionCheck
 from mission.core.events import (
     Announce,
     Event,
@@ -47,6 +48,7 @@ from mission.core.events import (
 BRIDGED_S = 3.0
 _FAULT_VALID_S = 30.0  # a link may be silent between two reports
 _DRIFT_M_S = 10.0  # of a position told while GPS or EKF complain
+_AWAITED_S = 5.0  # so long for a word of GPS and EKF after a silence
 _TOLD_AGAIN_S = 30.0
 _SOURCES_MAX = 32
 _FLYING_M_S = 5.0
@@ -84,6 +86,7 @@ class Plausibility:
         self._clock_stood = False  # whether a stamp was refused or long overtaken since the latest believed position
         self._faults: dict[str, tuple[float, float, str]] = {}  # by source: since, latest, what
         self._good_s: dict[str, float] = {}
+        self._awaited_s: dict[str, float] = {}  # by source of which nothing was heard since a silence: since when
         self._sources: dict[tuple[type, Source], SourceClock] = {}
         self._told_s: dict[str, float] = {}
         self._told: list[Announce] = []
@@ -98,8 +101,10 @@ class Plausibility:
 
     @property
     def faulty(self) -> bool:
-        """Whether GPS or EKF complain now, be it but for a moment: no time to begin something new."""
-        return bool(self._faults) and self._fault(self.clock.now_s) is not None
+        """Whether GPS or EKF complain now, be it but for a moment, or are awaited: no time to begin something new."""
+        now_s = self.clock.now_s
+        awaited = any(now_s - since_s < _AWAITED_S for since_s in self._awaited_s.values())
+        return awaited or (bool(self._faults) and self._fault(now_s) is not None)
 
     @property
     def place_is_known(self) -> bool:
@@ -145,6 +150,7 @@ class Plausibility:
         if reading.time_s < self.clock.now_s - _OVERTAKEN_S:
             self._clock_stood = True
         was_astray = self.position.astray_s is not None
+        self._await_after_silence(reading.time_s)
         sound = self._fault(reading.time_s) is None
         believed = self.position.take(reading, self._bank_rad, possible=possible, sound=sound)
         if self.position.two_places_m is not None:
@@ -158,6 +164,11 @@ class Plausibility:
             self._clock_stood = False
         self._judge(reading.time_s)
         return believed
+
+    def _await_after_silence(self, now_s: float) -> None:
+        last = self.position.believed
+        if last is not None and now_s - last.time_s > SILENT_S:
+            self._awaited_s = dict.fromkeys((*self._good_s, *self._faults), now_s)
 
     def _on_time(self, stamp_s: float, place: PositionReading | None) -> bool:
         """Tell whether a stamp is of the vehicle's clock; place is where the aircraft is said to be then."""
@@ -206,6 +217,7 @@ class Plausibility:
             self._yield = YieldRequested(self.clock.now_s, self.two_vehicles)
 
     def _navigation(self, event: NavigationReported) -> Event:
+        self._awaited_s.pop(event.source, None)
         if not event.fault:
             over, good_s = self._faults.pop(event.source, None), self._good_s.get(event.source, -math.inf)
             if over is not None and not self._faults:

@@ -22,7 +22,9 @@ _DRIFT_M_S = 3.0  # of dead reckoning
 _VELOCITY_SLACK_M_S, _VELOCITY_RATE_M_S2 = 6.0, 15.0
 _CLIMB_SLACK_M, _CLIMB_RATE_M_S = 20.0, 10.0
 _PROOF_S = 15.0
-_SILENT_S, _CIRCLING_RAD, _OFF_CIRCLE_M = 3.0, math.radians(12.0), 60.0
+SILENT_S = 3.0
+"""A place after so long without one is one after a silence."""
+_CIRCLING_RAD, _OFF_CIRCLE_M = math.radians(12.0), 60.0
 _ODD_S = 1.0  # so long after the one before it a believed reading may turn out to have been the odd one
 _SETTLED = 5  # so many readings in order, before there is anything to hold on to
 _TURNS_MAX, _TURN_MAX_S = 20, 0.5
@@ -115,7 +117,7 @@ class PositionCheck:
     def _follows(self, last: PositionReading, reading: PositionReading, bank_rad: float) -> bool:
         reckoned_for_s = 0.0 if self.astray_s is None else last.time_s - self.astray_s
         return _reachable(last, reading, reckoned_for_s + self._drifted_m / _DRIFT_M_S) and (
-            reading.time_s - last.time_s <= _SILENT_S or _still_circles(last, reading, bank_rad)
+            reading.time_s - last.time_s <= SILENT_S or _still_circles(last, reading, bank_rad)
         )
 
 

@@ -87,6 +87,13 @@ def test_a_wrong_velocity_beside_complaints_of_the_ekf_misleads_nobody():
     assert not verdict.broken, verdict.what
 
 
+def test_a_place_that_drifted_unheard_misleads_nobody():
+    # GPS was lost in a silence: the first place after it was 100 m off, and GPS and EKF told so only a second later.
+    verdict = flight(110239, "px4")
+    assert set(verdict.names) >= {"silence", "gps lost"}
+    assert not verdict.broken, verdict.what
+
+
 def test_a_gimbal_that_changes_its_frame_ends_no_flight():
     # A line of sight of the body's frame, found where only the newest one was asked whether it needs the attitude.
     verdict = flight(70052, "arduplane")

@@ -341,6 +341,22 @@ def test_a_place_may_have_drifted_since_the_last_good_word(flown):
     assert flown.of(PositionReading)[-1] == position(121.9)
 
 
+def test_after_a_silence_nothing_is_seen_from_a_place_before_gps_and_ekf_have_spoken(flown):
+    flown.give(NavigationReported(109.9, "GPS"), NavigationReported(109.9, "EKF")).fly(130.0, 131.0)
+    assert flown.of(PositionReading)[-1] == position(130.9)
+    assert not flown.door.place_is_known
+    flown.give(NavigationReported(130.9, "GPS")).fly(131.0, 131.5)
+    assert not flown.door.place_is_known
+    flown.give(NavigationReported(131.4, "EKF")).fly(131.5, 132.0)
+    assert flown.door.place_is_known
+
+
+def test_who_says_nothing_more_of_gps_and_ekf_is_not_waited_for_long(flown):
+    flown.give(NavigationReported(109.9, "GPS")).fly(130.0, 137.0)
+    assert flown.door.place_is_known
+    assert not flown.told
+
+
 def test_a_velocity_that_was_believed_wrongly_leads_nowhere(flown):
     flown.give(NavigationReported(110.0, "EKF", "no position")).fly(110.0, 110.1)
     flown.give(NavigationReported(110.1, "EKF"))  # from now on the place may have drifted
