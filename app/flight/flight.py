@@ -175,7 +175,7 @@ class Flight:
         link = self._config.link
         few = is_slow(link.connections) if link.few_messages is None else link.few_messages
         # Beside one another: over a slow link each waits for its answers. Rates may be confirmed later.
-        self._beside.add(asyncio.create_task(ask_for_streams(self._vehicle, few)))
+        self._beside.add(asyncio.create_task(ask_for_streams(self._vehicle, few, self._terrain is not None)))
         sources = SourceRates(self._vehicle)
         values, _ = await asyncio.gather(
             read_parameters(self._vehicle, self._autopilot.relevant_parameters), home_of(self._vehicle)

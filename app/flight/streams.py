@@ -27,6 +27,8 @@ _RATES_HZ = {
 WIND, EKF_STATUS_REPORT, ESTIMATOR_STATUS, WIND_COV, ORBIT_EXECUTION_STATUS, CURRENT_MODE."""
 _FEW_HZ = _RATES_HZ | {1: 0.2, 2: 0.2, 24: 1.0, 30: 8.0, 33: 5.0, 42: 3.0, 87: 1.0, 168: 0.5, 193: 1.0}
 _FEW_HZ |= {230: 1.0, 231: 0.5, 436: 4.0}
+_TERRAIN_HZ = {133: 1.0, 136: 1.0}
+"""TERRAIN_REQUEST, TERRAIN_REPORT."""
 _UNUSED_HZ = dict.fromkeys(
     (27, 29, 31, 32, 36, 62, 65, 74, 83, 105, 116, 125, 129, 137, 141, 147, 163, 241, 245, 331, 380, 410), 0.0
 )
@@ -39,13 +41,13 @@ def is_slow(urls: Sequence[str]) -> bool:
     return any(baud is not None and int(baud[1]) <= _SLOW_BAUD for baud in bauds)
 
 
-async def ask_for_streams(vehicle: Vehicle, few: bool = False) -> None:
+async def ask_for_streams(vehicle: Vehicle, few: bool = False, terrain: bool = False) -> None:
     """Ask for the messages that the mission lives on; default rates are 1 Hz on ArduPlane.
 
-    few: at the least rates that it can live on, and nothing else: a ground station on the same link sees less, too.
+    terrain: also for what it wants to know of the ground. few: at the least rates that it can live on, and nothing else: a ground station on the same link sees less, too.
     """
     if few:
         await vehicle.set_rates(_UNUSED_HZ, rounds=1)
-    await vehicle.set_rates(_FEW_HZ if few else _RATES_HZ)
+    await vehicle.set_rates((_FEW_HZ if few else _RATES_HZ) | (_TERRAIN_HZ if terrain else {}))
     if few:
         await vehicle.set_rates(_UNUSED_HZ, rounds=1)  # some may have been lost

@@ -73,6 +73,7 @@ class MissionWrite:
         self._again_s = max(_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS * round_trip_s) if round_trip_s else _AGAIN_S
         self._at_once = round_trip_s > _LONG_ROUND_TRIP_S
         self._overtaken = False
+        self._over = False  # it has told that it receives nothing
         self._awaited = changed.start
         self._refusals, self._refused = 0, False
         self._onboard: dict[int, RawItem] = {}
@@ -123,6 +124,9 @@ class MissionWrite:
         elif self._outbox.link_s >= self._deadline_s:
             self._give_up()
         elif self._outbox.link_s >= self._due_s:
+            if self._over:
+                self._verify()
+                return
             self._repeats += 1
             self.has_lost = self.has_lost or self._phase is _Phase.SENDING
             self._say()
@@ -137,11 +141,13 @@ class MissionWrite:
 
     def _announce(self) -> None:
         self._phase, self._awaited, self._repeats = _Phase.ANNOUNCING, self.changed.start, 0
+        self._over = False
         self._say()
 
     def _requested(self, report: MissionItemRequested) -> None:
         repeated, self._awaited, self._requested_s = report.seq == self._awaited, report.seq, report.link_s
         repeats, self._repeats = self._repeats, 0
+        self._over = False
         self._due_s = report.link_s + self._again_s
         if self._phase is _Phase.ANNOUNCING:
             # After a repetition nothing tells which announcement is answered.
@@ -176,7 +182,10 @@ class MissionWrite:
             self._announce()
         elif report.result == ERROR:
             # It receives nothing, either because all is there or because it never began.
-            self._verify()
+            if self._quirks.stores_items_one_by_one:
+                self._verify()
+            else:
+                self._over = True  # the answer to the last item, sent behind this one, tells which: sooner than a list
         elif report.result != ACCEPTED:
             self.result = WriteResult.DENIED
         elif report.mission_id and report.mission_id in self._mission_ids_before:

@@ -245,6 +245,34 @@ def test_an_acknowledgement_is_of_all_items_where_their_last_requests_were_lost(
     assert upload.result is ACCEPTED
 
 
+def test_the_answer_to_the_last_item_tells_that_all_is_there_where_another_one_is_refused():
+    """The last requests and the acknowledgement were lost; what is sent again is an error but for the last item."""
+    outbox = Outbox(0.0, 0.0)
+    upload = MissionWrite(outbox, QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0, {77})
+    upload.receive(MissionItemRequested(0.0, 0.05, COUNT - 2))
+    outbox.begin(0.0, upload.next_timer_s)
+    upload.expire()
+    outbox.sent.clear()
+    for result in (1, 1, 0):
+        upload.receive(MissionAcknowledged(0.0, outbox.link_s + 0.05, result, 78))
+    assert upload.result is ACCEPTED
+    assert not outbox.sent
+
+
+def test_px4_that_receives_nothing_is_read():
+    """No answer to the last item follows: the list tells whether all is there."""
+    outbox = Outbox(0.0, 0.0)
+    upload = MissionWrite(outbox, QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0, {77})
+    upload.receive(MissionItemRequested(0.0, 0.05, COUNT - 2))
+    upload.receive(MissionAcknowledged(0.0, 0.1, 1, 0))
+    outbox.begin(0.0, upload.next_timer_s)
+    upload.expire()
+    assert outbox.sent[-1].name == "MISSION_REQUEST_LIST"
+    for report in reported(NEW, 78):
+        upload.receive(report)
+    assert upload.result is ACCEPTED
+
+
 def test_px4_acknowledges_a_part_after_an_outage_and_is_not_believed(fly, raw_items):
     """It gives an upload up after 5 s of silence, and acknowledges the item that came last when that comes again."""
     flight = fly("px4", faults=LinkFaults(delay_s=0.025), begin=False)
