@@ -196,10 +196,13 @@ def _converse(companion: Companion, link: Any, on_ready: Callable[[int], None], 
 def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
     """Return the system id of the vehicle on the link, once others would have spoken; None when stopped before."""
     heard: set[int] = set()
-    settled_s = math.inf
+    settled_s, heartbeat_s = math.inf, -math.inf
     while not stopped():
         message = link.recv_match(type="HEARTBEAT", blocking=True, timeout=_WAIT_S)
         now_s = time.monotonic()
+        if now_s >= heartbeat_s:  # a vehicle met by udpout answers whom it has heard
+            heartbeat_s = now_s + _HEARTBEAT_S
+            link.mav.send(Payload.heartbeat())
         if message is not None and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
             settled_s = min(settled_s, now_s + _SETTLING_S)
             heard.add(message.get_srcSystem())

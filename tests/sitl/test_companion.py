@@ -104,6 +104,29 @@ def test_it_waits_for_a_vehicle_and_joins_it_again_after_it_has_gone():
     assert "closed the connection" in waited[1]
 
 
+def test_it_speaks_first_to_a_vehicle_that_answers_whom_it_has_heard():
+    done, ready = threading.Event(), []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.bind(("127.0.0.1", 0))
+        vehicle.settimeout(5.0)
+        url = f"udpout://127.0.0.1:{vehicle.getsockname()[1]}"
+        work = threading.Thread(
+            target=accompany,
+            args=(Companion(EXACT, TargetSettings(), seed=1), url),
+            kwargs={"on_ready": ready.append, "stopped": done.is_set},
+        )
+        work.start()
+        try:
+            _, address = vehicle.recvfrom(4096)
+            vehicle.sendto(vehicle_heartbeat(7), address)
+            while vehicle.recvfrom(4096)[0][5:7] != b"\x07\x9a":  # system and component that it speaks as
+                pass
+        finally:
+            done.set()
+            work.join(5.0)
+    assert ready == [7]
+
+
 def test_the_target_goes_on_from_where_it_is_when_the_vehicle_reboots(flown):
     ground, companion, rows, _ = flown
     before = rows[-1]
