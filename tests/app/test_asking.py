@@ -132,6 +132,13 @@ def test_rates_are_asked_for_again_where_answers_are_lost(monkeypatch):
     assert station.interval_s[mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT] == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize("few", [False, True])
+def test_over_elevation_data_it_asks_for_what_is_wanted_and_known_of_the_ground(few):
+    _, simulation, _ = asked(Flavour.ARDUPLANE, 0.0, lambda vehicle: ask_for_streams(vehicle, few, terrain=True))
+    (station,) = simulation.vehicle.radio.stations.values()
+    assert station.interval_s[mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT] == pytest.approx(2.0)
+
+
 @pytest.mark.parametrize(
     ("urls", "slow"),
     [

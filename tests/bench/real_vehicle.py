@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import signal
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +26,6 @@ FLAVOURS = ("arduplane", "px4")
 AIRCRAFT = {"arduplane": (22, 80, 60), "px4": (15, 60, 45)}  # of the stock simulators: m/s, m, degrees
 _SECOND_PORT = {"arduplane": 3, "px4": 14030 - 14540}  # from that of the first link; the payload has another one
 _WAKE_S = 0.05
-_STARTS = threading.Lock()
 
 
 class RealVehicle:
@@ -126,11 +127,9 @@ class Relay:
             return b""  # our program is not there, or no longer
 
     @staticmethod
-    def _send(send: object, data: bytes) -> None:
-        try:
+    def _send(send: Callable[[bytes], object], data: bytes) -> None:
+        with contextlib.suppress(ConnectionError):
             send(data)
-        except ConnectionError:
-            pass
 
 
 def configured(path: Path, flavour: str, more: str = "") -> Path:

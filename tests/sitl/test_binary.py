@@ -31,6 +31,7 @@ def test_px4_is_met_over_udp_and_finds_its_start_files_beside_it(tmp_path):
     assert (run.url, run.payload_url) == ("udpin://127.0.0.1:14541", "udpout://127.0.0.1:18571")
     assert run.command[1:] == ["-i", "1", "-d", "-w", str(tmp_path / "work"), str(tmp_path / "etc")]
     assert run.environment["PX4_SIM_SPEED_FACTOR"] == "5"
+    assert run.environment["PX4_PARAM_SIH_F_T_MAX"] == "6"
 
 
 def test_what_cannot_be_run_is_told(tmp_path):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import statistics
 import subprocess
 import sys
 
@@ -61,14 +62,14 @@ def test_twenty_minutes_above_the_ground(tmp_path, flavour, hills_folder):
         least_m = min(above_m for _, _, above_m in told)
         print(
             f"{len(told)} TERRAIN_REPORTs: least height over ground {least_m:.1f} m, heights differ from ours by "
-            f"{math.sqrt(sum(off**2 for off in off_m) / len(off_m)):.1f} m (RMS), at most {max(map(abs, off_m)):.1f} m"
+            f"{statistics.pstdev(off_m, 0.0):.1f} m (RMS), at most {max(map(abs, off_m)):.1f} m"
         )
         assert least_m >= CLEARANCE_M - SPARE_M
         assert max(map(abs, off_m)) < OFF_MAX_M
 
 
 def reported(tlog, begin_s):
-    """Return (place in degrees, height of its ground above the sea, of the aircraft over it) of each TERRAIN_REPORT."""
+    """Return of each TERRAIN_REPORT the place in degrees, its height above the sea, and the aircraft's over it."""
     log, time_s, found = mavutil.mavlink_connection(str(tlog)), -math.inf, []
     while (message := log.recv_match(type=["GLOBAL_POSITION_INT", "TERRAIN_REPORT"])) is not None:
         if message.get_type() == "GLOBAL_POSITION_INT":
