@@ -44,7 +44,8 @@ def is_slow(urls: Sequence[str]) -> bool:
 async def ask_for_streams(vehicle: Vehicle, few: bool = False, terrain: bool = False) -> None:
     """Ask for the messages that the mission lives on; default rates are 1 Hz on ArduPlane.
 
-    terrain: also for what it wants to know of the ground. few: at the least rates that it can live on, and nothing else: a ground station on the same link sees less, too.
+    terrain: also for what it wants to know of the ground. few: at the least rates that it can live on, and nothing
+    else: a ground station on the same link sees less, too.
     """
     if few:
         await vehicle.set_rates(_UNUSED_HZ, rounds=1)

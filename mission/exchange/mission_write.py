@@ -185,7 +185,7 @@ class MissionWrite:
             if self._quirks.stores_items_one_by_one:
                 self._verify()
             else:
-                self._over = True  # the answer to the last item, sent behind this one, tells which: sooner than a list
+                self._over = True  # the answer to the last item, sent behind this one, tells which
         elif report.result != ACCEPTED:
             self.result = WriteResult.DENIED
         elif report.mission_id and report.mission_id in self._mission_ids_before:
