@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import socket
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
+from sitl.airframe import Wind
 from sitl.settings import DEFAULT_HOMES, Flavour, Home
 
 _STOP_S = 5.0
@@ -18,6 +20,7 @@ _INSTANCES = 10
 _HEADING_DEG = 353
 _ARDUPLANE_TCP, _PX4_GROUND_UDP, _PX4_OFFBOARD_UDP = 5760, 18570, 14540
 _LAST_WORDS = 400
+_CALM = Wind()
 
 
 class BinaryError(Exception):
@@ -34,8 +37,10 @@ class Run:
     payload_url: str
 
 
-def run_of(flavour: Flavour, binary: Path, folder: Path, instance: int, speed: float, home: Home | None) -> Run:
-    """Return the stock command line of an instance that keeps its files in ``folder``."""
+def run_of(
+    flavour: Flavour, binary: Path, folder: Path, instance: int, speed: float, home: Home | None, wind: Wind = _CALM
+) -> Run:
+    """Return the stock command line of an instance that keeps its files, its wind among them, in ``folder``."""
     if flavour is Flavour.ARDUPLANE:
         place = home or DEFAULT_HOMES[flavour]
         where = f"{place.latitude_deg},{place.longitude_deg},{place.altitude_m},{_HEADING_DEG}"
@@ -43,8 +48,15 @@ def run_of(flavour: Flavour, binary: Path, folder: Path, instance: int, speed: f
         command += ["-I", str(instance), "--sysid", str(instance + 1)]
         # Where the binary still lies in its source tree, so do the parameters of its stock aircraft.
         defaults = binary.parents[min(3, len(binary.parents) - 1)] / "Tools/autotest/models/plane.parm"
-        if defaults.exists():
-            command += ["--defaults", str(defaults)]
+        files = [str(defaults)] if defaults.exists() else []
+        if wind != _CALM:
+            own = folder / "wind.parm"
+            from_deg = math.degrees(math.atan2(-wind.east_m_s, -wind.north_m_s)) % 360.0
+            speed_m_s = math.hypot(wind.east_m_s, wind.north_m_s)
+            own.write_text(f"SIM_WIND_SPD {speed_m_s:g}\nSIM_WIND_DIR {from_deg:g}\n")
+            files.append(str(own))
+        if files:
+            command += ["--defaults", ",".join(files)]
         port = _ARDUPLANE_TCP + 10 * instance
         return Run(command, {}, f"tcpout://127.0.0.1:{port}", f"tcpout://127.0.0.1:{port + 2}")
     # At sea level by default: PX4's height control starts there, and is late at a higher home.
@@ -60,6 +72,8 @@ def run_of(flavour: Flavour, binary: Path, folder: Path, instance: int, speed: f
         # the default of 2 N it rolls along the ground at 6 m/s and never takes off.
         "PX4_PARAM_SIH_F_T_MAX": "6",
     }
+    if wind != _CALM:  # by where it comes from
+        environment |= {"PX4_PARAM_SIH_WIND_N": f"{-wind.north_m_s:.3f}", "PX4_PARAM_SIH_WIND_E": f"{-wind.east_m_s:.3f}"}
     command = [str(binary), "-i", str(instance), "-d", "-w", str(folder), str(binary.parent.parent / "etc")]
     return Run(
         command,
@@ -72,13 +86,15 @@ def run_of(flavour: Flavour, binary: Path, folder: Path, instance: int, speed: f
 class Binary:
     """A running simulator in a process group of its own, with a working folder that goes with it. Use as ``with``."""
 
-    def __init__(self, flavour: Flavour, binary: Path, speed: float, home: Home | None) -> None:
+    def __init__(
+        self, flavour: Flavour, binary: Path, speed: float, home: Home | None, wind: Wind = _CALM
+    ) -> None:
         self._binary = binary.resolve()
         if not os.access(self._binary, os.X_OK) or self._binary.is_dir():
             raise BinaryError(f"{binary} is no program that can be run")
         self._folder = tempfile.TemporaryDirectory(prefix="sidelong-sitl-", ignore_cleanup_errors=True)
         folder = Path(self._folder.name)
-        self.run = run_of(flavour, self._binary, folder, _free_instance(flavour), speed, home)
+        self.run = run_of(flavour, self._binary, folder, _free_instance(flavour), speed, home, wind)
         self._log = folder / "output.log"
         with self._log.open("wb") as log:
             try:

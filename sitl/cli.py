@@ -229,7 +229,7 @@ def run(
                 refuse("--truth", f"{path} cannot be written: {error.strerror}")
             writer.on_truth = file.write
         if companion is not None and binary is not None:
-            _run_binary(companion, flavours[0], binary, speed, settings.home, settings.signing_key)
+            _run_binary(companion, flavours[0], binary, speed, settings)
             return
         if companion is not None and payload_for is not None:
             _accompany(companion, payload_for, _stop_signal(), settings.signing_key)
@@ -253,14 +253,12 @@ def run(
         )
 
 
-def _run_binary(
-    companion: Companion, flavour: Flavour, path: Path, speed: float, home: Home | None, key: bytes | None
-) -> None:
+def _run_binary(companion: Companion, flavour: Flavour, path: Path, speed: float, settings: Settings) -> None:
     stopped = _stop_signal()
     try:
-        with Binary(flavour, path, speed, home) as binary:
+        with Binary(flavour, path, speed, settings.home, settings.wind) as binary:
             print(f"fly it by: sidelong launch --connect {binary.run.url}", flush=True)
-            _accompany(companion, binary.run.payload_url, lambda: stopped() or binary.ended, key)
+            _accompany(companion, binary.run.payload_url, lambda: stopped() or binary.ended, settings.signing_key)
             if not stopped():
                 raise BinaryError(binary.last_words)
     except BinaryError as error:

@@ -1,0 +1,180 @@
+"""Your own SITL programs beside recorded targets, each flight beside the study of what its target did.
+
+    export SIDELONG_ARDUPLANE=PATH SIDELONG_PX4=PATH SIDELONG_TARGETS=FOLDER
+    python -m pytest tests/bench/test_real_flights.py -s
+
+FOLDER holds tracks of 22 minutes and more as ``sidelong study --targets`` takes them. Twenty minutes each, in a wind
+of 4 m/s, RATE=4 times as fast as the clock: the programs do not wait for anybody, so the machine has to keep up.
+The study flies the very piece of track that the flight watched, DRAWS times, with the same aircraft, and both are
+judged alike. ``-k px4-mission`` flies a part; RECORDS=FOLDER keeps the records.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.analysis.truth import Truth, read_truth
+from app.flight.recording import JOURNAL_TYPES
+from app.records.journal import JournalReader
+from app.study.judging import STEP_S, judged
+from app.study.recorded import recorded_targets
+from app.study.settings import StudySettings
+from estimators.frames import LocalPlane
+from mission.core.events import ControlAcquired, PlanStatus
+
+RATE, DRAWS = float(os.environ.get("RATE", "4")), 5
+DURATION_S = float(os.environ.get("DURATION", "1200"))
+WIND_M_S, WIND_FROM_DEG = 4.0, 270.0  # as the study's
+SIDE_MAX, MOVES_MAX, BAND_MIN, RANGE_MIN_M = 0.05, 1.5, 0.995, 95.0
+TARGETS = sorted(Path(os.environ.get("SIDELONG_TARGETS", "-")).glob("*.csv"))
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass(frozen=True)
+class Stock:
+    """The aircraft of a stock simulator, and the fastest target that it watches here."""
+
+    airspeed_m_s: float
+    radius_m: float
+    bank_max_deg: float
+    target_speed_max_m_s: float
+
+    @property
+    def configuration(self) -> str:
+        return (
+            f"[aircraft]\nairspeed_m_s = {self.airspeed_m_s}\nradius_m = {self.radius_m}\n"
+            f"bank_max_deg = {self.bank_max_deg}\n"
+            f"[requirement]\ntarget_speed_max_m_s = {self.target_speed_max_m_s}\n"
+        )
+
+
+AIRCRAFT = {"arduplane": Stock(22.0, 80.0, 60.0, 9.0), "px4": Stock(15.0, 60.0, 45.0, 7.0)}
+
+
+@dataclass(frozen=True)
+class Watched:
+    """How well a target was watched: fractions 0..1, and moves an hour."""
+
+    side: float
+    band: float
+    min_range_m: float
+    moves: float
+    quick: float
+
+    def __str__(self) -> str:
+        return (
+            f"side {100 * self.side:5.1f} %  band {100 * self.band:5.1f} %  least {self.min_range_m:4.0f} m  "
+            f"moves/h {self.moves:4.0f}, quick {self.quick:4.1f}"
+        )
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("guidance", ["mission", "command"])
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_a_flight_is_as_its_study_foretells(flavour, guidance, target, tmp_path):
+    program = os.environ.get(f"SIDELONG_{flavour.upper()}")
+    if program is None:
+        pytest.skip(f"SIDELONG_{flavour.upper()} does not name a SITL program")
+    (tmp_path / "mission.toml").write_text(AIRCRAFT[flavour].configuration)
+    run = flown(flavour, program, guidance, target, tmp_path)
+    truth, records = read_truth(tmp_path / "truth.csv"), JournalReader(run / "journal.jsonl", JOURNAL_TYPES)
+    log, changed_s = seen(truth, records)
+    piece = tmp_path / "pieces" / f"{target.stem}.csv"
+    piece.parent.mkdir()
+    np.savetxt(piece, log[::5, [0, 3, 4]] - [log[0, 0], 0, 0], "%.3f", ",", header="t_s,east_m,north_m", comments="")
+    flight = judged_as_studied(log, changed_s, piece)
+    study = studied(flavour, tmp_path)
+    if "RECORDS" in os.environ:
+        shutil.copytree(tmp_path, Path(os.environ["RECORDS"]) / f"{flavour}-{guidance}-{target.stem}")
+    print(f"\n{flavour} {guidance} {target.stem}\n  flown   {flight}\n  studied {study}")
+    assert flight.side >= study.side - SIDE_MAX
+    assert flight.moves <= MOVES_MAX * study.moves
+    assert flight.band >= BAND_MIN
+    assert flight.min_range_m >= RANGE_MIN_M
+
+
+def flown(flavour: str, program: str, guidance: str, target: Path, folder: Path) -> Path:
+    """Fly, and return the folder of the run; the truth is beside it."""
+    options = {
+        "--autopilot": flavour,
+        "--binary": program,
+        "--speed": RATE,
+        "--target": target,
+        "--target-skip": 0,
+        "--target-speed": AIRCRAFT[flavour].target_speed_max_m_s,
+        "--wind-speed": WIND_M_S,
+        "--wind-from-deg": WIND_FROM_DEG,
+        "--truth": folder / "truth.csv",
+    }
+    words = [str(word) for option in options.items() for word in option]
+    sitl = subprocess.Popen(
+        [sys.executable, "-m", "sitl", *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=ROOT
+    )
+    try:
+        url = sitl.stdout.readline().split()[-1]
+        command = [sys.executable, "-m", "app", "launch", folder / "mission.toml", "--connect", url]
+        command += ["--guidance", guidance, "--duration", DURATION_S, "--out", folder / "runs"]
+        with (folder / "said.txt").open("w") as said:
+            done = subprocess.run(list(map(str, command)), stdout=said, stderr=said, cwd=ROOT, check=False)
+        sitl.send_signal(signal.SIGTERM)
+        sitl.wait(20.0)
+    finally:
+        sitl.kill()
+    assert done.returncode == 0, (folder / "said.txt").read_text()[-2000:]
+    (run,) = (folder / "runs").iterdir()
+    assert json.loads((run / "summary.json").read_text())["outcome"] == "completed"
+    return run
+
+
+def seen(truth: Truth, records: JournalReader) -> tuple[np.ndarray, list[float]]:
+    """Return a flight's log (n, 6) as a study has it, from the first moment in the band on, and when it moved."""
+    begin_s, departed_s = math.inf, []
+    for record in records:
+        if isinstance(record, ControlAcquired):
+            begin_s = min(begin_s, record.time_s)
+        elif isinstance(record, PlanStatus) and record.stage == "departed":
+            departed_s.append(record.time_s)
+    plane = LocalPlane(*truth.positions_deg[:2, 0])
+    rows = [
+        (m.time_s, m.aircraft_east_m, m.aircraft_north_m, m.target_east_m, m.target_north_m, 0.0)
+        for m in truth.moments(plane, begin_s, begin_s + DURATION_S, STEP_S)
+    ]
+    log = np.array(rows)
+    range_m = np.hypot(log[:, 1] - log[:, 3], log[:, 2] - log[:, 4])
+    log = log[np.argmax((range_m >= 100.0) & (range_m <= 500.0)) :]
+    return log, [time_s for time_s in departed_s if time_s >= log[0, 0]]
+
+
+def judged_as_studied(log: np.ndarray, changed_s: list[float], piece: Path) -> Watched:
+    """Judge a flight as a study is judged."""
+    tracks = recorded_targets([piece], math.inf).flown
+    result = judged(StudySettings(tracks=tracks, runs=1), log, changed_s, [], keep_track=False)
+    return Watched(
+        result.time_on_side,
+        result.time_in_band,
+        result.min_range_m,
+        result.moves_per_hour,
+        result.quick_changes_per_hour,
+    )
+
+
+def studied(flavour: str, folder: Path) -> Watched:
+    """Return what a study makes of the piece of track, on average; the least range is the least of all draws."""
+    words = ["--targets", "pieces", "--autopilot", flavour, "--wind", WIND_M_S, "--noise-draws", DRAWS]
+    command = [sys.executable, "-m", "app", "study", "mission.toml", "--planner", "predictive", *map(str, words)]
+    command += ["--json", "study.json"]
+    subprocess.run(command, cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True, capture_output=True)
+    found = json.loads((folder / "study.json").read_text())["planners"]["predictive"]
+    names = ("time_on_side", "time_in_band", "min_range_m", "moves_per_hour", "quick_changes_per_hour")
+    return Watched(*(found[name]["worst" if name == "min_range_m" else "mean"] for name in names))
