@@ -3,8 +3,8 @@
     export SIDELONG_ARDUPLANE=PATH SIDELONG_PX4=PATH SIDELONG_TARGETS=FOLDER
     python -m pytest tests/bench/test_real_flights.py -s
 
-FOLDER holds tracks of 22 minutes and more as ``sidelong study --targets`` takes them. Twenty minutes each, in a wind
-of 4 m/s, RATE=4 times as fast as the clock: the programs do not wait for anybody, so the machine has to keep up.
+FOLDER holds tracks of 22 minutes and more as ``sidelong study --targets`` takes them, and they are played smoothed as
+there: what a receiver of one point a second adds is no motion. Twenty minutes each, in a wind of 4 m/s, RATE=4 times as fast as the clock: the programs do not wait for anybody, so the machine has to keep up.
 The study flies the very piece of track that the flight watched, DRAWS times, with the same aircraft, and both are
 judged alike. ``-k px4-mission`` flies a part; RECORDS=FOLDER keeps the records.
 """
@@ -87,12 +87,15 @@ def test_a_flight_is_as_its_study_foretells(flavour, guidance, target, tmp_path)
     if program is None:
         pytest.skip(f"SIDELONG_{flavour.upper()} does not name a SITL program")
     (tmp_path / "mission.toml").write_text(AIRCRAFT[flavour].configuration)
-    run = flown(flavour, program, guidance, target, tmp_path)
+    (smooth,) = recorded_targets([target], math.inf).flown
+    played = tmp_path / "target.csv"
+    write_track(played, np.arange(smooth.east_m.size) * 0.5, smooth.east_m, smooth.north_m)
+    run = flown(flavour, program, guidance, played, tmp_path)
     truth, records = read_truth(tmp_path / "truth.csv"), JournalReader(run / "journal.jsonl", JOURNAL_TYPES)
     log, changed_s = seen(truth, records)
     piece = tmp_path / "pieces" / f"{target.stem}.csv"
     piece.parent.mkdir()
-    np.savetxt(piece, log[::5, [0, 3, 4]] - [log[0, 0], 0, 0], "%.3f", ",", header="t_s,east_m,north_m", comments="")
+    write_track(piece, log[::5, 0] - log[0, 0], log[::5, 3], log[::5, 4])
     flight = judged_as_studied(log, changed_s, piece)
     study = studied(flavour, tmp_path)
     if "RECORDS" in os.environ:
@@ -102,6 +105,10 @@ def test_a_flight_is_as_its_study_foretells(flavour, guidance, target, tmp_path)
     assert flight.moves <= MOVES_MAX * study.moves
     assert flight.band >= BAND_MIN
     assert flight.min_range_m >= RANGE_MIN_M
+
+
+def write_track(file: Path, *columns: np.ndarray) -> None:
+    np.savetxt(file, np.column_stack(columns), "%.3f", ",", header="t_s,east_m,north_m", comments="")
 
 
 def flown(flavour: str, program: str, guidance: str, target: Path, folder: Path) -> Path:
