@@ -73,7 +73,8 @@ def run_of(
         "PX4_PARAM_SIH_F_T_MAX": "6",
     }
     if wind != _CALM:  # by where it comes from
-        environment |= {"PX4_PARAM_SIH_WIND_N": f"{-wind.north_m_s:.3f}", "PX4_PARAM_SIH_WIND_E": f"{-wind.east_m_s:.3f}"}
+        environment["PX4_PARAM_SIH_WIND_N"] = f"{-wind.north_m_s:.3f}"
+        environment["PX4_PARAM_SIH_WIND_E"] = f"{-wind.east_m_s:.3f}"
     command = [str(binary), "-i", str(instance), "-d", "-w", str(folder), str(binary.parent.parent / "etc")]
     return Run(
         command,
@@ -86,9 +87,7 @@ def run_of(
 class Binary:
     """A running simulator in a process group of its own, with a working folder that goes with it. Use as ``with``."""
 
-    def __init__(
-        self, flavour: Flavour, binary: Path, speed: float, home: Home | None, wind: Wind = _CALM
-    ) -> None:
+    def __init__(self, flavour: Flavour, binary: Path, speed: float, home: Home | None, wind: Wind = _CALM) -> None:
         self._binary = binary.resolve()
         if not os.access(self._binary, os.X_OK) or self._binary.is_dir():
             raise BinaryError(f"{binary} is no program that can be run")

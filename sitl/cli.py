@@ -40,7 +40,6 @@ from sitl.server import serve
 from sitl.settings import (
     Flavour,
     GimbalFrame,
-    Home,
     PayloadSettings,
     RangeMessage,
     Settings,

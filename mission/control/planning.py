@@ -14,6 +14,8 @@ from mission.geometry.progress import dead_reckoned
 
 # What the fleet advised is followed for so long.
 _ADVICE_S = 5.0
+# An approach begun is flown on for so long at least, while its circle still lies in the target's range.
+_APPROACH_S = 10.0
 
 
 class Planning:
@@ -85,8 +87,11 @@ class Planning:
             return self.planner.decide(aircraft, target, present, wind, latency_s)
         start = dead_reckoned(aircraft, latency_s)
         plan = approach(start, target, self._aircraft, self._requirement)
-        off_m = math.hypot(plan.circle.east_m - present.circle.east_m, plan.circle.north_m - present.circle.north_m)
-        if off_m < 0.5 * self._aircraft.radius_m:
+        circle = present.circle
+        off_m = math.hypot(plan.circle.east_m - circle.east_m, plan.circle.north_m - circle.north_m)
+        ahead_m = math.hypot(circle.east_m - target.east_m, circle.north_m - target.north_m) + circle.radius_m
+        begun = present.transition is not None and aircraft.time_s - present.departure_s < _APPROACH_S
+        if off_m < 0.5 * self._aircraft.radius_m or (begun and ahead_m < self._requirement.range_max_m):
             return Decision(aircraft.time_s, None, f"on the way to the target, {range_m:.0f} m to go")
         plan = replace(plan, departure_s=aircraft.time_s + latency_s)
         return Decision(aircraft.time_s, plan, f"approaching: the target is {range_m:.0f} m away")

@@ -4,9 +4,10 @@
     python -m pytest tests/bench/test_real_flights.py -s
 
 FOLDER holds tracks of 22 minutes and more as ``sidelong study --targets`` takes them, and they are played smoothed as
-there: what a receiver of one point a second adds is no motion. Twenty minutes each, in a wind of 4 m/s, RATE=4 times as fast as the clock: the programs do not wait for anybody, so the machine has to keep up.
-The study flies the very piece of track that the flight watched, DRAWS times, with the same aircraft, and both are
-judged alike. ``-k px4-mission`` flies a part; RECORDS=FOLDER keeps the records.
+there: what a receiver of one point a second adds is no motion. Twenty minutes each, in a wind of 4 m/s, RATE=4 times
+as fast as the clock: the programs do not wait for anybody, so the machine has to keep up. The study flies the very
+piece of track that the flight watched, DRAWS times, with the same aircraft, and both are judged alike.
+``-k px4-mission`` flies a part; RECORDS=FOLDER keeps the records.
 """
 
 from __future__ import annotations
