@@ -37,6 +37,7 @@ class OrbitCommandBackend:
         self._due_s = -math.inf  # the next circle, of the vehicle's time
         self._command: CommandExchange | None = None
         self._ordered: deque[tuple[float, CircleOrder]] = deque()
+        self._reported: CircleOrder | None = None  # the last circle of ours that the autopilot said it flies
         self._suspicion = Suspicion()
         self._aircraft: AircraftState | None = None
         self._mode = ""
@@ -114,7 +115,11 @@ class OrbitCommandBackend:
         circle = self._dialect.reported_circle(report)
         if circle is None or not self._in_control or self._mode != self.mode:
             return
-        if any(_same_place(circle, order) for _, order in self._ordered):
+        ours = [order for _, order in self._ordered]
+        if self._reported is not None:
+            ours.append(self._reported)  # flown on, however long what was ordered since takes to arrive
+        if any(_same_place(circle, order) for order in ours):
+            self._reported = circle
             if self._suspicion.active:
                 self._suspicion.fits()
                 self._waits = True

@@ -1,0 +1,63 @@
+"""Circles by command: whose circle the autopilot says it flies."""
+
+import math
+
+from app.autopilots.arduplane import ArduPlane
+from estimators.frames import LocalPlane
+from mission.core.circle import Circle
+from mission.core.events import ActivatePlan, UploadPlan
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Wind
+from mission.exchange.dialect import Home
+from mission.exchange.orbit_command import OrbitCommandBackend
+from mission.exchange.outbox import ExternalControl, Outbox
+from mission.exchange.plan_backend import BackendSettings
+from mission.exchange.reports import PositionTargetReported
+
+SETTINGS = BackendSettings(LocalPlane(47.0, 8.0), Home(47.0, 8.0, 400.0), 22.0, 100.0, 15.0, math.radians(45.0))
+HERE = AircraftState(0.0, 0.0, 0.0, 0.0, 22.0, 0.0)
+
+
+def plan_at(east_m):
+    return Plan(Circle(east_m, 0.0, 80.0, True), None, 0.0)
+
+
+def taken_over():
+    """Return a backend that flies the first circle, and its outbox."""
+    outbox = Outbox()
+    backend = OrbitCommandBackend(outbox, ArduPlane(), SETTINGS)
+    outbox.begin(0.0, 0.0)
+    backend.take_over(plan_at(0.0))
+    backend.take_control()
+    backend.observe(HERE, "GUIDED")
+    return backend, outbox
+
+
+def reported(backend, outbox, link_s, east_m):
+    """Let the autopilot report the circle that it flies; tell whether somebody else is suspected for good."""
+    outbox.begin(link_s, link_s)
+    order = SETTINGS.order(plan_at(east_m).circle, plan_at(east_m))
+    backend.receive(PositionTargetReported(link_s, link_s, order.x, order.y))
+    return any(isinstance(one, ExternalControl) for one in outbox.derived)
+
+
+def test_a_circle_of_ours_stays_ours_however_late_the_next_ones_arrive():
+    """A slow vehicle still flies the first one long after others were ordered, of which it has heard nothing yet."""
+    backend, outbox = taken_over()
+    assert not reported(backend, outbox, 0.5, 0.0)
+    for number in range(1, 21):
+        outbox.begin(float(number), float(number))
+        backend.upload(
+            UploadPlan(
+                number, number, plan_at(50.0 * number), plan_at(50.0 * number).circle, plan_at(0.0), Wind(), ""
+            )
+        )
+        backend.activate(ActivatePlan(number, number))
+        backend.expire()
+        assert not reported(backend, outbox, number + 0.5, 0.0)
+
+
+def test_a_circle_of_nobody_here_is_somebody_elses():
+    backend, outbox = taken_over()
+    assert not reported(backend, outbox, 0.5, 0.0)
+    assert [reported(backend, outbox, 1.0 + 0.5 * k, -700.0) for k in range(4)] == [False, False, True, True]
