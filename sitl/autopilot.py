@@ -46,6 +46,8 @@ class Autopilot(ABC):
         mavlink.MAV_MISSION_TYPE_RALLY,
     )
 
+    unsigned_messages: ClassVar[frozenset[int]] = frozenset({mavlink.MAVLINK_MSG_ID_RADIO_STATUS})
+
     def __init__(
         self, settings: Settings, build: AirframeParameters, heading_rad: float, parameters: Parameters
     ) -> None:
@@ -55,7 +57,8 @@ class Autopilot(ABC):
         self.plane = HomePlane(home.latitude_deg, home.longitude_deg)
         self.craft = Airframe(build, settings.wind, heading_rad)
         self.parameters = parameters
-        self.radio = Radio(settings.system_id, self.default_interval_s, Signing(settings.signing_key), self._unix_s)
+        signing = Signing(settings.signing_key, self.unsigned_messages)
+        self.radio = Radio(settings.system_id, self.default_interval_s, signing, self._unix_s)
         self.system_id = settings.system_id
         self.now_s = 0.0
         self.mode = int(self.first_mode)

@@ -18,6 +18,7 @@ from sitl.hills import Hills
 from sitl.motion import Motion
 from sitl.payload import PERIOD_S, Payload, Sight
 from sitl.settings import PayloadSettings, TargetSettings
+from sitl.signing import signing_time
 from sitl.simulation import target_motion
 from sitl.truth import TruthRow
 
@@ -27,6 +28,7 @@ _HEARTBEAT_S = 1.0
 _WAIT_S = 0.05
 _RETRY_S = 0.5
 _SCHEMES = ("tcpout", "udpin", "udpout")
+_ON_GROUND_M = 5.0  # so near to the height of home
 _STEP_BACK_S = 1.0  # a vehicle's clock that goes back further than this has been started anew
 
 
@@ -98,7 +100,9 @@ class Companion:
         hills = self._hills
         assert hills is not None  # home is known
         target_m = hills.standing(self._motion.at(since_s))
-        sight = Sight.between(aircraft_m, target_m, hills.sees_target(aircraft_m, target_m))
+        in_sight = hills.sees_target(aircraft_m, target_m)
+        # On the ground the payload is tried out on what is about, as in the simulation of our own.
+        sight = Sight.between(aircraft_m, target_m, in_sight or aircraft_m[2] < _ON_GROUND_M)
         measured = self._payload.measure(since_s, position.time_boot_ms, sight, self._heading_rad)
         row = TruthRow(
             time_s,
@@ -110,7 +114,7 @@ class Companion:
             sight.bearing_rad,
             measured.laser_valid,
             measured.laser_outlier,
-            *hills.told(aircraft_m, sight.clear),
+            *hills.told(aircraft_m, in_sight),
         )
         self.on_truth(row)
         return measured.messages
@@ -179,7 +183,7 @@ def _converse(companion: Companion, link: Any, on_ready: Callable[[int], None], 
         message = link.recv_match(blocking=True, timeout=_WAIT_S)
         if message is not None and message.get_type() != "BAD_DATA":
             for measurement in companion.handle(message):
-                link.mav.send(measurement)
+                _send(link, measurement)
         now_s = time.monotonic()
         if companion.vehicle_id is not None and not joined:
             joined = True
@@ -187,10 +191,17 @@ def _converse(companion: Companion, link: Any, on_ready: Callable[[int], None], 
             on_ready(companion.vehicle_id)
         if now_s >= heartbeat_s and (joined or link.mav.srcSystem != 0):
             heartbeat_s = now_s + _HEARTBEAT_S
-            link.mav.send(Payload.heartbeat())
+            _send(link, Payload.heartbeat())
         if joined and now_s >= ask_s:
             ask_s = now_s + _ASK_AGAIN_S
             _ask(companion, link)
+
+
+def _send(link: Any, message: Any) -> None:
+    signing = link.mav.signing
+    if signing.sign_outgoing:  # pymavlink counts frames only: a minute behind the clock, they would be too old
+        signing.timestamp = max(signing.timestamp, signing_time(time.time()))
+    link.mav.send(message)
 
 
 def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
@@ -202,7 +213,7 @@ def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
         now_s = time.monotonic()
         if now_s >= heartbeat_s:  # a vehicle met by udpout answers whom it has heard
             heartbeat_s = now_s + _HEARTBEAT_S
-            link.mav.send(Payload.heartbeat())
+            _send(link, Payload.heartbeat())
         if message is not None and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
             settled_s = min(settled_s, now_s + _SETTLING_S)
             heard.add(message.get_srcSystem())

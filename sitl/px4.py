@@ -61,6 +61,11 @@ class Px4(Autopilot):
     arming_refusal = (REJECTED, "Arming denied: Resolve system health failures first\t")
     quirks = _MANNERS
     default_interval_s = DEFAULT_INTERVAL_S
+    unsigned_messages = Autopilot.unsigned_messages | {
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE,
+        mavlink.MAVLINK_MSG_ID_COLLISION,
+    }
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings, AirframeParameters(), 0.0, px4_parameters(settings))

@@ -1,4 +1,4 @@
-"""MAVLink signing as a vehicle does it: what is unsigned is not heard, but for the radio's own status.
+"""MAVLink signing as a vehicle does it: what is unsigned is not heard, but for a few messages that order nothing.
 
 The checking is pymavlink's. One key and one set of stream times for all links; each link has an id of its own.
 """
@@ -35,6 +35,11 @@ def read_key(path: Path) -> bytes:
     return key
 
 
+def signing_time(unix_s: float) -> int:
+    """Return the time in signatures' units."""
+    return int((unix_s - _EPOCH_UNIX_S) * _UNITS_PER_S)
+
+
 class SignedParser(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink tells no types
     """pymavlink's parser, but a frame with a false signature does not move its stream's time."""
 
@@ -57,10 +62,10 @@ class _Buffer:
 
 
 class Signing:
-    """A vehicle's key, or none: then everything is heard."""
+    """A vehicle's key, or none: then all is heard. unsigned: message ids that are heard without a signature."""
 
-    def __init__(self, key: bytes | None = None) -> None:
-        self._key = key
+    def __init__(self, key: bytes | None, unsigned: frozenset[int]) -> None:
+        self._key, self._unsigned = key, unsigned
         self._streams: dict[tuple[int, int, int], int] = {}
         self._parsers: dict[int, Any] = {}  # by link id
 
@@ -90,7 +95,10 @@ class Signing:
         signing = parser.signing
         signing.secret_key = self._key
         signing.stream_timestamps = self._streams
-        signing.allow_unsigned_callback = _is_radio_status if self._key is not None else None
+        signing.allow_unsigned_callback = self._is_heard_unsigned if self._key is not None else None
+
+    def _is_heard_unsigned(self, _parser: Any, message_id: int) -> bool:
+        return message_id in self._unsigned
 
     def signed(self, parser: Any, frame: bytes, crc_extra: int, unix_s: float) -> bytes:
         """Return the frame as it goes out on the parser's link."""
@@ -99,11 +107,7 @@ class Signing:
         body = bytearray(frame[:-2])
         body[_FLAGS_BYTE] |= _SIGNED
         body += x25crc(bytes(body[1:]) + bytes((crc_extra,))).crc.to_bytes(2, "little")
-        parser.signing.timestamp = max(parser.signing.timestamp, int((unix_s - _EPOCH_UNIX_S) * _UNITS_PER_S))
+        parser.signing.timestamp = max(parser.signing.timestamp, signing_time(unix_s))
         buffer = _Buffer(body)
         mavlink.MAVLink_message.sign_packet(buffer, parser)
         return bytes(buffer._msgbuf)
-
-
-def _is_radio_status(_parser: Any, message_id: int) -> bool:
-    return bool(message_id == mavlink.MAVLINK_MSG_ID_RADIO_STATUS)

@@ -224,6 +224,22 @@ def test_a_radio_s_own_status_needs_no_signature_and_goes_no_further(linked):
     assert flight.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 148) == mavlink.MAV_RESULT_ACCEPTED
 
 
+@pytest.mark.parametrize("flavour", list(Flavour))
+def test_px4_hears_heartbeats_of_those_without_the_key_and_obeys_none(linked, flavour):
+    one = linked(flavour)
+    one.run(0.5)
+    vehicle, station = one.simulation.vehicle, mavlink.MAVLink(None, 255, 190)
+    for message in (
+        mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3),
+        mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 21196, 0, 0, 0, 0, 0),
+    ):
+        one.simulation.receive(0, bytes(message.pack(station)))
+    one.run(0.5)
+    assert (vehicle.gcs_heard_s is not None) is (flavour is Flavour.PX4)
+    answer = mavlink.MAVLINK_MSG_ID_COMMAND_ACK
+    assert not [data for data in one.brought[0] if Frame(data).message_id == answer]
+
+
 def test_a_listening_link_speaks_to_those_who_have_the_key(linked):
     flight = linked()
     flight.run(5.0)

@@ -44,7 +44,10 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True)
 class Stock:
-    """The aircraft of a stock simulator, the fastest target that it watches here, and the wind."""
+    """The aircraft of a stock simulator, the fastest target that it watches here, and the wind.
+
+    PX4's light aeroplane does not take off in a wind of 4 m/s.
+    """
 
     airspeed_m_s: float
     radius_m: float

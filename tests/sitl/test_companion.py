@@ -1,14 +1,18 @@
 """The payload for someone else's vehicle, joined to one of ours."""
 
+import io
 import math
 import socket
 import threading
+from types import SimpleNamespace
 
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.companion import Companion, CompanionError, accompany
+from sitl.companion import Companion, CompanionError, _send, accompany
+from sitl.payload import Payload
 from sitl.settings import PayloadSettings, TargetSettings
+from sitl.signing import signing_time
 
 EXACT = PayloadSettings(0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -125,6 +129,16 @@ def test_it_speaks_first_to_a_vehicle_that_answers_whom_it_has_heard():
             done.set()
             work.join(5.0)
     assert ready == [7]
+
+
+def test_its_signatures_follow_the_clock(monkeypatch):
+    """They passed for too old a minute after it had begun."""
+    mav, begun_s = mavlink.MAVLink(io.BytesIO(), 1, 154), 1.8e9
+    mav.signing.secret_key, mav.signing.sign_outgoing, mav.signing.timestamp = bytes(32), True, signing_time(begun_s)
+    monkeypatch.setattr("sitl.companion.time", SimpleNamespace(time=lambda: begun_s + 120.0))
+    _send(SimpleNamespace(mav=mav), Payload.heartbeat())
+    stamp = int.from_bytes(mav.file.getvalue()[-12:-6], "little")
+    assert stamp == signing_time(begun_s + 120.0)
 
 
 def test_the_target_goes_on_from_where_it_is_when_the_vehicle_reboots(flown):

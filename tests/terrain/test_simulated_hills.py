@@ -12,9 +12,10 @@ from pymavlink.dialects.v20 import all as mavlink
 from app.analysis.truth import read_truth
 from estimators.frames import LocalPlane
 from estimators.terrain.ground import Ground
+from sitl.companion import Companion
 from sitl.geodesy import HomePlane
 from sitl.hills import Hills, HillsError
-from sitl.settings import Home, Settings, TargetSettings
+from sitl.settings import Home, PayloadSettings, Settings, TargetSettings
 from sitl.simulation import Simulation
 from sitl.truth import TruthFile, TruthRow
 
@@ -52,6 +53,24 @@ def test_both_see_and_do_not_see_the_same(hills: Hills, ground: Ground) -> None:
         agreed += sees is ground.sees(craft_m, (target_m[0], target_m[1], target_m[2] + 1.0))
     assert hidden > 20
     assert agreed > 290
+
+
+@pytest.mark.parametrize(("height_m", "heard"), [(0.0, True), (10.0, False)])
+def test_a_payload_for_another_vehicle_is_tried_out_on_the_ground(
+    hills_folder: Path, height_m: float, heard: bool
+) -> None:
+    """Hills between do not keep it from being heard before take-off; in the air they do."""
+    companion = Companion(PayloadSettings(dropout_fraction=0.0), TargetSettings(start_m=OPEN_M), 1, hills_folder)
+    vehicle, home_e7 = mavlink.MAVLink(None, 1, 1), [round(1e7 * angle_deg) for angle_deg in HOME_DEG]
+    listener = mavlink.MAVLink(None)
+    for message in (
+        mavlink.MAVLink_heartbeat_message(1, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3),
+        mavlink.MAVLink_home_position_message(*home_e7, 449_000, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0),
+        mavlink.MAVLink_global_position_int_message(1000, *home_e7, 449_000, round(1e3 * height_m), 0, 0, 0, 0),
+    ):
+        (received,) = listener.parse_buffer(message.pack(vehicle))
+        measured = companion.handle(received)
+    assert bool(measured) is heard
 
 
 def test_without_tiles_the_ground_is_flat() -> None:

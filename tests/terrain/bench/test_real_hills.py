@@ -55,6 +55,7 @@ def test_twenty_minutes_above_the_ground(tmp_path, flavour, hills_folder):
         f"\n{flavour:9} load {os.getloadavg()[0]:.1f}: in sight {in_sight:.3f}, least height over ground "
         f"{clearance_m:.1f} m by the truth, {summary['min_clearance_m']:.1f} m by the estimate\n{summary}"
     )
+    assert summary["outcome"] == "completed"
     assert clearance_m >= CLEARANCE_M - SPARE_M
     if flavour == "arduplane":
         data = elevation_data(hills_folder)
