@@ -181,6 +181,8 @@ class Px4Telemetry(Telemetry):
 
     def _estimator_status(self) -> Any:
         flags = 831 if self._px4.ready else 167  # position known absolutely, or only attitude
+        if self._px4.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND:
+            flags |= mavlink.ESTIMATOR_CONST_POS_MODE  # at rest it is held
         return mavlink.MAVLink_estimator_status_message(self._px4.boot_us, flags, *(0.01,) * 6, 0.5, 0.8)
 
     def _ping(self) -> Any:

@@ -34,7 +34,7 @@ _WRAP_S, _NEAR_WRAP_S = 2**32 * 1e-3, 60.0
 _GPS_FIX_3D = 3
 _ORIGIN_FIXES, _ORIGIN_NEAR_M = 5, 5_000.0
 # EKF_STATUS_FLAGS of ArduPilot and ESTIMATOR_STATUS_FLAGS agree but for the flag of a GPS glitch.
-_POSITION_GOOD, _POSITION_HELD = 16, 128
+_POSITION_GOOD, _POSITION_HELD, _POSITION_AIDED = 16, 128, 512
 _EKF_GLITCH, _ESTIMATOR_GLITCH = 32768, 1024
 # MAV_COMP_ID of whatever may track a target: cameras, gimbals, companion computers.
 _TRACKERS = frozenset((*range(100, 106), 154, *range(171, 176), *range(191, 198)))
@@ -258,7 +258,8 @@ def has_fix(fields: Fields) -> bool:
 def _ekf_fault(flags: int, glitch: int) -> str:
     if flags & glitch:
         return "the EKF sees a GPS glitch"
-    if flags & _POSITION_HELD or not flags & _POSITION_GOOD:
+    held = flags & _POSITION_HELD and not flags & _POSITION_AIDED  # PX4 holds it at rest on the ground, too
+    if held or not flags & _POSITION_GOOD:
         return f"the EKF does not know its position (flags {flags})"
     return ""
 

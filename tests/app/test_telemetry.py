@@ -184,6 +184,8 @@ def test_only_the_autopilot_says_how_it_flies(telemetry, name, fields):
         ("ESTIMATOR_STATUS", {"flags": 831}, ""),
         ("ESTIMATOR_STATUS", {"flags": 831 | 1024}, "glitch"),
         ("ESTIMATOR_STATUS", {"flags": 831 & ~16}, "does not know its position"),
+        ("ESTIMATOR_STATUS", {"flags": 1023}, ""),  # PX4 on the ground
+        ("ESTIMATOR_STATUS", {"flags": 1023 & ~512}, "does not know its position"),
     ],
 )
 def test_what_gps_and_ekf_say_is_told_in_words(telemetry, name, fields, fault):
