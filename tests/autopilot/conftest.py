@@ -148,16 +148,16 @@ class Vehicle:
 
 
 class Application:
-    """``sidelong launch`` on a vehicle."""
+    """``sidelong launch`` on a vehicle; stdout: where to, its log by default."""
 
-    def __init__(self, url, out, *options):
+    def __init__(self, url, out, *options, program=(SIDELONG,), stdout=None):
         self.out = out
         arguments = ["launch", "--connect", url, "--duration", "3000", "--out", str(out), *options]
         # A pipe that nobody empties would stop it: the lines go into a file.
         self._log = out.with_suffix(".log")
         with self._log.open("w") as log:
-            command = [sys.executable, "-c", MORTAL, str(LIFE_S), SIDELONG, *arguments]
-            self.process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+            command = [sys.executable, "-c", MORTAL, str(LIFE_S), *program, *arguments]
+            self.process = subprocess.Popen(command, stdout=stdout or log, stderr=log)
 
     @property
     def said(self):
@@ -173,13 +173,17 @@ class Application:
     def kill(self):
         os.kill(self.process.pid, signal.SIGKILL)
 
-    def end(self):
+    @property
+    def run(self):
+        return sorted(self.out.iterdir())[-1]
+
+    def end(self, number=signal.SIGINT):
         """Interrupt it, and return its summary."""
         if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
+            self.process.send_signal(number)
         self.process.wait(WIND_UP_S + 10.0)
-        runs = sorted(self.out.iterdir())
-        return json.loads((runs[-1] / "summary.json").read_text())
+        assert "Traceback" not in self.said
+        return json.loads((self.run / "summary.json").read_text())
 
 
 @pytest.fixture

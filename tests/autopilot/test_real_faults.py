@@ -1,0 +1,365 @@
+"""What once misled flights, done to real autopilots, where their SITL programs are given.
+
+SIDELONG_ARDUPLANE=/path/to/arduplane SIDELONG_PX4=/path/to/px4 python -m pytest tests/autopilot/test_real_faults.py
+
+Each autopilot is started once, and flown by one launch after the other: all but the first take it over in the air.
+REAL_SPEED: how many times the clock.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from pymavlink.dialects.v20 import all as mavlink
+
+from app.flight.recording import JOURNAL_TYPES
+from app.records.journal import JournalReader
+from mission.core.events import ActivatePlan, PlanStatus
+from sitl.link import LinkFaults
+from tests.autopilot.conftest import PATIENCE_S, SIDELONG, Application
+from tests.autopilot.relay import PAYLOAD, VEHICLE, Relay, packed, unchanged
+
+if not {"SIDELONG_ARDUPLANE", "SIDELONG_PX4"} & os.environ.keys():
+    pytest.skip("no SITL program is named", allow_module_level=True)
+
+pytestmark = [pytest.mark.autopilot, pytest.mark.timeout(900)]
+
+WANDERING = (sys.executable, "-m", "tests.bench.wandering")
+SPEED = float(os.environ.get("REAL_SPEED", "3"))
+AIRCRAFT = {"arduplane": (22, 80, 60), "px4": (15, 60, 45)}  # of the stock simulators: m/s, m, degrees
+WATCHED = "watched from now on"
+GOES_ON = "the aircraft goes on circling where it is."
+NO_MORE = "commanding nothing more"
+MISSION_MODE = {"arduplane": 10, "px4": 0x04040000}
+PILOTS_MODE = {"arduplane": (12, "LOITER"), "px4": (0x03040000, "LOITER")}
+COMMANDING = {"MISSION_COUNT", "MISSION_ITEM_INT", "COMMAND_LONG", "COMMAND_INT", "MISSION_SET_CURRENT", "SET_MODE"}
+
+
+def program(flavour):
+    path = os.environ.get(f"SIDELONG_{flavour.upper()}")
+    if not path:
+        pytest.skip(f"SIDELONG_{flavour.upper()} does not name a SITL program")
+    return path
+
+
+class Flown:
+    """A real autopilot with payload and target, a relay before it, and launches through that."""
+
+    def __init__(self, flavour, relay, port, folder):
+        self.flavour, self.relay, self._folder = flavour, relay, folder
+        airspeed_m_s, radius_m, bank_max_deg = AIRCRAFT[flavour]
+        self._config = folder / "mission.toml"
+        self._config.write_text(
+            f"[aircraft]\nairspeed_m_s = {airspeed_m_s}\nradius_m = {radius_m}\nbank_max_deg = {bank_max_deg}\n"
+            "[requirement]\ntarget_speed_max_m_s = 4\n"
+        )
+        self._url = f"udpin://127.0.0.1:{port}"
+        self._launches = 0
+
+    def launch(self, *options, **more):
+        self._launches += 1
+        self.relay.change = unchanged
+        self.relay.spoil(LinkFaults())
+        return Application(self._url, self._folder / str(self._launches), str(self._config), *options, **more)
+
+    def wait(self, seconds):
+        """Let so much of the vehicle's time go by."""
+        time.sleep(seconds / SPEED)
+
+    @property
+    def commanded(self):
+        return sum(self.relay.commanded[kind] for kind in COMMANDING)
+
+
+@pytest.fixture(params=["arduplane", "px4"], scope="module")
+def flown(request, free_port, tmp_path_factory):
+    flavour, folder = request.param, tmp_path_factory.mktemp(request.param)
+    options = ["--autopilot", flavour, "--binary", program(flavour), "--speed", SPEED, "--target", "circle"]
+    sitl = subprocess.Popen(
+        [SIDELONG, "sitl", *map(str, options), "--truth", folder / "truth.csv"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    try:
+        url, port = sitl.stdout.readline().split()[-1], free_port()
+        with Relay(url, port) as relay:
+            yield Flown(flavour, relay, port, folder)
+        sitl.send_signal(signal.SIGTERM)
+        assert sitl.wait(20.0) == 0
+    finally:
+        sitl.kill()
+        sitl.wait(10.0)
+
+
+@pytest.fixture
+def launch(flown):
+    made = []
+
+    def make(*options, **more):
+        made.append(flown.launch(*options, **more))
+        return made[-1]
+
+    yield make
+    for one in made:
+        if one.process.poll() is None:
+            one.kill()
+        one.process.wait(10.0)
+
+
+@pytest.fixture
+def watching(launch):
+    one = launch()
+    one.wait_for(WATCHED)
+    return one
+
+
+# -- who is there, before anything is armed ------------------------------------------------------------------
+
+
+def refused(flown, launch, change, *words):
+    one = launch()
+    flown.relay.change = change
+    armed, uploads = flown.relay.armed, flown.relay.commanded["MISSION_COUNT"]
+    assert one.process.wait(PATIENCE_S) == 2, one.said
+    for each in words:
+        assert each in one.said
+    assert flown.relay.armed == armed
+    assert flown.relay.commanded["MISSION_COUNT"] == uploads
+
+
+def test_a_second_vehicle_with_another_id_is_listed_and_refused(flown, launch):
+    def beside(message):
+        yield from unchanged(message)
+        if message.get_type() in VEHICLE and message.get_srcComponent() == 1:
+            yield 0.0, packed(message, system_id=7)
+
+    refused(flown, launch, beside, "several vehicles are heard", "system 7 (", "name one by --system-id")
+
+
+def test_a_second_vehicle_with_the_same_id_is_told_before_anything_is_armed(flown, launch):
+    numbers = itertools.count()
+
+    def beside(message):
+        yield from unchanged(message)
+        if message.get_type() in VEHICLE and message.get_srcComponent() == 1:
+            yield 0.0, packed(message, seq=next(numbers) % 256)
+
+    refused(flown, launch, beside, "two vehicles speak with the same system id")
+
+
+# -- in flight -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_leaves_it_circling_and_says_so(flown, launch, number):
+    one = launch()
+    one.wait_for(WATCHED)
+    flown.wait(10.0)
+    summary = one.end(number)
+    assert one.process.returncode == 130
+    assert f"interrupted by {number.name}: {GOES_ON}" in one.said
+    assert summary["outcome"] == "interrupted"
+    flown.wait(10.0)
+    assert flown.relay.mode == MISSION_MODE[flown.flavour]
+
+
+@pytest.mark.parametrize("lost", ["a reader", "space"])
+def test_a_terminal_that_cannot_be_written_does_not_reach_the_flight(flown, launch, lost):
+    if lost == "space":
+        stdout = os.open("/dev/full", os.O_WRONLY)
+    else:
+        reading, stdout = os.pipe()
+        os.close(reading)
+    one = launch("--duration", "20", stdout=stdout)
+    os.close(stdout)
+    assert one.process.wait(PATIENCE_S) == 0, one.said
+    assert "the terminal could not be written" in one.said
+    assert one.end()["outcome"] == "completed"
+
+
+def test_a_payload_an_hour_ahead_is_corrected(flown, launch):
+    def ahead(message):
+        if message.get_type() in PAYLOAD:
+            yield 0.0, packed(message, time_boot_ms=message.time_boot_ms + 3_600_000)
+        else:
+            yield from unchanged(message)
+
+    one = launch()
+    flown.relay.change = ahead
+    one.wait_for("3600 s ahead: corrected")
+    one.wait_for(WATCHED)
+    one.wait_for("the target is in sight")
+    flown.wait(60.0)
+    summary = one.end()
+    assert summary["rejected"] < 0.06 * summary["sightings"]
+    assert "has not been seen" not in one.said
+
+
+def test_a_position_that_jumps_is_bridged_and_a_longer_jump_doubted(flown, watching):
+    def away(message):
+        if message.get_type() == "GLOBAL_POSITION_INT":
+            yield 0.0, packed(message, lat=message.lat + 135_000)  # 1.5 km
+        else:
+            yield from unchanged(message)
+
+    watching.wait_for("the target is in sight")
+    flown.relay.change = away
+    flown.wait(1.5)
+    flown.relay.change = unchanged
+    watching.wait_for("the position jumped by")
+    flown.wait(20.0)
+    assert "holding the circle" not in watching.said
+    flown.relay.change = away
+    watching.wait_for("holding the circle, nothing is decided on it")
+    flown.relay.change = unchanged
+    watching.wait_for("the aircraft's position is believed again")
+    flown.wait(20.0)
+    summary = watching.end()
+    assert summary["min_range_m"] > 90.0
+    assert summary["outcome"] == "interrupted"
+
+
+def test_single_wrong_words_mislead_nobody(flown, watching):
+    watching.wait_for("the target is in sight")
+    flown.wait(5.0)
+    now_ms = flown.relay.time_boot_ms
+    for kind, wrong in (
+        ("GLOBAL_POSITION_INT", {"time_boot_ms": now_ms + 3_600_000}),
+        ("GLOBAL_POSITION_INT", {"time_boot_ms": 2**32 - 1}),
+        ("GLOBAL_POSITION_INT", {"lat": -450_000_000, "lon": 1_700_000_000}),
+        ("ATTITUDE", {"time_boot_ms": 2**32 - 1}),
+        ("DISTANCE_SENSOR", {"time_boot_ms": now_ms + 3_600_000}),
+        ("GIMBAL_DEVICE_ATTITUDE_STATUS", {"time_boot_ms": 2**32 - 1}),
+    ):
+        flown.relay.once(kind, wrong)
+        flown.wait(4.0)
+    flown.relay.tell(mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_DO_SET_MODE, 4), component_id=191)
+    flown.relay.tell(mavlink.MAVLink_wind_message(90.0, 300.0, 0.0), component_id=191)
+    flown.relay.tell(mavlink.MAVLink_statustext_message(2, b"\x1b[31m\xff\xfe"), component_id=191)
+    flown.wait(30.0)
+    assert "holding the circle" not in watching.said
+    assert "has not been seen" not in watching.said
+    summary = watching.end()
+    assert summary["outcome"] == "interrupted", watching.said
+    assert "\x1b[31m" not in watching.said
+    assert summary["min_range_m"] > 90.0
+
+
+def test_a_receiver_without_a_fix_holds_the_circle(flown, watching):
+    name, kind, off, on = {
+        "arduplane": ("SIM_GPS1_ENABLE", mavlink.MAV_PARAM_TYPE_INT8, 0.0, 1.0),
+        "px4": ("SIM_GPS_USED", mavlink.MAV_PARAM_TYPE_INT32, 0.0, 1.4e-44),
+    }[flown.flavour]
+    watching.wait_for("the target is in sight")
+    flown.relay.set_parameter(name, off, kind)
+    try:
+        watching.wait_for("holding the circle, nothing is decided on it")
+        flown.wait(5.0)
+    finally:
+        flown.relay.set_parameter(name, on, kind)
+    watching.wait_for("the aircraft's position is believed again")
+    flown.wait(20.0)
+    assert watching.end()["outcome"] == "interrupted", watching.said
+
+
+def test_late_words_of_what_is_flown_end_in_no_yield(flown, launch):
+    def late(message):
+        delay_s = 3.0 / SPEED if message.get_type() == "MISSION_CURRENT" else 0.0
+        yield delay_s, bytes(message.get_msgbuf())
+
+    one = launch("--planner", "paper", program=WANDERING)
+    one.wait_for(WATCHED)
+    flown.relay.change = late
+    flown.wait(150.0)
+    told_as_flown(one)
+
+
+def test_plan_changes_over_a_slow_and_lossy_link_are_told_as_flown(flown, launch):
+    one = launch("--planner", "paper", program=WANDERING)
+    one.wait_for(WATCHED)
+    flown.relay.spoil(LinkFaults(loss=0.05, delay_s=1.0 / SPEED))
+    flown.wait(250.0)
+    flown.relay.spoil(LinkFaults())
+    flown.wait(20.0)
+    told_as_flown(one)
+
+
+def told_as_flown(one):
+    summary = one.end()
+    assert summary["outcome"] == "interrupted", one.said
+    events = list(JournalReader(one.run / "journal.jsonl", JOURNAL_TYPES))
+    activated = [event.number for event in events if isinstance(event, ActivatePlan)]
+    departed = {event.number for event in events if isinstance(event, PlanStatus) and event.stage == "departed"}
+    print(f"{len(activated)} plans activated, {len(set(activated) & departed)} told as flown")
+    assert activated
+    assert set(activated[:-1]) <= departed  # the last may still have been on its way
+
+
+# -- somebody else flies -------------------------------------------------------------------------------------
+
+
+def yielded(flown, one, act, *words):
+    one.wait_for("the target is in sight")
+    flown.wait(10.0)
+    act()
+    one.wait_for(NO_MORE)
+    flown.wait(3.0)
+    before = flown.commanded
+    flown.wait(20.0)
+    assert flown.commanded == before
+    summary = one.end()
+    assert summary["outcome"].startswith("yielded")
+    for each in words:
+        assert each in summary["outcome"]
+
+
+def test_another_station_changes_the_mode(flown, watching):
+    number, name = PILOTS_MODE[flown.flavour]
+    main, sub = (number, 0) if flown.flavour == "arduplane" else (number >> 16 & 0xFF, number >> 24)
+    yielded(flown, watching, lambda: flown.relay.command(mavlink.MAV_CMD_DO_SET_MODE, 1, main, sub), f"to {name}")
+
+
+def test_another_station_uploads_a_mission(flown, watching):
+    def upload():
+        latitude_e7, longitude_e7 = flown.relay.place
+        frame, commands = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, ((16, 0.0), (16, 0.0), (17, 90.0))
+        flown.relay.upload(
+            [
+                mavlink.MAVLink_mission_item_int_message(
+                    *(flown.relay.system_id, 1, seq, frame, command, int(seq == 0), 1),
+                    *(0.0, 0.0, radius_m, 0.0, latitude_e7 + 10_000, longitude_e7, 100.0),
+                )
+                for seq, (command, radius_m) in enumerate(commands)
+            ]
+        )
+
+    # A mission without a landing makes PX4 loiter at once.
+    yielded(flown, watching, upload, {"arduplane": "mission", "px4": "changed to LOITER"}[flown.flavour])
+
+
+def test_a_second_vehicle_with_the_same_id_that_comes_later_is_yielded_to(flown, watching):
+    def beside(message):
+        yield from unchanged(message)
+        if message.get_type() in ("GLOBAL_POSITION_INT", "ATTITUDE"):
+            moved = {"lat": message.lat + 20_000} if message.get_type() == "GLOBAL_POSITION_INT" else {}
+            yield 0.0, packed(message, time_boot_ms=message.time_boot_ms + 400_000, **moved)
+
+    def come():
+        flown.relay.change = beside
+
+    yielded(flown, watching, come, "two vehicles speak with the same system id")
+
+
+def test_an_autopilot_that_starts_anew_is_yielded_to(flown, watching):
+    if flown.flavour == "px4":
+        pytest.skip("PX4's simulator ends where it would start anew")
+    in_flight, number = 20190226, mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN
+    reboot = mavlink.MAVLink_command_long_message(flown.relay.system_id, 1, number, 0, 1, 0, 0, 0, 0, in_flight, 0)
+    yielded(flown, watching, lambda: flown.relay.say(reboot), "started anew")
