@@ -305,8 +305,7 @@ class Flight:
 
     def _wind_tables(self, loop: ControlLoop) -> WindTables:
         kind, winds = planner_by_name(self._config.planner.name), winds_m_s(self._config)
-        known = not self._config.link.connections  # a simulation's is told
-        return WindTables(kind, self._controller, winds, loop.put, self._display.note, known)
+        return WindTables(kind, self._controller, winds, loop.put, self._display.note)
 
     async def _tell_delay(self, loop: ControlLoop) -> None:
         watch, rate = RoundTripWatch(), self._vehicle_rate

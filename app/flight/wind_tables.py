@@ -1,16 +1,13 @@
 """What the planner has to know of the wind that blows: computed by another process while the flight goes on.
 
-A table for another wind makes the planner change its plans several times as often: in 4 m/s at 22 m/s, the one for
-still air 105 times an hour, the one for a wind of a quarter of the airspeed 63 times, its own 59 times. So where
-nobody knows the wind beforehand, the middle one is made at once; and when the autopilot has measured a wind for a
-while that none is near to, one for that. They are made beside the loop, and the control step hears when one is there:
-a replay of the journal takes it up at the same moment.
+A table for another wind makes the planner change its plans several times as often. So when the autopilot has measured
+a wind for a while that none is near to, one is made beside the loop, and the control step hears when it is there: a
+replay of the journal takes it up at the same moment.
 """
 
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable
 
 from app.planners.planner_kind import PlannerKind
@@ -21,14 +18,12 @@ from mission.core.events import Announce, WindPrepared
 # Wind speeds are prepared for in steps of this share of the airspeed, and no more of them than that.
 _STEP, _AT_MOST = 0.05, 5
 _AVERAGED_OVER_S = 30.0
-_LIKELY = 0.25  # of the airspeed
 
 
 class WindTables:
     """One flight's; watches what is shown. winds_m_s: speeds that the planner is ready for, besides none.
 
-    known: nobody has to expect another wind than these. put passes on that a table is at hand; note tells the person
-    what went wrong.
+    put passes on that one is at hand; note tells the person what went wrong.
     """
 
     def __init__(
@@ -38,7 +33,6 @@ class WindTables:
         winds_m_s: list[float],
         put: Callable[[WindPrepared], object],
         note: Callable[[str], object],
-        known: bool = True,
     ) -> None:
         self._kind, self._controller, self._put, self._note = kind, controller, put, note
         self._ready_m_s = [0.0, *winds_m_s]
@@ -46,7 +40,6 @@ class WindTables:
         self._mean_m_s: float | None = None
         self._since_s = self._latest_s = 0.0
         self._prepared = 0
-        self._likely_m_s = None if known or winds_m_s else round(_LIKELY * self._airspeed_m_s, 2)
         self._under_way: asyncio.Task[None] | None = None
 
     def say(self, announcement: Announce) -> None:
@@ -54,14 +47,9 @@ class WindTables:
 
     def show(self, snapshot: Snapshot) -> None:
         """Take the wind of a moment, and begin a table where one is missing."""
-        if snapshot.requirement.sector is not None:
+        if snapshot.phase is not Phase.WATCHING or snapshot.requirement.sector is not None:
             return
         wind_m_s, now_s = snapshot.wind.speed_m_s, snapshot.time_s
-        if self._likely_m_s is not None and math.isfinite(now_s):
-            self._latest_s, likely_m_s, self._likely_m_s = now_s, self._likely_m_s, None
-            self._under_way = asyncio.create_task(self._make(likely_m_s))
-        if snapshot.phase is not Phase.WATCHING:
-            return
         if self._mean_m_s is None:
             self._mean_m_s, self._since_s, self._latest_s = wind_m_s, now_s, now_s
         share = min((now_s - self._latest_s) / _AVERAGED_OVER_S, 1.0)
@@ -97,7 +85,7 @@ class WindTables:
                 await self._kind.make_ready(made_for.aircraft, made_for.requirement, [speed_m_s])
                 settings = self._controller.settings
         except OSError as error:
-            self._note(f"no table for a wind of {speed_m_s:g} m/s: {error}")
+            self._note(f"no table for a wind of {speed_m_s:g} m/s: {str(error) or 'it took too long'}")
             return
         self._ready_m_s.append(speed_m_s)
         self._put(WindPrepared(self._latest_s, speed_m_s))

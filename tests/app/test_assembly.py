@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from app import value_cache
-from app.assembly import controller_of
+from app.assembly import controller_of, winds_m_s
 from app.config import load_config
 from mission.core.circle import Circle
 from mission.core.events import ControlAcquired, OperatorRequest
@@ -27,6 +27,20 @@ def test_a_change_of_side_computes_and_loads_no_table(monkeypatch, tmp_path):
     (told,) = controller.step(OperatorRequest(1.0, "side", Side.RIGHT))
     assert told.text == "operator: side right"
     assert controller.snapshot().side is Side.RIGHT
+
+
+@pytest.mark.parametrize(
+    ("changes", "winds"),
+    [
+        ({}, []),
+        ({"simulation": {"wind_speed_m_s": 4.0}}, [4.0]),
+        ({"link": {"url": "udpin://127.0.0.1:14540"}}, [3.75]),  # nobody knows it beforehand
+        ({"link": {"url": "udpin://127.0.0.1:14540"}, "planner": {"winds_m_s": [6.0]}}, [6.0]),
+        ({"link": {"url": "udpin://127.0.0.1:14540"}, "requirement": {"side": "120-200"}}, []),
+    ],
+)
+def test_a_real_vehicle_is_made_ready_for_a_likely_wind(changes, winds):
+    assert winds_m_s(load_config(None, changes)) == winds
 
 
 def test_a_side_is_refused_where_bearings_are_watched_from():

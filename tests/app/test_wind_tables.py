@@ -39,13 +39,13 @@ def _small_tables(monkeypatch, tmp_path):
 class Windy:
     """A flight at 15 m/s that is shown winds; what it passes on is in ``put``."""
 
-    def __init__(self, ready_m_s=(), known=True):
+    def __init__(self, ready_m_s=()):
         self.controller = controller_of(Config())
         self.controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
         self.put: list[WindPrepared] = []
         self.noted: list[str] = []
         kind = planner_by_name("predictive")
-        self.tables = WindTables(kind, self.controller, list(ready_m_s), self.put.append, self.noted.append, known)
+        self.tables = WindTables(kind, self.controller, list(ready_m_s), self.put.append, self.noted.append)
 
     def shown(self, wind_m_s, seconds, phase=Phase.WATCHING):
         async def flown():
@@ -78,21 +78,6 @@ def test_a_wind_that_lasts_and_that_no_table_is_near_to_is_prepared_for(wind_m_s
 
 def test_nothing_is_prepared_before_the_target_is_watched():
     assert Windy().shown(4.0, 100, Phase.WAITING) == []
-
-
-@pytest.mark.parametrize(
-    ("ready_m_s", "phase", "wind_m_s", "prepared_m_s"),
-    [
-        ((), Phase.WAITING, 0.0, [3.75]),  # before anything is known of it
-        ((), Phase.WATCHING, 4.1, [3.75]),  # and that one serves
-        ((), Phase.WATCHING, 7.6, [3.75, 7.5]),
-        ((2.0,), Phase.WAITING, 0.0, []),  # somebody has said what to expect
-    ],
-)
-def test_where_nobody_knows_the_wind_a_likely_one_is_prepared_for_at_once(ready_m_s, phase, wind_m_s, prepared_m_s):
-    windy = Windy(ready_m_s, known=False)
-    windy.shown(wind_m_s, 1, phase)
-    assert windy.shown(wind_m_s, 100, phase) == prepared_m_s
 
 
 def test_the_planner_goes_on_with_what_it_remembers():

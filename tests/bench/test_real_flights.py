@@ -44,10 +44,7 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True)
 class Stock:
-    """The aircraft of a stock simulator, the fastest target that it watches here, and the wind.
-
-    PX4's light aeroplane does not take off in a wind of 4 m/s.
-    """
+    """The aircraft of a stock simulator, the fastest target that it watches here, and the wind."""
 
     airspeed_m_s: float
     radius_m: float
