@@ -22,6 +22,7 @@ from app.section import Section, validated
 from app.sharing.address import Address
 from app.text_file import read_toml
 from mission.core.requirement import Aircraft, Requirement, Side, widest_radius_m
+from mission.paper.feasibility import in_words
 from mission.viewpoint.side_policy import watching_from
 
 if TYPE_CHECKING:
@@ -364,7 +365,7 @@ def check_flyable(config: Config) -> None:
     aircraft, requirement = config.aircraft.aircraft(), config.requirement.requirement()
     reasons = planner_by_name(config.planner.name).unflyable(aircraft, requirement)
     if reasons:
-        raise InputError("infeasible: " + "; ".join(map(str, reasons)) + ".")
+        raise InputError(f"infeasible: {in_words(reasons)}.")
 
 
 def load_config(path: Path | None, overrides: dict[str, dict[str, Any]] | None = None) -> Config:

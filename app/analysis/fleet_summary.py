@@ -63,6 +63,21 @@ class FlownAircraft:
 
 
 @dataclass(frozen=True, slots=True)
+class AircraftSummary:
+    """What one of them came to. ``summary`` is by the side it was to hold, which the coordinator changes.
+
+    time_on_wanted_side: on the side that the requirement asks for, whichever it was to hold.
+    """
+
+    name: str
+    summary: Summary
+    time_on_wanted_side: float | None
+
+    def as_json(self) -> dict[str, Any]:
+        return {"name": self.name, "time_on_wanted_side": self.time_on_wanted_side, **self.summary.as_json()}
+
+
+@dataclass(frozen=True, slots=True)
 class FleetSummary:
     """The keys of a fleet's ``summary.json``. Fractions are 0..1 of the time since all were in the band.
 
@@ -77,20 +92,22 @@ class FleetSummary:
     min_separation_m: float | None
     source: Literal["truth", "estimate"]
     outcome: str
-    aircraft: tuple[tuple[str, Summary], ...]
+    aircraft: tuple[AircraftSummary, ...]
 
     def as_json(self) -> dict[str, Any]:
         plain = {name: getattr(self, name) for name in self.__slots__ if name != "aircraft"}
-        return plain | {"aircraft": [{"name": name, **summary.as_json()} for name, summary in self.aircraft]}
+        return plain | {"aircraft": [one.as_json() for one in self.aircraft]}
 
     def table(self) -> Table:
         """Return the summary as a table for the terminal, a column for each aircraft."""
-        table = Table("", "all", *(name for name, _ in self.aircraft), box=None, pad_edge=False)
-        each = [summary for _, summary in self.aircraft]
+        table = Table("", "all", *(one.name for one in self.aircraft), box=None, pad_edge=False)
+        each = [one.summary for one in self.aircraft]
         table.add_row("outcome", self.outcome, *(one.outcome for one in each))
         table.add_row("watched", f"{self.duration_s:.0f} s", *(f"{one.duration_s:.0f} s" for one in each))
         table.add_row("time in band", _percent(self.time_in_band_any), *(_percent(one.time_in_band) for one in each))
-        table.add_row("time on side", _percent(self.time_on_side_any), *(_percent(one.time_on_side) for one in each))
+        wanted = (_percent(one.time_on_wanted_side) for one in self.aircraft)
+        table.add_row("time on the wanted side", _percent(self.time_on_side_any), *wanted)
+        table.add_row("time on the side it was to hold", "", *(_percent(one.time_on_side) for one in each))
         table.add_row("longest time off the side", _seconds(self.longest_off_side_any_s))
         table.add_row("least separation", _metres(self.min_separation_m))
         table.add_row("least range", "", *(_metres(one.min_range_m) for one in each))
@@ -108,8 +125,10 @@ def summarise_fleet(
 
     asked: in mission time.
     """
-    judged = [own for one in flown if (own := judged_together(one.moments, asked, one.offset_s))]
+    of_all = [judged_together(one.moments, asked, one.offset_s) for one in flown]
+    judged = [own for own in of_all if own]
     side = band = np.empty(0, bool)
+    times_s = np.empty(0)
     if judged:
         times_s = np.arange(_begin_s(judged), max(one[-1].time_s for one in judged), _STEP_S)
         side = np.logical_or.reduce([_held(one, times_s, "on_side") for one in judged])
@@ -122,7 +141,14 @@ def summarise_fleet(
         min_separation_m=min_separation_m([one.track for one in flown]),
         source=source,
         outcome=outcome,
-        aircraft=tuple((one.name, one.summary) for one in flown),
+        aircraft=tuple(
+            AircraftSummary(
+                one.name,
+                one.summary,
+                float(_held(own, times_s, "on_side").mean()) if own and times_s.size else None,
+            )
+            for one, own in zip(flown, of_all, strict=True)
+        ),
     )
 
 

@@ -14,7 +14,7 @@ from app.commands.radius import RadiusOption, warn_of_little_room
 from app.config import Config, load_config
 from app.errors import InputError
 from app.fleet.fleet_file import load_fleet, names_a_fleet
-from mission.paper.feasibility import Feasibility, feasibility
+from mission.paper.feasibility import Feasibility, feasibility, in_words
 from mission.paper.optimum import ThresholdBounds, threshold_bounds
 from mission.paper.optimum import optimise as optimum
 
@@ -99,7 +99,7 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
         console.print(_bounds_words("there", best.bounds if best is not None else None))
         values["thresholds"] = asdict(here) if here is not None else None
         values["optimum"] = asdict(best) if best is not None else None
-    return values, "" if result.feasible else "; ".join(map(str, result.reasons))
+    return values, "" if result.feasible else in_words(result.reasons)
 
 
 def _table(result: Feasibility) -> Table:

@@ -75,6 +75,8 @@ def init(
     if preset is not None and preset not in PRESETS:
         known = "; ".join(f"{name} ({known.about})" for name, known in PRESETS.items())
         raise InputError(f"--preset {preset!r} is not known; there are: {known}.")
+    if not file.parent.is_dir():
+        raise InputError(f"{file}: there is no folder {file.parent}; create it or give another file.")
     try:
         with file.open("w" if force else "x", encoding="utf-8") as out:
             out.write(config_text(preset, fleet))

@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass, fields
 
-from app.analysis.fleet_summary import FleetSummary, FlownAircraft, FlownTrack, summarise_fleet
+from app.analysis.fleet_summary import AircraftSummary, FleetSummary, FlownAircraft, FlownTrack, summarise_fleet
 from app.analysis.score import Asked
 from app.errors import InputError
 from app.fleet.fleet_file import FleetFile
@@ -91,7 +91,10 @@ def _written(folder: FleetFolder) -> FleetSummary:
     values, name = folder.read_summary(), str(folder.summary)
     try:
         plain = {field.name: values[field.name] for field in fields(FleetSummary) if field.name != "aircraft"}
-        aircraft = tuple((one["name"], read_summary(one, name)) for one in values["aircraft"])
+        aircraft = tuple(
+            AircraftSummary(one["name"], read_summary(one, name), one.get("time_on_wanted_side"))
+            for one in values["aircraft"]
+        )
     except (KeyError, TypeError) as error:
         raise InputError(f"{name}: a figure is missing or wrong; delete the file to have it made anew.") from error
     return FleetSummary(**plain, aircraft=aircraft)

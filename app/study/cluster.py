@@ -34,7 +34,10 @@ def on_cluster(address: str, tell: Callable[[str], None] = lambda _words: None) 
         try:
             client = distributed.Client(address, timeout=_ANSWER_S, set_as_default=False)
         except (OSError, ValueError) as error:
-            raise InputError(f"--scheduler: no Dask scheduler answers at {address} ({error}).") from error
+            raise InputError(
+                f"--scheduler: no Dask scheduler answers at {address} within {_ANSWER_S:g} s; "
+                "is it running, and is the address right?"
+            ) from error
         with client:
             workers = len(client.scheduler_info(n_workers=-1)["workers"])
             tell(f"{workers} workers; dashboard {client.dashboard_link}" if workers else "waiting for workers")

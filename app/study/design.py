@@ -11,7 +11,7 @@ from typing import Any
 from app.config import Config, with_values
 from app.errors import InputError
 from app.study.settings import StudySettings
-from mission.paper.feasibility import unflyable
+from mission.paper.feasibility import in_words, unflyable
 
 Value = float | str
 Overrides = dict[str, dict[str, Any]]
@@ -111,7 +111,7 @@ def designs(
         if not reasons:
             found.append(design)
             continue
-        refused.append((design, "infeasible: " + "; ".join(map(str, reasons))))
+        refused.append((design, f"infeasible: {in_words(reasons)}"))
     if not found:
         raise InputError(f"{refused[0][1]}.")
     for design, why in refused:

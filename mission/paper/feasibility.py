@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import groupby
 
 from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement
 from mission.geometry.root import root
@@ -25,8 +26,12 @@ class Change:
     because: str
 
     def __str__(self) -> str:
+        return f"{self.because}: {self.remedy}"
+
+    @property
+    def remedy(self) -> str:
         bound = "at least" if self.nearest > self.value else "at most"
-        return f"{self.because}: {self.field} must be {bound} {self.nearest_rounded:g}, not {self.value:.4g}"
+        return f"{self.field} must be {bound} {self.nearest_rounded:g}, not {self.value:.4g}"
 
     @property
     def nearest_rounded(self) -> float:
@@ -34,6 +39,12 @@ class Change:
         step = 10.0 ** (math.floor(math.log10(self.nearest)) - 3)
         away = math.ceil if self.nearest > self.value else math.floor
         return float(f"{away(self.nearest / step) * step:.4g}")
+
+
+def in_words(changes: Iterable[Change]) -> str:
+    """Return each reason once, with all the changes of which one would do."""
+    reasons = groupby(changes, key=lambda change: change.because)
+    return "; ".join(f"{because}: {', or '.join(each.remedy for each in those)}" for because, those in reasons)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,6 +34,7 @@ def test_a_side_counts_while_any_aircraft_has_it():
     found = summarise_fleet([one, other], ASKED, "completed", "truth")
     assert found.duration_s == pytest.approx(100.0, abs=1.0)
     assert found.time_on_side_any == pytest.approx(0.9, abs=0.01)
+    assert [each.time_on_wanted_side for each in found.aircraft] == pytest.approx([0.5, 0.45], abs=0.01)
     assert found.longest_off_side_any_s == pytest.approx(10.0, abs=1.0)
     assert found.time_in_band_any == 1.0
 
@@ -83,5 +84,5 @@ def test_a_gap_of_a_track_is_no_place():
 def test_the_json_holds_each_aircraft_by_name():
     found = summarise_fleet([flown("a", [-200.0] * 10)], ASKED, "completed", "truth").as_json()
     assert found["aircraft"][0]["name"] == "a"
-    assert found["aircraft"][0]["time_on_side"] == 0.5
+    assert (found["aircraft"][0]["time_on_side"], found["aircraft"][0]["time_on_wanted_side"]) == (0.5, 1.0)
     assert {"time_on_side_any", "time_in_band_any", "min_separation_m"} <= set(found)

@@ -6,7 +6,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from mission.core.requirement import Aircraft, Requirement, Side
-from mission.paper.feasibility import feasibility
+from mission.paper.feasibility import feasibility, in_words
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0, 1.0)
@@ -41,6 +41,16 @@ def test_each_cause_names_its_numbers(aircraft: Aircraft, requirement: Requireme
     verdict = feasibility(aircraft, requirement)
     assert not verdict.feasible
     assert fields <= {change.field for change in verdict.reasons}
+
+
+def test_a_reason_is_told_once_with_all_that_would_help() -> None:
+    verdict = feasibility(replace(AIRCRAFT, radius_m=8.0), replace(REQUIREMENT, range_max_m=110.0))
+    tight, narrow = in_words(verdict.reasons[:5]).split("; ")
+    assert tight.startswith("the circle is tighter than a bank of 45 degrees allows: radius_m must be at least ")
+    assert narrow == (
+        "the circle does not fit between the least and the greatest range: range_max_m must be at least 116, not 110, "
+        "or range_min_m must be at most 94, not 100, or radius_m must be at most 5, not 8"
+    )
 
 
 @given(
