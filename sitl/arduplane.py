@@ -17,7 +17,7 @@ from sitl.arduplane_terrain import TerrainDatabase
 from sitl.autopilot import Autopilot
 from sitl.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
 from sitl.fence import PointStore
-from sitl.file_server import FileServer
+from sitl.file_server import FileErrors, FileServer
 from sitl.items import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item
 from sitl.place import Place
 from sitl.radio import Station
@@ -65,7 +65,8 @@ class ArduPlane(Autopilot):
     hears_once_a_loop = True
     home_known_s = 21.7
     ready_s = 22.9
-    unknown_message_result = DENIED
+    unknown_interval_result = DENIED
+    unknown_request_result = FAILED
     arming_refusal = (FAILED, "Arm: AHRS: waiting for home")
     quirks = _MANNERS
     default_interval_s = DEFAULT_INTERVAL_S
@@ -85,6 +86,7 @@ class ArduPlane(Autopilot):
         self.navigator = ArduPlaneNavigator(self.craft, self.parameters, home.altitude_m)
         self._guided_radius_m = 0.0
         self._ordered_airspeed_m_s: float | None = None
+        self._min_ground_speed_m_s = 0.0
         self._failsafe = False
         self._handlers |= {
             mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: self._on_set_current,
@@ -95,7 +97,7 @@ class ArduPlane(Autopilot):
             mavlink.MAV_CMD_NAV_TAKEOFF: lambda _: FAILED,  # only for quadplanes
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
         }
-        self.files = FileServer({"@PARAM/param.pck": self.parameters.packed})
+        self.files = FileServer({"@PARAM/param.pck": self.parameters.packed}, FileErrors.FAILED, FileErrors.NOT_FOUND)
         # One that has no heights asks for them; here only where there are hills to ask about.
         self.terrain = TerrainDatabase(home.latitude_deg, home.longitude_deg) if settings.terrain else None
         stores: tuple[Store, ...] = (self.mission, PointStore(False), PointStore(False))
@@ -181,7 +183,11 @@ class ArduPlane(Autopilot):
     @property
     def airspeed_goal_m_s(self) -> float:
         ordered_m_s = self._ordered_airspeed_m_s if self.mode in (Mode.AUTO, Mode.GUIDED) else None
-        return self.parameters.within("AIRSPEED_CRUISE", 5.0, 60.0) if ordered_m_s is None else ordered_m_s
+        cruise_m_s = self.parameters.within("AIRSPEED_CRUISE", 5.0, 60.0) if ordered_m_s is None else ordered_m_s
+        if self._min_ground_speed_m_s <= 0.0:
+            return cruise_m_s
+        missing_m_s = max(0.0, self._min_ground_speed_m_s - self.craft.ground_speed_m_s)
+        return min(cruise_m_s + missing_m_s, max(cruise_m_s, self.parameters["AIRSPEED_MAX"]))
 
     def navigate(self, dt_s: float) -> float:
         match self.mode:
@@ -361,6 +367,10 @@ class ArduPlane(Autopilot):
         return ACCEPTED if self._change_speed(command.param(1), command.param(2)) else FAILED
 
     def _change_speed(self, kind: float, speed_m_s: float) -> bool:
+        if kind == mavlink.SPEED_TYPE_GROUNDSPEED:
+            self._min_ground_speed_m_s = speed_m_s
+            self.say(mavlink.MAV_SEVERITY_INFO, f"Set groundspeed {speed_m_s:.0f}")
+            return True
         if kind != mavlink.SPEED_TYPE_AIRSPEED:
             return False
         if speed_m_s == _DEFAULT_AIRSPEED:

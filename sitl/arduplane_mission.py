@@ -30,6 +30,14 @@ _NAVIGATION = {
 }
 
 
+_ANY_YAW = {
+    mavlink.MAV_CMD_NAV_WAYPOINT,
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM,
+    mavlink.MAV_CMD_NAV_LAND,
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+}  # whose param 4 may be NaN
+
+
 class MissionState(IntEnum):
     STOPPED = mavlink.MISSION_STATE_NOT_STARTED
     RUNNING = mavlink.MISSION_STATE_ACTIVE
@@ -72,6 +80,7 @@ class ArduPlaneMission:
 
     def put(self, index: int, item: Item, current: bool) -> None:
         del current  # ArduPilot ignores the flag
+        refuse_no_numbers(item)
         stored = self._home if index == 0 else as_stored(item)
         if index < len(self._items):
             self._items[index] = stored
@@ -138,6 +147,13 @@ class ArduPlaneMission:
             self._on_start(index, item)
             index += 1
         self.state, self.item = MissionState.COMPLETE, None
+
+
+def refuse_no_numbers(item: Item) -> None:
+    """Raise ItemRefused for the first param that is no number, where it has to be one."""
+    for number, value in enumerate(item.params):
+        if math.isinf(value) or (math.isnan(value) and (number < 3 or item.command not in _ANY_YAW)):
+            raise ItemRefused(mavlink.MAV_MISSION_INVALID_PARAM1 + number)
 
 
 def as_stored(item: Item) -> Item:

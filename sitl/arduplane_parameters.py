@@ -20,7 +20,7 @@ def arduplane_parameters(settings: Settings) -> Parameters:
         "WP_RADIUS": (INT16, 50.0),
         "RTL_RADIUS": (INT16, 0.0),
         "RTL_ALTITUDE": (REAL32, 100.0),
-        "TKOFF_ALT": (REAL32, 50.0),
+        "TKOFF_ALT": (INT16, 50.0),
         "NAVL1_PERIOD": (REAL32, 17.0),
         "NAVL1_DAMPING": (REAL32, 0.75),
         "NAVL1_XTRACK_I": (REAL32, 0.02),

@@ -75,6 +75,7 @@ class ArduPlaneTelemetry(Telemetry):
     gps_accuracy_mm = (300, 300, 0)
     home_quaternion = (NAN, NAN, NAN, NAN)
     software = (4, 7)
+    modes = Mode
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 
     def __init__(self, vehicle: ReportedPlane) -> None:

@@ -36,7 +36,8 @@ class Autopilot(ABC):
     hears_once_a_loop: ClassVar[bool]  # or as soon as something comes
     home_known_s: ClassVar[float]  # after boot
     ready_s: ClassVar[float]  # after boot the vehicle can be armed
-    unknown_message_result: ClassVar[int]
+    unknown_interval_result: ClassVar[int]  # of a message that there is not
+    unknown_request_result: ClassVar[int]
     arming_refusal: ClassVar[tuple[int, str]]  # result and text of an arming that comes too early
     quirks: ClassVar[ProtocolQuirks]
     default_interval_s: ClassVar[Mapping[int, float]]
@@ -277,6 +278,8 @@ class Autopilot(ABC):
         if kind == "FILE_TRANSFER_PROTOCOL":
             for payload in self.files.answers(bytes(message.payload)):
                 self.radio.send(station, mavlink.MAVLink_file_transfer_protocol_message(0, *source, payload))
+        elif kind == "LOG_REQUEST_LIST":
+            self.radio.send(station, mavlink.MAVLink_log_entry_message(0, 0, 0, 0, 0))  # it keeps none
         elif kind == "TIMESYNC" and message.tc1 == 0:
             self.radio.send(station, mavlink.MAVLink_timesync_message(self.boot_us * 1000, message.ts1))
         elif kind == "PING" and message.target_system == 0:
@@ -315,7 +318,7 @@ class Autopilot(ABC):
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
                 result = self._on_message_interval(station, command)
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
-                result = self._on_request_message(station, int(command.number(1)))
+                result = self._on_request_message(station, int(command.number(1)), int(command.number(2)))
             case mavlink.MAV_CMD_GET_HOME_POSITION:
                 result = self._on_request_message(station, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
             case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
@@ -333,7 +336,7 @@ class Autopilot(ABC):
     def _on_message_interval(self, station: Station, command: Command) -> int:
         message_id, interval_us = int(command.number(1)), command.number(2)
         if message_id not in self._builders:
-            return self.unknown_message_result
+            return self.unknown_interval_result
         if interval_us == 0:
             interval_s = self.default_interval_s.get(message_id, 0.0)
         else:
@@ -341,11 +344,13 @@ class Autopilot(ABC):
         station.stream(message_id, interval_s, self.now_s)
         return ACCEPTED
 
-    def _on_request_message(self, station: Station, message_id: int) -> int:
+    def _on_request_message(self, station: Station, message_id: int, index: int = 0) -> int:
         messages = self.messages(message_id)
+        if message_id == mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES and index:  # 0: all of them
+            messages = messages[index - 1 : index]
         for message in messages:
             self.radio.send(station, message)
-        return ACCEPTED if messages else self.unknown_message_result
+        return ACCEPTED if messages else self.unknown_request_result
 
     def _on_arm(self, command: Command) -> int:
         if command.param(1) not in (0.0, 1.0):

@@ -26,7 +26,8 @@ class _Op(IntEnum):
     NAK = 129
 
 
-class _Error(IntEnum):
+class FileErrors(IntEnum):
+    FAILED = 1
     WRONG_SESSION = 4
     END_OF_FILE = 6
     UNKNOWN_COMMAND = 7
@@ -54,7 +55,7 @@ class _Request:
         head = _HEADER.pack(sequence, self.session, _Op.ACK, len(data), self.opcode, last, offset)
         return head + data.ljust(_DATA_MAX, b"\0")
 
-    def nak(self, error: _Error) -> bytes:
+    def nak(self, error: FileErrors) -> bytes:
         sequence = (self.sequence + 1) & 0xFFFF
         head = _HEADER.pack(sequence, self.session, _Op.NAK, 1, self.opcode, 0, self.offset)
         return head + bytes([error]).ljust(_DATA_MAX, b"\0")
@@ -63,11 +64,18 @@ class _Request:
 class FileServer:
     """Answers the payloads of FILE_TRANSFER_PROTOCOL. files: by their whole paths, made when they are opened.
 
-    One file is open at a time, and stays as it was when it was opened.
+    One file is open at a time, and stays as it was when it was opened. unknown, not_open: how the autopilot refuses
+    what it does not know, and to read what is not open.
     """
 
-    def __init__(self, files: Mapping[str, Callable[[], bytes]]) -> None:
+    def __init__(
+        self,
+        files: Mapping[str, Callable[[], bytes]],
+        unknown: FileErrors = FileErrors.UNKNOWN_COMMAND,
+        not_open: FileErrors = FileErrors.WRONG_SESSION,
+    ) -> None:
         self._files = files
+        self._unknown, self._not_open = unknown, not_open
         self._content: bytes | None = None
         self._session = 0
 
@@ -88,14 +96,14 @@ class FileServer:
                 return [self._opened(request)]
             case _Op.READ | _Op.BURST:
                 return self._read(request)
-        return [request.nak(_Error.UNKNOWN_COMMAND)]
+        return [request.nak(self._unknown)]
 
     def _list(self, request: _Request) -> bytes:
         """Return the entries of a folder from number ``offset`` on, as many as there is room for."""
         folder = f"{request.path}/" if request.path else ""
         inside = sorted({path.removeprefix(folder).split("/")[0] for path in self._files if path.startswith(folder)})
         if folder and not inside:
-            return request.nak(_Error.NOT_FOUND)
+            return request.nak(FileErrors.NOT_FOUND)
         data = b""
         for name in inside[request.offset :]:
             path = folder + name
@@ -104,12 +112,12 @@ class FileServer:
             if len(data) + len(entry) > _DATA_MAX:
                 break
             data += entry
-        return request.ack(data, request.offset) if data else request.nak(_Error.END_OF_FILE)
+        return request.ack(data, request.offset) if data else request.nak(FileErrors.END_OF_FILE)
 
     def _opened(self, request: _Request) -> bytes:
         make = self._files.get(request.path)
         if make is None:
-            return request.nak(_Error.NOT_FOUND)
+            return request.nak(FileErrors.NOT_FOUND)
         content = make()
         if request.opcode == _Op.CRC32:
             return request.ack(struct.pack("<I", zlib.crc32(content)))
@@ -118,9 +126,9 @@ class FileServer:
 
     def _read(self, request: _Request) -> list[bytes]:
         if self._content is None or request.session != self._session:
-            return [request.nak(_Error.WRONG_SESSION)]
+            return [request.nak(self._not_open)]
         if request.offset >= len(self._content):
-            return [request.nak(_Error.END_OF_FILE)]
+            return [request.nak(FileErrors.END_OF_FILE)]
         step = min(request.size or _DATA_MAX, _DATA_MAX)
         packets = _BURST_PACKETS if request.opcode == _Op.BURST else 1
         pieces = range(request.offset, min(len(self._content), request.offset + packets * step), step)

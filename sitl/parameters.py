@@ -17,12 +17,14 @@ INT32 = mavlink.MAV_PARAM_TYPE_INT32
 REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
 _NO_INDEX = 65535
 _PACKED_MAGIC = 0x671B
+_TYPE_MISMATCH = 7  # MAV_PARAM_ERROR
 
 
 class Parameters:
     """Values by name, each with the MAVLink type the real autopilot gives it.
 
-    bytewise: PX4 sends an integer's bytes in the float field, ArduPilot its value as a float.
+    bytewise: PX4 sends an integer's bytes in the float field, ArduPilot its value as a float. PX4 also tells by
+    PARAM_ERROR what is wrong with a request; ArduPilot says nothing.
     """
 
     def __init__(self, table: dict[str, tuple[int, float]], bytewise: bool) -> None:
@@ -52,18 +54,31 @@ class Parameters:
                 for index in range(len(self._names)):
                     radio.send(station, self._value_message(self._names[index], index))
             case "PARAM_REQUEST_READ":
-                if message.param_index >= 0:
-                    if message.param_index < len(self._names):
-                        name = self._names[message.param_index]
-                        radio.send(station, self._value_message(name, message.param_index))
-                elif message.param_id in self._values:
-                    radio.send(station, self._value_message(message.param_id, self._index(message.param_id)))
+                index, name = message.param_index, message.param_id
+                if 0 <= index < len(self._names):
+                    radio.send(station, self._value_message(self._names[index], index))
+                elif index < 0 and name in self._values:
+                    radio.send(station, self._value_message(name, self._index(name)))
+                else:
+                    self._refuse(station, message, radio, index, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST)
             case "PARAM_SET":
                 name = message.param_id
+                if name not in self._values:
+                    self._refuse(station, message, radio, -1, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST)
+                    return
+                if self._bytewise and message.param_type != self._kinds[name]:
+                    self._refuse(station, message, radio, -1, _TYPE_MISMATCH)
+                    return
                 value = self._decode(message.param_value, message.param_type)
-                if name in self._values and math.isfinite(value):
+                if math.isfinite(value):
                     self.set(name, value)
+                if math.isfinite(value) or self._bytewise:  # PX4 tells the value that it keeps
                     radio.broadcast(self._value_message(name, self._index(name)))
+
+    def _refuse(self, station: Station, message: Any, radio: Radio, index: int, error: int) -> None:
+        if self._bytewise:
+            asker = (message.get_srcSystem(), message.get_srcComponent())
+            radio.send(station, mavlink.MAVLink_param_error_message(*asker, message.param_id.encode(), index, error))
 
     def packed(self) -> bytes:
         """Return all of them as ArduPilot's file @PARAM/param.pck has them."""

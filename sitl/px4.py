@@ -38,7 +38,6 @@ _MANNERS = ProtocolQuirks(
     timeout_severity=mavlink.MAV_SEVERITY_CRITICAL,
     timeout_text="Operation timeout\t",
 )
-_UNSUPPORTED_FRAME = 9  # VEHICLE_CMD_RESULT_UNSUPPORTED_MAV_FRAME, unknown to many programs
 _RECHECK_S = 0.8  # an infeasible mission keeps its successor from starting for so long
 _REACHED_REPEATS = 10
 _CLIMB_OVER_M = 10.0  # a takeoff is flown above its height
@@ -57,7 +56,8 @@ class Px4(Autopilot):
     hears_once_a_loop = False
     home_known_s = 3.0
     ready_s = 8.0
-    unknown_message_result = FAILED
+    unknown_interval_result = FAILED
+    unknown_request_result = DENIED
     arming_refusal = (REJECTED, "Arming denied: Resolve system health failures first\t")
     quirks = _MANNERS
     default_interval_s = DEFAULT_INTERVAL_S
@@ -142,6 +142,13 @@ class Px4(Autopilot):
                 if self.craft.flying:
                     self._circle_at(self.here)
         return True
+
+    def _on_set_mode(self, command: Command) -> int:
+        wanted = self.mode_of_command(int(command.number(1)), int(command.number(2)), int(command.number(3)))
+        if wanted == Mode.MISSION and self._refusal is not None:
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, "Switching to Mission is currently not available\t")
+            return DENIED
+        return super()._on_set_mode(command)
 
     def on_armed(self) -> None:
         self.say(mavlink.MAV_SEVERITY_INFO, "Armed by external command\t")
@@ -333,12 +340,6 @@ class Px4(Autopilot):
         else:
             super().handle_own(station, message, kind)
 
-    def on_command(self, station: Station, command: Command) -> None:
-        if command.frame is not None and command.frame != mavlink.MAV_FRAME_GLOBAL_INT:
-            self.radio.send(station, command.acknowledgement(_UNSUPPORTED_FRAME))
-        else:
-            super().on_command(station, command)
-
     def set_current_item(self, index: int) -> bool:
         if not 0 <= index < len(self.mission.items()):
             self.say(mavlink.MAV_SEVERITY_CRITICAL, "WPM: WP CURR CMD: Not in list\t")
@@ -368,7 +369,7 @@ class Px4(Autopilot):
         return self._hold_around(command, command.param(1))
 
     def _hold_around(self, command: Command, signed_radius_m: float) -> int:
-        """Hold around the place in params 5 to 7, altitude above sea level; what is NaN is here."""
+        """Hold around the place in params 5 to 7, altitude above sea level in any frame; what is NaN is here."""
         latitude_deg, longitude_deg, altitude_m = command.params[4:7]
         here = self.here
         east_m, north_m = here.ground_m

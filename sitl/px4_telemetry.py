@@ -11,7 +11,7 @@ from sitl.px4_mission import Px4Mission
 from sitl.px4_modes import BY_PILOT, Mode
 from sitl.px4_navigator import Px4Navigator
 from sitl.relayed_range import RelayedRange
-from sitl.telemetry import NAN, Builder, Reported, Telemetry
+from sitl.telemetry import NAN, Builder, Reported, Telemetry, quaternion
 from sitl.transfer import Transfer
 from sitl.wire import mission_current
 
@@ -21,6 +21,12 @@ _ENABLED = 0x301403F
 _HEALTHY = 0x1320C83F
 _HEALTHY_BEFORE_READY = 0x0320C83F
 
+_STANDARD_MODES: dict[int, int] = {
+    Mode.MISSION: mavlink.MAV_STANDARD_MODE_MISSION,
+    Mode.RTL: mavlink.MAV_STANDARD_MODE_SAFE_RECOVERY,
+    Mode.LAND: mavlink.MAV_STANDARD_MODE_LAND,
+    Mode.TAKEOFF: mavlink.MAV_STANDARD_MODE_TAKEOFF,
+}
 _DOWNWARD_MAX_M = 100.0
 _DOWNWARD_BEYOND_CM = 65534
 
@@ -72,6 +78,8 @@ class Px4Telemetry(Telemetry):
     gps_accuracy_mm = (900, 1780, 400)
     home_quaternion = (1.0, 0.0, 0.0, 0.0)
     software = (1, 17)
+    modes = Mode
+    standard_modes = _STANDARD_MODES
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 
     def __init__(self, vehicle: ReportedPx4) -> None:
@@ -90,6 +98,8 @@ class Px4Telemetry(Telemetry):
             mavlink.MAVLINK_MSG_ID_WIND_COV: self._wind,
             mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._estimator_status,
             mavlink.MAVLINK_MSG_ID_PING: self._ping,
+            mavlink.MAVLINK_MSG_ID_ALTITUDE: self._altitude,
+            mavlink.MAVLINK_MSG_ID_ODOMETRY: self._odometry,
         }
 
     def _sys_status(self) -> Any:
@@ -157,12 +167,7 @@ class Px4Telemetry(Telemetry):
         return [downward] if relayed is None else [downward, relayed]
 
     def _current_mode(self) -> Any:
-        standard = {
-            Mode.MISSION: mavlink.MAV_STANDARD_MODE_MISSION,
-            Mode.RTL: mavlink.MAV_STANDARD_MODE_SAFE_RECOVERY,
-            Mode.LAND: mavlink.MAV_STANDARD_MODE_LAND,
-            Mode.TAKEOFF: mavlink.MAV_STANDARD_MODE_TAKEOFF,
-        }.get(Mode(self._px4.mode), mavlink.MAV_STANDARD_MODE_NON_STANDARD)
+        standard = _STANDARD_MODES.get(self._px4.mode, mavlink.MAV_STANDARD_MODE_NON_STANDARD)
         return mavlink.MAVLink_current_mode_message(standard, self._px4.mode, self._px4.mode)
 
     def _wind(self) -> Any:
@@ -184,6 +189,29 @@ class Px4Telemetry(Telemetry):
         if self._px4.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND:
             flags |= mavlink.ESTIMATOR_CONST_POS_MODE  # at rest it is held
         return mavlink.MAVLink_estimator_status_message(self._px4.boot_us, flags, *(0.01,) * 6, 0.5, 0.8)
+
+    def _altitude(self) -> Any:
+        height_m = self._craft.height_m
+        altitude_m = self.altitude_m(height_m)
+        return mavlink.MAVLink_altitude_message(
+            self._px4.boot_us, altitude_m, altitude_m, height_m, height_m, NAN, NAN
+        )
+
+    def _odometry(self) -> Any:
+        craft = self._craft
+        return mavlink.MAVLink_odometry_message(
+            self._px4.boot_us,
+            mavlink.MAV_FRAME_LOCAL_NED,
+            mavlink.MAV_FRAME_LOCAL_NED,
+            *(craft.north_m, craft.east_m, -craft.height_m),
+            list(quaternion(craft.roll_rad, craft.pitch_rad, craft.heading_rad)),
+            *(craft.velocity_north_m_s, craft.velocity_east_m_s, -craft.climb_m_s),
+            *self._body_rates_rad_s(),
+            [NAN] * 21,
+            [NAN] * 21,
+            0,
+            mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
+        )
 
     def _ping(self) -> Any:
         self._pings += 1

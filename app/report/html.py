@@ -38,7 +38,7 @@ figure { margin: 0; break-inside: avoid; }
 code { overflow-wrap: anywhere; }
 @media (max-width: 700px) {
   body { margin: 1rem auto; } .wide svg { min-width: 42rem; } dl { grid-template-columns: repeat(2, minmax(0, 1fr)); }
-  td { overflow-wrap: anywhere; }
+  td { overflow-wrap: break-word; } td:first-child { white-space: normal; min-width: 4.5rem; }
 }
 """
 _LONG, _TILE_CHARACTERS = ' class="long"', 24

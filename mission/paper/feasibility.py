@@ -30,6 +30,7 @@ class Change:
 
     @property
     def remedy(self) -> str:
+        """What to change, and to what."""
         bound = "at least" if self.nearest > self.value else "at most"
         return f"{self.field} must be {bound} {self.nearest_rounded:g}, not {self.value:.4g}"
 

@@ -48,8 +48,9 @@ def test_a_reason_is_told_once_with_all_that_would_help() -> None:
     tight, narrow = in_words(verdict.reasons[:5]).split("; ")
     assert tight.startswith("the circle is tighter than a bank of 45 degrees allows: radius_m must be at least ")
     assert narrow == (
-        "the circle does not fit between the least and the greatest range: range_max_m must be at least 116, not 110, "
-        "or range_min_m must be at most 94, not 100, or radius_m must be at most 5, not 8"
+        "the circle does not fit between the least and the greatest range: "
+        "range_max_m must be at least 116, not 110, or range_min_m must be at most 94, not 100, "
+        "or radius_m must be at most 5, not 8"
     )
 
 

@@ -9,7 +9,6 @@ from sitl.settings import Flavour
 
 MISSION, HOLD, RTL, TAKEOFF, POSCTL = 0x04040000, 0x03040000, 0x05040000, 0x02040000, 0x00030000
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
-UNSUPPORTED_FRAME = 9
 
 
 @pytest.fixture
@@ -63,14 +62,14 @@ def test_item_0_is_a_real_item_and_the_takeoff_ends_above_its_height(ground):
     assert ground.last("MISSION_CURRENT").seq == 1
 
 
-def test_a_mission_without_landing_is_acknowledged_and_then_held(ground):
+def test_a_mission_without_landing_is_acknowledged_but_not_flown(ground):
     ground.run(10.0)
     assert ground.upload(ground.mission(ground.takeoff(60.0), ground.loiter(300.0, 300.0, 80.0))) == ACCEPTED
     assert ground.arm() == ACCEPTED
-    assert ground.set_mode(MISSION) == ACCEPTED
+    assert ground.set_mode(MISSION) == mavlink.MAV_RESULT_DENIED
     ground.run(2.0)
     assert ground.mode() == HOLD
-    assert any("No valid mission available" in text for text in ground.texts())
+    assert any("Switching to Mission is currently not available" in text for text in ground.texts())
     assert not ground.simulation.vehicle.craft.flying
 
 
@@ -197,10 +196,12 @@ def test_the_current_item_is_set_by_message_and_not_by_command(ground):
 
 
 @pytest.mark.parametrize("frame", [0, 3, 6])
-def test_command_int_in_other_frames_gets_an_unknown_result(ground, frame):
+def test_command_int_is_above_sea_level_in_any_frame(ground, frame):
     circling(ground)
-    assert orbit(ground, 600.0, 300.0, 80.0, frame=frame) == UNSUPPORTED_FRAME
-    assert ground.mode() == MISSION
+    assert orbit(ground, 600.0, 300.0, 80.0, frame=frame) == ACCEPTED
+    height_m = ground.simulation.vehicle.navigator.goal.height_m
+    assert orbit(ground, 600.0, 300.0, 80.0, frame=5) == ACCEPTED
+    assert ground.simulation.vehicle.navigator.goal.height_m == height_m
 
 
 def test_an_orbit_is_flown_in_hold_and_told(ground):
