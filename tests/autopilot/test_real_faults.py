@@ -355,11 +355,3 @@ def test_a_second_vehicle_with_the_same_id_that_comes_later_is_yielded_to(flown,
         flown.relay.change = beside
 
     yielded(flown, watching, come, "two vehicles speak with the same system id")
-
-
-def test_an_autopilot_that_starts_anew_is_yielded_to(flown, watching):
-    if flown.flavour == "px4":
-        pytest.skip("PX4's simulator ends where it would start anew")
-    in_flight, number = 20190226, mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN
-    reboot = mavlink.MAVLink_command_long_message(flown.relay.system_id, 1, number, 0, 1, 0, 0, 0, 0, in_flight, 0)
-    yielded(flown, watching, lambda: flown.relay.say(reboot), "started anew")
