@@ -79,8 +79,12 @@ def _simple_item(number: int, item: Item) -> dict[str, Any]:
 
 
 def _polygon(outline: Outline, plane: LocalPlane, inclusion: bool) -> dict[str, Any]:
+    """Return the polygon, its corners clockwise as the format has them."""
+    following = (*outline[1:], outline[0])
+    twice_area_m2 = sum(e0 * n1 - e1 * n0 for (e0, n0), (e1, n1) in zip(outline, following, strict=True))
+    clockwise = outline[::-1] if twice_area_m2 > 0.0 else outline
     return {
         "version": 1,
         "inclusion": inclusion,
-        "polygon": [list(plane.latitude_longitude_deg(*corner)) for corner in outline],
+        "polygon": [list(plane.latitude_longitude_deg(*corner)) for corner in clockwise],
     }

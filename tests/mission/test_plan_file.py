@@ -1,8 +1,12 @@
 import json
 import math
 from dataclasses import replace
+from typing import Annotated, Literal
 
+import numpy as np
 import pytest
+from annotated_types import Len
+from pydantic import BaseModel, ConfigDict
 
 from estimators.frames import LocalPlane
 from mission.core.circle import Circle
@@ -29,8 +33,64 @@ def test_it_is_a_plan_of_the_published_form() -> None:
     assert plan["rallyPoints"] == {"version": 2, "points": []}
     assert plan["geoFence"]["version"] == 2
     assert [polygon["inclusion"] for polygon in plan["geoFence"]["polygons"]] == [True, False]
-    corner_m = PLANE.east_north_m(*plan["geoFence"]["polygons"][1]["polygon"][2])
-    assert corner_m == pytest.approx((325.0, 350.0))
+    corners_m = [PLANE.east_north_m(*corner) for corner in plan["geoFence"]["polygons"][1]["polygon"]]
+    assert np.array(corners_m) == pytest.approx(np.array(KEEP_OUT[0][::-1]))  # clockwise
+    assert PublishedPlan.model_validate(plan).mission.items
+
+
+class Strict(BaseModel):
+    """No key more or less than QGroundControl's developer guide describes (Plan File Format)."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class SimpleItem(Strict):
+    AMSLAltAboveTerrain: float | None
+    Altitude: float
+    AltitudeMode: Literal[1, 2, 3, 4]
+    autoContinue: bool
+    command: int
+    doJumpId: int
+    frame: int
+    params: Annotated[list[float | None], Len(7, 7)]
+    type: Literal["SimpleItem"]
+
+
+class Mission(Strict):
+    version: Literal[2]
+    firmwareType: int
+    vehicleType: int
+    cruiseSpeed: float
+    hoverSpeed: float
+    globalPlanAltitudeMode: int
+    plannedHomePosition: Annotated[list[float], Len(3, 3)]
+    items: Annotated[list[SimpleItem], Len(1)]
+
+
+class FencePolygon(Strict):
+    version: Literal[1]
+    inclusion: bool
+    polygon: Annotated[list[Annotated[list[float], Len(2, 2)]], Len(3)]
+
+
+class GeoFence(Strict):
+    version: Literal[2]
+    circles: Annotated[list[None], Len(0, 0)]
+    polygons: list[FencePolygon]
+
+
+class RallyPoints(Strict):
+    version: Literal[2]
+    points: list[Annotated[list[float], Len(3, 3)]]
+
+
+class PublishedPlan(Strict):
+    version: Literal[1]
+    fileType: Literal["Plan"]
+    groundStation: str
+    mission: Mission
+    geoFence: GeoFence
+    rallyPoints: RallyPoints
 
 
 def test_its_items_are_the_missions() -> None:

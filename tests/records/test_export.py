@@ -59,7 +59,7 @@ def test_the_plan_has_the_mission_and_its_fence(written):
     assert plan["mission"]["plannedHomePosition"] == [47.4, 8.5, 488.0]
     assert [item["params"][2] for item in plan["mission"]["items"]] == [80.0, -60.0]
     (fence,) = plan["geoFence"]["polygons"]
-    assert PLANE.east_north_m(*fence["polygon"][0]) == pytest.approx((-900.0, -900.0), abs=0.01)
+    assert PLANE.east_north_m(*fence["polygon"][-1]) == pytest.approx((-900.0, -900.0), abs=0.01)
 
 
 def test_waypoints_are_read_by_pymavlink(written, tmp_path):
