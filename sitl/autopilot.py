@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import all as mavlink
 
 from sitl.airframe import GRAVITY_M_S2, Airframe, AirframeParameters, true_over_equivalent_airspeed
-from sitl.commands import ACCEPTED, FAILED, UNSUPPORTED, Command, Handler
+from sitl.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command, Handler
 from sitl.file_server import FileServer
 from sitl.geodesy import HomePlane
 from sitl.items import RELATIVE_FRAMES, Item
@@ -70,6 +70,7 @@ class Autopilot(ABC):
         self.lifting_off = False
         self.height_goal_m = 0.0
         self.roll_goal_rad = 0.0
+        self.roi: Place | None = None  # where the payload has been turned to, until it has been
         self.gcs_heard_s: float | None = None
         self.transfers: dict[int, Transfer] = {}
         self.files = FileServer({})
@@ -78,6 +79,7 @@ class Autopilot(ABC):
         self._handlers: dict[int, Handler] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._on_arm,
             mavlink.MAV_CMD_DO_SET_MODE: self._on_set_mode,
+            mavlink.MAV_CMD_DO_SET_ROI_LOCATION: self._on_roi,
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._on_reboot,
         }
 
@@ -383,6 +385,12 @@ class Autopilot(ABC):
         if self.armed:
             return FAILED
         self.reboot_ordered = True
+        return ACCEPTED
+
+    def _on_roi(self, command: Command) -> int:
+        if not (math.isfinite(command.param(5)) and math.isfinite(command.param(6))):
+            return DENIED
+        self.roi = Place(*self.plane.east_north_m(command.param(5), command.param(6)), 0.0)
         return ACCEPTED
 
     def _on_set_mode(self, command: Command) -> int:

@@ -35,6 +35,7 @@ class Run:
     environment: dict[str, str]
     url: str
     payload_url: str
+    system_id: int
 
 
 def run_of(
@@ -58,7 +59,7 @@ def run_of(
         if files:
             command += ["--defaults", ",".join(files)]
         port = _ARDUPLANE_TCP + 10 * instance
-        return Run(command, {}, f"tcpout://127.0.0.1:{port}", f"tcpout://127.0.0.1:{port + 2}")
+        return Run(command, {}, f"tcpout://127.0.0.1:{port}", f"tcpout://127.0.0.1:{port + 2}", instance + 1)
     # At sea level by default: PX4's height control starts there, and is late at a higher home.
     place = home or Home(DEFAULT_HOMES[flavour].latitude_deg, DEFAULT_HOMES[flavour].longitude_deg, 0.0)
     environment = {
@@ -81,19 +82,29 @@ def run_of(
         environment,
         f"udpin://127.0.0.1:{_PX4_OFFBOARD_UDP + instance}",
         f"udpout://127.0.0.1:{_PX4_GROUND_UDP + instance}",
+        instance + 1,
     )
 
 
 class Binary:
     """A running simulator in a process group of its own, with a working folder that goes with it. Use as ``with``."""
 
-    def __init__(self, flavour: Flavour, binary: Path, speed: float, home: Home | None, wind: Wind = _CALM) -> None:
+    def __init__(
+        self,
+        flavour: Flavour,
+        binary: Path,
+        speed: float,
+        home: Home | None,
+        wind: Wind = _CALM,
+        instance: int = 0,
+    ) -> None:
+        """instance: the first that may be taken, and with it the system id."""
         self._binary = binary.resolve()
         if not os.access(self._binary, os.X_OK) or self._binary.is_dir():
             raise BinaryError(f"{binary} is no program that can be run")
         self._folder = tempfile.TemporaryDirectory(prefix="sidelong-sitl-", ignore_cleanup_errors=True)
         folder = Path(self._folder.name)
-        self.run = run_of(flavour, self._binary, folder, _free_instance(flavour), speed, home, wind)
+        self.run = run_of(flavour, self._binary, folder, _free_instance(flavour, instance), speed, home, wind)
         self._log = folder / "output.log"
         with self._log.open("wb") as log:
             try:
@@ -137,8 +148,8 @@ class Binary:
         return f"it ended with code {self._process.returncode}: {text[-_LAST_WORDS:]}"
 
 
-def _free_instance(flavour: Flavour) -> int:
-    for instance in range(_INSTANCES):
+def _free_instance(flavour: Flavour, first: int) -> int:
+    for instance in range(first, first + _INSTANCES):
         if flavour is Flavour.ARDUPLANE:
             if _free(socket.SOCK_STREAM, _ARDUPLANE_TCP + 10 * instance):
                 return instance

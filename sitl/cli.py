@@ -9,15 +9,17 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from sitl.airframe import Wind
-from sitl.binary import Binary, BinaryError
+from sitl.binaries import companions_of, ready, run_binaries, waits
+from sitl.binary import BinaryError
 from sitl.companion import Companion, CompanionError, accompany
 from sitl.hills import HillsError
 from sitl.link import LinkFaults
@@ -25,25 +27,25 @@ from sitl.motion import MOTIONS
 from sitl.options import (
     DEFAULT_STATIONS,
     check_ranges,
-    east_north_m,
     flavour_of,
     home_on_ground,
     key_in,
     lost_at,
-    motion_of,
     numbers,
     refuse,
     stations_of,
+    targets_of,
+    targets_seen,
 )
 from sitl.pace import Pace
 from sitl.server import serve
 from sitl.settings import (
+    STARTS_M,
     Flavour,
     GimbalFrame,
     PayloadSettings,
     RangeMessage,
     Settings,
-    TargetSettings,
 )
 from sitl.simulation import Simulation
 from sitl.track import TrackError
@@ -59,7 +61,7 @@ def run(
     ] = Flavour.ARDUPLANE,
     vehicles: Annotated[
         int | None,
-        typer.Option(min=1, max=MAX_VEHICLES, help="How many, about one target [as many as autopilots are named]"),
+        typer.Option(min=1, max=MAX_VEHICLES, help="How many [as many as autopilots are named]"),
     ] = None,
     to: Annotated[
         list[str] | None,
@@ -90,13 +92,28 @@ def run(
         typer.Option(min=1, max=250, help="Of the first vehicle, or of the one --payload-for is meant for [1]"),
     ] = None,
     target: Annotated[
-        str, typer.Option(metavar="SPEC", help=f"Motion: {', '.join(MOTIONS)}, or a .gpx or .csv track.")
-    ] = "walk",
-    target_speed: Annotated[float | None, typer.Option(help="Greatest speed, m/s [3; for tracks 6]")] = None,
-    target_start: Annotated[str, typer.Option(metavar="EAST,NORTH", help="Metres from home.")] = "250,300",
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME=]SPEC",
+            help=f"Motion: {', '.join(MOTIONS)}, or a .gpx or .csv track [walk]; repeatable: several targets.",
+        ),
+    ] = None,
+    target_speed: Annotated[
+        list[float] | None, typer.Option(help="Greatest speed, m/s [3; for tracks 6]; of several targets in turn.")
+    ] = None,
+    target_start: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="EAST,NORTH",
+            help=f"Metres from the first home [{STARTS_M[0][0]:g},{STARTS_M[0][1]:g}]; of several targets in turn.",
+        ),
+    ] = None,
     target_skip: Annotated[
         float | None, typer.Option(metavar="S", help="Begin a track here [where it becomes lively]")
     ] = None,
+    looks_at: Annotated[
+        str, typer.Option(metavar="N", help="Which target a payload sees first; of several vehicles in turn: 1,2.")
+    ] = "1",
     terrain: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Fly over the ground of these SRTM .hgt tiles [flat]")
     ] = None,
@@ -106,8 +123,11 @@ def run(
         typer.Option(metavar="URL", help="No vehicle, only laser, gimbal and target for the vehicle at this URL."),
     ] = None,
     binary: Annotated[
-        Path | None,
-        typer.Option(metavar="PATH", help="Your own SITL program of the --autopilot instead of the simulated one."),
+        list[Path] | None,
+        typer.Option(
+            metavar="PATH",
+            help="Your own SITL program of the --autopilot instead of the simulated one; repeatable.",
+        ),
     ] = None,
     range_sigma: Annotated[float, typer.Option(help="Laser noise, m.")] = 0.8,
     range_outliers: Annotated[float, typer.Option(help="Fraction of wrong ranges.")] = 0.02,
@@ -145,25 +165,29 @@ def run(
     For example:
       sidelong sitl --autopilot px4 --target walk --target-speed 4 --speed 10
       sidelong sitl --vehicles 2 --autopilot arduplane,px4
+      sidelong sitl --vehicles 4 --target boat=walk --target bike=straight --looks-at 1,2
       sidelong sitl --payload-for tcpout://127.0.0.1:5763    # laser and gimbal for your own SITL
       sidelong sitl --autopilot px4 --binary build/px4_sitl_default/bin/px4
+      sidelong sitl --autopilot arduplane,px4 --binary arduplane --binary px4
     """
     flavours = [flavour_of(name) for name in autopilot.split(",")]
     airspeeds_m_s = numbers("--airspeed", airspeed, range(1, MAX_VEHICLES + 1), "A or A,B")
     endurances_s = numbers("--endurance", endurance, range(1, MAX_VEHICLES + 1), "A or A,B")
-    named = max(len(flavours), len(airspeeds_m_s), len(endurances_s))
+    programs = binary or []
+    named = max(len(flavours), len(airspeeds_m_s), len(endurances_s), len(programs))
     count = vehicles or named
     if named > count:
         refuse("--vehicles", f"is {count}: more autopilots, airspeeds or endurances are named")
-    if count > 1 and (payload_for is not None or binary is not None):
-        refuse("--vehicles", "goes with the simulated vehicles alone, not with --payload-for or --binary")
+    if count > 1 and payload_for is not None:
+        refuse("--vehicles", "goes with vehicles that are started here, not with --payload-for")
+    if programs and count != len(programs):
+        refuse("--binary", f"is given {len(programs)} times for {count} vehicles")
     check_ranges(
         {
             "--speed": (speed, 0.0, 1000.0, False),
             "--duration": (math.inf if duration is None else duration, 0.0, math.inf, False),
             "--wind-speed": (wind_speed, 0.0, 0.9 * min(airspeeds_m_s), True),
             "--wind-from-deg": (wind_from_deg, -360.0, 360.0, True),
-            "--target-speed": (0.0 if target_speed is None else target_speed, 0.0, 50.0, True),
             "--target-skip": (0.0 if target_skip is None else target_skip, 0.0, math.inf, True),
             "--range-sigma": (range_sigma, 0.0, 100.0, True),
             "--range-outliers": (range_outliers, 0.0, 1.0, True),
@@ -177,6 +201,7 @@ def run(
             "--baud": (baud, 1200.0, math.inf, True),
         }
     )
+    targets = targets_of(target or ["walk"], target_speed or [None], target_start, target_skip)
     for airspeed_m_s in airspeeds_m_s:
         check_ranges({"--airspeed": (airspeed_m_s, 5.0, 60.0, True)})
     check_ranges({"--endurance": (min(endurances_s), 0.0, math.inf, False)})
@@ -198,40 +223,37 @@ def run(
         airspeed_m_s=airspeeds_m_s[0],
         wind=Wind.blowing_from(wind_speed, math.radians(wind_from_deg)),
         home=home_on_ground(home, own_terrain, flavours[0]),
-        target=TargetSettings(motion_of(target), target_speed, east_north_m(target_start), target_skip),
+        targets=targets,
         payload=sensors if payload else None,
         signing_key=None if require_signing is None else key_in(require_signing),
         link_rate=speed,
         boot_unix_s=time.time(),
         terrain=own_terrain,
     )
+    if len(programs) > 1 and settings.home is None:  # PX4's height control wants to start at sea level
+        settings = replace(settings, home=replace(settings.home_or_default, altitude_m=0.0))
     ids = range(settings.system_id, settings.system_id + count)
     if truth and len(truth) != count:
         refuse("--truth", f"is given {len(truth)} times for {count} vehicles")
     stations = stations_of(to, ids)
     with ExitStack() as stack:
         try:
-            alone = payload_for is None and binary is None
-            simulations = [Simulation(one) for one in in_turn(settings, flavours, airspeeds_m_s, endurances_s, count)]
-            companion = None if alone else Companion(sensors, settings.target, seed, terrain, system_id)
+            seen = targets_seen(looks_at, len(targets))
+            each = in_turn(settings, flavours, airspeeds_m_s, endurances_s, count, seen)
+            alone = payload_for is None and not programs
+            if not alone and len(targets) > 1:
+                refuse("--target", "is given several times: only simulated vehicles can turn to another")
+            simulations = [Simulation(one) for one in each] if alone else []
+            companions = [] if alone else companions_of(each, sensors, terrain, system_id)
         except TrackError as error:
             refuse("--target", str(error))
         except HillsError as error:
             refuse("--terrain", str(error))
-        for vehicle_id, lost_s in lost_at(lose or [], ids):
+        for vehicle_id, lost_s in lost_at(lose or [], ids if alone else ()):
             simulations[ids.index(vehicle_id)].lost_s = lost_s
-        writers: list[Companion | Simulation] = [*simulations] if companion is None else [companion]
-        for writer, path in zip(writers, truth or [], strict=False):
-            try:
-                file = TruthFile(stack.enter_context(path.open("w", encoding="utf-8")), _warn)
-            except OSError as error:
-                refuse("--truth", f"{path} cannot be written: {error.strerror}")
-            writer.on_truth = file.write
-        if companion is not None and binary is not None:
-            _run_binary(companion, flavours[0], binary, speed, settings)
-            return
-        if companion is not None and payload_for is not None:
-            _accompany(companion, payload_for, _stop_signal(), settings.signing_key)
+        _write_truth(stack, simulations or companions, truth or [])
+        if not alone:
+            _accompany(companions, each, programs, payload_for, speed)
             return
 
         def tell_ready() -> None:
@@ -252,30 +274,38 @@ def run(
         )
 
 
-def _run_binary(companion: Companion, flavour: Flavour, path: Path, speed: float, settings: Settings) -> None:
+def _write_truth(stack: ExitStack, writers: Sequence[Companion | Simulation], paths: Sequence[Path]) -> None:
+    for writer, path in zip(writers, paths, strict=False):
+        try:
+            file = TruthFile(stack.enter_context(path.open("w", encoding="utf-8")), _warn)
+        except OSError as error:
+            refuse("--truth", f"{path} cannot be written: {error.strerror}")
+        writer.on_truth = file.write
+
+
+def _accompany(
+    companions: Sequence[Companion],
+    settings: Sequence[Settings],
+    programs: Sequence[Path],
+    url: str | None,
+    speed: float,
+) -> None:
+    """Run the payloads of vehicles that are not ours: of these programs, or of the vehicle at a URL."""
     stopped = _stop_signal()
     try:
-        with Binary(flavour, path, speed, settings.home, settings.wind) as binary:
-            print(f"fly it by: sidelong launch --connect {binary.run.url}", flush=True)
-            _accompany(companion, binary.run.payload_url, lambda: stopped() or binary.ended, settings.signing_key)
-            if not stopped():
-                raise BinaryError(binary.last_words)
+        if url is None:
+            run_binaries(companions, settings, programs, speed, stopped)
+        else:
+            accompany(
+                companions[0],
+                url,
+                key=settings[0].signing_key,
+                on_ready=lambda vehicle_id: ready(vehicle_id, url),
+                on_wait=waits,
+                stopped=stopped,
+            )
     except BinaryError as error:
         refuse("--binary", str(error))
-
-
-def _accompany(companion: Companion, url: str, stopped: Callable[[], bool], key: bytes | None) -> None:
-    try:
-        accompany(
-            companion,
-            url,
-            key=key,
-            on_ready=lambda vehicle_id: print(
-                f"ready system {vehicle_id} component 154 payload -> {url}", flush=True
-            ),
-            on_wait=lambda reason: print(reason, file=sys.stderr, flush=True),
-            stopped=stopped,
-        )
     except CompanionError as error:
         refuse("--payload-for", str(error))
     except HillsError as error:

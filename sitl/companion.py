@@ -17,9 +17,8 @@ from sitl.geodesy import HomePlane
 from sitl.hills import Hills
 from sitl.motion import Motion
 from sitl.payload import PERIOD_S, Payload, Sight
-from sitl.settings import PayloadSettings, TargetSettings
+from sitl.settings import PayloadSettings
 from sitl.signing import signing_time
-from sitl.simulation import target_motion
 from sitl.truth import TruthRow
 
 _ASK_AGAIN_S = 2.0
@@ -39,23 +38,23 @@ class CompanionError(Exception):
 class Companion:
     """Measures at each position the vehicle reports, stamped with that position's time.
 
-    Pure: give it the vehicle's messages, send what it returns. The target's plane has its origin at the vehicle's
-    home; nothing is measured before home is known. The target sets off with the first measurement, and goes on from
-    where it is when the vehicle reboots. vehicle_id None: of the first autopilot heard. Raises HillsError when the
-    ground at home is not known.
+    Pure: give it the vehicle's messages, send what it returns. motion: of the target, in a plane with its origin at
+    the vehicle's home, from the first measurement on; nothing is measured before home is known, and the target goes
+    on from where it is when the vehicle reboots. vehicle_id None: of the first autopilot heard. Raises HillsError
+    the ground at home is not known.
     """
 
     def __init__(
         self,
         payload: PayloadSettings,
-        target: TargetSettings,
+        motion: Motion,
         seed: int,
         terrain: Path | None = None,
         vehicle_id: int | None = None,
     ) -> None:
-        target_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
+        _, sensor_seed = np.random.SeedSequence(seed).spawn(2)
         self._payload = Payload(payload, sensor_seed)
-        self._motion: Motion = target_motion(target, np.random.default_rng(target_seed))
+        self._motion = motion
         self._terrain = terrain
         self._hills: Hills | None = None
         self._plane: HomePlane | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import socket
 import sys
 from collections.abc import Collection, Sequence
@@ -16,9 +17,10 @@ from sitl.geodesy import HomePlane
 from sitl.hills import Hills, HillsError
 from sitl.motion import MOTIONS
 from sitl.server import Address
-from sitl.settings import DEFAULT_HOMES, Flavour, Home
+from sitl.settings import DEFAULT_HOMES, STARTS_M, Flavour, Home, TargetSettings
 from sitl.signing import KeyFileError, read_key
 
+_NAMED = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}=")
 DEFAULT_STATIONS = ("127.0.0.1:14540", "127.0.0.1:14550")
 
 
@@ -28,6 +30,36 @@ def check_ranges(values: dict[str, tuple[float, float, float, bool]]) -> None:
             at_least = "at least" if min_included else "more than"
             most = "" if greatest == math.inf else f" and at most {greatest:g}"
             refuse(option, f"must be {at_least} {least:g}{most}, not {value:g}")
+
+
+def targets_of(
+    specs: Sequence[str],
+    speeds_m_s: Sequence[float | None],
+    starts: Sequence[str] | None,
+    skip_s: float | None,
+) -> tuple[TargetSettings, ...]:
+    """Return the targets; speeds are gone through again and again. Ends the program where there are too many."""
+    if len(specs) > len(STARTS_M):
+        refuse("--target", f"is given {len(specs)} times; at most {len(STARTS_M)}")
+    for speed_m_s in speeds_m_s:
+        check_ranges({"--target-speed": (speed_m_s or 0.0, 0.0, 50.0, True)})
+    starts_m = [east_north_m(text) for text in starts or ()]
+    targets = []
+    for number, text in enumerate(specs):
+        name, _, spec = text.partition("=") if _NAMED.match(text) else ("", "", text)
+        start_m = starts_m[number % len(starts_m)] if starts_m else STARTS_M[number]
+        speed_m_s = speeds_m_s[number % len(speeds_m_s)]
+        targets.append(TargetSettings(motion_of(spec), speed_m_s, start_m, skip_s, name))
+    return tuple(targets)
+
+
+def targets_seen(text: str, count: int) -> list[int]:
+    """Return which target each vehicle's payload sees first, from 0 on."""
+    numbers_ = text.split(",")
+    for number in numbers_:
+        if not number.isdecimal() or not 1 <= int(number) <= count:
+            refuse("--looks-at", f"names the target {number!r}; there are {count}, from 1 on")
+    return [int(number) - 1 for number in numbers_]
 
 
 def motion_of(spec: str) -> str | Path:

@@ -53,32 +53,43 @@ class PayloadSettings:
     gimbal_frame: GimbalFrame = GimbalFrame.EARTH
 
 
+# Where several targets set off, by default: each within a laser's reach of vehicles that stand in a row.
+STARTS_M = ((250.0, 300.0), (650.0, -300.0), (850.0, 300.0), (250.0, -300.0))
+
+
 @dataclass(frozen=True, slots=True)
 class TargetSettings:
     """motion: a name of sitl.motion.MOTIONS or a track file. speed_max_m_s None: 3, for tracks 6.
 
-    skip_s None: a track starts where it becomes lively.
+    start_m: east and north of the first vehicle's home. skip_s None: a track starts where it becomes lively. name: in
+    the truth.
     """
 
     motion: str | Path = "walk"
     speed_max_m_s: float | None = None
-    start_m: tuple[float, float] = (250.0, 300.0)
+    start_m: tuple[float, float] = STARTS_M[0]
     skip_s: float | None = None
+    name: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """airspeed_m_s is the equivalent airspeed the autopilot holds, as its parameter says it."""
+    """airspeed_m_s is the equivalent airspeed the autopilot holds, as its parameter says it.
+
+    looks_at: which of the targets its payload sees to begin with; home_east_m: of its home from the first vehicle's.
+    """
 
     flavour: Flavour = Flavour.ARDUPLANE
     system_id: int = 1
     seed: int = 0
-    target_seed: int | None = None  # of the target alone, where several vehicles watch one; none: seed
+    target_seed: int | None = None  # of the targets alone, where there are several vehicles; none: seed
     airspeed_m_s: float = 15.0
     endurance_s: float = 3.0 * 3600.0  # so long a battery lasts
     wind: Wind = field(default_factory=Wind)
     home: Home | None = None
-    target: TargetSettings = field(default_factory=TargetSettings)
+    home_east_m: float = 0.0
+    targets: tuple[TargetSettings, ...] = (TargetSettings(),)
+    looks_at: int = 0
     payload: PayloadSettings | None = field(default_factory=PayloadSettings)
     signing_key: bytes | None = field(default=None, repr=False)  # what is not signed with it is not heard
     link_rate: float = 1.0  # seconds of the vehicle in one of the stations'

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,11 +41,11 @@ class Simulation:
 
     def __init__(self, settings: Settings) -> None:
         seed = settings.seed if settings.target_seed is None else settings.target_seed
-        target_seed, _ = np.random.SeedSequence(seed).spawn(2)
         _, sensor_seed = np.random.SeedSequence(settings.seed).spawn(2)
         self.settings = settings
         self.vehicle: Autopilot = Px4(settings) if settings.flavour == Flavour.PX4 else ArduPlane(settings)
-        self.motion = target_motion(settings.target, np.random.default_rng(target_seed))
+        self.motions = target_motions(settings.targets, seed, settings.home_east_m)
+        self.looks_at = settings.looks_at
         self.hills = Hills(settings.terrain, self.vehicle.plane)
         self.payload = Payload(settings.payload, sensor_seed) if settings.payload is not None else None
         self.muted: set[str] = set()  # payload messages withheld, by name
@@ -132,7 +133,7 @@ class Simulation:
     def _observe(self) -> None:
         vehicle, craft = self.vehicle, self.vehicle.craft
         aircraft_m = (craft.east_m, craft.north_m, craft.height_m)
-        target_m = self.hills.standing(self.motion.at(self.time_s))
+        target_m = self.hills.standing(self._target_seen())
         ground_m = self.hills.height_m(craft.east_m, craft.north_m)
         craft.ground_m = 0.0 if math.hypot(craft.east_m, craft.north_m) < _AIRFIELD_M else ground_m
         in_sight = self.hills.sees_target(aircraft_m, target_m)
@@ -159,8 +160,18 @@ class Simulation:
             valid,
             outlier,
             *self.hills.told(aircraft_m, in_sight),
+            self.settings.targets[self.looks_at].name,
         )
         self.on_truth(row)
+
+    def _target_seen(self) -> tuple[float, float]:
+        """Return where the target is that the payload looks at; turned to a place it takes what is nearest there."""
+        places_m = [motion.at(self.time_s) for motion in self.motions]
+        roi, self.vehicle.roi = self.vehicle.roi, None
+        if roi is not None:
+            off_m = [math.dist(place_m, (roi.east_m, roi.north_m)) for place_m in places_m]
+            self.looks_at = off_m.index(min(off_m))
+        return places_m[self.looks_at]
 
     def _deliver(self, messages: list[Any]) -> None:
         for message in messages:
@@ -169,11 +180,19 @@ class Simulation:
                 self.vehicle.take_range(message)
 
 
-def target_motion(settings: TargetSettings, rng: np.random.Generator) -> Motion:
+def target_motions(targets: Sequence[TargetSettings], seed: int, home_east_m: float) -> list[Motion]:
+    """Return the motions of targets, each drawn by itself, in the plane of a home so far east of the first one."""
+    shifted = (replace(one, start_m=(one.start_m[0] - home_east_m, one.start_m[1])) for one in targets)
+    return [target_motion(one, (seed, number) if number else seed) for number, one in enumerate(shifted)]
+
+
+def target_motion(settings: TargetSettings, seed: int | Sequence[int]) -> Motion:
     """Return the target's motion. Raises TrackError for a file that is no track."""
     speed_m_s = settings.speed_max_m_s
     if isinstance(settings.motion, str):
         speed_m_s = _WALK_SPEED_M_S if speed_m_s is None else speed_m_s
+        target_seed, _ = np.random.SeedSequence(seed).spawn(2)
+        rng = np.random.default_rng(target_seed)
         return built_in_motion(settings.motion, settings.start_m, speed_m_s, rng)
     track = read_track(settings.motion)
     skip_s = track.first_motion_s() if settings.skip_s is None else settings.skip_s

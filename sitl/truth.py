@@ -10,7 +10,7 @@ from typing import TextIO
 
 HEADER = (
     "time_boot_s,target_east_m,target_north_m,target_lat_deg,target_lon_deg,uav_lat_deg,uav_lon_deg,"
-    "uav_relative_alt_m,slant_range_m,bearing_deg,laser_valid,laser_outlier,target_height_m,clearance_m,in_sight"
+    "uav_relative_alt_m,slant_range_m,bearing_deg,laser_valid,laser_outlier,target_height_m,clearance_m,in_sight,target"
 )
 _FLUSH_S = 1.0
 
@@ -20,6 +20,7 @@ class TruthRow:
     """Target and aircraft at one moment of the vehicle's clock. bearing_rad is the target's, from the aircraft.
 
     clearance_m is the aircraft's height over the ground below it; it and in_sight are None where no ground is known.
+    target: the name of the one that the payload looks at.
     """
 
     time_s: float
@@ -33,6 +34,7 @@ class TruthRow:
     laser_outlier: bool
     clearance_m: float | None
     in_sight: bool | None
+    target: str = ""
 
     def line(self) -> str:
         clearance = "" if self.clearance_m is None else f"{self.clearance_m:.2f}"
@@ -42,7 +44,7 @@ class TruthRow:
             f"{self.target_deg[0]:.8f},{self.target_deg[1]:.8f},{self.aircraft_deg[0]:.8f},{self.aircraft_deg[1]:.8f},"
             f"{self.aircraft_m[2]:.2f},{self.slant_range_m:.3f},{math.degrees(self.bearing_rad):.4f},"
             f"{int(self.laser_valid)},{int(self.laser_outlier)},"
-            f"{self.target_m[2]:.2f},{clearance},{in_sight}"
+            f"{self.target_m[2]:.2f},{clearance},{in_sight},{self.target}"
         )
 
 

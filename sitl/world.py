@@ -1,4 +1,4 @@
-"""Several vehicles about one target: who stands where, each with its own sensors' noise."""
+"""Several vehicles about the same targets: who stands where, each with its own sensors' noise."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ def in_turn(
     airspeeds_m_s: Sequence[float],
     endurances_s: Sequence[float],
     count: int,
+    looks_at: Sequence[int] = (0,),
 ) -> list[Settings]:
     """Return the settings of ``count`` vehicles: the first at its home, the others in a row east of it.
 
-    Flavours, airspeeds and endurances are gone through again and again. System ids follow one another; the target is
-    the first one's, and in the same place for all.
+    Flavours, airspeeds, endurances and what they look at are gone through again and again. System ids follow one
+    another; the targets are the same for all.
     """
     home = first.home_or_default
     plane = HomePlane(home.latitude_deg, home.longitude_deg)
-    east_m, north_m = first.target.start_m
     return [
         replace(
             first,
@@ -37,7 +37,8 @@ def in_turn(
             airspeed_m_s=airspeeds_m_s[number % len(airspeeds_m_s)],
             endurance_s=endurances_s[number % len(endurances_s)],
             home=Home(*plane.latitude_longitude_deg(number * _APART_M, 0.0), home.altitude_m) if number else home,
-            target=replace(first.target, start_m=(east_m - number * _APART_M, north_m)),
+            home_east_m=number * _APART_M,
+            looks_at=looks_at[number % len(looks_at)],
         )
         for number in range(count)
     ]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from itertools import combinations
 from typing import Any, Literal
 
@@ -78,11 +78,21 @@ class AircraftSummary:
 
 
 @dataclass(frozen=True, slots=True)
+class TargetSummary:
+    """What was kept of one target by at least one aircraft; longest_off_side_any_s: the longest time without."""
+
+    name: str
+    time_on_side_any: float | None
+    time_in_band_any: float | None
+    longest_off_side_any_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class FleetSummary:
     """The keys of a fleet's ``summary.json``. Fractions are 0..1 of the time since all were in the band.
 
-    time_on_side_any, time_in_band_any: by at least one aircraft; longest_off_side_any_s: the longest time without.
-    min_separation_m: in three dimensions, of any two in the air.
+    time_on_side_any, time_in_band_any: by at least one aircraft, the mean over the targets; longest_off_side_any_s:
+    the longest time without, of any target. min_separation_m: in three dimensions, of any two in the air.
     """
 
     duration_s: float
@@ -92,11 +102,13 @@ class FleetSummary:
     min_separation_m: float | None
     source: Literal["truth", "estimate"]
     outcome: str
+    targets: tuple[TargetSummary, ...]
     aircraft: tuple[AircraftSummary, ...]
 
     def as_json(self) -> dict[str, Any]:
-        plain = {name: getattr(self, name) for name in self.__slots__ if name != "aircraft"}
-        return plain | {"aircraft": [one.as_json() for one in self.aircraft]}
+        plain = {name: getattr(self, name) for name in self.__slots__ if name not in ("targets", "aircraft")}
+        targets = [asdict(one) for one in self.targets]
+        return plain | {"targets": targets, "aircraft": [one.as_json() for one in self.aircraft]}
 
     def table(self) -> Table:
         """Return the summary as a table for the terminal, a column for each aircraft."""
@@ -108,6 +120,8 @@ class FleetSummary:
         wanted = (_percent(one.time_on_wanted_side) for one in self.aircraft)
         table.add_row("time on the wanted side", _percent(self.time_on_side_any), *wanted)
         table.add_row("time on the side it was to hold", "", *(_percent(one.time_on_side) for one in each))
+        for target in self.targets if len(self.targets) > 1 else ():
+            table.add_row(f"  {target.name}", _percent(target.time_on_side_any))
         table.add_row("longest time off the side", _seconds(self.longest_off_side_any_s))
         table.add_row("least separation", _metres(self.min_separation_m))
         table.add_row("least range", "", *(_metres(one.min_range_m) for one in each))
@@ -119,28 +133,32 @@ class FleetSummary:
 
 
 def summarise_fleet(
-    flown: Sequence[FlownAircraft], asked: Asked, outcome: str, source: Literal["truth", "estimate"]
+    flown: Sequence[FlownAircraft],
+    asked: Mapping[str, Asked],
+    outcome: str,
+    source: Literal["truth", "estimate"],
 ) -> FleetSummary:
     """Judge what the aircraft kept together: the wanted side is the requirement's, whatever side each held.
 
-    asked: in mission time.
+    asked: of each target, in mission time.
     """
-    of_all = [judged_together(one.moments, asked, one.offset_s) for one in flown]
+    by_target = [judged_by_target(one.moments, asked, one.offset_s) for one in flown]
+    of_all = [sorted((j for own in one.values() for j in own), key=lambda j: j.time_s) for one in by_target]
     judged = [own for own in of_all if own]
-    side = band = np.empty(0, bool)
     times_s = np.empty(0)
     if judged:
         times_s = np.arange(_begin_s(judged), max(one[-1].time_s for one in judged), _STEP_S)
-        side = np.logical_or.reduce([_held(one, times_s, "on_side") for one in judged])
-        band = np.logical_or.reduce([_held(one, times_s, "in_band") for one in judged])
+    targets = tuple(_target_summary(name, [one[name] for one in by_target if one[name]], times_s) for name in asked)
+    off_s = [one.longest_off_side_any_s for one in targets if one.longest_off_side_any_s is not None]
     return FleetSummary(
-        duration_s=len(side) * _STEP_S,
-        time_on_side_any=float(side.mean()) if side.size else None,
-        time_in_band_any=float(band.mean()) if band.size else None,
-        longest_off_side_any_s=_longest_run(~side) * _STEP_S if side.size else None,
+        duration_s=len(times_s) * _STEP_S,
+        time_on_side_any=_mean([one.time_on_side_any for one in targets]),
+        time_in_band_any=_mean([one.time_in_band_any for one in targets]),
+        longest_off_side_any_s=max(off_s, default=None),
         min_separation_m=min_separation_m([one.track for one in flown]),
         source=source,
         outcome=outcome,
+        targets=targets,
         aircraft=tuple(
             AircraftSummary(
                 one.name,
@@ -150,6 +168,20 @@ def summarise_fleet(
             for one, own in zip(flown, of_all, strict=True)
         ),
     )
+
+
+def _target_summary(name: str, judged: Sequence[Sequence[Judged]], times_s: FloatArray) -> TargetSummary:
+    if not times_s.size:
+        return TargetSummary(name, None, None, None)
+    none = [np.zeros(len(times_s), bool)]
+    side = np.logical_or.reduce(none + [_held(one, times_s, "on_side") for one in judged])
+    band = np.logical_or.reduce(none + [_held(one, times_s, "in_band") for one in judged])
+    return TargetSummary(name, float(side.mean()), float(band.mean()), _longest_run(~side) * _STEP_S)
+
+
+def _mean(fractions: Sequence[float | None]) -> float | None:
+    known = [one for one in fractions if one is not None]
+    return sum(known) / len(known) if known else None
 
 
 def min_separation_m(tracks: Sequence[FlownTrack]) -> float | None:
@@ -165,10 +197,20 @@ def min_separation_m(tracks: Sequence[FlownTrack]) -> float | None:
     return least_m if math.isfinite(least_m) else None
 
 
-def judged_together(moments: Sequence[Moment], asked: Asked, offset_s: float) -> list[Judged]:
-    """Judge one aircraft's moments by what was asked of all, in mission time: its own with offset_s added."""
-    own_time = [(since_s - offset_s, requirement) for since_s, requirement in asked]
-    return [replace(one, time_s=one.time_s + offset_s) for one in judge(moments, own_time)]
+def judged_by_target(
+    moments: Sequence[Moment], asked: Mapping[str, Asked], offset_s: float
+) -> dict[str, list[Judged]]:
+    """Judge one aircraft's moments by what was asked of each target, in mission time: its own with offset_s added.
+
+    A moment without a target's name is of the first one.
+    """
+    first = next(iter(asked))
+    judged: dict[str, list[Judged]] = {}
+    for name, own in asked.items():
+        own_time = [(since_s - offset_s, requirement) for since_s, requirement in own]
+        seen = [one for one in moments if (one.target or first) == name]
+        judged[name] = [replace(one, time_s=one.time_s + offset_s) for one in judge(seen, own_time)]
+    return judged
 
 
 def _begin_s(judged: Sequence[Sequence[Judged]]) -> float:

@@ -24,7 +24,7 @@ def asked_at(asked: Asked, time_s: float) -> Requirement:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Aircraft and target at one time, in the plane, with the target's velocity."""
+    """Aircraft and target at one time, in the plane, with the target's velocity. target: its name in a fleet."""
 
     time_s: float
     aircraft_east_m: float
@@ -33,6 +33,7 @@ class Moment:
     target_north_m: float
     target_velocity_east_m_s: float
     target_velocity_north_m_s: float
+    target: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +71,10 @@ class Judged:
 
 def judge(moments: Iterable[Moment], asked: Asked) -> Iterator[Judged]:
     """Judge moments in order of time."""
-    course = TargetCourse(STANDING_M_S)
+    course, watched = TargetCourse(STANDING_M_S), ""
     for moment in moments:
+        if moment.target != watched:
+            course, watched = TargetCourse(STANDING_M_S), moment.target
         requirement = asked_at(asked, moment.time_s)
         east_m = moment.aircraft_east_m - moment.target_east_m
         north_m = moment.aircraft_north_m - moment.target_north_m

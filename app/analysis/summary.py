@@ -110,8 +110,8 @@ class SummaryCollector:
     def observe(self, snapshot: Snapshot) -> None:
         """Take a snapshot; those without a new estimate are passed over."""
         aircraft, estimate = snapshot.aircraft, snapshot.estimate
-        if aircraft is None or estimate is None or estimate.time_s <= self._last_s:
-            return
+        if aircraft is None or estimate is None or estimate.time_s <= self._last_s or snapshot.turn_payload:
+            return  # what is not seen is not watched
         self._last_s = estimate.time_s
         if self._asked[-1][1] != snapshot.requirement:
             self._asked.append((estimate.time_s, snapshot.requirement))
@@ -124,6 +124,7 @@ class SummaryCollector:
                 estimate.north_m,
                 estimate.velocity_east_m_s,
                 estimate.velocity_north_m_s,
+                snapshot.target,
             )
         )
         if self.ground is not None:
@@ -157,6 +158,7 @@ class SummaryCollector:
             (estimated[true.time_s].target_east_m - true.target_east_m) ** 2
             + (estimated[true.time_s].target_north_m - true.target_north_m) ** 2
             for true in truth.at_each(list(estimated), plane)
+            if true.target in ("", estimated[true.time_s].target)
         ]
         return math.sqrt(sum(squares) / len(squares)) if squares else None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from estimators.frames import LocalPlane
 
 _POSITION_COLUMNS = ("target_lat_deg", "target_lon_deg", "uav_lat_deg", "uav_lon_deg")
 _GROUND_COLUMNS = ("clearance_m", "in_sight")
+_NAME_COLUMN = "target"
 _COLUMNS = ("time_boot_s", *_POSITION_COLUMNS)
 _FILE_MAX_BYTES = 64 << 20  # three days at 10 Hz
 _LINE_MAX_CHARACTERS = 4096
@@ -30,12 +31,14 @@ class Truth:
 
     time_s has shape (n,), n >= 2, on the vehicle's clock; positions_deg has shape (4, n): target latitude and
     longitude, aircraft latitude and longitude. ground has shape (2, n): the aircraft's height over the ground below
-    it in metres, and 1 where it sees the target; NaN where the file does not tell.
+    it in metres, and 1 where it sees the target; NaN where the file does not tell. target has shape (n,): the name of
+    the one that the payload looks at, '' where the file does not tell.
     """
 
     time_s: npt.NDArray[np.float64]
     positions_deg: npt.NDArray[np.float64]
     ground: npt.NDArray[np.float64]
+    target: npt.NDArray[np.str_]
 
     def at(self, time_s: float, plane: LocalPlane) -> Moment | None:
         """Return both at ``time_s``, interpolated between rows; None outside the file's time and in its gaps."""
@@ -50,11 +53,18 @@ class Truth:
         asked_s = asked_s[~in_gap | (rows_s[following] == asked_s)]
         before_s = np.maximum(asked_s - _VELOCITY_SPAN_S / 2, rows_s[0])
         after_s = np.minimum(asked_s + _VELOCITY_SPAN_S / 2, rows_s[-1])
+        names = np.stack([self._names(span_s) for span_s in (before_s, asked_s, after_s)])
+        one = (names == names[1]).all(axis=0)  # while it turns from one to another nothing is known
+        asked_s, before_s, after_s, names = asked_s[one], before_s[one], after_s[one], names[1, one]
         target, aircraft = self._places_m(asked_s, slice(0, 2), plane), self._places_m(asked_s, slice(2, 4), plane)
         before, after = (self._places_m(span_s, slice(0, 2), plane) for span_s in (before_s, after_s))
         velocity_m_s = (after - before) / (after_s - before_s)[:, None]
         columns = asked_s[:, None], aircraft, target, velocity_m_s
-        return [Moment(*row) for row in np.concatenate(columns, axis=1).tolist()]
+        rows = np.concatenate(columns, axis=1).tolist()
+        return [replace(Moment(*row), target=name) for row, name in zip(rows, names.tolist(), strict=True)]
+
+    def _names(self, time_s: npt.NDArray[np.float64]) -> npt.NDArray[np.str_]:
+        return self.target[np.clip(np.searchsorted(self.time_s, time_s), 0, len(self.time_s) - 1)]
 
     def over_ground(self, start_s: float) -> tuple[float | None, float | None]:
         """Return the share of the rows since ``start_s`` that see the target, and the least height over the ground.
@@ -91,6 +101,7 @@ def read_truth(path: Path) -> Truth:
     Raises InputError when it cannot be read, lacks a column or has fewer than two rows.
     """
     rows: dict[float, list[float]] = {}
+    names: dict[float, str] = {}
     try:
         if path.stat().st_size > _FILE_MAX_BYTES:
             raise InputError(
@@ -104,11 +115,14 @@ def read_truth(path: Path) -> Truth:
             places = [columns.index(name) for name in _COLUMNS]
             told = all(name in columns for name in _GROUND_COLUMNS)
             ground_places = [columns.index(name) for name in _GROUND_COLUMNS] if told else []
+            name_place = columns.index(_NAME_COLUMN) if _NAME_COLUMN in columns else None
             while line := file.readline(_LINE_MAX_CHARACTERS):
                 texts = line.split(",")
                 row = _row(texts, places)
                 if row is not None:
                     rows[row[0]] = row[1:] + (_row(texts, ground_places) or [math.nan, math.nan])
+                    named = name_place is not None and name_place < len(texts)
+                    names[row[0]] = texts[name_place].strip() if named and name_place is not None else ""
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); give a CSV file with the true track.") from error
     if len(rows) < 2:
@@ -116,7 +130,7 @@ def read_truth(path: Path) -> Truth:
     time_s = np.array(sorted(rows))
     positions_deg, ground = np.split(np.array([rows[time] for time in time_s]).T, [len(_POSITION_COLUMNS)])
     positions_deg[1::2] = np.unwrap(positions_deg[1::2], period=360.0)
-    return Truth(time_s, positions_deg, ground)
+    return Truth(time_s, positions_deg, ground, np.array([names[time] for time in time_s]))
 
 
 def truth_if_whole(path: Path | None, tell: Callable[[str], object]) -> Truth | None:

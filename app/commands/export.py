@@ -172,4 +172,5 @@ def _flight(flown: Flown, context: LogContext) -> Flight:
         mission,
         context.booted,
         context.home_altitude_m,
+        targets=history.targets,
     )

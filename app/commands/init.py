@@ -51,6 +51,8 @@ _FLEET_EXAMPLES = {
     "reserve": "true",
     "side": '"left"',
     "motion": '"walk"',
+    "start_m": "[250.0, 300.0]",
+    "target": '"target"',
 }
 
 
@@ -125,13 +127,13 @@ def _fleet_lines(values: dict[str, float], count: int) -> Iterator[str]:
                 yield from _entry(f"aircraft.{key}", key, field, own.get(key))
             elif key in own:
                 yield f"{key} = {_toml(own[key])}"
-        for key in ("url", "urls", "system_id", "autopilot", "reserve"):
+        for key in ("url", "urls", "system_id", "autopilot", "reserve", "target"):
             if number == 0:
                 yield from _comment(FleetAircraftSection.model_fields[key].description or "")
             example = f'"udpin://0.0.0.0:{14540 + number}"' if key == "url" else _FLEET_EXAMPLES.get(key, number + 1)
             yield f"# {key} = {example}"
     yield ""
-    yield from _comment(f"{TargetSection.__doc__} One [[target]].")
+    yield from _comment(f"{TargetSection.__doc__} One [[target]] for each.")
     yield "[[target]]"
     for key, field in TargetSection.model_fields.items():
         yield from _comment(field.description or "")

@@ -48,11 +48,12 @@ async def _displayed(
     fleet: FleetFile, quiet: bool, address: Address | None
 ) -> AsyncIterator[tuple[FleetPanel, FleetView | None]]:
     """Show the flight on the terminal, and in the browser if it has an address there."""
-    with FleetPanel(console, quiet) as panel:
+    with FleetPanel(console, quiet, len(fleet.target) > 1) as panel:
         if address is None:
             yield panel, None
             return
         members = fleet.members
-        page = FleetView(panel, tuple(one.name for one in members), members[0].config, address)
+        sides = {name: asked.side for name, asked in fleet.asked.items()}
+        page = FleetView(panel, tuple(one.name for one in members), members[0].config, address, sides)
         async with served(page, partial(console.print, soft_wrap=True)) as view:
             yield panel, view

@@ -40,7 +40,7 @@ def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda 
         return planner
 
     for name, config in configs.items():
-        _warm_up(judge(name, config.aircraft.aircraft(), fleet.requirement.requirement()))
+        _warm_up(judge(name, config.aircraft.aircraft(), config.requirement.requirement()))
     return FleetCoordinator(
         [
             FleetMember(
@@ -48,12 +48,13 @@ def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda 
                 member.config.aircraft.aircraft(),
                 tracker_settings(member.config.sensors, member.config.planner.lost_after_s),
                 member.config.aircraft.height_m,
+                member.target,
                 reserve=member.reserve,
                 endurance_s=math.inf if member.relieve_after_min is None else 60.0 * member.relieve_after_min,
             )
             for member in members
         ],
-        [FleetTarget(target.name, fleet.requirement.requirement()) for target in fleet.target],
+        [FleetTarget(name, asked) for name, asked in fleet.asked.items()],
         judge,
     )
 

@@ -13,17 +13,18 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from app.config import AircraftSection, Config, SensorsSection, check_flyable
+from app.config import AircraftSection, Config, RequirementSection, SensorsSection, check_flyable
 from app.errors import InputError
 from app.section import Section, validated
+from app.sharing.cot import PLAIN_CALLSIGN
 from app.text_file import read_toml
-from mission.core.requirement import Side
+from mission.core.requirement import Requirement, Side
 
 MIN_LAYER_M = 30.0
 """Least difference of two aircraft's heights."""
 LAYER_M = 60.0
 """Difference of heights where none are given: two aircraft are 50 m apart then wherever they fly."""
-MAX_AIRCRAFT = 8
+MAX_AIRCRAFT, MAX_TARGETS = 8, 4
 
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")]
 
@@ -47,17 +48,21 @@ class FleetAircraftSection(AircraftSection):
     """Another takes its place after it has watched for so long, min; none: only when its battery is low."""
     sensors: SensorsSection = SensorsSection()  # type: ignore[call-arg]  # every field has a default
     """What differs from [sensors] for its payload."""
+    target: str | None = None
+    """The [[target]] that it watches first, and that its payload looks at then; none: all in turn."""
 
 
 class TargetSection(Section):
-    """The target that all of them watch."""
+    """A target that is watched."""
 
     name: _Name = "target"
     """Letters, digits, - and _."""
-    side: str | None = None
-    """Side of its motion to watch from, left or right; none: as [requirement] has it."""
+    side: Literal["left", "right"] | None = None
+    """Side of its motion to watch from; none: as [requirement] has it."""
     motion: str | None = None
     """Its motion in simulation; none: as [simulation] has it."""
+    start_m: tuple[float, float] | None = None
+    """Where it sets off in simulation, [east, north] of the first aircraft's home, m; none: some way off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +71,7 @@ class Member:
 
     name: str
     config: Config
+    target: str
     reserve: bool = False
     relieve_after_min: float | None = None
 
@@ -74,20 +80,7 @@ class FleetFile(Config):
     """Everything a mission of several aircraft needs."""
 
     aircraft: list[FleetAircraftSection] = Field(min_length=1, max_length=MAX_AIRCRAFT)  # type: ignore[assignment]
-    target: list[TargetSection] = Field(default=[TargetSection()], min_length=1, max_length=1)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _target_described(cls, values: Any) -> Any:
-        """Let what is told of the target stand where one aircraft's configuration has it."""
-        targets = values.get("target") if isinstance(values, Mapping) else None
-        if not isinstance(targets, list) or len(targets) != 1 or not isinstance(targets[0], Mapping):
-            return values
-        merged = dict(values)
-        for key, section, name in (("side", "requirement", "side"), ("motion", "simulation", "target")):
-            if targets[0].get(key) is not None and isinstance(merged.get(section, {}), Mapping):
-                merged[section] = {**merged.get(section, {}), name: targets[0][key]}
-        return merged
+    target: list[TargetSection] = Field(default=[TargetSection()], min_length=1, max_length=MAX_TARGETS)
 
     @model_validator(mode="before")
     @classmethod
@@ -123,6 +116,23 @@ class FleetFile(Config):
             twice = next((one for k, one in enumerate(told) if one is not None and one in told[:k]), None)
             if twice is not None:
                 raise ValueError(f"aircraft.{what} = {twice!r} is given twice; give each aircraft its own")
+        return self
+
+    @model_validator(mode="after")
+    def _targets_given_out(self) -> Self:
+        names = [one.name for one in self.target]
+        if len(set(names)) < len(names):
+            raise ValueError(f"target.name: {names} has one twice; give each target its own")
+        for one in self.aircraft:
+            if one.target is not None and one.target not in names:
+                raise ValueError(f"aircraft {one.name!r} has target = {one.target!r}; there are {', '.join(names)}")
+        flying = {self._first_target(k).name for k, one in enumerate(self.aircraft) if not one.reserve}
+        alone = next((name for name in names if name not in flying), None)
+        if alone is not None:
+            raise ValueError(f"target {alone!r} has no aircraft that flies; give it one, or leave the target out")
+        placed = [one.start_m is not None for one in self.target]
+        if any(placed) and not all(placed):
+            raise ValueError(f"target {names[placed.index(False)]!r} has no start_m, as others have; give it one")
         return self
 
     @model_validator(mode="after")
@@ -166,8 +176,8 @@ class FleetFile(Config):
 
     @model_validator(mode="after")
     def _sides_shared(self) -> Self:
-        requirement = self.requirement.requirement()
-        if len(self.aircraft) > 1 and (requirement.either_side or requirement.sector is not None):
+        asked = self.asked.values()
+        if len(self.aircraft) > 1 and any(one.either_side or one.sector is not None for one in asked):
             raise ValueError(
                 f"requirement.side = {self.requirement.side!r}: several aircraft share the sides of a target; "
                 f"give {Side.LEFT} or {Side.RIGHT}"
@@ -185,23 +195,42 @@ class FleetFile(Config):
         """The aircraft in their order, each with its whole configuration."""
         return tuple(self._members())
 
+    @property
+    def asked(self) -> dict[str, Requirement]:
+        """How each target is to be watched, by its name."""
+        return {one.name: self._requirement_of(one).requirement() for one in self.target}
+
+    def _first_target(self, number: int) -> TargetSection:
+        """Return what that aircraft watches to begin with."""
+        in_turn, named = self.target[number % len(self.target)], self.aircraft[number].target
+        return next((one for one in self.target if one.name == named), in_turn)
+
+    def _requirement_of(self, target: TargetSection) -> RequirementSection:
+        side = target.side or self.requirement.side
+        return self.requirement.model_copy(update={"side": side})
+
     def _members(self) -> Iterator[Member]:
         for number, one in enumerate(self.aircraft):
             own = {"url": None, "urls": list(_own_links(one)) or list(self.link.connections)}
             kept = {name: getattr(one, name) for name in AircraftSection.model_fields}
-            simulated = {
+            simulated: dict[str, Any] = {
                 "autopilot": one.autopilot or self.simulation.autopilot,
                 "seed": self.simulation.seed + number,
             }
-            # One target on others' displays, with all aircraft by their names; follow modes listen to one sender.
+            target = self._first_target(number)
+            if target.motion is not None:
+                simulated["target"] = target.motion
+            # Each target once on others' displays, all aircraft by their names; follow modes listen to one sender.
             told: dict[str, Any] = {"cot_own_callsign": one.name} if len(self.aircraft) > 1 else {}
+            if len(self.target) > 1:
+                told["cot_callsign"] = PLAIN_CALLSIGN  # each by its own name
             if one is not next(other for other in self.aircraft if not other.reserve):
                 told |= {"follow_target": None, "nmea": None}
             yield Member(
                 one.name,
                 Config(
                     aircraft=AircraftSection(**kept),
-                    requirement=self.requirement,
+                    requirement=self._requirement_of(target),
                     planner=self.planner,
                     sensors=self.sensors.model_copy(update=one.sensors.model_dump(exclude_unset=True)),
                     link=self.link.model_copy(update={**own, "system_id": one.system_id}),
@@ -210,6 +239,7 @@ class FleetFile(Config):
                     sharing=self.sharing.model_copy(update=told),
                     simulation=self.simulation.model_copy(update=simulated),
                 ),
+                target.name,
                 one.reserve,
                 one.relieve_after_min,
             )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import get_args
@@ -48,7 +49,7 @@ _STANDING_S = 1.0  # of the wall clock: mission time that nobody tells any more 
 class Participant:
     """One aircraft, as the coordination knows it. tell: puts an event into its core; now_s: its clock.
 
-    home_above_m: its home over the one that all heights are told above.
+    home_above_m: its home over the one that all heights are told above. mission_s: what time the others have come to.
     """
 
     def __init__(
@@ -58,10 +59,11 @@ class Participant:
         tell: Callable[[Event], None],
         now_s: Callable[[], float],
         home_above_m: float = 0.0,
+        mission_s: Callable[[], float] = lambda: math.nan,
     ) -> None:
         self.name, self.controller, self.tell, self.now_s = name, controller, tell, now_s
         self.home_above_m = home_above_m
-        self.reporter, self.clock = FleetReporter(name), VehicleClockReader(name, now_s)
+        self.reporter, self.clock = FleetReporter(name), VehicleClockReader(name, now_s, mission_s)
         self.battery_percent: int | None = None
 
 
@@ -69,7 +71,7 @@ class Coordination:
     """Steps the coordinator by what the aircraft report, in the order in which it comes.
 
     note hears what is to be told to a person, beginning with the aircraft's name where it is about one. changes: of
-    what is asked, (since, requirement) in mission time.
+    what is asked of each target, (since, requirement) in mission time.
     """
 
     def __init__(
@@ -80,7 +82,7 @@ class Coordination:
         launch: Callable[[str], object] = lambda _name: None,
     ) -> None:
         self.coordinator = coordinator
-        self.changes: list[tuple[float, Requirement]] = []
+        self.changes: dict[str, list[tuple[float, Requirement]]] = defaultdict(list)
         self._journal, self._note, self._launch = journal, note, launch
         self._participants: dict[str, Participant] = {}
         self._offsets_s: dict[str, float] = {}
@@ -102,6 +104,15 @@ class Coordination:
             if name in self._offsets_s
         ]
         return max(self._ticked_s, *known) if known else self._ticked_s
+
+    def told_by_others_s(self, name: str) -> float:
+        """Return what mission time it is by the clocks of the others that tell one; NaN where none does."""
+        known = [
+            participant.now_s() + self._offsets_s[other]
+            for other, participant in self._participants.items()
+            if other != name and other in self._offsets_s and participant.clock.tells_time
+        ]
+        return max(known, default=math.nan)
 
     def offset_s(self, name: str) -> float | None:
         """Return what is added to an aircraft's time to make it mission time; None before it is known."""
@@ -184,7 +195,7 @@ class Coordination:
                 case FleetAnnounce():
                     self._note(command.name, command.text)
                 case RequirementChanged():
-                    self.changes.append((command.mission_time_s, command.requirement))
+                    self.changes[command.target].append((command.mission_time_s, command.requirement))
                 case LaunchRequested():
                     self._note(command.name, f"is wanted in the air: {command.reason}")
                     self._launch(command.name)

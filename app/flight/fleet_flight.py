@@ -16,7 +16,7 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 
 from app.analysis.fleet_summary import FleetSummary, FlownAircraft, summarise_fleet
@@ -70,7 +70,8 @@ class FleetFlight:
         sharing: Sharing,
     ) -> None:
         self._fleet, self._folder, self._note = fleet, folder, note
-        self._duration_s, self._sharing = duration_s, sharing
+        self._duration_s = duration_s
+        self._sharing = replace(sharing, turn_payload=len(fleet.target) > 1)
         self._displays = {member.name: display(member.name) for member in fleet.members}
         self._aircraft = [
             FleetAircraft(member, folder.make(member.name), self._displays[member.name]) for member in fleet.members
@@ -145,9 +146,11 @@ class FleetFlight:
         if self._aircraft[0].config.link.connections:
             return [one.config.link.connections for one in self._aircraft], False
         kinds = ", ".join(one.config.simulation.autopilot for one in self._aircraft)
-        self._note(f"starting the simulation: {kinds} and their target")
+        names = ", ".join(target.name for target in self._fleet.target)
+        self._note(f"starting the simulation: {kinds}, about {names}")
         truths = [one.folder.truth for one in self._aircraft]
-        vehicles = SimulatedVehicles([one.config for one in self._aircraft], truths, life.fail)
+        options = target_options(self._fleet)
+        vehicles = SimulatedVehicles([one.config for one in self._aircraft], truths, life.fail, options)
         await stack.enter_async_context(vehicles)
         pace = asyncio.create_task(vehicles.keep_pace(self._come_to_s))
         stack.callback(pace.cancel)
@@ -258,7 +261,14 @@ class FleetFlight:
             await stack.enter_async_context(link_log(vehicle.link, one.folder.links, one.clock_rate, one.trouble))
             above_m = one.flight.home.altitude_m - home_m
             coordination.add(
-                Participant(one.name, one.controller, one.flight.tell, lambda own=telemetry: own.now_s, above_m)  # type: ignore[misc]
+                Participant(
+                    one.name,
+                    one.controller,
+                    one.flight.tell,
+                    lambda own=telemetry: own.now_s,  # type: ignore[misc]
+                    above_m,
+                    lambda name=one.name: coordination.told_by_others_s(name),  # type: ignore[misc]
+                )
             )
             vehicle.bystanders.append(bystander)
             vehicle.listeners.append(lambda message, name=one.name: coordination.message(name, message))  # type: ignore[misc]
@@ -347,7 +357,7 @@ class FleetFlight:
                 one.folder.write_summary(part.summary.as_json())
         outcomes = {one.outcome for one in self._aircraft}
         outcome = ended or next((one for one in ("completed", "interrupted") if one in outcomes), "; ".join(outcomes))
-        asked = [(-math.inf, self._fleet.requirement.requirement()), *coordination.changes]
+        asked = {name: [(-math.inf, first), *coordination.changes[name]] for name, first in self._fleet.asked.items()}
         return summarise_fleet(flown, asked, outcome, "estimate" if None in truths.values() else "truth")
 
     def _reason(self, life: Life, described: str) -> Exception | None:
@@ -362,6 +372,17 @@ class FleetFlight:
         if not life.was_armed and all(isinstance(error, InputError) for error in errors.values()):
             return InputError(told)
         return FlightError(f"{told} Now {described}.")
+
+
+def target_options(fleet: FleetFile) -> list[str]:
+    """Return what describes the targets to the simulation."""
+    names = [target.name for target in fleet.target]
+    options = [f"--looks-at={','.join(str(1 + names.index(member.target)) for member in fleet.members)}"]
+    for target in fleet.target:
+        options.append(f"--target={target.name}={target.motion or fleet.simulation.target}")
+        if target.start_m is not None:
+            options.append("--target-start={:g},{:g}".format(*target.start_m))
+    return options
 
 
 def _is_shared(own: Sequence[str], links: Sequence[Sequence[str]]) -> bool:

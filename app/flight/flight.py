@@ -60,9 +60,13 @@ _READY_WALL_S = 20.0  # a fast simulation's minute is over before every question
 
 @dataclass(frozen=True, slots=True)
 class Sharing:
-    """Who is told of the estimate beside those that the configuration names: the vehicle, for its gimbal."""
+    """Who is told of the estimate beside those that the configuration names: the vehicle, for its gimbal.
+
+    point_gimbal: always; turn_payload: while a fleet of several targets wants it turned to another one.
+    """
 
     point_gimbal: bool = False
+    turn_payload: bool = False
 
 
 @dataclass(slots=True)
@@ -254,8 +258,10 @@ class Flight:
         for output in outputs(self._config.sharing, plane, home.altitude_m, self._vehicle.latest, self._display.note):
             shared.callback(output.stop)
             observers.append(output)
-        if self._sharing.point_gimbal:
-            pointer = GimbalPointer(self._vehicle, plane, home.altitude_m, self._display.note)
+        if self._sharing.point_gimbal or self._sharing.turn_payload:
+            pointer = GimbalPointer(
+                self._vehicle, plane, home.altitude_m, self._display.note, self._sharing.point_gimbal
+            )
             shared.callback(pointer.stop)
             observers.append(pointer)
         if self._terrain is not None:

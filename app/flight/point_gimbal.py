@@ -31,13 +31,19 @@ class GimbalPointer:
 
     Nothing is sent of a lost track, before the mission or after a yield; a command then under way is given up.
     ground_altitude_m: of the ground under the target, above mean sea level; tell: hears that the vehicle refuses.
+    always: or only while a fleet wants the payload turned to another target.
     """
 
     def __init__(
-        self, vehicle: Vehicle, plane: LocalPlane, ground_altitude_m: float, tell: Callable[[str], None]
+        self,
+        vehicle: Vehicle,
+        plane: LocalPlane,
+        ground_altitude_m: float,
+        tell: Callable[[str], None],
+        always: bool = True,
     ) -> None:
         self._vehicle, self._plane, self._ground_altitude_m = vehicle, plane, ground_altitude_m
-        self._tell = tell
+        self._tell, self._always = tell, always
         self._next_s = -math.inf
         self._sending: asyncio.Task[None] | None = None
         self._points = True
@@ -47,7 +53,7 @@ class GimbalPointer:
 
     def show(self, snapshot: Snapshot) -> None:
         """Start sending the estimate if it is time to; to be called in the running event loop."""
-        if snapshot.phase not in _IN_HAND:
+        if snapshot.phase not in _IN_HAND or not (self._always or snapshot.turn_payload):
             self.stop()
             return
         estimate, aircraft = snapshot.estimate, snapshot.aircraft

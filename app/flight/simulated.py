@@ -28,11 +28,17 @@ def free_udp_port() -> int:
 class SimulatedVehicles:
     """Starts ``python -m sitl`` for one configuration or several, and stops it. Use as ``async with``.
 
-    They are about one target. truths: one file for each vehicle. ``urls`` are theirs; their system ids go from 1.
-    What all share, the target say, is the first one's. on_end gets a sentence when they end by themselves meanwhile.
+    truths: one file for each vehicle. ``urls`` are theirs; their system ids go from 1. What all share, the wind say,
+    is the first one's. on_end gets a sentence when they end by themselves meanwhile. targets: options for them.
     """
 
-    def __init__(self, configs: Sequence[Config], truths: Sequence[Path], on_end: Callable[[str], object]) -> None:
+    def __init__(
+        self,
+        configs: Sequence[Config],
+        truths: Sequence[Path],
+        on_end: Callable[[str], object],
+        targets: Sequence[str] = (),
+    ) -> None:
         config, simulation = configs[0], configs[0].simulation
         ports = [free_udp_port() for _ in configs]
         self.urls = tuple(f"udpin://127.0.0.1:{port}" for port in ports)
@@ -40,7 +46,7 @@ class SimulatedVehicles:
             *("--vehicles", str(len(configs))),
             *("--autopilot", ",".join(one.simulation.autopilot for one in configs)),
             *(option for number, port in enumerate(ports, 1) for option in ("--to", f"{number}@127.0.0.1:{port}")),
-            *("--target", simulation.target),
+            *(targets or ("--target", simulation.target)),
             *("--target-speed", f"{config.requirement.target_speed_max_m_s:g}"),
             *("--seed", str(simulation.seed)),
             *("--speed", f"{simulation.speed:g}"),

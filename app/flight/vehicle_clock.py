@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from app.link.message import Message
 from app.link.telemetry import AUTOPILOT_COMPONENT
@@ -16,19 +17,32 @@ _HOST_SIGMA_S = 0.1  # of this computer's clock against UTC
 _ARRIVAL_SIGMA_S = 0.5
 _UTC_VALID_S = 10.0
 _ASKED_MAX_S = 10.0
+_RATE_OVER_S, _RATE_OFF_MAX = 4.0, 0.2  # of the vehicle's clock; a clock that is set once passes for a while only
 
 
 class VehicleClockReader:
     """Hears one vehicle's SYSTEM_TIME, which tells UTC and its own clock at once; without UTC, its TIMESYNC.
 
     The answer to TIMESYNC tells its clock half a round trip ago: half of that is what is not known of it. Where there
-    is neither, its positions count as made when they came.
+    is neither, its positions count as made when they came. Of a simulator that goes faster than time does, and tells
+    UTC as this computer has it all the same, neither is believed: its positions then count as made at the time that
+    the others have come to. now_s: its own clock; mission_s: what the others have come to, NaN where nobody tells.
     """
 
-    def __init__(self, name: str, now_s: Callable[[], float]) -> None:
-        self._name, self._now_s = name, now_s
+    def __init__(
+        self, name: str, now_s: Callable[[], float], mission_s: Callable[[], float] = lambda: math.nan
+    ) -> None:
+        self._name, self._now_s, self._mission_s = name, now_s, mission_s
         self._utc_heard_s = -math.inf
         self._told_s = time.monotonic()
+        self._first_s: tuple[float, float] | None = None  # its own clock, and UTC by it
+        self._own_rate = True
+        self._alone_offset_s: float | None = None
+
+    @property
+    def tells_time(self) -> bool:
+        """Whether mission time may go by this clock: it does not hang on the others'."""
+        return self._own_rate or self._alone_offset_s is not None
 
     def report(self, message: Message) -> ClockReported | None:
         """Return what a message tells of the clock, None where it tells nothing."""
@@ -39,8 +53,14 @@ class VehicleClockReader:
             utc_s = fields["time_unix_usec"] * 1e-6
             if utc_s < _UTC_SINCE_S:
                 return None
+            vehicle_s = self._unwrapped_s(fields["time_boot_ms"] * 1e-3)
+            self._compare_rates(vehicle_s, utc_s)
+            if not self._own_rate:
+                return None
             self._utc_heard_s = self._told_s = heard_s
-            return ClockReported(self._name, self._unwrapped_s(fields["time_boot_ms"] * 1e-3), utc_s, _UTC_SIGMA_S)
+            return ClockReported(self._name, vehicle_s, utc_s, _UTC_SIGMA_S)
+        if not self._own_rate:
+            return self._beside_the_others(fields) if message.name == "GLOBAL_POSITION_INT" else None
         if message.name == "TIMESYNC" and fields["tc1"] and heard_s - self._utc_heard_s > _UTC_VALID_S:
             round_trip_s = heard_s - fields["ts1"] * 1e-9
             if not 0.0 <= round_trip_s < _ASKED_MAX_S:
@@ -53,6 +73,24 @@ class VehicleClockReader:
             vehicle_s = self._unwrapped_s(fields["time_boot_ms"] * 1e-3)
             return ClockReported(self._name, vehicle_s, time.time(), _ARRIVAL_SIGMA_S)
         return None
+
+    def _compare_rates(self, vehicle_s: float, utc_s: float) -> None:
+        first_vehicle_s, first_utc_s = self._first_s or (vehicle_s, utc_s)
+        passed_s = vehicle_s - first_vehicle_s
+        if self._first_s is None or passed_s < 0.0:
+            self._first_s = vehicle_s, utc_s
+        elif passed_s > _RATE_OVER_S:
+            self._own_rate = abs(utc_s - first_utc_s - passed_s) < _RATE_OFF_MAX * passed_s
+            self._first_s = vehicle_s, utc_s
+
+    def _beside_the_others(self, fields: Mapping[str, Any]) -> ClockReported:
+        vehicle_s = self._unwrapped_s(fields["time_boot_ms"] * 1e-3)
+        mission_s = self._mission_s()
+        if math.isnan(mission_s):
+            if self._alone_offset_s is None:
+                self._alone_offset_s = time.time() - vehicle_s
+            mission_s = vehicle_s + self._alone_offset_s
+        return ClockReported(self._name, vehicle_s, mission_s, _ARRIVAL_SIGMA_S)
 
     def _unwrapped_s(self, stamp_s: float) -> float:
         """Return a stamp of milliseconds in 32 bits on the vehicle's clock, which goes on where they begin anew."""

@@ -143,17 +143,18 @@ def _rows(flight: Flight) -> Iterator[dict[str, Any]]:
             velocity_east_m_s=p.velocity_east_m_s,
             velocity_north_m_s=p.velocity_north_m_s,
         )
-    for e in flight.estimates:
-        yield row(
-            "target",
-            e.time_s,
-            e.east_m,
-            e.north_m,
-            velocity_east_m_s=e.velocity_east_m_s,
-            velocity_north_m_s=e.velocity_north_m_s,
-            sigma_m=sigma_m(e),
-            quality=e.quality.value,
-        )
+    for name, estimates in flight.of_targets().items():
+        for e in estimates:
+            yield row(
+                name,
+                e.time_s,
+                e.east_m,
+                e.north_m,
+                velocity_east_m_s=e.velocity_east_m_s,
+                velocity_north_m_s=e.velocity_north_m_s,
+                sigma_m=sigma_m(e),
+                quality=e.quality.value,
+            )
 
 
 # -- maps ---------------------------------------------------------------------------------------------------
@@ -189,8 +190,9 @@ def _features(flight: Flight) -> list[dict[str, Any]]:
     )
     aircraft["properties"]["height_above"] = "home" if base_m is None else "sea level"
     features = [aircraft]
-    if len(flight.estimates) > 1:
-        features.append(line("target", [(e.time_s, place(e.east_m, e.north_m)) for e in flight.estimates]))
+    for name, estimates in flight.of_targets().items():
+        if len(estimates) > 1:
+            features.append(line(name, [(e.time_s, place(e.east_m, e.north_m)) for e in estimates]))
     for since_s, circle in flight.circles:
         corners = [place(*corner) for corner in ring(circle)]
         # A polygon's outer ring runs counter-clockwise (RFC 7946).
@@ -221,8 +223,10 @@ def _gpx_tracks(root: Xml.Element, flight: Flight) -> None:
     aircraft = [
         (p.time_s, p.east_m, p.north_m, None if base_m is None else base_m + p.height_m) for p in flight.aircraft
     ]
-    target = [(e.time_s, e.east_m, e.north_m, None) for e in flight.estimates]
-    for name, moments in (("aircraft", aircraft), ("target", target)):
+    tracks: dict[str, list[tuple[float, float, float, float | None]]] = {"aircraft": aircraft}
+    for name, estimates in flight.of_targets().items():
+        tracks[name] = [(e.time_s, e.east_m, e.north_m, None) for e in estimates]
+    for name, moments in tracks.items():
         if not moments:
             continue
         track = Xml.SubElement(root, "trk")
@@ -259,12 +263,13 @@ def _kml_flight(document: Xml.Element, flight: Flight) -> None:
         document,
         flight,
         "aircraft",
+        "aircraft",
         "relativeToGround" if base_m is None else "absolute",
         [(p.time_s, p.east_m, p.north_m, (base_m or 0.0) + p.height_m) for p in flight.aircraft],
     )
-    _kml_track(
-        document, flight, "target", "clampToGround", [(e.time_s, e.east_m, e.north_m, 0.0) for e in flight.estimates]
-    )
+    for name, estimates in flight.of_targets().items():
+        places_m = [(e.time_s, e.east_m, e.north_m, 0.0) for e in estimates]
+        _kml_track(document, flight, "target", name, "clampToGround", places_m)
     for since_s, circle in flight.circles:
         mark = _kml_mark(
             document, "circle", f"{flight.named('circle')} from {since_s:.1f} s, radius {circle.radius_m:.0f} m"
@@ -284,6 +289,7 @@ def _kml_mark(document: Xml.Element, style: str, name: str) -> Xml.Element:
 def _kml_track(
     document: Xml.Element,
     flight: Flight,
+    style: str,
     name: str,
     altitude_mode: str,
     moments: list[tuple[float, float, float, float]],
@@ -291,7 +297,7 @@ def _kml_track(
     """Add a track that can be played back, or a plain line where the time of day is not known."""
     if not moments:
         return
-    mark = _kml_mark(document, name, flight.named(name))
+    mark = _kml_mark(document, style, flight.named(name))
     track = Xml.SubElement(mark, "LineString" if flight.booted is None else "gx:Track")
     Xml.SubElement(track, "altitudeMode").text = altitude_mode
     places = []

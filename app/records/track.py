@@ -33,7 +33,8 @@ class Flight:
     """Tracks in order of time, in ``plane``.
 
     circles: (since, circle) as they were flown. booted is when the vehicle's clock was zero, home_altitude_m is
-    above sea level; None where unknown. label: the aircraft's name, where there are several.
+    above sea level; None where unknown. label: the aircraft's name, where there are several; targets: of each one
+    the target's name, where there are several of these.
     """
 
     name: str
@@ -45,10 +46,18 @@ class Flight:
     booted: datetime | None = None
     home_altitude_m: float | None = None
     label: str = ""
+    targets: Sequence[str] = ()
 
     def named(self, what: str) -> str:
         """Return the name of one of its tracks."""
         return f"{self.label} {what}" if self.label else what
+
+    def of_targets(self) -> dict[str, list[TargetEstimate]]:
+        """Return the estimates by what they are of: "target" or its name."""
+        found: dict[str, list[TargetEstimate]] = {}
+        for estimate, name in zip(self.estimates, self.targets or [""] * len(self.estimates), strict=True):
+            found.setdefault(name or "target", []).append(estimate)
+        return found
 
     def utc(self, time_s: float) -> str | None:
         """Return a time of the vehicle's clock as ISO 8601 in UTC, to the millisecond."""

@@ -9,7 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from app.analysis.fleet_summary import judged_together, min_separation_m
+from app.analysis.fleet_summary import judged_by_target, min_separation_m
+from app.analysis.score import Moment
 from app.report import series
 from app.report.fleet_flown import AircraftPart, FleetFlown
 from app.report.history import FloatArray
@@ -20,6 +21,7 @@ from mission.geometry.separation import MIN_SEPARATION_M
 
 _COLOURS = ("#1f5f9e", "#2c8f5a", "#8a5fa8", "#b08a1e", "#c0527f", "#3f9fb5", "#6b6b6b", "#9a5a2c")
 _ANY = "#7fb98a"
+_TARGETS = (TARGET, "#b08a1e", "#8a5fa8", "#2c8f5a")
 _STEP_S = 0.5
 _TIME = "time, s"
 
@@ -56,39 +58,54 @@ def _paths(flown: FleetFlown) -> Drawing:
         aircraft = one.flown.history.aircraft
         since = aircraft.time_s + one.offset_s >= begin_s
         axes.plot(aircraft.east_m[since], aircraft.north_m[since], color=colour, linewidth=0.9, label=one.name)
-    longest = max(flown.aircraft, key=lambda one: len(one.flown.history.moments)).flown.history
-    target = np.array([(m.target_east_m, m.target_north_m) for m in longest.moments]).reshape(-1, 2)
-    what = "target" if longest.judged_by_truth else "target (estimate)"
-    axes.plot(*target.T, color=TARGET, linewidth=3.0, alpha=0.5, label=what)
+    for name, colour in zip(flown.asked, _TARGETS, strict=False):
+        moments, by_truth = _seen_longest(flown, name)
+        target = np.array([(m.target_east_m, m.target_north_m) for m in moments]).reshape(-1, 2)
+        what = name if by_truth else f"{name} (estimate)"
+        axes.plot(*target.T, color=colour, linewidth=3.0, alpha=0.5, label=what)
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     legend_above(axes)
-    return Drawing("paths", "Paths over the ground", "All aircraft and the target, since all were watching.", made)
+    return Drawing("paths", "Paths over the ground", "All aircraft and what they watched, since all did.", made)
+
+
+def _seen_longest(flown: FleetFlown, target: str) -> tuple[list[Moment], bool]:
+    """Return the moments of the aircraft that saw a target longest, and whether they are the truth's."""
+    first = next(iter(flown.asked))
+    seen = [
+        ([one for one in part.flown.history.moments if (one.target or first) == target], part.flown.history)
+        for part in flown.aircraft
+    ]
+    moments, history = max(seen, key=lambda one: len(one[0]))
+    return moments, history.judged_by_truth
 
 
 def _sides(flown: FleetFlown) -> Drawing:
     """Draw when each aircraft was on the wanted side and in the band, and was to be; on top when any was."""
     begin_s, end_s = start_s(flown), _end_s(flown)
     times_s = np.arange(begin_s, end_s, _STEP_S)
-    any_kept = np.zeros(len(times_s), bool)
-    made, (axes,) = figure(1.0 + 0.55 * (1 + len(flown.aircraft)))
+    any_kept = {name: np.zeros(len(times_s), bool) for name in flown.asked}
+    rows = len(flown.aircraft) + len(any_kept)
+    made, (axes,) = figure(1.0 + 0.55 * rows)
     for row, (one, colour) in enumerate(_coloured(flown)):
-        kept = np.zeros(len(times_s), bool)
-        for moment in judged_together(one.flown.history.moments, flown.asked, one.offset_s):
-            k = round((moment.time_s - begin_s) / _STEP_S)
-            if 0 <= k < len(kept):
-                kept[k : k + 2] = moment.on_side and moment.in_band
-        any_kept |= kept
-        _bars(axes, row, times_s - begin_s, kept, colour)
-        edges_s = [since_s for since_s, _ in one.roles] + [end_s]
-        for (since_s, role), until_s in zip(one.roles, edges_s[1:], strict=True):
+        kept = {name: np.zeros(len(times_s), bool) for name in flown.asked}
+        for name, judged in judged_by_target(one.flown.history.moments, flown.asked, one.offset_s).items():
+            for moment in judged:
+                k = round((moment.time_s - begin_s) / _STEP_S)
+                if 0 <= k < len(times_s):
+                    kept[name][k : k + 2] = moment.on_side and moment.in_band
+            any_kept[name] |= kept[name]
+        _bars(axes, row, times_s - begin_s, np.logical_or.reduce(list(kept.values())), colour)
+        edges_s = [since_s for since_s, _, _ in one.roles] + [end_s]
+        for (since_s, role, _), until_s in zip(one.roles, edges_s[1:], strict=True):
             if role is Role.WANTED:
                 axes.broken_barh([(since_s - begin_s, until_s - since_s)], (row - 0.42, 0.1), color=colour)
-    top = len(flown.aircraft)
-    _bars(axes, top, times_s - begin_s, any_kept, _ANY)
-    _bars(axes, top, times_s - begin_s, ~any_kept, BAD)
-    axes.set_yticks(range(top + 1), [*(one.name for one in flown.aircraft), "any of them"])
-    axes.set_ylim(-0.5, top + 0.6)
+    for row, held in enumerate(any_kept.values(), len(flown.aircraft)):
+        _bars(axes, row, times_s - begin_s, held, _ANY)
+        _bars(axes, row, times_s - begin_s, ~held, BAD)
+    any_names = [f"{name}, by any" if len(any_kept) > 1 else "any of them" for name in any_kept]
+    axes.set_yticks(range(rows), [*(one.name for one in flown.aircraft), *any_names])
+    axes.set_ylim(-0.5, rows - 0.4)
     axes.set_xlim(0.0, end_s - begin_s)
     axes.set_xlabel(_TIME)
     axes.grid(visible=False, axis="y")
@@ -108,7 +125,7 @@ def _bars(axes: Axes, row: int, time_s: FloatArray, held: np.ndarray, colour: st
 
 
 def _ranges(flown: FleetFlown) -> Drawing:
-    (_, asked), begin_s = flown.asked[0], start_s(flown)
+    (_, asked), begin_s = next(iter(flown.asked.values()))[0], start_s(flown)
     made, (axes,) = figure(2.9)
     axes.axhspan(asked.range_min_m, asked.range_max_m, color=BAND, lw=0, label="allowed band")
     for one, colour in _coloured(flown):
@@ -119,7 +136,7 @@ def _ranges(flown: FleetFlown) -> Drawing:
     axes.set_xlabel(_TIME)
     axes.set_ylabel("horizontal range, m")
     legend_above(axes)
-    return Drawing("ranges", "Range to the target", "Of each aircraft, over the ground.", made)
+    return Drawing("ranges", "Range to the target", "Of each aircraft to what it watches, over the ground.", made)
 
 
 def _separation(flown: FleetFlown) -> Drawing:

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
-from app.analysis.fleet_summary import AircraftSummary, FleetSummary, FlownAircraft, FlownTrack, summarise_fleet
+from app.analysis.fleet_summary import (
+    AircraftSummary,
+    FleetSummary,
+    FlownAircraft,
+    FlownTrack,
+    TargetSummary,
+    summarise_fleet,
+)
 from app.analysis.score import Asked
 from app.errors import InputError
 from app.fleet.fleet_file import FleetFile
@@ -24,25 +32,25 @@ from mission.fleet.events import ClockReported, FleetAnnounce, RequirementChange
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AircraftPart:
-    """One aircraft's part. offset_s added to its own times is mission time; roles: (since, role) in mission time."""
+    """One aircraft's part. offset_s makes its own times mission time, as of roles: (since, role, target)."""
 
     name: str
     flown: Flown
     offset_s: float
     track: FlownTrack
-    roles: tuple[tuple[float, Role], ...]
+    roles: tuple[tuple[float, Role, str], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetFlown:
     """The flight of a fleet: those of its aircraft that flew.
 
-    asked: (since, requirement), the first from -inf on; said: by the coordinator; both in mission time.
+    asked: (since, requirement) of each target, the first from -inf on, and said, by the coordinator: in mission time.
     """
 
     name: str
     program: str
-    asked: tuple[tuple[float, Requirement], ...]
+    asked: dict[str, list[tuple[float, Requirement]]]
     aircraft: tuple[AircraftPart, ...]
     said: tuple[FleetAnnounce, ...]
     summary: FleetSummary
@@ -54,9 +62,9 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
     fleet = validated(FleetFile, journal.header.config, f"{folder.journal}: its configuration cannot be used")
     offsets_s: dict[str, float] = {}
     tracks: dict[str, FlownTrack] = defaultdict(FlownTrack)
-    roles: dict[str, list[tuple[float, Role]]] = defaultdict(list)
+    roles: dict[str, list[tuple[float, Role, str]]] = defaultdict(list)
     said: list[FleetAnnounce] = []
-    asked = [(-math.inf, fleet.requirement.requirement())]
+    asked = {name: [(-math.inf, first)] for name, first in fleet.asked.items()}
     for record in journal:
         match record:
             case ClockReported():
@@ -66,12 +74,12 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
                 tracks[record.name].add(at_s, record.state.east_m, record.state.north_m, record.height_m)
             case Tell(event=FleetAdvice() as advice) if record.name in offsets_s:
                 own = roles[record.name]
-                if not own or own[-1][1] is not advice.role:
-                    own.append((advice.time_s + offsets_s[record.name], advice.role))
+                if not own or own[-1][1:] != (advice.role, advice.target):
+                    own.append((advice.time_s + offsets_s[record.name], advice.role, advice.target))
             case FleetAnnounce():
                 said.append(record)
             case RequirementChanged():
-                asked.append((record.mission_time_s, record.requirement))
+                asked[record.target].append((record.mission_time_s, record.requirement))
     names = [member.name for member in fleet.members if RunFolder(folder.path / member.name).journal.is_file()]
     names = [name for name in names if name in offsets_s]
     if not names:
@@ -83,24 +91,26 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
     # The figures of a run that was cut off are worth having all the same.
     summary = _written(folder) if folder.summary.exists() else _summed(asked, aircraft)
     name = folder.path.resolve().name
-    return FleetFlown(name, journal.header.program, tuple(asked), tuple(aircraft), tuple(said), summary)
+    return FleetFlown(name, journal.header.program, asked, tuple(aircraft), tuple(said), summary)
 
 
 def _written(folder: FleetFolder) -> FleetSummary:
     """Return the summary that the run wrote."""
     values, name = folder.read_summary(), str(folder.summary)
     try:
-        plain = {field.name: values[field.name] for field in fields(FleetSummary) if field.name != "aircraft"}
+        parts = ("targets", "aircraft")
+        plain = {field.name: values[field.name] for field in fields(FleetSummary) if field.name not in parts}
+        targets = tuple(TargetSummary(**one) for one in values.get("targets", ()))
         aircraft = tuple(
             AircraftSummary(one["name"], read_summary(one, name), one.get("time_on_wanted_side"))
             for one in values["aircraft"]
         )
     except (KeyError, TypeError) as error:
         raise InputError(f"{name}: a figure is missing or wrong; delete the file to have it made anew.") from error
-    return FleetSummary(**plain, aircraft=aircraft)
+    return FleetSummary(**plain, targets=targets, aircraft=aircraft)
 
 
-def _summed(asked: Asked, aircraft: list[AircraftPart]) -> FleetSummary:
+def _summed(asked: Mapping[str, Asked], aircraft: list[AircraftPart]) -> FleetSummary:
     by_truth = all(one.flown.history.judged_by_truth for one in aircraft)
     parts = [
         FlownAircraft(one.name, one.flown.summary, one.flown.history.moments, one.offset_s, one.track)

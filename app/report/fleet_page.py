@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
+from app.analysis.score import Asked
 from app.report import html
 from app.report.fleet_figures import fleet_drawings, start_s
 from app.report.fleet_flown import FleetFlown
@@ -16,10 +17,8 @@ def fleet_page(flown: FleetFlown, pages: Mapping[str, str]) -> str:
     """Return the page. pages: where each aircraft's own is, as seen from it."""
     with styled():
         figures = "\n".join(html.figure(drawing) for drawing in fleet_drawings(flown))
-    asked = [f"from the {side_words(one)} at {one.range_min_m:g} to {one.range_max_m:g} m" for _, one in flown.asked]
-    since_s = [at_s - start_s(flown) for at_s, _ in flown.asked]
-    later = zip(since_s[1:], asked[1:], strict=True)
-    wanted = asked[0] + "".join(f", after {at_s:.0f} s {words}" for at_s, words in later)
+    words = {name: _asked_words(asked, start_s(flown)) for name, asked in flown.asked.items()}
+    wanted = "; ".join(f"{name} {own}" for name, own in words.items())
     links = ", ".join(f'<a href="{escape(page)}">{escape(name)}</a>' for name, page in pages.items())
     body = f"""<h1>Flight {escape(flown.name)}, {len(flown.aircraft)} aircraft</h1>
 <p>Asked: watch {escape(wanted)}.
@@ -28,6 +27,12 @@ Recorded by {escape(flown.program)}. Each by itself: {links}.</p>
 {figures}
 {_said(flown)}"""
     return html.document(f"{flown.name}: flight report", body)
+
+
+def _asked_words(asked: Asked, begin_s: float) -> str:
+    words = [f"from the {side_words(one)} at {one.range_min_m:g} to {one.range_max_m:g} m" for _, one in asked]
+    later = zip((at_s - begin_s for at_s, _ in asked[1:]), words[1:], strict=True)
+    return words[0] + "".join(f", after {at_s:.0f} s {changed}" for at_s, changed in later)
 
 
 def _figures(flown: FleetFlown) -> str:

@@ -42,6 +42,7 @@ from mission.core.events import (
     UploadPlan,
     Yield,
 )
+from mission.core.fleet import FleetAdvice
 from mission.core.plan import Plan
 from mission.core.requirement import Aircraft, Requirement, Side
 
@@ -94,7 +95,8 @@ class History:
     """A flight or a replayed log. Times are the vehicle's; ``start_s`` is when watching began.
 
     moments: aircraft and target together, by the truth where there is one, by the estimates else.
-    requirements: (since, requirement), from -inf on: a person may change it.
+    requirements: (since, requirement), from -inf on: a person may change it. targets: of each estimate its target's
+    name, '' where there is no fleet.
     """
 
     asked: FlightRequirements
@@ -102,6 +104,7 @@ class History:
     positions: tuple[PositionReading, ...]
     aircraft: AircraftTrack
     estimates: tuple[TargetEstimate, ...]
+    targets: tuple[str, ...]
     sightings: tuple[SightingOutcome, ...]
     moments: tuple[Moment, ...]
     judged_by_truth: bool
@@ -133,6 +136,8 @@ class HistoryBuilder:
         self._door = Plausibility()
         self._positions: list[PositionReading] = []
         self._estimates: list[TargetEstimate] = []
+        self._targets: list[str] = []  # of each estimate
+        self._target = ""
         self._sightings: list[SightingOutcome] = []
         self._circles: list[tuple[float, Circle]] = []
         self._changes: dict[int, PlanChange] = {}
@@ -163,6 +168,8 @@ class HistoryBuilder:
                 self._in_hand = True
             case PlanStatus():
                 self._plan_status(admitted)
+            case FleetAdvice(turn_payload=False):
+                self._target = admitted.target
             case OperatorRequest(action="side", side=Side()) | MissionChange() if self._in_hand:
                 self._wishes.append(admitted)
 
@@ -192,6 +199,7 @@ class HistoryBuilder:
             estimate = self._tracker.estimate(reading.time_s)
             if estimate is not None:
                 self._estimates.append(estimate)
+                self._targets.append(self._target)
 
     def _plan_status(self, event: PlanStatus) -> None:
         change = self._changes.get(event.number)
@@ -219,8 +227,9 @@ class HistoryBuilder:
             tuple(self._positions),
             aircraft,
             tuple(self._estimates),
+            tuple(self._targets),
             tuple(self._sightings),
-            moments or _estimated_moments(self._estimates, aircraft, start_s),
+            moments or _estimated_moments(self._estimates, self._targets, aircraft, start_s),
             bool(moments),
             truth,
             plane,
@@ -254,7 +263,7 @@ def _true_moments(truth: Truth, plane: LocalPlane, start_s: float, end_s: float)
 
 
 def _estimated_moments(
-    estimates: list[TargetEstimate], aircraft: AircraftTrack, start_s: float
+    estimates: list[TargetEstimate], targets: list[str], aircraft: AircraftTrack, start_s: float
 ) -> tuple[Moment, ...]:
     return tuple(
         Moment(
@@ -265,7 +274,8 @@ def _estimated_moments(
             one.north_m,
             one.velocity_east_m_s,
             one.velocity_north_m_s,
+            target,
         )
-        for one in estimates
+        for one, target in zip(estimates, targets, strict=True)
         if one.time_s >= start_s
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from uuid import uuid4
 from xml.etree import ElementTree
@@ -26,16 +26,20 @@ _MACHINE_FUSED, _MACHINE_GPS = "m-f", "m-g"
 _UNKNOWN = "9999999.0"
 _ONE_SIGMA = 1.0 - math.exp(-0.5)  # so much of a two-dimensional Gaussian lies within one sigma
 _SEND_EVERY_S = 1.0
+PLAIN_CALLSIGN = "target"
 _STALE_AFTER = timedelta(seconds=10.0)
-_TARGET_UID = f"sidelong-{uuid4().hex[:8]}"  # all aircraft of this program watch one target
+_UID = f"sidelong-{uuid4().hex[:8]}"  # a target is the same for all aircraft of this program
 
 
 @dataclass(frozen=True, slots=True)
 class CotNames:
-    """How target and aircraft are to be shown: types of the CoT schema, call signs, and the team of the aircraft."""
+    """How target and aircraft are to be shown: types of the CoT schema, call signs, and the team of the aircraft.
+
+    A target of a fleet is called by its name there, unless it has been given another call sign.
+    """
 
     type: str = "a-n-G"
-    callsign: str = "target"
+    callsign: str = PLAIN_CALLSIGN
     own_type: str = "a-f-A-C-F"
     own_callsign: str = "sidelong"
     team: str = "Cyan"
@@ -119,7 +123,7 @@ class CotOutput:
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
     ) -> None:
         self._sender, self._plane, self._names, self._height_m, self._now = sender, plane, names, height_m, now
-        self._own_uid = f"{_TARGET_UID}-{names.own_callsign}"
+        self._own_uid = f"{_UID}-{names.own_callsign}"
         self._next_s = -math.inf
 
     def say(self, announcement: Announce) -> None:
@@ -135,7 +139,11 @@ class CotOutput:
             aircraft_event(snapshot.aircraft, self._plane, now, self._own_uid, self._height_m(), self._names)
         )
         if estimate is not None and estimate.quality is not TrackQuality.LOST:
-            self._sender.send(target_event(estimate, self._plane, snapshot.time_s, now, _TARGET_UID, self._names))
+            names = self._names
+            if snapshot.target and names.callsign == PLAIN_CALLSIGN:
+                names = replace(names, callsign=snapshot.target)
+            uid = f"{_UID}-target-{snapshot.target}" if snapshot.target else _UID
+            self._sender.send(target_event(estimate, self._plane, snapshot.time_s, now, uid, names))
 
     def stop(self) -> None:
         self._sender.stop()

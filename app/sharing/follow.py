@@ -25,11 +25,15 @@ _KNOTS_PER_M_S = 3600.0 / 1852.0
 
 
 class _Periodic:
-    """A ``Display`` that tells of the target, once in ``every_s`` of the wall clock; nothing of a lost one."""
+    """A ``Display`` that tells of the target, once in ``every_s`` of the wall clock; nothing of a lost one.
+
+    It keeps to the target that its aircraft watched first: who follows must not be sent to another.
+    """
 
     def __init__(self, sender: Sender, plane: LocalPlane, altitude_m: float, every_s: float) -> None:
         self._sender, self._plane, self._altitude_m, self._every_s = sender, plane, altitude_m, every_s
         self._next_s = -math.inf
+        self._target = ""
 
     def say(self, announcement: Announce) -> None:
         pass
@@ -38,6 +42,9 @@ class _Periodic:
         """Send the estimate if it is time to."""
         estimate, now_s = snapshot.estimate, time.monotonic()
         if now_s < self._next_s or estimate is None or estimate.quality is TrackQuality.LOST:
+            return
+        self._target = self._target or snapshot.target
+        if snapshot.target != self._target:
             return
         self._next_s = now_s + self._every_s
         self._tell(estimate, snapshot.time_s)

@@ -26,8 +26,8 @@ _PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time
 class AircraftDisplay:
     """A ``FlightDisplay`` of one aircraft among several."""
 
-    def __init__(self, name: str, line: Callable[[Text], None]) -> None:
-        self.name, self._line = name, line
+    def __init__(self, name: str, line: Callable[[Text], None], names_target: bool = False) -> None:
+        self.name, self._line, self._names_target = name, line, names_target
         self.snapshot: Snapshot | None = None
         self._status: Callable[[], VehicleStatus] | None = None
         self._start_s: float | None = None
@@ -72,11 +72,12 @@ class AircraftDisplay:
             return ("", "", "", "", "", "")
         range_m = target_range_m(shown)
         height_m = shown.sensor_status.height_m
+        to = f" to {shown.target}" if self._names_target else ""
         percent = self._status().battery_percent if self._status is not None else None
         return (
             f"{shown.phase} {shown.mode}".strip(),
             f"{shown.side} side",
-            "" if range_m is None else f"range {range_m:.0f} m",
+            "" if range_m is None else f"range {range_m:.0f} m{to}",
             f"height {height_m:.0f} m" if math.isfinite(height_m) else "",
             target_motion(shown) if range_m is not None else "",
             "" if percent is None else f"battery {percent} %",
@@ -87,10 +88,10 @@ class AircraftDisplay:
 
 
 class FleetPanel:
-    """Use as ``with``; quiet, it says nothing."""
+    """Use as ``with``; quiet, it says nothing. names_targets: there are several of them."""
 
-    def __init__(self, console: Console, quiet: bool = False) -> None:
-        self._console, self._quiet = console, quiet
+    def __init__(self, console: Console, quiet: bool = False, names_targets: bool = False) -> None:
+        self._console, self._quiet, self._names_targets = console, quiet, names_targets
         self._aircraft: list[AircraftDisplay] = []
         self._live: Live | None = None
 
@@ -111,7 +112,8 @@ class FleetPanel:
 
     def of(self, name: str) -> AircraftDisplay:
         """Return the display of one aircraft."""
-        display = _PlainDisplay(name, self._print) if self._live is None else AircraftDisplay(name, self._print)
+        kind = _PlainDisplay if self._live is None else AircraftDisplay
+        display = kind(name, self._print, self._names_targets)
         self._aircraft.append(display)
         return display
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Protocol
 
 from app.config import Config
@@ -10,7 +11,7 @@ from app.flight.display import FlightDisplay, Wish
 from app.view.address import Address
 from app.view.display import ViewDisplay
 from app.view.fleet_panel import AircraftDisplay, FleetPanel
-from app.view.state import Json, other_aircraft
+from app.view.state import Json, other_aircraft, other_target
 from estimators.frames import LocalPlane
 from mission.control.snapshot import Snapshot
 from mission.core.events import MissionChange
@@ -32,15 +33,23 @@ class FleetRequests(Protocol):
 class FleetView(ViewDisplay):
     """A ``FlightDisplay`` of the first aircraft; ``of`` returns everybody's. Use as ``with``, as ``ViewDisplay``.
 
-    ``requests`` has to be set before a button is pressed.
+    ``requests`` has to be set before a button is pressed. sides: the wanted one of each target, where there are
+    several.
     """
 
     requests: FleetRequests
 
-    def __init__(self, panel: FleetPanel, names: tuple[str, ...], config: Config, address: Address) -> None:
+    def __init__(
+        self,
+        panel: FleetPanel,
+        names: tuple[str, ...],
+        config: Config,
+        address: Address,
+        sides: Mapping[str, Side] = MappingProxyType({}),
+    ) -> None:
         self._aircraft = {name: panel.of(name) for name in names}
         self._first = self._aircraft[names[0]]
-        self._wanted = config.requirement.requirement().side
+        self._wanted, self._sides = config.requirement.requirement().side, dict(sides)
         super().__init__(self._first, config, address, ", ".join(names))
 
     def of(self, name: str) -> FlightDisplay:
@@ -71,7 +80,8 @@ class FleetView(ViewDisplay):
                 return
         elif wish.action == "side" and wish.side is not None:
             refused = self.requests.watch_from(wish.side, wish.who)
-            self._wanted = self._wanted if refused else wish.side
+            if not refused:
+                self._wanted, self._sides = wish.side, dict.fromkeys(self._sides, wish.side)
             if refused:
                 self.note(f"refused: {refused}")
             return
@@ -89,4 +99,16 @@ class FleetView(ViewDisplay):
             for name, one in self._aircraft.items()
             if one is not self._first and one.snapshot is not None
         ]
-        return state | {"others": others, "wanted": self._wanted, "asked": state["asked"] | {"side": self._wanted}}
+        wanted = self._sides.get(snapshot.target, self._wanted)
+        targets = self._other_targets(snapshot.target)
+        asked = state["asked"] | {"side": wanted}
+        return state | {"others": others, "targets": targets, "wanted": wanted, "asked": asked}
+
+    def _other_targets(self, shown: str) -> list[Json]:
+        """Return the targets that the first aircraft does not watch, by name."""
+        found: dict[str, Json] = {}
+        for one in self._aircraft.values():
+            own = one.snapshot
+            if own is not None and own.estimate is not None and own.target not in ("", shown):
+                found[own.target] = other_target(own.target, own.estimate.position_m(own.time_s))
+        return list(found.values())

@@ -79,6 +79,11 @@ def other_aircraft(name: str, snapshot: Snapshot) -> Json:
     }
 
 
+def other_target(name: str, at_m: tuple[float, float]) -> Json:
+    """Return a target of a fleet that the aircraft shown does not watch, in the same plane."""
+    return {"name": name, "at_m": _rounded(*at_m)}
+
+
 class StateEncoder:
     """Turns snapshots into states; remembers the target's course through its stops, and lines already thinned."""
 

@@ -201,6 +201,8 @@ class StandoffController:
             settings.requirement,
             settings.aircraft.radius_m,
             self._height_asked_m,
+            self.planning.target,
+            self.planning.turn_payload,
         )
 
     def _read(self, reading: Reading) -> None:
@@ -353,11 +355,14 @@ class StandoffController:
         return (Announce(event.time_s, "decision", f"ready for a wind of {event.speed_m_s:g} m/s"),)
 
     def _advised(self, told: FleetAdvice | NeighbourPlanned) -> tuple[Command, ...]:
+        before = self.planning.target
         self.planning.advise(told)
         if isinstance(told, NeighbourPlanned):
             self.surroundings.separation.planned(told)
             return ()
         self.surroundings.separation.note(told.neighbours)
+        if before not in ("", told.target):
+            self._news = TargetNews()
         if self.phase not in _FLYING:
             return ()
         if told.role is Role.LEAVE:

@@ -55,12 +55,25 @@ class Planning:
 
     def advise(self, told: FleetAdvice | NeighbourPlanned) -> None:
         """Take what is told of the fleet."""
+        before = self.target
         if isinstance(told, NeighbourPlanned):
             self._neighbours[told.name] = told
         else:
             self._advice = told
+            if before not in ("", told.target):  # what it remembers is of another one
+                self.renew(self._aircraft, self._requirement)
         if isinstance(self.planner, CooperativePlanner):
             self.planner.advise(told)
+
+    @property
+    def target(self) -> str:
+        """Which target the fleet wants watched; '' before it has told, and alone."""
+        return "" if self._advice is None else self._advice.target
+
+    @property
+    def turn_payload(self) -> bool:
+        """Whether the payload looks at another target than that."""
+        return self._advice is not None and self._advice.turn_payload
 
     def watch_from(self, requirement: Requirement) -> None:
         """Plan for the side that the fleet has given out, of which a cooperative planner is told by advice."""

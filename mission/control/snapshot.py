@@ -43,3 +43,5 @@ class Snapshot:
     requirement: Requirement
     radius_m: float
     height_m: float | None  # as a person has changed it; None: as configured
+    target: str = ""  # which of a fleet's targets it is to watch
+    turn_payload: bool = False  # to that target: it looks at another one

@@ -43,7 +43,7 @@ class FleetAdvice:
     """About once a second: which target to watch, from which side, and where the others are.
 
     estimate: the joint one of that target, None before it was seen. height_m: of the layer to fly in. reason: why
-    this differs from the advice before, '' where it does not.
+    this differs from the advice before, '' where it does not. turn_payload: its payload looks at another target.
     """
 
     time_s: float
@@ -54,6 +54,7 @@ class FleetAdvice:
     height_m: float
     neighbours: tuple[Neighbour, ...]
     reason: str = ""
+    turn_payload: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,6 +25,8 @@ def advice_to(
     by_s = -vehicle.clock.offset_s
     told = (vehicle.role, vehicle.target)
     reason = "" if told == vehicle.told else _reason(vehicle.role)
+    if vehicle.told is not None and vehicle.target != vehicle.told[1]:
+        reason = f"it is to watch {vehicle.target} now"
     vehicle.told = told
     ours = [
         Neighbour(
@@ -42,6 +44,7 @@ def advice_to(
         vehicle.member.height_m,
         (*ours, *(_neighbour(one, by_s) for one in foreign)),
         reason,
+        vehicle.watches != vehicle.target,
     )
 
 

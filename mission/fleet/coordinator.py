@@ -29,11 +29,12 @@ Rules
    relief is asked for gives the wanted side away, but holds it with the other one until that one is there; a reserve
    is asked for. Below ``leave_below`` it leaves whatever happens. A reserve is asked for too when nobody is left.
 4. Several targets: aircraft are given out by the time to get there, those that are free or with a target that is lost
-   at once, others only where all together gain ``reassign_gain_s``.
+   at once, others only where all together gain ``reassign_gain_s``. What a payload has seen counts for the target
+   that it looks at: another one than before once ``turned_after`` sightings in a row lie there.
 5. Each aircraft keeps the height layer that it was set up with: layers are never swapped, so nothing has to be
    confirmed before one is free.
-6. The wanted side is a person's to change (``SideRequested``), for all aircraft at once; a band or radius that one
-   core took up (``RequirementReported``) holds for the roles too.
+6. The wanted side is a person's to change (``SideRequested``), for all aircraft and targets at once; a band or radius
+   that one core took up (``RequirementReported``) holds for the roles too.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ from typing import Protocol
 
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.joint_track import JointTrack
+from estimators.sighting import AnySighting
 from mission.core.fleet import Role
 from mission.core.plan import AircraftState, Plan
 from mission.core.requirement import Aircraft, Requirement, Wind
@@ -74,6 +76,7 @@ from mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_
 from mission.fleet.vehicle import FleetMember, FleetVehicle
 
 _FOREIGN_FORGOTTEN_S = 30.0
+_NEAR_M, _NEARER = 60.0, 0.5  # a sighting of another target is so near to it, and by this share nearer than its own
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +96,7 @@ class FleetSettings:
     relieve_below: float = 0.3
     leave_below: float = 0.15
     reassign_gain_s: float = 30.0
+    turned_after: int = 3
 
 
 class RoleJudge(Protocol):
@@ -126,7 +130,11 @@ class FleetCoordinator:
         if not targets or not members:
             raise ValueError("a fleet needs an aircraft and a target")
         self.settings = settings or FleetSettings()
-        self._vehicles = {one.name: FleetVehicle(one, target=one.target or targets[0].name) for one in members}
+        self._vehicles = {
+            one.name: FleetVehicle(one, target=own, watches=own)
+            for one in members
+            for own in (one.target or targets[0].name,)
+        }
         self._targets = {one.name: one for one in targets}
         payloads = {one.name: one.tracker for one in members}
         self._tracks = {one.name: JointTrack(payloads) for one in targets}
@@ -138,6 +146,7 @@ class FleetCoordinator:
         for one in targets:
             self._ask(one.name, one.requirement)
         self._assignments = {one.name: RoleAssignment() for one in targets}
+        self._estimates: Mapping[str, TargetEstimate | None] = {}  # as of the last second
         self._foreign: dict[str, ForeignAircraftReported] = {}
         self._refused: dict[str, Mapping[str, str]] = {}
         self._asked: set[str] = set()
@@ -231,7 +240,26 @@ class FleetCoordinator:
         sighting = event.sighting
         sigma_s = vehicle.clock.sigma_at(sighting.time_s)
         on_mission = replace(sighting, time_s=vehicle.clock.mission_s(sighting.time_s))
-        self._tracks[vehicle.target].add(event.name, on_mission, sigma_s)
+        self._look(vehicle, on_mission)
+        self._tracks[vehicle.watches].add(event.name, on_mission, sigma_s)
+
+    def _look(self, vehicle: FleetVehicle, sighting: AnySighting) -> None:
+        """Find out which of the targets a payload looks at."""
+        off_m = {
+            name: math.dist((sighting.east_m, sighting.north_m), estimate.position_m(sighting.time_s))
+            for name, estimate in self._estimates.items()
+            if estimate is not None
+        }
+        nearest = min(off_m, key=lambda name: off_m[name], default=vehicle.watches)
+        own_m = off_m.get(vehicle.watches, math.inf if nearest == vehicle.target else 0.0)
+        if nearest == vehicle.watches or off_m[nearest] > min(_NEARER * own_m, _NEAR_M):
+            vehicle.nearer = ("", 0)
+            return
+        before, count = vehicle.nearer
+        vehicle.nearer = (nearest, count + 1 if before == nearest else 1)
+        if vehicle.nearer[1] >= self.settings.turned_after:
+            vehicle.watches, vehicle.nearer = nearest, ("", 0)
+            self._say(vehicle.member.name, f"its payload sees {nearest}")
 
     def _lost(self, vehicle: FleetVehicle, reason: str) -> None:
         if not vehicle.lost:
@@ -253,8 +281,8 @@ class FleetCoordinator:
         """Give the roles out by what that aircraft is flown with now, and keep the wanted side."""
         vehicle = self._vehicles[event.name]
         vehicle.member = replace(vehicle.member, aircraft=event.aircraft)
-        wanted = self._targets[vehicle.target].requirement.side
-        self._change(vehicle.target, replace(event.requirement, side=wanted))
+        for name, target in self._targets.items():
+            self._change(name, replace(event.requirement, side=target.requirement.side))
 
     def _change(self, target: str, wanted: Requirement) -> None:
         if wanted != self._targets[target].requirement:
@@ -277,7 +305,7 @@ class FleetCoordinator:
             if report is not None and self._now_s - report.time_s > self.settings.silent_after_s:
                 self._lost(vehicle, f"nothing was heard of it for {self._now_s - report.time_s:.0f} s")
         self._next_s = self._now_s + self.settings.period_s
-        estimates = {name: track.estimate(self._now_s) for name, track in self._tracks.items()}
+        estimates = self._estimates = {name: track.estimate(self._now_s) for name, track in self._tracks.items()}
         self._tell_refusals()
         self._assign_targets(estimates)
         for name in self._targets:
@@ -333,6 +361,8 @@ class FleetCoordinator:
             costs = judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
             if self._is_to_be_relieved(vehicle):
                 costs = replace(costs, wanted_s=math.inf)
+            elif vehicle.range_m(estimate) > wanted.range_max_m:  # it has to get there first
+                costs = replace(costs, wanted_s=costs.wanted_s + vehicle.way_s(estimate))
             beside = is_beside(report.state, estimate, wanted)
             candidates[name] = Candidate(costs, beside, plans.coming is not None)
         roles = self._assignments[target].assign(self._now_s, candidates, course_known=course_is_known(estimate))

@@ -17,7 +17,8 @@ from mission.fleet.events import PlansReported, VehicleReported
 class FleetMember:
     """One aircraft as the fleet file has it.
 
-    height_m: of its layer, above the common home. target: to begin with. reserve: it waits until it is asked for.
+    height_m: of its layer, above the common home. target: to begin with, '' for the first. reserve: it waits until
+    it is asked for.
     endurance_s: it is relieved after watching for so long.
     """
 
@@ -32,7 +33,10 @@ class FleetMember:
 
 @dataclass(slots=True, eq=False)
 class FleetVehicle:
-    """What is known of one aircraft; ``report`` is on mission time, ``plans`` as the aircraft has them."""
+    """What is known of one aircraft; ``report`` is on mission time, ``plans`` as the aircraft has them.
+
+    target: which it is to watch. watches: which its payload looks at, until that has been turned to ``target``.
+    """
 
     member: FleetMember
     clock: VehicleTime = field(default_factory=VehicleTime)
@@ -44,6 +48,8 @@ class FleetVehicle:
     since_s: float = math.inf  # it watches
     leaving: bool = False
     target: str = ""
+    watches: str = ""
+    nearer: tuple[str, int] = ("", 0)  # another target, and how many sightings in a row have lain nearer to that one
     role: Role = Role.WANTED
     told: tuple[Role, str] | None = None
     launch_asked: bool = False
@@ -55,7 +61,9 @@ class FleetVehicle:
 
     def way_s(self, target: TargetEstimate) -> float:
         """Return about how long it needs to a target."""
+        return self.range_m(target) / self.member.aircraft.airspeed_m_s
+
+    def range_m(self, target: TargetEstimate) -> float:
+        """Return how far from a target it is."""
         assert self.report is not None
-        state = self.report.state
-        way_m = math.hypot(state.east_m - target.east_m, state.north_m - target.north_m)
-        return way_m / self.member.aircraft.airspeed_m_s
+        return math.hypot(self.report.state.east_m - target.east_m, self.report.state.north_m - target.north_m)

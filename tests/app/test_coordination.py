@@ -177,5 +177,5 @@ def test_what_a_person_asks_reaches_the_coordinator_at_mission_time_and_is_writt
         SideRequested(UTC_S, Side.RIGHT, "operator 1"),
         ReliefRequested("b", UTC_S, "operator 2"),
     ]
-    assert coordination.changes == [(UTC_S, changed.requirement)]
+    assert coordination.changes == {"boat": [(UTC_S, changed.requirement)]}
     assert set(coordinator.heard[-2:]) | {changed} <= set(journal.lines)

@@ -110,7 +110,10 @@ def test_links_are_each_aircrafts_own_or_shared(written):
         ("height_m = 200", 'height_above = "ground"', "all the same"),
         ("[requirement]", "[fences]\nceiling_m = 150\n[requirement]", "above fences.ceiling_m"),
         ("[requirement]", '[link]\nurl = "udpin://0.0.0.0:1"\n[requirement]', "give its system_id"),
-        ("[requirement]", "[[target]]\n[[target]]\n[requirement]", "target"),
+        ("[requirement]", "[[target]]\n[[target]]\n[requirement]", "give each target its own"),
+        ("[requirement]", '[[target]]\nside = "either"\n[requirement]', "target.0.side"),
+        ("[requirement]", "".join(f"[[target]]\nname = '{c}'\n" for c in "abc") + "[requirement]", "no aircraft"),
+        ('name = "south"', 'name = "south"\ntarget = "bike"', "there are target"),
         ("[requirement]", "target = 3\n[requirement]", "target"),
     ],
 )
@@ -133,3 +136,16 @@ def test_urls_are_unique(written):
 def test_another_number_than_the_files_is_refused(written):
     with pytest.raises(InputError, match="leave out --fleet"):
         load_fleet(written(TWO), None, 3)
+
+
+def test_each_aircraft_has_a_target_and_its_side(written):
+    targets = '[[target]]\nname = "boat"\nside = "left"\n[[target]]\nname = "bike"\nmotion = "circle"\n'
+    fleet = load_fleet(written(TWO + targets))
+    north, south = fleet.members
+    assert (north.target, south.target) == ("boat", "bike")
+    assert (north.config.requirement.side, south.config.requirement.side) == ("left", "right")
+    assert (north.config.simulation.target, south.config.simulation.target) == ("walk", "circle")
+    assert [asked.side for asked in fleet.asked.values()] == ["left", "right"]
+    both = TWO.replace('name = "north"', 'name = "north"\ntarget = "bike"')
+    with pytest.raises(InputError, match="target 'boat' has no aircraft"):
+        load_fleet(written(both + targets))

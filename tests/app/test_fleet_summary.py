@@ -12,7 +12,7 @@ from app.analysis.summary import Summary
 from mission.core.requirement import Requirement, Side
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0)
-ASKED = [(-math.inf, REQUIREMENT)]
+ASKED = {"target": [(-math.inf, REQUIREMENT)]}
 SUMMARY = Summary(100.0, 1.0, 0.5, 150.0, 400.0, "truth", 1, 1, 0, 10, 0, 1.0, "completed")
 
 

@@ -79,14 +79,17 @@ def test_a_name_with_brackets_is_no_markup(capsys):
 def truth_at(times_s: list[float]) -> Truth:
     n = len(times_s)
     positions_deg = np.repeat([[47.4], [8.5], [47.401], [8.5]], n, axis=1)
-    return Truth(np.array(times_s), positions_deg, np.full((2, n), np.nan))
+    return Truth(np.array(times_s), positions_deg, np.full((2, n), np.nan), np.full(n, ""))
 
 
 @pytest.mark.filterwarnings("error")
 def test_a_flight_that_never_came_to_its_first_circle_has_a_summary():
     collector = SummaryCollector(load_config(None).requirement.requirement())
     truth = Truth(
-        np.array([0.0, 0.5, 1.0]), np.array([[47.4] * 3, [8.5] * 3, [47.401] * 3, [8.5] * 3]), np.full((2, 3), np.nan)
+        np.array([0.0, 0.5, 1.0]),
+        np.array([[47.4] * 3, [8.5] * 3, [47.401] * 3, [8.5] * 3]),
+        np.full((2, 3), np.nan),
+        np.full(3, ""),
     )
     plane = LocalPlane(47.4, 8.5)
     assert list(truth.moments(plane, math.inf, 1.0, 0.5)) == []

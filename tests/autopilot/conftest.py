@@ -46,7 +46,7 @@ class Vehicle:
             Settings(
                 flavour=Flavour(flavour),
                 seed=seed,
-                target=TargetSettings(speed_max_m_s=4.0),
+                targets=(TargetSettings(speed_max_m_s=4.0),),
                 link_rate=speed,
                 boot_unix_s=time.time(),
             )

@@ -102,7 +102,7 @@ class Flight:
         self.speed = speed
         self.simulation = Simulation(
             settings
-            or Settings(Flavour(flavour), seed=seed, target=TargetSettings(speed_max_m_s=0.5), link_rate=speed)
+            or Settings(Flavour(flavour), seed=seed, targets=(TargetSettings(speed_max_m_s=0.5),), link_rate=speed)
         )
         self.autopilot = self.simulation.vehicle
         self.dialect = autopilot_by_mav_autopilot(self.autopilot.autopilot_id)

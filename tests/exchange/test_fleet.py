@@ -1,4 +1,4 @@
-"""Two simulated vehicles, their cores and the coordinator on one clock that waits for nobody."""
+"""Simulated vehicles, their cores and the coordinator on one clock that waits for nobody."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from mission.core.events import End
 from mission.core.fleet import Role
 from mission.exchange.dialect import Home
 from mission.fleet.events import PlansReported, SightingReported
-from sitl.settings import Flavour, Settings, TargetSettings
+from sitl.settings import STARTS_M, Flavour, Settings, TargetSettings
 from sitl.world import in_turn
 
-SYSTEM_TIME = 2
+SYSTEM_TIME, DO_SET_ROI_LOCATION = 2, 195
 
 
 class Craft:
@@ -40,13 +40,20 @@ class Craft:
 
 
 class Fleet:
-    """An ArduPlane and a PX4 on one target; the PX4 may be a reserve."""
+    """ArduPlanes and PX4s in turn; the second may be a reserve."""
 
-    def __init__(self, fly, tmp_path, seed=2, reserve=False):
-        aircraft = [{"name": "north"}, {"name": "south", "reserve": reserve}]
-        self.file = FleetFile.model_validate({"aircraft": aircraft, "requirement": {"target_speed_max_m_s": 3.0}})
-        first = Settings(seed=seed, target=TargetSettings("straight", 2.0))
-        settings = in_turn(first, [Flavour.ARDUPLANE, Flavour.PX4], [15.0], [1e4], 2)
+    def __init__(self, fly, tmp_path, seed=2, reserve=False, names=("north", "south"), targets=("target",)):
+        aircraft = [{"name": name} for name in names]
+        aircraft[1]["reserve"] = reserve
+        described = {"aircraft": aircraft, "target": [{"name": name} for name in targets]}
+        self.file = FleetFile.model_validate({**described, "requirement": {"target_speed_max_m_s": 3.0}})
+        moving = (
+            TargetSettings("straight", 2.0, start_m, name=name)
+            for name, start_m in zip(targets, STARTS_M, strict=False)
+        )
+        first = Settings(seed=seed, targets=tuple(moving))
+        seen = [targets.index(member.target) for member in self.file.members]
+        settings = in_turn(first, [Flavour.ARDUPLANE, Flavour.PX4], [15.0], [1e4], len(names), seen)
         self.crafts = [
             Craft(member, fly(one.flavour, settings=one, begin=False, seed=one.seed))
             for member, one in zip(self.file.members, settings, strict=True)
@@ -104,10 +111,19 @@ class Fleet:
                 craft.flight.step()
                 while craft.waiting:
                     craft.flight.put(craft.waiting.popleft())
+                if craft.flight.core.controller.snapshot().turn_payload:
+                    self._turn_payload(craft)
             self.coordination.keep_up(self.crafts[0].flight.simulation.time_s)
             if until():
                 return True
         return False
+
+    def _turn_payload(self, craft):
+        """Point its gimbal, as a live flight does."""
+        estimate = craft.flight.core.controller.estimate
+        plane = self.crafts[0].flight.telemetry.plane
+        x, y = (round(1e7 * degrees) for degrees in plane.latitude_longitude_deg(estimate.east_m, estimate.north_m))
+        craft.flight.to_vehicle("COMMAND_INT", command=DO_SET_ROI_LOCATION, frame=0, x=x, y=y, z=0.0)
 
     def take_off(self, *crafts):
         for craft in crafts or reversed(self.crafts):  # the highest layer first
@@ -116,6 +132,10 @@ class Fleet:
 
     def role(self, name):
         return self.coordinator.roles[name][1]
+
+    @property
+    def targets(self):
+        return {name: target for name, (target, _) in self.coordinator.roles.items()}
 
     def separation_m(self):
         places = [
@@ -197,3 +217,54 @@ def test_a_reserve_takes_over_before_the_aircraft_with_a_low_battery_leaves(fly,
     assert south.flight.core.controller.phase == "watching"
     assert fleet.separation_m() >= 50.0
     fleet.journal.close()
+
+
+@pytest.fixture(scope="module")
+def divided(fly, tmp_path_factory):
+    """Return a fleet of three on two targets after a flight in which the only one on the second target was lost."""
+    fleet = Fleet(fly, tmp_path_factory.mktemp("divided"), names=("north", "south", "east"), targets=("boat", "bike"))
+    fleet.take_off()
+    fleet.run(30.0)
+    fleet.targets_before = fleet.targets
+    south = fleet.crafts[1].flight.simulation
+    south.lost_s = south.time_s
+    fleet.estimates = []
+
+    def seen():
+        now = fleet.crafts[0].flight
+        bike_m = now.simulation.motions[1].at(now.simulation.time_s)
+        found = fleet.coordinator.estimate("bike")
+        fleet.estimates.append(float(np.hypot(found.east_m - bike_m[0], found.north_m - bike_m[1])))
+        return False
+
+    fleet.run(110.0, seen)
+    fleet.journal.close()
+    return fleet
+
+
+def test_each_target_has_its_aircraft_and_a_lost_one_is_replaced(divided):
+    assert divided.targets_before == {"north": "boat", "south": "bike", "east": "boat"}
+    (moved,) = (craft for craft in divided.crafts if divided.targets[craft.name] == "bike" and craft.name != "south")
+    assert f"{moved.name} goes to bike" in divided.said
+    assert f"{moved.name} its payload sees bike" in divided.said
+    assert moved.flight.simulation.looks_at == 1
+    now = moved.flight.core.controller.snapshot()
+    assert (now.phase, now.target, now.turn_payload, now.side) == ("watching", "bike", False, "left")
+    assert np.hypot(now.aircraft.east_m - now.estimate.east_m, now.aircraft.north_m - now.estimate.north_m) < 500.0
+    assert divided.role(moved.name) is Role.WANTED
+
+
+def test_a_payload_on_its_way_to_another_target_spoils_no_track(divided):
+    assert max(divided.estimates) < 30.0  # unseen for a while, it goes on by its motion
+    assert np.mean(divided.estimates[-100:]) < 3.0
+    boat = divided.coordinator.estimate("boat")
+    now = divided.crafts[0].flight
+    assert (
+        np.hypot(*np.subtract((boat.east_m, boat.north_m), now.simulation.motions[0].at(now.simulation.time_s))) < 3.0
+    )
+
+
+def test_a_fleet_of_two_targets_replays_to_the_last_bit(divided):
+    records = list(JournalReader(divided.journal_path, FLEET_JOURNAL_TYPES))
+    compared, difference = compare_coordination(coordinator_of(divided.file), records)
+    assert (difference, compared > 300) == (None, True)

@@ -17,6 +17,7 @@ from mission.core.events import Command, ControlAcquired, End, MissionChange, Up
 from mission.core.fleet import Role
 from mission.core.plan import AircraftState, Decision, Plan
 from mission.core.requirement import Aircraft, Requirement, Side
+from mission.fleet.assignment import spread_over
 from mission.fleet.coordinator import FleetCoordinator, FleetTarget
 from mission.fleet.events import (
     BatteryReported,
@@ -359,3 +360,17 @@ def test_the_same_events_lead_to_the_same_commands():
     assert (first.covariance == second.covariance).all()
     assert (first.east_m, first.north_m) == (second.east_m, second.north_m)
     assert not any(isinstance(command, UploadPlan) for command in fleet.vehicles["a"].commands)
+
+
+@pytest.mark.parametrize(
+    ("at", "way_s", "given"),
+    [
+        (["x", "x", "y"], [[10, 90], [20, 80], [90, 10]], ["x", "x", "y"]),
+        (["x", "y", "y"], [[10, 90], [80, 20], [90, 10]], ["x", "y", "y"]),  # who is over may be with either
+        (["x", "x", "x"], [[10, 90], [20, 40], [10, 70]], ["x", "y", "x"]),
+        (["x", "y", "y"], [[10, 90], [10, 60], [90, 10]], ["x", "x", "y"]),  # 50 s are gained
+        (["", "", ""], [[10, 90], [80, 20], [90, 10]], ["x", "y", "y"]),
+    ],
+)
+def test_aircraft_are_spread_evenly_by_the_way_and_change_for_a_gain_only(at, way_s, given):
+    assert spread_over(["x", "y"], way_s, at, 30.0) == given

@@ -13,14 +13,16 @@ from sitl.companion import Companion, CompanionError, _send, accompany
 from sitl.payload import Payload
 from sitl.settings import PayloadSettings, TargetSettings
 from sitl.signing import signing_time
+from sitl.simulation import target_motion
 
 EXACT = PayloadSettings(0.0, 0.0, 0.0, 0.0, 0.0)
+WALK = target_motion(TargetSettings(), 1)
 
 
 @pytest.fixture
 def flown(simulate, station):
     ground = station(simulate(payload=None))
-    companion = Companion(EXACT, TargetSettings(motion="straight"), seed=1)
+    companion = Companion(EXACT, target_motion(TargetSettings(motion="straight"), 1), seed=1)
     rows = []
     companion.on_truth = rows.append
     ground.run(25.0)
@@ -50,7 +52,7 @@ def test_its_ranges_are_those_between_its_truth(flown):
 
 def test_it_waits_for_home(simulate, station):
     ground = station(simulate(payload=None))
-    companion = Companion(EXACT, TargetSettings(), seed=1)
+    companion = Companion(EXACT, WALK, seed=1)
     ground.run(15.0)
     assert companion.wants_home
     assert not [m for message in ground.heard for m in companion.handle(message)]
@@ -59,7 +61,7 @@ def test_it_waits_for_home(simulate, station):
 @pytest.mark.parametrize("url", ["127.0.0.1:14550", "serial:///dev/ttyS0:57600", "tcpout://127.0.0.1"])
 def test_a_wrong_url_is_told(url):
     with pytest.raises(CompanionError, match="must look like"):
-        accompany(Companion(EXACT, TargetSettings(), seed=1), url)
+        accompany(Companion(EXACT, WALK, seed=1), url)
 
 
 def vehicle_heartbeat(system_id):
@@ -80,7 +82,7 @@ def test_it_waits_for_a_vehicle_and_joins_it_again_after_it_has_gone():
 
     work = threading.Thread(
         target=accompany,
-        args=(Companion(EXACT, TargetSettings(), seed=1), f"tcpout://127.0.0.1:{port}"),
+        args=(Companion(EXACT, WALK, seed=1), f"tcpout://127.0.0.1:{port}"),
         kwargs={"on_wait": on_wait, "on_ready": ready.append, "stopped": done.is_set},
     )
     work.start()
@@ -116,7 +118,7 @@ def test_it_speaks_first_to_a_vehicle_that_answers_whom_it_has_heard():
         url = f"udpout://127.0.0.1:{vehicle.getsockname()[1]}"
         work = threading.Thread(
             target=accompany,
-            args=(Companion(EXACT, TargetSettings(), seed=1), url),
+            args=(Companion(EXACT, WALK, seed=1), url),
             kwargs={"on_ready": ready.append, "stopped": done.is_set},
         )
         work.start()

@@ -38,7 +38,7 @@ def test_small_steps_of_the_clock_lead_to_the_same_place(simulate, station):
     for i in range(1, 10_001):
         fine.advance(0.003 * i)
     assert fine.time_s == pytest.approx(whole.time_s)
-    assert fine.motion.at(30.0) == whole.motion.at(30.0)
+    assert fine.motions[0].at(30.0) == whole.motions[0].at(30.0)
 
 
 def test_truth_comes_ten_times_a_second_and_fits_the_telemetry(simulate, station):
@@ -57,7 +57,7 @@ def test_truth_comes_ten_times_a_second_and_fits_the_telemetry(simulate, station
 
 def test_the_truth_file_has_the_columns_of_the_recorded_ones(simulate, tmp_path):
     path = tmp_path / "truth.csv"
-    simulation = simulate(target=TargetSettings(motion="still"))
+    simulation = simulate(targets=(TargetSettings(motion="still"),))
     with path.open("w") as file:
         simulation.on_truth = TruthFile(file).write
         simulation.advance(1.05)
@@ -66,7 +66,7 @@ def test_the_truth_file_has_the_columns_of_the_recorded_ones(simulate, tmp_path)
     lines = path.read_text().splitlines()
     assert lines[0] == HEADER
     assert HEADER.startswith("time_boot_s,target_east_m,target_north_m,target_lat_deg,target_lon_deg,uav_lat_deg,")
-    assert lines[0].count(",") == lines[1].count(",") == 14
+    assert lines[0].count(",") == lines[1].count(",") == 15
     assert lines[10].startswith("1.000,250.000,300.000,")
     assert all(line.endswith(",,") for line in lines[1:])  # no ground is known: neither clearance nor sight is told
     assert len(lines) == 31

@@ -15,7 +15,7 @@ from sitl.world import in_turn
 @pytest.fixture
 def pair():
     """Return two simulations with the rows of truth that each has written, 60 s long."""
-    first = Settings(seed=4, target=TargetSettings("turning", 3.0))
+    first = Settings(seed=4, targets=(TargetSettings("turning", 3.0),))
     rows: list[list] = [[], []]
     simulations = [
         Simulation(one) for one in in_turn(first, [Flavour.ARDUPLANE, Flavour.PX4], [15.0, 20.0], [1000.0, 100.0], 2)

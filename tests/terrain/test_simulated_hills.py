@@ -16,7 +16,7 @@ from sitl.companion import Companion
 from sitl.geodesy import HomePlane
 from sitl.hills import Hills, HillsError
 from sitl.settings import Home, PayloadSettings, Settings, TargetSettings
-from sitl.simulation import Simulation
+from sitl.simulation import Simulation, target_motion
 from sitl.truth import TruthFile, TruthRow
 
 HOME_DEG = (36.59, -84.24)
@@ -60,7 +60,9 @@ def test_a_payload_for_another_vehicle_is_tried_out_on_the_ground(
     hills_folder: Path, height_m: float, heard: bool
 ) -> None:
     """Hills between do not keep it from being heard before take-off; in the air they do."""
-    companion = Companion(PayloadSettings(dropout_fraction=0.0), TargetSettings(start_m=OPEN_M), 1, hills_folder)
+    companion = Companion(
+        PayloadSettings(dropout_fraction=0.0), target_motion(TargetSettings(start_m=OPEN_M), 1), 1, hills_folder
+    )
     vehicle, home_e7 = mavlink.MAVLink(None, 1, 1), [round(1e7 * angle_deg) for angle_deg in HOME_DEG]
     listener = mavlink.MAVLink(None)
     for message in (
@@ -99,7 +101,7 @@ def simulated(hills_folder: Path, target_m: tuple[float, float]) -> tuple[list[T
     """Forty seconds of an aircraft put into the air over home."""
     settings = Settings(
         home=Home(*HOME_DEG, 450.0),
-        target=TargetSettings(motion="still", start_m=target_m),
+        targets=(TargetSettings(motion="still", start_m=target_m),),
         terrain=hills_folder,
         payload=Settings().payload,
     )

@@ -234,7 +234,7 @@ export class FlightMap {
     const seen = [];
     const reach = (at, r) => seen.push([at[0] - r, at[1] - r], [at[0] + r, at[1] + r]);
     if (state?.target) reach(state.target.at_m, setting.band_m?.[1] ?? 100);
-    for (const one of [state?.aircraft, ...(state?.others ?? [])]) if (one?.at_m) reach(one.at_m, 30);
+    for (const one of [state?.aircraft, ...(state?.others ?? []), ...(state?.targets ?? [])]) if (one?.at_m) reach(one.at_m, 30);
     for (const plan of [state?.present, state?.coming]) if (plan) reach(plan.circle, plan.circle[2]);
     if (!seen.length) reach([0, 0], 500);
     const [east, north] = [0, 1].map((k) => seen.map((p) => p[k]));
@@ -268,6 +268,10 @@ export class FlightMap {
     const placed = (one) => `translate(${x(one.at_m[0])} ${y(one.at_m[1])}) rotate(${(one.course_rad * 180) / Math.PI})`;
     if (aircraft) this.aircraft.setAttribute("transform", placed(aircraft));
     this.drawFleet((state?.others ?? []).filter((one) => one.at_m), placed, x, y);
+    for (const { name, at_m } of state?.targets ?? []) {
+      svg("circle", { class: "target", cx: x(at_m[0]), cy: y(at_m[1]), r: 5 }, this.others);
+      svg("text", { class: "label", x: x(at_m[0]) + 9, y: y(at_m[1]) + 16 }, this.others).textContent = name;
+    }
   }
 
   // The names of a fleet's aircraft, and the others with their circles.

@@ -1,0 +1,91 @@
+"""Somebody's own simulator programs, with a payload beside each and one target for all."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from sitl.binary import Binary, BinaryError
+from sitl.companion import Companion, CompanionError, accompany
+from sitl.hills import HillsError
+from sitl.settings import PayloadSettings, Settings
+from sitl.shared_target import SharedTarget
+from sitl.simulation import target_motion
+
+
+def companions_of(
+    settings: Sequence[Settings], payload: PayloadSettings, terrain: Path | None, vehicle_id: int | None
+) -> list[Companion]:
+    """Return a payload for each vehicle, all about the first one's target. Raises TrackError for a wrong track."""
+    first = settings[0]
+    shared = SharedTarget(target_motion(first.targets[0], first.seed))
+    return [Companion(payload, shared.seen_from(one.home_east_m), one.seed, terrain, vehicle_id) for one in settings]
+
+
+def ready(vehicle_id: int, url: str) -> None:
+    print(f"ready system {vehicle_id} component 154 payload -> {url}", flush=True)
+
+
+def waits(reason: str) -> None:
+    print(reason, file=sys.stderr, flush=True)
+
+
+def run_binaries(
+    companions: Sequence[Companion],
+    settings: Sequence[Settings],
+    programs: Sequence[Path],
+    speed: float,
+    stopped: Callable[[], bool],
+) -> None:
+    """Run the programs until ``stopped`` or all have ended; one that has ended by itself is told.
+
+    Raises BinaryError where one does not run, or all have ended; CompanionError, HillsError as ``accompany``.
+    """
+    with contextlib.ExitStack() as stack:
+        running: list[Binary] = []
+        for number, (path, own) in enumerate(zip(programs, settings, strict=True)):
+            running.append(stack.enter_context(Binary(own.flavour, path, speed, own.home, own.wind, number)))
+        _tell_how_to_fly(running, settings)
+        failed: list[Exception] = []
+
+        def accompanied(companion: Companion, binary: Binary, key: bytes | None) -> None:
+            url, companion.vehicle_id = binary.run.payload_url, binary.run.system_id
+            try:
+                accompany(
+                    companion,
+                    url,
+                    key=key,
+                    on_ready=lambda vehicle_id: ready(vehicle_id, url),
+                    on_wait=waits,
+                    stopped=lambda: stopped() or binary.ended or bool(failed),
+                )
+            except (CompanionError, HillsError) as error:
+                failed.append(error)
+            if binary.ended and not stopped() and len(running) > 1:
+                waits(f"{binary.run.command[0]}: {binary.last_words}")
+
+        threads = [
+            threading.Thread(target=accompanied, args=(companion, binary, own.signing_key))
+            for companion, binary, own in zip(companions, running, settings, strict=True)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        if failed:
+            raise failed[0]
+        if not stopped():
+            raise BinaryError(running[-1].last_words)
+
+
+def _tell_how_to_fly(running: Sequence[Binary], settings: Sequence[Settings]) -> None:
+    if len(running) == 1:
+        print(f"fly it by: sidelong launch --connect {running[0].run.url}", flush=True)
+        return
+    print("fly them by a fleet file with")
+    for number, (binary, own) in enumerate(zip(running, settings, strict=True), 1):
+        print(f'[[aircraft]]\nname = "{own.flavour}-{number}"\nurl = "{binary.run.url}"')
+    sys.stdout.flush()
