@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable
 from contextlib import closing
@@ -165,6 +166,8 @@ class _TcpLink(mavutil.mavtcp):  # type: ignore[misc]  # pymavlink tells no type
 
 
 def _connected(scheme: str, address: str) -> Any:
+    # Otherwise pymavlink begins a new parser at the first frame of version 2, and that one has lost the signing key.
+    os.environ["MAVLINK20"] = "1"
     if scheme == "tcpout":
         mavutil.set_dialect("all")
         return _TcpLink(address, source_component=mavlink.MAV_COMP_ID_GIMBAL, retries=1)

@@ -4,6 +4,8 @@ import io
 import math
 import socket
 import threading
+import time
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
@@ -64,8 +66,11 @@ def test_a_wrong_url_is_told(url):
         accompany(Companion(EXACT, WALK, seed=1), url)
 
 
-def vehicle_heartbeat(system_id):
+def vehicle_heartbeat(system_id, key=None):
     mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=1)
+    if key is not None:
+        mav.signing.secret_key, mav.signing.sign_outgoing = key, True
+        mav.signing.timestamp = signing_time(time.time())
     return mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(mav)
 
 
@@ -110,7 +115,9 @@ def test_it_waits_for_a_vehicle_and_joins_it_again_after_it_has_gone():
     assert "closed the connection" in waited[1]
 
 
-def test_it_speaks_first_to_a_vehicle_that_answers_whom_it_has_heard():
+@contextmanager
+def met_by_udp(**options):
+    """Yield what a vehicle receives from a payload that has heard its heartbeat, frame by frame."""
     done, ready = threading.Event(), []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         vehicle.bind(("127.0.0.1", 0))
@@ -119,18 +126,29 @@ def test_it_speaks_first_to_a_vehicle_that_answers_whom_it_has_heard():
         work = threading.Thread(
             target=accompany,
             args=(Companion(EXACT, WALK, seed=1), url),
-            kwargs={"on_ready": ready.append, "stopped": done.is_set},
+            kwargs={"on_ready": ready.append, "stopped": done.is_set} | options,
         )
         work.start()
         try:
             _, address = vehicle.recvfrom(4096)
-            vehicle.sendto(vehicle_heartbeat(7), address)
-            while vehicle.recvfrom(4096)[0][5:7] != b"\x07\x9a":  # system and component that it speaks as
-                pass
+            vehicle.sendto(vehicle_heartbeat(7, options.get("key")), address)
+            yield (vehicle.recvfrom(4096)[0] for _ in range(1000))
         finally:
             done.set()
             work.join(5.0)
     assert ready == [7]
+
+
+def test_it_speaks_first_to_a_vehicle_that_answers_whom_it_has_heard():
+    with met_by_udp() as frames:
+        assert any(frame[5:7] == b"\x07\x9a" for frame in frames)  # system and component that it speaks as
+
+
+def test_it_signs_from_the_first_frame_to_the_last(monkeypatch):
+    monkeypatch.delenv("MAVLINK20", raising=False)
+    with met_by_udp(key=bytes(range(32))) as frames:
+        frame = next(frame for frame in frames if frame[5:7] == b"\x07\x9a")
+    assert frame[2] == mavlink.MAVLINK_IFLAG_SIGNED
 
 
 def test_its_signatures_follow_the_clock(monkeypatch):
