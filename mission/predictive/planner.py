@@ -41,7 +41,6 @@ from mission.predictive.value_table import TableConfiguration, ValueTable
 from mission.viewpoint.descriptions import describe_new_circle
 from mission.viewpoint.side_policy import SidePolicy
 
-_WINDY = 0.25  # of the airspeed
 # So many moves are tried against fences and other aircraft, the cheapest first.
 _MAX_TRIES = 30
 # What a move must gain, in seconds off side. The wider the circle is in its band the more moves are needed, and the
@@ -106,17 +105,6 @@ def table_configuration(
         cells=28 if simple else 20,
         improvements=(8, 5) if simple else (5, 3),
     )
-
-
-def table_configurations(aircraft: Aircraft, requirement: Requirement) -> tuple[TableConfiguration, ...]:
-    """Return the configurations that serve in any wind: still air first, then a wind of a quarter of the airspeed.
-
-    Of a sector there is the first only.
-    """
-    calm = table_configuration(aircraft, requirement)
-    if requirement.sector is not None:
-        return (calm,)
-    return calm, table_configuration(aircraft, requirement, _WINDY * aircraft.airspeed_m_s)
 
 
 class PredictivePlanner:
