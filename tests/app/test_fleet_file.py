@@ -94,28 +94,38 @@ def test_links_are_each_aircrafts_own_or_shared(written):
     assert {member.config.link.connections for member in members} == {("udpin://0.0.0.0:14550",)}
 
 
-@pytest.mark.parametrize(
-    ("changed", "to", "said"),
-    [
-        ("height_m = 200", "height_m = 120", "20 m apart"),
-        ('name = "south"', 'name = "north"', "given twice"),
-        ('name = "south"', 'name = "so/uth"', "aircraft.1.name"),
-        ('name = "south"', "", "aircraft.1.name"),
-        ('name = "south"', 'name = "south"\nurl = "udpin://0.0.0.0:1"', "has no link"),
-        ("radius_m = 60", "radius = 60", "unknown key aircraft.0.radius; known there: "),
-        ("radius_m = 60", "radius_m = 6000", "nearest valid value is 2000"),
-        ("radius_m = 60", "radius_m = 15", "'north': infeasible"),
-        ("range_component", "range_kompo", "aircraft.1.sensors.range_kompo"),
-        ('side = "right"', 'side = "either"', "share the sides"),
-        ("height_m = 200", 'height_above = "ground"', "all the same"),
-        ("[requirement]", "[fences]\nceiling_m = 150\n[requirement]", "above fences.ceiling_m"),
-        ("[requirement]", '[link]\nurl = "udpin://0.0.0.0:1"\n[requirement]', "give its system_id"),
-        ("[requirement]", "[[target]]\n[[target]]\n[requirement]", "give each target its own"),
-        ("[requirement]", '[[target]]\nside = "either"\n[requirement]', "target.0.side"),
-        ("[requirement]", "".join(f"[[target]]\nname = '{c}'\n" for c in "abc") + "[requirement]", "no aircraft"),
-        ('name = "south"', 'name = "south"\ntarget = "bike"', "there are target"),
-        ("[requirement]", "target = 3\n[requirement]", "target"),
+MISTAKES = {
+    'side = "right"': [('side = "either"', "share the sides")],
+    "radius_m = 60": [
+        ("radius = 60", "unknown key aircraft.0.radius; known there: "),
+        ("radius_m = 6000", "nearest valid value is 2000"),
+        ("radius_m = 15", "'north': infeasible"),
     ],
+    'name = "south"': [
+        ('name = "north"', "given twice"),
+        ('name = "so/uth"', "aircraft.1.name"),
+        ("", "aircraft.1.name"),
+        ('name = "south"\nurl = "udpin://0.0.0.0:1"', "has no link"),
+        ('name = "south"\ntarget = "bike"', "there are target"),
+    ],
+    "height_m = 200": [
+        ("height_m = 120", "20 m apart"),
+        ('height_above = "ground"', "all the same"),
+    ],
+    "range_component": [("range_kompo", "aircraft.1.sensors.range_kompo")],
+    "[requirement]": [
+        ("[fences]\nceiling_m = 150\n[requirement]", "above fences.ceiling_m"),
+        ('[link]\nurl = "udpin://0.0.0.0:1"\n[requirement]', "give its system_id"),
+        ("[[target]]\n[[target]]\n[requirement]", "give each target its own"),
+        ('[[target]]\nside = "either"\n[requirement]', "target.0.side"),
+        ("".join(f"[[target]]\nname = '{c}'\n" for c in "abc") + "[requirement]", "no aircraft"),
+        ("target = 3\n[requirement]", "target"),
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("changed", "to", "said"), [(changed, *mistake) for changed, made in MISTAKES.items() for mistake in made]
 )
 def test_a_mistake_is_one_sentence_naming_file_and_field(written, changed, to, said):
     assert changed in TWO

@@ -114,36 +114,33 @@ def test_the_side_is_asked_of_the_fleet_and_shown_once_it_is_given(view, snapsho
     assert wishes == {"plane": [], "wing": []}
 
 
-def test_one_aircraft_is_relieved_by_a_button_of_its_own(browser, snapshot):
-    panel = FleetPanel(Console(file=io.StringIO()), quiet=True)
-    with FleetView(panel, NAMES, Config(), Address(port=0)) as shown:
-        shown.requests = Requests()
-        for name in NAMES:
-            shown.of(name).begin(PLANE, lambda _wish: None)
-            shown.of(name).show(snapshot)
-        shown.pump()
-        page = browser.new_page()
-        page.goto(shown.url)
-        page.get_by_role("button", name="Relieve wing").click()
-        page.get_by_role("dialog").get_by_role("button", name="Yes").click()
-        while not shown.requests.asked:
-            shown.pump()
-        assert [name for name, _ in shown.requests.asked] == ["wing"]
-        page.close()
-
-
-def test_the_map_draws_the_others_with_their_circles(browser, snapshot):
-    panel = FleetPanel(Console(file=io.StringIO()), quiet=True)
-    with FleetView(panel, NAMES, Config(), Address(port=0)) as shown:
+@pytest.fixture
+def page(browser, view, snapshot):
+    """Return the page of a fleet in flight."""
+    shown, _ = view
+    shown.requests = Requests()
+    with shown:
         for name, one in zip(NAMES, (snapshot, beside(snapshot)), strict=True):
-            shown.of(name).begin(PLANE, lambda _wish: None)
             shown.of(name).show(one)
         shown.pump()
-        page = browser.new_page()
-        page.goto(shown.url)
-        page.locator("#map .label", has_text="wing, 100 m").wait_for()
-        assert page.locator("#map path.aircraft").count() == 2
-        assert page.locator("#map path.aircraft.other").count() == 1
-        circle = page.locator("#map circle.circle.other")
-        assert float(circle.get_attribute("r")) == pytest.approx(snapshot.present.circle.radius_m)
-        page.close()
+        opened = browser.new_page()
+        opened.goto(shown.url)
+        yield opened
+        opened.close()
+
+
+def test_one_aircraft_is_relieved_by_a_button_of_its_own(view, page):
+    shown, _ = view
+    page.get_by_role("button", name="Relieve wing").click()
+    page.get_by_role("dialog").get_by_role("button", name="Yes").click()
+    while not shown.requests.asked:
+        shown.pump()
+    assert [name for name, _ in shown.requests.asked] == ["wing"]
+
+
+def test_the_map_draws_the_others_with_their_circles(page, snapshot):
+    page.locator("#map .label", has_text="wing, 100 m").wait_for()
+    assert page.locator("#map path.aircraft").count() == 2
+    assert page.locator("#map path.aircraft.other").count() == 1
+    circle = page.locator("#map circle.circle.other")
+    assert float(circle.get_attribute("r")) == pytest.approx(snapshot.present.circle.radius_m)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import os
@@ -12,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -148,7 +150,7 @@ class Vehicle:
 
 
 class Application:
-    """``sidelong launch`` on a vehicle; stdout: where to, its log by default."""
+    """``sidelong launch`` on a vehicle; stdout: where to, its log by default. Use as ``with``: killed at its end."""
 
     def __init__(self, url, out, *options, program=(SIDELONG,), stdout=None):
         self.out = out
@@ -158,6 +160,14 @@ class Application:
         with self._log.open("w") as log:
             command = [sys.executable, "-c", MORTAL, str(LIFE_S), *program, *arguments]
             self.process = subprocess.Popen(command, stdout=stdout or log, stderr=log)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.process.poll() is None:
+            self.kill()
+        self.process.wait(10.0)
 
     @property
     def said(self):
@@ -201,14 +211,6 @@ def vehicle_of(free_port):
 
 @pytest.fixture
 def launch(tmp_path):
-    made = []
-
-    def make(url, *options):
-        made.append(Application(url, tmp_path / f"runs{len(made)}", *options))
-        return made[-1]
-
-    yield make
-    for one in made:
-        if one.process.poll() is None:
-            one.kill()
-        one.process.wait(10.0)
+    numbers = itertools.count()
+    with ExitStack() as begun:
+        yield lambda url, *options: begun.enter_context(Application(url, tmp_path / f"runs{next(numbers)}", *options))

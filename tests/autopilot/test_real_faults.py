@@ -11,9 +11,9 @@ from __future__ import annotations
 import itertools
 import os
 import signal
-import subprocess
 import sys
 import time
+from contextlib import ExitStack
 
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
@@ -22,51 +22,35 @@ from app.flight.recording import JOURNAL_TYPES
 from app.records.journal import JournalReader
 from mission.core.events import ActivatePlan, PlanStatus
 from sitl.link import LinkFaults
-from tests.autopilot.conftest import PATIENCE_S, SIDELONG, Application
-from tests.autopilot.relay import PAYLOAD, VEHICLE, Relay, packed, unchanged
-
-if not {"SIDELONG_ARDUPLANE", "SIDELONG_PX4"} & os.environ.keys():
-    pytest.skip("no SITL program is named", allow_module_level=True)
+from tests.autopilot.changing_relay import PAYLOAD, VEHICLE, ChangingRelay, packed, unchanged
+from tests.autopilot.conftest import COMMANDING, PATIENCE_S, Application
+from tests.autopilot.real_vehicle import FLAVOURS, RealVehicle, configured
+from tests.autopilot.relay import GOOD
 
 pytestmark = [pytest.mark.autopilot, pytest.mark.timeout(900)]
 
 WANDERING = (sys.executable, "-m", "tests.bench.wandering")
 SPEED = float(os.environ.get("REAL_SPEED", "3"))
-AIRCRAFT = {"arduplane": (22, 80, 60), "px4": (15, 60, 45)}  # of the stock simulators: m/s, m, degrees
 WATCHED = "watched from now on"
 GOES_ON = "the aircraft goes on circling where it is."
 NO_MORE = "commanding nothing more"
 MISSION_MODE = {"arduplane": 10, "px4": 0x04040000}
 PILOTS_MODE = {"arduplane": (12, "LOITER"), "px4": (0x03040000, "LOITER")}
-COMMANDING = {"MISSION_COUNT", "MISSION_ITEM_INT", "COMMAND_LONG", "COMMAND_INT", "MISSION_SET_CURRENT", "SET_MODE"}
-
-
-def program(flavour):
-    path = os.environ.get(f"SIDELONG_{flavour.upper()}")
-    if not path:
-        pytest.skip(f"SIDELONG_{flavour.upper()} does not name a SITL program")
-    return path
 
 
 class Flown:
     """A real autopilot with payload and target, a relay before it, and launches through that."""
 
-    def __init__(self, flavour, relay, port, folder):
+    def __init__(self, flavour, relay, folder):
         self.flavour, self.relay, self._folder = flavour, relay, folder
-        airspeed_m_s, radius_m, bank_max_deg = AIRCRAFT[flavour]
-        self._config = folder / "mission.toml"
-        self._config.write_text(
-            f"[aircraft]\nairspeed_m_s = {airspeed_m_s}\nradius_m = {radius_m}\nbank_max_deg = {bank_max_deg}\n"
-            "[requirement]\ntarget_speed_max_m_s = 4\n"
-        )
-        self._url = f"udpin://127.0.0.1:{port}"
+        self._config = configured(folder / "mission.toml", flavour, "[requirement]\ntarget_speed_max_m_s = 4\n")
         self._launches = 0
 
     def launch(self, *options, **more):
         self._launches += 1
         self.relay.change = unchanged
-        self.relay.spoil(LinkFaults())
-        return Application(self._url, self._folder / str(self._launches), str(self._config), *options, **more)
+        self.relay.spoil(GOOD)
+        return Application(self.relay.url, self._folder / str(self._launches), str(self._config), *options, **more)
 
     def wait(self, seconds):
         """Let so much of the vehicle's time go by."""
@@ -77,40 +61,20 @@ class Flown:
         return sum(self.relay.commanded[kind] for kind in COMMANDING)
 
 
-@pytest.fixture(params=["arduplane", "px4"], scope="module")
-def flown(request, free_port, tmp_path_factory):
-    flavour, folder = request.param, tmp_path_factory.mktemp(request.param)
-    options = ["--autopilot", flavour, "--binary", program(flavour), "--speed", SPEED, "--target", "circle"]
-    sitl = subprocess.Popen(
-        [SIDELONG, "sitl", *map(str, options), "--truth", folder / "truth.csv"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
-    try:
-        url, port = sitl.stdout.readline().split()[-1], free_port()
-        with Relay(url, port) as relay:
-            yield Flown(flavour, relay, port, folder)
-        sitl.send_signal(signal.SIGTERM)
-        assert sitl.wait(20.0) == 0
-    finally:
-        sitl.kill()
-        sitl.wait(10.0)
+@pytest.fixture(params=FLAVOURS, scope="module")
+def flown(request, tmp_path_factory):
+    flavour = request.param
+    with (
+        RealVehicle(flavour, "--speed", SPEED, "--target", "circle") as vehicle,
+        ChangingRelay(vehicle.urls[0]) as relay,
+    ):
+        yield Flown(flavour, relay, tmp_path_factory.mktemp(flavour))
 
 
 @pytest.fixture
 def launch(flown):
-    made = []
-
-    def make(*options, **more):
-        made.append(flown.launch(*options, **more))
-        return made[-1]
-
-    yield make
-    for one in made:
-        if one.process.poll() is None:
-            one.kill()
-        one.process.wait(10.0)
+    with ExitStack() as begun:
+        yield lambda *options, **more: begun.enter_context(flown.launch(*options, **more))
 
 
 @pytest.fixture
@@ -286,7 +250,7 @@ def test_plan_changes_over_a_slow_and_lossy_link_are_told_as_flown(flown, launch
     one.wait_for(WATCHED)
     flown.relay.spoil(LinkFaults(loss=0.05, delay_s=1.0 / SPEED))
     flown.wait(250.0)
-    flown.relay.spoil(LinkFaults())
+    flown.relay.spoil(GOOD)
     flown.wait(20.0)
     told_as_flown(one)
 

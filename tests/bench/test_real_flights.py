@@ -16,7 +16,6 @@ import json
 import math
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -33,35 +32,14 @@ from app.study.recorded import recorded_targets
 from app.study.settings import StudySettings
 from estimators.frames import LocalPlane
 from mission.core.events import ControlAcquired, PlanStatus
+from tests.autopilot.real_vehicle import FLAVOURS, ROOT, RealVehicle, configured
 
 RATE, DRAWS = float(os.environ.get("RATE", "4")), 5
 DURATION_S = float(os.environ.get("DURATION", "1200"))
 WIND_FROM_DEG = 270.0  # as the study's
 SIDE_MAX, MOVES_MAX, BAND_MIN, RANGE_MIN_M = 0.05, 1.5, 0.995, 95.0
 TARGETS = sorted(Path(os.environ.get("SIDELONG_TARGETS", "-")).glob("*.csv"))
-ROOT = Path(__file__).parents[2]
-
-
-@dataclass(frozen=True)
-class Stock:
-    """The aircraft of a stock simulator, the fastest target that it watches here, and the wind."""
-
-    airspeed_m_s: float
-    radius_m: float
-    bank_max_deg: float
-    target_speed_max_m_s: float
-    wind_m_s: float
-
-    @property
-    def configuration(self) -> str:
-        return (
-            f"[aircraft]\nairspeed_m_s = {self.airspeed_m_s}\nradius_m = {self.radius_m}\n"
-            f"bank_max_deg = {self.bank_max_deg}\n"
-            f"[requirement]\ntarget_speed_max_m_s = {self.target_speed_max_m_s}\n"
-        )
-
-
-AIRCRAFT = {"arduplane": Stock(22.0, 80.0, 60.0, 9.0, 4.0), "px4": Stock(15.0, 60.0, 45.0, 7.0, 0.0)}
+TARGET_SPEED_MAX_M_S, WIND_M_S = {"arduplane": 9.0, "px4": 7.0}, {"arduplane": 4.0, "px4": 0.0}
 
 
 @dataclass(frozen=True)
@@ -83,16 +61,15 @@ class Watched:
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda path: path.stem)
 @pytest.mark.parametrize("guidance", ["mission", "command"])
-@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+@pytest.mark.parametrize("flavour", FLAVOURS)
 def test_a_flight_is_as_its_study_foretells(flavour, guidance, target, tmp_path):
-    program = os.environ.get(f"SIDELONG_{flavour.upper()}")
-    if program is None:
-        pytest.skip(f"SIDELONG_{flavour.upper()} does not name a SITL program")
-    (tmp_path / "mission.toml").write_text(AIRCRAFT[flavour].configuration)
-    (smooth,) = recorded_targets([target], math.inf).flown
     played = tmp_path / "target.csv"
+    vehicle = RealVehicle(flavour, *simulated(flavour, played, tmp_path / "truth.csv"))
+    requirement = f"[requirement]\ntarget_speed_max_m_s = {TARGET_SPEED_MAX_M_S[flavour]}\n"
+    configured(tmp_path / "mission.toml", flavour, requirement)
+    (smooth,) = recorded_targets([target], math.inf).flown
     write_track(played, np.arange(smooth.east_m.size) * 0.5, smooth.east_m, smooth.north_m)
-    run = flown(flavour, program, guidance, played, tmp_path)
+    run = flown(vehicle, guidance, tmp_path)
     truth, records = read_truth(tmp_path / "truth.csv"), JournalReader(run / "journal.jsonl", JOURNAL_TYPES)
     log, changed_s = seen(truth, records)
     piece = tmp_path / "pieces" / f"{target.stem}.csv"
@@ -113,33 +90,26 @@ def write_track(file: Path, *columns: np.ndarray) -> None:
     np.savetxt(file, np.column_stack(columns), "%.3f", ",", header="t_s,east_m,north_m", comments="")
 
 
-def flown(flavour: str, program: str, guidance: str, target: Path, folder: Path) -> Path:
-    """Fly, and return the folder of the run; the truth is beside it."""
+def simulated(flavour: str, target: Path, truth: Path) -> list[object]:
+    """Return the options of the simulation."""
     options = {
-        "--autopilot": flavour,
-        "--binary": program,
         "--speed": RATE,
         "--target": target,
         "--target-skip": 0,
-        "--target-speed": AIRCRAFT[flavour].target_speed_max_m_s,
-        "--wind-speed": AIRCRAFT[flavour].wind_m_s,
+        "--target-speed": TARGET_SPEED_MAX_M_S[flavour],
+        "--wind-speed": WIND_M_S[flavour],
         "--wind-from-deg": WIND_FROM_DEG,
-        "--truth": folder / "truth.csv",
+        "--truth": truth,
     }
-    words = [str(word) for option in options.items() for word in option]
-    sitl = subprocess.Popen(
-        [sys.executable, "-m", "sitl", *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=ROOT
-    )
-    try:
-        url = sitl.stdout.readline().split()[-1]
-        command = [sys.executable, "-m", "app", "launch", folder / "mission.toml", "--connect", url]
+    return [word for option in options.items() for word in option]
+
+
+def flown(vehicle: RealVehicle, guidance: str, folder: Path) -> Path:
+    """Fly, and return the folder of the run."""
+    with vehicle, (folder / "said.txt").open("w") as said:
+        command = [sys.executable, "-m", "app", "launch", folder / "mission.toml", "--connect", vehicle.urls[0]]
         command += ["--guidance", guidance, "--duration", DURATION_S, "--out", folder / "runs"]
-        with (folder / "said.txt").open("w") as said:
-            done = subprocess.run(list(map(str, command)), stdout=said, stderr=said, cwd=ROOT, check=False)
-        sitl.send_signal(signal.SIGTERM)
-        sitl.wait(20.0)
-    finally:
-        sitl.kill()
+        done = subprocess.run(list(map(str, command)), stdout=said, stderr=said, cwd=ROOT, check=False)
     assert done.returncode == 0, (folder / "said.txt").read_text()[-2000:]
     (run,) = (folder / "runs").iterdir()
     assert json.loads((run / "summary.json").read_text())["outcome"] == "completed"
@@ -186,7 +156,7 @@ def studied(flavour: str, folder: Path) -> Watched:
         "--autopilot",
         flavour,
         "--wind",
-        AIRCRAFT[flavour].wind_m_s,
+        WIND_M_S[flavour],
         "--noise-draws",
         DRAWS,
     ]

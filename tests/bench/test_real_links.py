@@ -23,7 +23,8 @@ from app.flight.recording import JOURNAL_TYPES
 from app.records.journal import JournalReader
 from mission.core.events import ActivatePlan, PlanStatus, UploadPlan, Yield
 from sitl.link import LinkFaults
-from tests.bench.real_vehicle import FLAVOURS, ROOT, RealVehicle, Relay, configured
+from tests.autopilot.real_vehicle import FLAVOURS, ROOT, RealVehicle, configured
+from tests.autopilot.relay import GOOD, Relay
 from tests.bench.test_restart import AGAIN_MAX_S, RESTARTS, watching
 
 SPEED, CUTS = int(os.environ.get("SPEED", "4")), int(os.environ.get("CUTS", "50"))
@@ -44,9 +45,9 @@ def test_signed_as_unsigned(tmp_path, flavour):
             if demand:
                 print(f"\n{flavour:9} {signed_up(key)}")
             vehicle = open_links.enter_context(RealVehicle(flavour, "--speed", SPEED, *demand))
-            first = relay = open_links.enter_context(Relay(vehicle.urls[0], LinkFaults()))
+            first = relay = open_links.enter_context(Relay(vehicle.urls[0]))
             if flavour == "arduplane":  # it takes what is unsigned on its first port, whatever its key
-                relay = open_links.enter_context(Relay(vehicle.urls[1], LinkFaults()))
+                relay = open_links.enter_context(Relay(vehicle.urls[1]))
             launch = ["--connect", relay.url]
             if demand:
                 given, taken, again = (signed_up(key, first.url, *more) for more in ((), ("--remove",), ()))
@@ -136,7 +137,7 @@ def test_restart_over_a_slow_radio(tmp_path, flavour):
 def test_a_whole_flight_over_a_slow_radio(tmp_path, flavour):
     flights, sides = {}, {}
     with ExitStack() as open_links:
-        for name, faults, more in (("good", LinkFaults(), ""), ("radio", RADIO, FEW)):
+        for name, faults, more in (("good", GOOD, ""), ("radio", RADIO, FEW)):
             vehicle = open_links.enter_context(RealVehicle(flavour))
             relay = open_links.enter_context(Relay(vehicle.urls[0], faults))
             launch = ["--connect", relay.url]
@@ -156,8 +157,8 @@ def test_one_of_two_links_is_cut(tmp_path, flavour):
     out = tmp_path / "runs"
     with (
         RealVehicle(flavour) as vehicle,
-        Relay(vehicle.urls[0], LinkFaults()) as first,
-        Relay(vehicle.urls[1], LinkFaults(), seed=2) as second,
+        Relay(vehicle.urls[0]) as first,
+        Relay(vehicle.urls[1], seed=2) as second,
     ):
         command = [sys.executable, "-u", "-m", "app", "launch", config, "--out", out]
         command += ["--connect", first.url, "--connect", second.url]

@@ -21,7 +21,7 @@ from app.flight.recording import JOURNAL_TYPES
 from app.records.journal import JournalReader
 from app.terrain.elevation_data import elevation_data
 from mission.core.events import ControlAcquired
-from tests.bench.real_vehicle import FLAVOURS, ROOT, RealVehicle, configured
+from tests.autopilot.real_vehicle import FLAVOURS, ROOT, RealVehicle, configured
 
 HOME_DEG = (36.59, -84.24)
 SPEED, DURATION_S = int(os.environ.get("SPEED", "4")), int(os.environ.get("DURATION_S", "1200"))
