@@ -32,6 +32,7 @@ table { border-collapse: collapse; font-size: .9rem; }
 td, th { text-align: left; padding: .15rem .9rem .15rem 0; vertical-align: top;
   border-bottom: 1px solid var(--line); }
 td:first-child { font-variant-numeric: tabular-nums; white-space: nowrap; }
+[aria-label="Designs"] td { white-space: nowrap; }
 summary { cursor: pointer; font-weight: 600; margin-top: 1.5rem; }
 figure { margin: 0; break-inside: avoid; }
 .wide { overflow-x: auto; }
@@ -81,8 +82,11 @@ def tiles(results: Iterable[tuple[str, str]]) -> str:
 
 
 def table(headings: Iterable[str], rows: Iterable[Iterable[str]], about: str) -> str:
-    """Return a table of plain words, that scrolls by itself where it is too wide; ``about`` says what is in it."""
-    head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
+    """Return a table of plain words, that scrolls by itself where it is too wide; ``about`` says what is in it.
+
+    Headings that are keys of a configuration may break at their dots.
+    """
+    head = "".join(f"<th>{escape(heading).replace('.', '.<wbr>')}</th>" for heading in headings)
     body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
     return _wide(f"<table><tr>{head}</tr>{body}</table>", about)
 
