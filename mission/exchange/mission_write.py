@@ -157,6 +157,9 @@ class MissionWrite:
             self._phase = _Phase.SENDING
             if not self._at_once:
                 self._say()
+        elif repeated and not self._overtaken and report.link_s - self._said_s >= self._again_s:
+            self.has_lost = True
+            self._say()  # what came behind the item that was lost was left alone
         elif repeated or self._overtaken:
             self._outbox.send_item(report.seq, self.items[report.seq], report.seq == self._marked())
 

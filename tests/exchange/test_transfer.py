@@ -238,6 +238,20 @@ def test_a_vehicle_that_asks_for_items_still_has_not_acknowledged_them():
     assert sent == [seq for seq in range(4, COUNT) for _ in range(2)]  # one was lost: from now on each twice
 
 
+def test_all_behind_an_item_that_is_asked_for_again_is_sent_again():
+    """PX4 leaves alone what comes behind a lost item, and asks for that one every 0.25 s."""
+    outbox = Outbox(0.0, 0.0)
+    upload = MissionWrite(outbox, QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0)
+    for time_s, seq in ((0.1, 0), (0.2, 1), (0.2, 2), (0.2, 3)):
+        upload.receive(MissionItemRequested(0.0, time_s, seq))
+    outbox.begin(0.0, 0.4)
+    for at_once in (True, False):  # a request that was doubled on its way costs no more than the item
+        outbox.sent.clear()
+        upload.receive(MissionItemRequested(0.0, 0.4, 3))
+        sent = [one.fields["seq"] for one in outbox.sent]
+        assert sent == ([seq for seq in range(3, COUNT) for _ in range(2)] if at_once else [3])
+
+
 def test_an_acknowledgement_is_of_all_items_where_their_last_requests_were_lost():
     upload = MissionWrite(Outbox(0.0, 0.0), QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0, {77})
     upload.receive(MissionItemRequested(0.0, 0.2, COUNT - 3))
