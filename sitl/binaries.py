@@ -58,6 +58,7 @@ def run_binaries(
                     companion,
                     url,
                     key=key,
+                    straight_to=binary.run.signed_payload if key is not None else None,
                     on_ready=lambda vehicle_id: ready(vehicle_id, url),
                     on_wait=waits,
                     stopped=lambda: stopped() or binary.ended or bool(failed),
@@ -83,7 +84,10 @@ def run_binaries(
 
 def _tell_how_to_fly(running: Sequence[Binary], settings: Sequence[Settings]) -> None:
     if len(running) == 1:
-        print(f"fly it by: sidelong launch --connect {running[0].run.url}", flush=True)
+        run, urls = running[0].run, []
+        if settings[0].signing_key is not None and run.signed_payload is not None:
+            urls.append("udpin://{}:{}".format(*run.signed_payload))
+        print("fly it by: sidelong launch", *(f"--connect {url}" for url in (*urls, run.url)), flush=True)
         return
     print("fly them by a fleet file with")
     for number, (binary, own) in enumerate(zip(running, settings, strict=True), 1):

@@ -19,6 +19,7 @@ _STOP_S = 5.0
 _INSTANCES = 10
 _HEADING_DEG = 353
 _ARDUPLANE_TCP, _PX4_GROUND_UDP, _PX4_OFFBOARD_UDP = 5760, 18570, 14540
+_PX4_SIGNED_PAYLOAD_UDP = 14640
 _LAST_WORDS = 400
 _CALM = Wind()
 
@@ -29,13 +30,18 @@ class BinaryError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """How an instance is started, and where it is then met by the application and by the payload."""
+    """How an instance is started, and where it is then met by the application and by the payload.
+
+    signed_payload: a UDP address at which the application meets a signing payload, where the autopilot forwards it
+    without a valid signature; None where it does not.
+    """
 
     command: list[str]
     environment: dict[str, str]
     url: str
     payload_url: str
     system_id: int
+    signed_payload: tuple[str, int] | None = None
 
 
 def run_of(
@@ -83,6 +89,7 @@ def run_of(
         f"udpin://127.0.0.1:{_PX4_OFFBOARD_UDP + instance}",
         f"udpout://127.0.0.1:{_PX4_GROUND_UDP + instance}",
         instance + 1,
+        ("127.0.0.1", _PX4_SIGNED_PAYLOAD_UDP + instance),
     )
 
 

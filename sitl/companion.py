@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import os
+import socket
 import time
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import ExitStack, closing, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +127,7 @@ def accompany(
     url: str,
     *,
     key: bytes | None = None,
+    straight_to: tuple[str, int] | None = None,
     on_ready: Callable[[int], None] = lambda _vehicle_id: None,
     on_wait: Callable[[str], None] = lambda _reason: None,
     stopped: Callable[[], bool] = lambda: False,
@@ -132,9 +135,9 @@ def accompany(
     """Join the vehicle at ``url`` as component 154 of its system until ``stopped``.
 
     url: tcpout://HOST:PORT, udpin://HOST:PORT or udpout://HOST:PORT. key: of the vehicle's signing, if it demands
-    that. A vehicle that is not there yet, or goes, is waited for: on_wait then hears once why, on_ready whenever it
-    has been joined. Raises CompanionError for a URL that can never be reached, and where several vehicles are heard
-    and none is named.
+    that. straight_to: a UDP address that every frame is sent to as well. A vehicle that is not there yet, or goes, is
+    waited for: on_wait then hears once why, on_ready whenever it has been joined. Raises CompanionError for a URL
+    that can never be reached, and where several vehicles are heard and none is named.
     """
     scheme, _, address = url.partition("://")
     if scheme not in _SCHEMES or not address.rpartition(":")[2].isdigit():
@@ -142,10 +145,14 @@ def accompany(
     told = False
     while not stopped():
         try:
-            with closing(_connected(scheme, address)) as link:
+            with ExitStack() as stack:
+                link = stack.enter_context(closing(_connected(scheme, address)))
                 told = False
                 if key is not None:
                     link.setup_signing(key, allow_unsigned_callback=lambda _mav, _message_id: False, link_id=1)
+                if straight_to is not None:
+                    straight = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+                    link.mav.set_send_callback(partial(_send_straight, straight, straight_to))
                 _converse(companion, link, on_ready, stopped)
         except (ConnectionError, TimeoutError) as error:
             if not told:
@@ -204,6 +211,11 @@ def _send(link: Any, message: Any) -> None:
     if signing.sign_outgoing:  # pymavlink counts frames only: a minute behind the clock, they would be too old
         signing.timestamp = max(signing.timestamp, signing_time(time.time()))
     link.mav.send(message)
+
+
+def _send_straight(udp: socket.socket, address: tuple[str, int], message: Any) -> None:
+    with suppress(ConnectionError):  # nobody listens there yet, or any more
+        udp.sendto(message.get_msgbuf(), address)
 
 
 def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:

@@ -8,7 +8,8 @@ other. So that nothing is heard twice and the vehicle never seems to go back in 
   only once that link has caught up;
 - answers, and what other components send, are passed on from any link, the copies of the others are not.
 
-The link in use is left when it is silent, or clearly worse than another for some seconds. Pure: time is an argument.
+The link in use is left when it is silent, or clearly worse than another for some seconds. One that brings nothing of
+the autopilot's, as from a payload with a link of its own, is never used. Pure: time is an argument.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ class LinkMerger:
         self.in_use = 0
         self._links = links
         self._caught_up = True
-        self._begun = False
+        self._leads_to_autopilot: set[int] = set()
         self._worse_since_s: float | None = None
         self._newest: dict[tuple[tuple[int, int], int], tuple[float, int]] = {}
         self._newest_of_link_s: dict[tuple[int, tuple[int, int], int], float] = {}
@@ -99,8 +100,10 @@ class LinkMerger:
         """Tell whether a frame that came on ``link`` is to be passed on."""
         if self._links == 1:
             return True
-        if not self._begun:
-            self._begun, self.in_use = True, link
+        if frame.component_id == AUTOPILOT_COMPONENT:
+            if not self._leads_to_autopilot:
+                self.in_use = link
+            self._leads_to_autopilot.add(link)
         stamp_s = time_of(frame)
         if frame.component_id != AUTOPILOT_COMPONENT or frame.message_id in _ANSWERS:
             window_s = _COPY_WITHIN_S if stamp_s is None else _TIMED_COPY_WITHIN_S
@@ -137,7 +140,7 @@ class LinkMerger:
 
     def choose(self, measured: Sequence[Measured], now_s: float) -> bool:
         """Change the link in use where another is better; tell whether it was changed."""
-        others = [i for i in range(self._links) if i != self.in_use and measured[i].silent_s < _FRESH_S]
+        others = [i for i in self._leads_to_autopilot - {self.in_use} if measured[i].silent_s < _FRESH_S]
         if not others:
             self._worse_since_s = None
             return False

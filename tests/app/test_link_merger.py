@@ -74,6 +74,7 @@ def test_after_a_change_a_slow_link_is_believed_once_it_has_caught_up():
     merger, first, second = LinkMerger(2), Sender(), Sender()
     for time_s in (1.0, 1.1, 1.2):
         assert merger.passes(0, first(position(time_s)), time_s)
+    merger.passes(1, second(position(1.05)), 1.3)
     silent, good = measured(silent_s=1.5), measured()
     assert merger.choose([silent, good], 2.8)
     assert merger.in_use == 1
@@ -139,9 +140,19 @@ def measured(silent_s=0.05, loss=0.0, round_trip_s=0.1, received_bytes_s=2000.0)
 )
 def test_the_link_in_use_is_left_when_it_is_silent_or_clearly_worse(present, other, changes_after_s):
     merger, now_s = LinkMerger(2), 100.0
+    for link in range(2):
+        merger.passes(link, Sender()(mode(10)), now_s)
     while not merger.choose([present, other], now_s) and now_s < 120.0:
         now_s += 0.1
     assert (None if now_s >= 120.0 else round(now_s - 100.0, 0)) == changes_after_s
+
+
+def test_a_payload_s_own_link_is_not_spoken_on():
+    merger, payload, vehicle = LinkMerger(2), Sender(154), Sender()
+    assert merger.passes(1, payload(laser(1.0)), 1.0)
+    assert merger.passes(0, vehicle(mode(10)), 1.1)
+    assert merger.in_use == 0
+    assert not merger.choose([measured(silent_s=1.5), measured()], 2.6)
 
 
 def test_every_message_with_a_time_tells_it():

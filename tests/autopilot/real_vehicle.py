@@ -20,7 +20,8 @@ _ENDS_WITHIN_S = 20.0
 class RealVehicle:
     """The program that SIDELONG_ARDUPLANE or SIDELONG_PX4 names; skips where none is named. Use as ``with``.
 
-    ``urls``: of its first and its second link, as the program serves them.
+    ``urls``: of its first and its second link, as the program serves them; ``payload_urls``: of a payload that has to
+    be met by itself.
     """
 
     def __init__(self, flavour: str, *options: object) -> None:
@@ -35,7 +36,7 @@ class RealVehicle:
             self._command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=ROOT
         )
         assert self._sitl.stdout is not None
-        first = self._sitl.stdout.readline().split()[-1]
+        *self.payload_urls, first = (word for word in self._sitl.stdout.readline().split() if "://" in word)
         host, _, port = first.rpartition(":")
         self.urls = [first, f"{host}:{int(port) + self._second_port}"]
         return self

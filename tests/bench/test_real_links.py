@@ -48,7 +48,7 @@ def test_signed_as_unsigned(tmp_path, flavour):
             first = relay = open_links.enter_context(Relay(vehicle.urls[0]))
             if flavour == "arduplane":  # it takes what is unsigned on its first port, whatever its key
                 relay = open_links.enter_context(Relay(vehicle.urls[1]))
-            launch = ["--connect", relay.url]
+            launch = [part for url in (relay.url, *vehicle.payload_urls) for part in ("--connect", url)]
             if demand:
                 given, taken, again = (signed_up(key, first.url, *more) for more in ((), ("--remove",), ()))
                 print(given, taken, again)

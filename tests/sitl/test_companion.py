@@ -151,6 +151,14 @@ def test_it_signs_from_the_first_frame_to_the_last(monkeypatch):
     assert frame[2] == mavlink.MAVLINK_IFLAG_SIGNED
 
 
+def test_its_frames_go_straight_to_the_application_too():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as application:
+        application.bind(("127.0.0.1", 0))
+        application.settimeout(5.0)
+        with met_by_udp(straight_to=application.getsockname()):
+            assert any(application.recv(4096)[5:7] == b"\x07\x9a" for _ in range(100))
+
+
 def test_its_signatures_follow_the_clock(monkeypatch):
     """They passed for too old a minute after it had begun."""
     mav, begun_s = mavlink.MAVLink(io.BytesIO(), 1, 154), 1.8e9
