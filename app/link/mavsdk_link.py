@@ -39,6 +39,7 @@ from app.link.url import checked_url
 
 _ASK_DELAY_S = 1.0
 _PENDING_AT_CLOSE_S, _DESTROY_S = 8.0, 5.0
+_WRONG_TYPE = {"WRONG_TYPE", "TYPE_MISMATCH"}  # by what MAVSDK knows, and by what PX4 answers
 
 OWN_SYSTEM_ID = 245
 """MAVLink system id that this program speaks as."""
@@ -187,7 +188,7 @@ class MavsdkLink:
             try:
                 return float(await self._bounded(read(name), timeout_s))
             except ParamError as error:
-                if error.result.name != "WRONG_TYPE":
+                if error.result.name not in _WRONG_TYPE:
                     return None
             except TimeoutError:
                 return None
@@ -199,7 +200,7 @@ class MavsdkLink:
                 await self._bounded(write(name, typed(value)), timeout_s)
                 return True
             except ParamError as error:
-                if error.result.name != "WRONG_TYPE":
+                if error.result.name not in _WRONG_TYPE:
                     return False
             except TimeoutError:
                 return False

@@ -19,6 +19,8 @@ REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 
 def snapshot(time_s: float, aircraft_m: tuple[float, float, float], target_m: tuple[float, float]) -> SimpleNamespace:
     return SimpleNamespace(
+        target="",
+        turn_payload=False,
         requirement=REQUIREMENT,
         aircraft=SimpleNamespace(east_m=aircraft_m[0], north_m=aircraft_m[1]),
         sensor_status=SimpleNamespace(height_m=aircraft_m[2]),
