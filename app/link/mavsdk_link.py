@@ -1,11 +1,14 @@
 """The link on MAVSDK 4, with its traps handled here and nowhere else.
 
 MAVSDK's blocking calls run in its own threads, cannot be cancelled, and hang ``destroy()`` while pending; using a
-destroyed object crashes the process; an ``async for`` over a subscription never ends by itself. Therefore:
+destroyed object crashes the process; an ``async for`` over a subscription never ends by itself, and unsubscribes in
+the loop's own thread when it is cancelled. Therefore:
 
 - every blocking call goes through ``_bounded``: own timeout, remembered while it is pending;
-- ``close`` sets a flag first, waits for what is pending, and destroys last, all of it within a bound; if something
-  stays stuck, it leaves the instance alone, and ``app.shutdown`` ends the process in spite of it.
+- messages come by the subscription beneath the wrapper's;
+- ``close`` sets a flag first, waits for what is pending, and destroys last, which unsubscribes, all of it in threads
+  and within a bound; if something stays stuck, it leaves the instance alone, and ``app.shutdown`` ends the process in
+  spite of it.
 """
 
 from __future__ import annotations
@@ -38,7 +41,7 @@ from app.link.transport import Transport
 from app.link.url import checked_url
 
 _ASK_DELAY_S = 1.0
-_PENDING_AT_CLOSE_S, _DESTROY_S = 8.0, 5.0
+_PENDING_AT_CLOSE_S, _STEP_OF_CLOSE_S = 8.0, 5.0
 _WRONG_TYPE = {"WRONG_TYPE", "TYPE_MISMATCH"}  # by what MAVSDK knows, and by what PX4 answers
 
 OWN_SYSTEM_ID = 245
@@ -66,8 +69,15 @@ class MavsdkLink:
         self._param = ParamAsync(system)
         self._closed = False
         self._pending: set[asyncio.Future[Any]] = set()
-        self._queue: asyncio.Queue[Message | None] = asyncio.Queue()
-        self._tasks = [asyncio.create_task(self._receive())]
+        self._queue: asyncio.Queue[MavlinkMessage | None] = asyncio.Queue()
+        self._asking: asyncio.Task[None] | None = None
+        loop = asyncio.get_running_loop()
+
+        def heard(raw: MavlinkMessage, _nothing: object) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended, and nobody listens
+                loop.call_soon_threadsafe(self._queue.put_nowait, raw)
+
+        self._direct._plugin.subscribe_message("", heard)
 
     @classmethod
     async def open(
@@ -95,7 +105,6 @@ class MavsdkLink:
         mavsdk_log.silence()
         instance = Mavsdk(Configuration.create_manual(*own, True))
         ours = contextlib.ExitStack()  # transports of our own
-        link: MavsdkLink | None = None
         try:
             raw, meter = None, LinkMeter(urls[0], own)
             if key_file is None and len(urls) == 1 and open_transport is None:
@@ -116,10 +125,7 @@ class MavsdkLink:
                 heard_since_s = link._measured.heard_since_s
                 await check_alone(instance, where, (heard_since_s or time.monotonic()) + settling_s)
         except BaseException:
-            if link is not None:
-                await link._end_tasks()
-            await asyncio.to_thread(ours.close)  # before the instance goes: they call it
-            await _destroy(instance)
+            await _ended(instance, ours)
             raise
         if raw is None and on_frame is not None:
             # MAVSDK sends a message for a system only where it has heard that system: let it be heard on the
@@ -129,7 +135,7 @@ class MavsdkLink:
             instance._mavsdk.pass_received_raw_bytes(heard)
         if meter.vehicle_signs:
             on_trouble("the vehicle signs what it says: without --signing-key it may not hear us")
-        link._tasks.append(asyncio.create_task(link._ask_delay()))
+        link._asking = asyncio.create_task(link._ask_delay())
         return link
 
     def reports(self) -> tuple[LinkReport, ...]:
@@ -148,25 +154,16 @@ class MavsdkLink:
 
     # -- messages ------------------------------------------------------------------------------------------
 
-    async def _receive(self) -> None:
-        async for raw in self._direct.subscribe_message(""):
-            message = Message(
-                raw.message_name,
-                raw.system_id,
-                raw.component_id,
-                plain_fields(json.loads(raw.fields_json)),
-                time.time(),
-            )
+    async def messages(self) -> AsyncIterator[Message]:
+        while (raw := await self._queue.get()) is not None:
+            fields = plain_fields(json.loads(raw.fields_json))
+            message = Message(raw.message_name, raw.system_id, raw.component_id, fields, time.time())
             if isinstance(self._measured, LinkMeter):
                 self._measured.message(message)
-            self._queue.put_nowait(message)
+            yield message
             # A full queue never waits: messages that come faster than they are handled would shut out all else, an
             # interrupt too.
             await asyncio.sleep(0)
-
-    async def messages(self) -> AsyncIterator[Message]:
-        while (message := await self._queue.get()) is not None:
-            yield message
 
     async def send(self, name: str, fields: Mapping[str, Any]) -> None:
         message = MavlinkMessage(
@@ -228,20 +225,13 @@ class MavsdkLink:
         if self._closed:
             return
         self._closed = True
-        for task in self._tasks:
-            task.cancel()
         self._queue.put_nowait(None)
+        if self._asking is not None:
+            self._asking.cancel()
         if self._pending:
             await asyncio.wait(self._pending, timeout=_PENDING_AT_CLOSE_S)
         if not self._pending:
-            await self._end_tasks()
-            await asyncio.to_thread(self._ours.close)
-            await _destroy(self._instance)
-
-    async def _end_tasks(self) -> None:
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+            await _ended(self._instance, self._ours)
 
 
 def _both(on_frame: FrameListener | None, measure: FrameListener) -> FrameListener | None:
@@ -279,8 +269,13 @@ def _unheard(urls: Sequence[str], timeout_s: float, reports: Sequence[LinkReport
     return f"{what}: no autopilot was heard within {timeout_s:g} s; check that it runs and sends MAVLink there."
 
 
-async def _destroy(instance: Mavsdk) -> None:
-    await asyncio.wait((asyncio.ensure_future(asyncio.to_thread(instance.destroy)),), timeout=_DESTROY_S)
+async def _ended(instance: Mavsdk, ours: contextlib.ExitStack) -> None:
+    """End the transports, which call the instance, and then that; what hangs is left alone."""
+    for end in (ours.close, instance.destroy):
+        ending = asyncio.ensure_future(asyncio.to_thread(end))
+        _, hanging = await asyncio.wait((ending,), timeout=_STEP_OF_CLOSE_S)
+        if hanging:
+            return
 
 
 def _json_number(value: Any) -> Any:

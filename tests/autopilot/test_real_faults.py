@@ -121,6 +121,19 @@ def test_a_second_vehicle_with_the_same_id_is_told_before_anything_is_armed(flow
 # -- in flight -----------------------------------------------------------------------------------------------
 
 
+def test_a_signal_in_the_climb_lets_it_fly_to_its_first_circle(flown, launch):
+    one = launch()
+    one.wait_for("taking off")
+    flown.wait(8.0)
+    summary = one.end(signal.SIGINT)
+    assert one.process.returncode == 130
+    assert "interrupted by SIGINT: the aircraft flies to its first circle and stays on it." in one.said
+    assert summary["outcome"] == "interrupted"
+    flown.wait(60.0)
+    assert flown.relay.armed
+    assert flown.relay.mode == MISSION_MODE[flown.flavour]
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_leaves_it_circling_and_says_so(flown, launch, number):
     one = launch()
