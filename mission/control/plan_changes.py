@@ -1,8 +1,9 @@
 """The plan that is flown, and the one on its way to the autopilot.
 
 At most one is under way. It is uploaded (the autopilot holds it, still flying the line before), then activated at its
-planned time; one that got ready too late to be joined is dropped. Until it is known whether an activated plan is
-flown it stays under way, and that it is may be known late.
+planned time; one that got ready too late to be joined is dropped. Where only a command makes it depart, that is sent
+as much earlier as commands take to be obeyed. Until it is known whether an activated plan is flown it stays under
+way, and that it is may be known late.
 
 What is sent is the wanted circle with the radius that makes the autopilot fly it.
 """
@@ -41,6 +42,8 @@ class PlanChange:
     commanded: Circle
     since_s: float
     stage: Literal["preparing", "ready", "departing"] = "preparing"
+    by_command: bool = False  # nothing of it is on board: it departs when one command is obeyed
+    activated_s: float = math.inf
 
 
 class PlanChanges:
@@ -85,19 +88,22 @@ class PlanChanges:
     def activate_due(self, now_s: float, *, watching: bool) -> tuple[Command, ...]:
         """Activate the plan that is ready, when its time has come."""
         change = self.under_way
-        if change is None or change.stage != "ready" or now_s < change.plan.departure_s:
+        if change is None or change.stage != "ready":
+            return ()
+        due_s = change.plan.departure_s - (self._latency.command_s if change.by_command else 0.0)
+        if now_s < due_s:
             return ()
         if not watching:
             self.under_way = None
             return ()
-        late_s = now_s - change.plan.departure_s
+        late_s = now_s - due_s
         if self._door.faulty and late_s <= _LATE_S:
             return ()
         if self._door.doubt is not None or late_s > _LATE_S:
             self.under_way = None
             why = self._door.doubt or f"its time was {late_s:.1f} s ago"
             return (Announce(now_s, "plan", f"plan {change.number} does not depart: {why}"),)
-        change.stage = "departing"
+        change.stage, change.activated_s = "departing", now_s
         return (ActivatePlan(now_s, change.number),)
 
     def report(
@@ -118,7 +124,9 @@ class PlanChanges:
             case "failed":
                 return self._failed(change, event)
             case "ready":
-                self._latency.note(event.time_s - change.since_s)
+                change.by_command = event.by_command
+                if not event.by_command:
+                    self._latency.note(event.time_s - change.since_s)
                 late_s = event.time_s - change.plan.departure_s
                 if late_s > 0.0 and not _can_still_join(aircraft, change.plan, late_s):
                     self.under_way = None
@@ -126,15 +134,18 @@ class PlanChanges:
                     return (Announce(event.time_s, "plan", text),)
                 change.stage = "ready"
                 return self.activate_due(now_s, watching=watching)
+        if change.by_command:
+            self._latency.note(event.time_s - change.activated_s, by_command=True)
         self._departed(change, event.time_s)
         return ()
 
     def _failed(self, change: PlanChange, event: PlanStatus) -> tuple[Command, ...]:
-        took_s = event.time_s - change.since_s
         if change.stage == "departing":
             self._not_taken = change
-        elif change.stage == "preparing" and took_s > self._latency.expected_s:
-            self._latency.note(took_s)
+        took_s = event.time_s - (change.activated_s if change.by_command else change.since_s)
+        awaited = change.by_command or change.stage == "preparing"
+        if awaited and took_s > self._latency.expected_s:
+            self._latency.note(took_s, by_command=change.by_command)
         self.under_way = None
         self.failures += 1
         return (Announce(event.time_s, "plan", f"plan {event.number} was not taken: {event.detail}"),)

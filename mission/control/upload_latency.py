@@ -1,25 +1,34 @@
-"""How long the next upload is expected to take."""
+"""How long the next plan is expected to take from its decision until it is flown: uploaded, or commanded."""
 
 from __future__ import annotations
 
 from collections import deque
 
-# The longest of so many uploads but one, once there are three: one that hung says nothing of the next. Each took as
-# many round trips as the next will take, at least two of them: the announcement's and the items'.
-_UPLOADS, _MARGIN_S = 5, 0.1
-_ROUND_TRIPS = 2.0
+# The longest of so many plans but one, once there are three: one that hung says nothing of the next. Each took as
+# many round trips as the next will take: an upload at least two, the announcement's and the items', a command one.
+_PLANS, _MARGIN_S = 5, 0.1
+_UPLOAD_ROUND_TRIPS, _COMMAND_ROUND_TRIPS = 2.0, 1.0
 
 
 class UploadLatency:
-    """expected_s: of the next upload, on the vehicle's clock; as it is given until one was measured."""
+    """expected_s: of the next plan, on the vehicle's clock; as it is given until one was measured.
+
+    command_s: from a command that is sent until it is obeyed, as a rule; 0 before one was measured.
+    """
 
     def __init__(self, expected_s: float) -> None:
         self.expected_s = self._given_s = expected_s
+        self.command_s = 0.0
+        self._by_command = False
         self._round_trip_s: float | None = None  # of the link, now
-        self._took_s: deque[tuple[float, float | None]] = deque([(expected_s, None)], _UPLOADS)
+        self._took_s: deque[tuple[float, float | None]] = deque([(expected_s, None)], _PLANS)
 
-    def note(self, took_s: float) -> None:
-        """Take how long an upload took; of one that was given up too, which would have taken longer."""
+    def note(self, took_s: float, *, by_command: bool = False) -> None:
+        """Take how long a plan took; of one that was given up too, which would have taken longer.
+
+        by_command: it was not uploaded, but flown as soon as one command was obeyed.
+        """
+        self._by_command = by_command
         self._took_s.append((took_s, self._round_trip_s))
         self._expect()
 
@@ -30,13 +39,16 @@ class UploadLatency:
 
     def _expect(self) -> None:
         now_s = self._round_trip_s
+        round_trips = _COMMAND_ROUND_TRIPS if self._by_command else _UPLOAD_ROUND_TRIPS
+        min_s = 0.0 if now_s is None else round_trips * now_s
         expected = sorted(
-            took_s if now_s is None or then_s is None else took_s + _ROUND_TRIPS * (now_s - then_s)
+            took_s if now_s is None or then_s is None else took_s + round_trips * (now_s - then_s)
             for took_s, then_s in self._took_s
         )
-        if len(self._took_s) > 1:
+        if len(expected) > 1:
             self.expected_s = expected[-2 if len(expected) > 2 else -1] + _MARGIN_S
         else:
             self.expected_s = self._given_s
-        if now_s is not None:
-            self.expected_s = max(self.expected_s, _ROUND_TRIPS * now_s)
+        self.expected_s = max(self.expected_s, min_s)
+        if self._by_command:
+            self.command_s = max(expected[(len(expected) - 1) // 2], min_s)

@@ -78,12 +78,14 @@ class PlanStatus:
     ready: it holds the plan and still flies the line before it. departed: it flies the plan. failed: it does
     neither, and flies the line before it. unconfirmed: it was told to fly the plan and has not said what it flies;
     departed or failed follows. A departure that failed may still be followed by departed.
+    by_command: of ready, nothing had to be brought to the autopilot: departed will tell that a command was obeyed.
     """
 
     time_s: float
     number: int
     stage: Literal["ready", "departed", "failed", "unconfirmed"]
     detail: str = ""
+    by_command: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -75,7 +75,7 @@ class OrbitCommandBackend:
     def upload(self, command: UploadPlan) -> None:
         """Bring a plan to the autopilot without flying it yet."""
         self._plan = command
-        self._tell(command.number, "ready")
+        self._outbox.report(PlanStatus(self._outbox.time_s, command.number, "ready", by_command=True))
 
     def activate(self, command: ActivatePlan) -> None:
         """Fly a plan now."""

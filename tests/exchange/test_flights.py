@@ -146,6 +146,23 @@ def store(mission, items):
     mission.finish()
 
 
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_a_plan_by_command_counts_with_the_links_delay_and_is_obeyed_at_its_time(in_the_air, flavour):
+    flight = in_the_air(flavour, guidance="command", faults=LinkFaults(delay_s=0.5))
+    late_s: dict[int, float] = {}  # by the number of the plan
+
+    def arrived(name, fields):
+        change = flight.core.controller.changes.under_way
+        if name == "COMMAND_INT" and change is not None and change.stage == "departing":
+            late_s.setdefault(change.number, flight.simulation.time_s - change.plan.departure_s)
+
+    flight.arrived = arrived
+    flight.run(90.0)
+    assert len(late_s) >= 4
+    assert 1.0 <= flight.core.snapshot().latency_s < 1.4
+    assert max(abs(one) for one in list(late_s.values())[1:]) < 0.3  # before the first nothing was measured
+
+
 @pytest.mark.parametrize(("flavour", "guidance"), [("arduplane", "mission"), ("px4", "mission"), ("px4", "command")])
 def test_another_mode_is_somebody_else(in_the_air, flavour, guidance):
     flight = in_the_air(flavour, faults=BAD, guidance=guidance)
