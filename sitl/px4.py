@@ -145,9 +145,9 @@ class Px4(Autopilot):
 
     def _on_set_mode(self, command: Command) -> int:
         wanted = self.mode_of_command(int(command.number(1)), int(command.number(2)), int(command.number(3)))
-        if wanted == Mode.MISSION and self._refusal is not None:
+        if wanted == Mode.MISSION and not self._mission_valid:
             self.say(mavlink.MAV_SEVERITY_CRITICAL, "Switching to Mission is currently not available\t")
-            return DENIED
+            return REJECTED
         return super()._on_set_mode(command)
 
     def on_armed(self) -> None:

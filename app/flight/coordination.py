@@ -86,6 +86,7 @@ class Coordination:
         self._journal, self._note, self._launch = journal, note, launch
         self._participants: dict[str, Participant] = {}
         self._offsets_s: dict[str, float] = {}
+        self._utc_doubted = False
         self._ticked_s = -math.inf
         self._moved_s = math.inf
 
@@ -151,11 +152,29 @@ class Coordination:
         """Take a message of that aircraft: its clock, its battery."""
         participant = self._participants[name]
         told = participant.clock.report(message)
+        if message.name == "TIMESYNC":
+            self._compare_utc()
         if told is not None:
             self._offsets_s[name] = told.mission_time_s - told.time_s
             self._put(told)
         if message.name in ("SYS_STATUS", "BATTERY_STATUS"):
             self._battery(participant, int(message.fields["battery_remaining"]))
+
+    def _compare_utc(self) -> None:
+        """Believe nobody's UTC any more where two of them differ: by the answers to this computer all agree."""
+        ahead_s = {name: one.clock.utc_ahead_s for name, one in self._participants.items()}
+        known = [(*span, name) for name, span in ahead_s.items() if span is not None]
+        if self._utc_doubted or not known:
+            return
+        latest, earliest = max(known), min(known, key=lambda span: span[1])
+        if latest[0] <= earliest[1]:
+            return
+        self._utc_doubted = True
+        for participant in self._participants.values():
+            participant.clock.doubt_utc()
+        apart_s = (latest[0] + latest[1] - earliest[0] - earliest[1]) / 2.0
+        text = f"its UTC is {apart_s:.1f} s ahead of {earliest[2]}'s: all clocks are compared with this computer's"
+        self._note(latest[2], text)
 
     def _battery(self, participant: Participant, percent: int) -> None:
         if percent < 0 or percent == participant.battery_percent or not math.isfinite(participant.now_s()):

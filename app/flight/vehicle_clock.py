@@ -18,6 +18,24 @@ _ARRIVAL_SIGMA_S = 0.5
 _UTC_VALID_S = 10.0
 _ASKED_MAX_S = 10.0
 _RATE_OVER_S, _RATE_OFF_MAX = 4.0, 0.2  # of the vehicle's clock; a clock that is set once passes for a while only
+_AGREES_S = 0.25  # beside half a round trip: what a busy computer adds to it
+
+
+class _SameRate:
+    """Whether two clocks go equally fast, looked at over some seconds each time; ``unknown`` before the first."""
+
+    def __init__(self, unknown: bool) -> None:
+        self.holds = unknown
+        self._first_s: tuple[float, float] | None = None
+
+    def look(self, one_s: float, other_s: float) -> None:
+        first_s, other_first_s = self._first_s or (one_s, other_s)
+        passed_s = one_s - first_s
+        if self._first_s is None or passed_s < 0.0:
+            self._first_s = one_s, other_s
+        elif passed_s > _RATE_OVER_S:
+            self.holds = abs(other_s - other_first_s - passed_s) < _RATE_OFF_MAX * passed_s
+            self._first_s = one_s, other_s
 
 
 class VehicleClockReader:
@@ -35,14 +53,33 @@ class VehicleClockReader:
         self._name, self._now_s, self._mission_s = name, now_s, mission_s
         self._utc_heard_s = -math.inf
         self._told_s = time.monotonic()
-        self._first_s: tuple[float, float] | None = None  # its own clock, and UTC by it
-        self._own_rate = True
+        self._utc_rate, self._host_rate = _SameRate(unknown=True), _SameRate(unknown=False)
+        self._utc_offset_s: float | None = None  # from its own clock
+        self._host_offset_s: tuple[float, float] | None = None  # of this computer's, and what is not known of it
+        self._utc_doubted = False
         self._alone_offset_s: float | None = None
 
     @property
     def tells_time(self) -> bool:
         """Whether mission time may go by this clock: it does not hang on the others'."""
-        return self._own_rate or self._alone_offset_s is not None
+        return self._utc_rate.holds or self._alone_offset_s is not None
+
+    @property
+    def utc_ahead_s(self) -> tuple[float, float] | None:
+        """How far its UTC is ahead of this computer's clock, at least and at most; None while that is not known.
+
+        At least 0.25 s are left between the two: of two vehicles beside one computer these spans overlap, or one of
+        them tells no UTC: a simulator that falls behind, a receiver that does not know the leap seconds yet.
+        """
+        if self._utc_offset_s is None or self._host_offset_s is None or not self._host_rate.holds:
+            return None
+        offset_s, unknown_s = self._host_offset_s
+        ahead_s = self._utc_offset_s - offset_s
+        return ahead_s - unknown_s - _AGREES_S, ahead_s + unknown_s + _AGREES_S
+
+    def doubt_utc(self) -> None:
+        """Go by the answers to TIMESYNC from now on, even where UTC is told."""
+        self._utc_doubted = True
 
     def report(self, message: Message) -> ClockReported | None:
         """Return what a message tells of the clock, None where it tells nothing."""
@@ -54,34 +91,30 @@ class VehicleClockReader:
             if utc_s < _UTC_SINCE_S:
                 return None
             vehicle_s = self._unwrapped_s(fields["time_boot_ms"] * 1e-3)
-            self._compare_rates(vehicle_s, utc_s)
-            if not self._own_rate:
+            self._utc_rate.look(vehicle_s, utc_s)
+            self._utc_offset_s = utc_s - vehicle_s
+            if self._utc_doubted or not self._utc_rate.holds:
                 return None
             self._utc_heard_s = self._told_s = heard_s
             return ClockReported(self._name, vehicle_s, utc_s, _UTC_SIGMA_S)
-        if not self._own_rate:
+        if not self._utc_rate.holds:
             return self._beside_the_others(fields) if message.name == "GLOBAL_POSITION_INT" else None
-        if message.name == "TIMESYNC" and fields["tc1"] and heard_s - self._utc_heard_s > _UTC_VALID_S:
+        if message.name == "TIMESYNC" and fields["tc1"]:
             round_trip_s = heard_s - fields["ts1"] * 1e-9
             if not 0.0 <= round_trip_s < _ASKED_MAX_S:
                 return None  # somebody else's question
-            half_s = 0.5 * round_trip_s
+            half_s, vehicle_s = 0.5 * round_trip_s, self._unwrapped_s(math.fmod(fields["tc1"] * 1e-9, _WRAP_S))
+            host_s = time.time() - half_s
+            self._host_rate.look(vehicle_s, host_s)
+            self._host_offset_s = host_s - vehicle_s, half_s
+            if heard_s - self._utc_heard_s <= _UTC_VALID_S and not self._utc_doubted:
+                return None
             self._told_s = heard_s
-            vehicle_s = self._unwrapped_s(math.fmod(fields["tc1"] * 1e-9, _WRAP_S))
-            return ClockReported(self._name, vehicle_s, time.time() - half_s, math.hypot(half_s, _HOST_SIGMA_S))
+            return ClockReported(self._name, vehicle_s, host_s, math.hypot(half_s, _HOST_SIGMA_S))
         if message.name == "GLOBAL_POSITION_INT" and heard_s - self._told_s > _UTC_VALID_S:
             vehicle_s = self._unwrapped_s(fields["time_boot_ms"] * 1e-3)
             return ClockReported(self._name, vehicle_s, time.time(), _ARRIVAL_SIGMA_S)
         return None
-
-    def _compare_rates(self, vehicle_s: float, utc_s: float) -> None:
-        first_vehicle_s, first_utc_s = self._first_s or (vehicle_s, utc_s)
-        passed_s = vehicle_s - first_vehicle_s
-        if self._first_s is None or passed_s < 0.0:
-            self._first_s = vehicle_s, utc_s
-        elif passed_s > _RATE_OVER_S:
-            self._own_rate = abs(utc_s - first_utc_s - passed_s) < _RATE_OFF_MAX * passed_s
-            self._first_s = vehicle_s, utc_s
 
     def _beside_the_others(self, fields: Mapping[str, Any]) -> ClockReported:
         vehicle_s = self._unwrapped_s(fields["time_boot_ms"] * 1e-3)

@@ -205,7 +205,7 @@ class RawLinks:
             silent_s = now_s - link.quality.heard_s if link.quality.heard_s is not None else 0.0
             link.quality.frame(frame.source, frame.sequence, len(frame.data), now_s)
             if frame.message_id == _TIMESYNC and self._is_answer(link, frame, now_s):
-                return False, True, []
+                return index == self._merger.in_use, True, []  # it tells the vehicle's clock, too
             passed = self._merger.passes(index, frame, now_s)
         if silent_s > _BACK_AFTER_S and len(self._links) > 1:
             self._ask_rates(index)

@@ -26,7 +26,7 @@ from mission.exchange.vehicle_command import CommandExchange, VehicleCommand, de
 _TAKE_OFF, _RELATIVE = 22, 3  # MAV_CMD_NAV_TAKEOFF, MAV_FRAME_GLOBAL_RELATIVE_ALT
 _TAKE_OFF_HEIGHT_M = 50.0
 _ARM_WITHIN_S, _TAKE_OFF_WITHIN_S = 120.0, 240.0  # of the vehicle's time
-_MODE_WITHIN_S, _REPORTED_WITHIN_S = 5.0, 2.0  # of the link's clock
+_MODE_WITHIN_S, _REPORTED_WITHIN_S, _START_AGAIN_S = 5.0, 2.0, 0.5  # of the link's clock
 _HIGH_ENOUGH = 0.7  # of the height wanted, to begin watching
 _AT_HEIGHT_M = 5.0
 _LIKE_OURS = (0.7, 1.3)  # a circle flown already with a radius within this share of ours was commanded by us
@@ -290,8 +290,13 @@ class Takeover:
             yield from self._until(lambda: False, self._arm_period_s)
 
     def _start_mission(self) -> Script:
+        link_end_s = self._outbox.link_s + _MODE_WITHIN_S
         yield from self._commanded(self._dialect.start_mission())
         assert self._command is not None
+        # PX4 looks whether its new mission is one to fly some time after it has taken it.
+        while self._command.refused_for_now and self._outbox.link_s < link_end_s:
+            yield from self._until(lambda: False, _START_AGAIN_S)
+            yield from self._commanded(self._dialect.start_mission())
         # An accepted command proves nothing: PX4 accepts, and stays in HOLD with a mission it does not like.
         mode = self._dialect.mission_mode
         if self._command.accepted:

@@ -9,7 +9,7 @@ from mission.exchange.outbox import Outbox
 from mission.exchange.reports import CommandAcknowledged
 
 _ANSWER_S, _TRIES = 1.0, 4
-_ACCEPTED, _IN_PROGRESS, _IN_PROGRESS_S = 0, 5, 10.0
+_ACCEPTED, _NOT_NOW, _IN_PROGRESS, _IN_PROGRESS_S = 0, 1, 5, 10.0
 _RESULTS = {
     0: "accepted",
     1: "temporarily rejected",
@@ -56,6 +56,11 @@ class CommandExchange:
     def accepted(self) -> bool:
         """Whether it was answered, and accepted."""
         return self.done and self.result == _ACCEPTED
+
+    @property
+    def refused_for_now(self) -> bool:
+        """Whether it was answered that another time might be better."""
+        return self.done and self.result == _NOT_NOW
 
     def receive(self, report: CommandAcknowledged) -> None:
         """Take an acknowledgement."""

@@ -101,6 +101,53 @@ def test_timesync_counts_half_the_round_trip_and_only_where_there_is_no_utc():
     assert reader.report(answer) is None
 
 
+class Wall:
+    """This computer's clock, and two aircraft beside it whose UTC may differ."""
+
+    def __init__(self, coordination, monkeypatch):
+        self.now_s, self._coordination = 1000.0, coordination
+        monkeypatch.setattr("app.flight.vehicle_clock.time.monotonic", lambda: self.now_s)
+        monkeypatch.setattr("app.flight.vehicle_clock.time.time", lambda: UTC_S + self.now_s)
+
+    def pass_by(self, seconds, utc_ahead_s, round_trip_s=0.02, rate=1.0):
+        """Let each tell UTC and answer once a second; utc_ahead_s: of this computer's clock, by name."""
+        for _ in range(seconds):
+            self.now_s += 1.0
+            for name, ahead_s in utc_ahead_s.items():
+                boot_s = rate * (self.now_s - 900.0) + {"a": 0.0, "b": 490.0}[name]
+                utc_us = int((UTC_S + 900.0 + rate * (self.now_s - 900.0) + ahead_s) * 1e6)
+                told = said("SYSTEM_TIME", time_unix_usec=utc_us, time_boot_ms=int(1e3 * boot_s))
+                self._coordination.message(name, told)
+                tc1_ns = int(1e9 * (boot_s - rate * round_trip_s / 2.0))
+                answer = said("TIMESYNC", tc1=tc1_ns, ts1=int(1e9 * (self.now_s - round_trip_s)))
+                self._coordination.message(name, answer)
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "round_trip_s", "rate", "is_doubted"),
+    [
+        (3.0, 0.02, 1.0, True),
+        (0.6, 0.02, 1.0, True),
+        (0.4, 0.02, 1.0, False),
+        (0.9, 0.6, 1.0, False),
+        (3.0, 0.02, 5.0, False),
+    ],
+)
+def test_of_two_that_tell_another_utc_none_is_believed(pair, monkeypatch, ahead_s, round_trip_s, rate, is_doubted):
+    coordination, _, _, _, noted, _ = pair
+    wall = Wall(coordination, monkeypatch)
+    wall.pass_by(10, {"a": 40.0, "b": 40.0 + ahead_s}, round_trip_s, rate)  # this computer's own clock may be wrong
+    apart_s = coordination.offset_s("a") - coordination.offset_s("b") - 490.0
+    if not is_doubted:
+        assert noted == []
+        assert apart_s == pytest.approx(-ahead_s, abs=0.01)
+        return
+    ((name, text),) = noted
+    assert name == "b"
+    assert f"{ahead_s:.1f} s ahead of a's" in text
+    assert apart_s == pytest.approx(0.0, abs=0.01)
+
+
 def test_without_either_the_positions_tell_the_clock_by_their_arrival(monkeypatch):
     wall = [1000.0]
     monkeypatch.setattr("app.flight.vehicle_clock.time.monotonic", lambda: wall[0])

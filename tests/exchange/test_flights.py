@@ -66,6 +66,22 @@ def test_the_circle_is_taken_over_again_in_two_round_trips(in_the_air, flavour):
     assert "MISSION_COUNT" not in asked
 
 
+def test_a_mission_after_one_that_px4_does_not_fly_is_started_as_soon_as_it_looks_at_it(in_the_air):
+    flight = in_the_air("px4")
+    flight.run(5.0)
+    foreign = flight.autopilot.mission
+    kept = list(foreign.items())[:-1]  # no landing
+    foreign.begin(len(kept))
+    for index, item in enumerate(kept):
+        foreign.put(index, item, current=index == 0)
+    foreign.finish()
+    flight.core = flight.make_core(flight.planner)
+    flight.outputs.clear()
+    flight.take_over(True, "LOITER")
+    assert flight.run(10.0, lambda: flight.has_control)
+    assert not flight.found(TakeoverFailed)
+
+
 @pytest.mark.parametrize(
     ("flavour", "seed", "for_s"), [("arduplane", 1, 100.0), ("px4", 1, 100.0), ("px4", 8, 160.0)]
 )

@@ -66,7 +66,7 @@ def test_a_mission_without_landing_is_acknowledged_but_not_flown(ground):
     ground.run(10.0)
     assert ground.upload(ground.mission(ground.takeoff(60.0), ground.loiter(300.0, 300.0, 80.0))) == ACCEPTED
     assert ground.arm() == ACCEPTED
-    assert ground.set_mode(MISSION) == mavlink.MAV_RESULT_DENIED
+    assert ground.set_mode(MISSION) == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
     ground.run(2.0)
     assert ground.mode() == HOLD
     assert any("Switching to Mission is currently not available" in text for text in ground.texts())
