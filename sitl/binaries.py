@@ -38,17 +38,22 @@ def run_binaries(
     settings: Sequence[Settings],
     programs: Sequence[Path],
     speed: float,
+    logs: Path | None,
     stopped: Callable[[], bool],
 ) -> None:
     """Run the programs until ``stopped`` or all have ended; one that has ended by itself is told.
+
+    logs: where their folders are kept.
 
     Raises BinaryError where one does not run, or all have ended; CompanionError, HillsError as ``accompany``.
     """
     with contextlib.ExitStack() as stack:
         running: list[Binary] = []
         for number, (path, own) in enumerate(zip(programs, settings, strict=True)):
-            running.append(stack.enter_context(Binary(own.flavour, path, speed, own.home, own.wind, number)))
+            running.append(stack.enter_context(Binary(own.flavour, path, speed, own.home, own.wind, number, logs)))
         _tell_how_to_fly(running, settings)
+        if logs is not None:
+            print("their own logs:", *(str(binary.folder) for binary in running), flush=True)
         failed: list[Exception] = []
 
         def accompanied(companion: Companion, binary: Binary, key: bytes | None) -> None:

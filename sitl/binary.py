@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import signal
 import socket
 import subprocess
 import tempfile
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 
@@ -94,7 +96,10 @@ def run_of(
 
 
 class Binary:
-    """A running simulator in a process group of its own, with a working folder that goes with it. Use as ``with``."""
+    """A running simulator in a process group of its own, with a working folder. Use as ``with``.
+
+    folder: where it keeps its files, its log among them; gone with it, where they are not to be kept.
+    """
 
     def __init__(
         self,
@@ -104,14 +109,15 @@ class Binary:
         home: Home | None,
         wind: Wind = _CALM,
         instance: int = 0,
+        logs: Path | None = None,
     ) -> None:
-        """instance: the first that may be taken, and with it the system id."""
+        """instance: the first that may be taken, and with it the system id. logs: where to keep its folder."""
         self._binary = binary.resolve()
         if not os.access(self._binary, os.X_OK) or self._binary.is_dir():
             raise BinaryError(f"{binary} is no program that can be run")
-        self._folder = tempfile.TemporaryDirectory(prefix="sidelong-sitl-", ignore_cleanup_errors=True)
-        folder = Path(self._folder.name)
-        self.run = run_of(flavour, self._binary, folder, _free_instance(flavour, instance), speed, home, wind)
+        free, self._kept = _free_instance(flavour, instance), logs is not None
+        self.folder = folder = _working_folder(logs, flavour, free)
+        self.run = run_of(flavour, self._binary, folder, free, speed, home, wind)
         self._log = folder / "output.log"
         with self._log.open("wb") as log:
             try:
@@ -125,7 +131,7 @@ class Binary:
                     start_new_session=True,
                 )
             except OSError as error:
-                self._folder.cleanup()
+                self._discard()
                 raise BinaryError(f"{binary} does not run: {error.strerror or error}") from error
 
     def __enter__(self) -> Binary:
@@ -142,7 +148,11 @@ class Binary:
                 self._process.wait(_STOP_S)
             except subprocess.TimeoutExpired:
                 continue
-        self._folder.cleanup()
+        self._discard()
+
+    def _discard(self) -> None:
+        if not self._kept:
+            shutil.rmtree(self.folder, ignore_errors=True)
 
     @property
     def ended(self) -> bool:
@@ -153,6 +163,18 @@ class Binary:
         """What it said before it ended."""
         text = self._log.read_text(errors="replace").strip()
         return f"it ended with code {self._process.returncode}: {text[-_LAST_WORDS:]}"
+
+
+def _working_folder(logs: Path | None, flavour: Flavour, instance: int) -> Path:
+    """Make a new folder: what is left of another flight, such as its parameters, would count in the next."""
+    if logs is None:
+        return Path(tempfile.mkdtemp(prefix="sidelong-sitl-"))
+    folder = logs.resolve() / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{flavour}-{instance + 1}"
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise BinaryError(f"cannot keep its logs in {logs}: {error.strerror}") from error
+    return folder
 
 
 def _free_instance(flavour: Flavour, first: int) -> int:

@@ -26,6 +26,7 @@ from sitl.link import LinkFaults
 from sitl.motion import MOTIONS
 from sitl.options import (
     DEFAULT_STATIONS,
+    check_programs,
     check_ranges,
     flavour_of,
     home_on_ground,
@@ -129,6 +130,10 @@ def run(
             help="Your own SITL program of the --autopilot instead of the simulated one; repeatable.",
         ),
     ] = None,
+    logs: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Keep the folders of --binary's programs, with their own logs, here."),
+    ] = None,
     range_sigma: Annotated[float, typer.Option(help="Laser noise, m.")] = 0.8,
     range_outliers: Annotated[float, typer.Option(help="Fraction of wrong ranges.")] = 0.02,
     range_message: Annotated[RangeMessage, typer.Option()] = RangeMessage.DISTANCE_SENSOR,
@@ -180,8 +185,7 @@ def run(
         refuse("--vehicles", f"is {count}: more autopilots, airspeeds or endurances are named")
     if count > 1 and payload_for is not None:
         refuse("--vehicles", "goes with vehicles that are started here, not with --payload-for")
-    if programs and count != len(programs):
-        refuse("--binary", f"is given {len(programs)} times for {count} vehicles")
+    check_programs(programs, count, logs)
     check_ranges(
         {
             "--speed": (speed, 0.0, 1000.0, False),
@@ -253,7 +257,7 @@ def run(
             simulations[ids.index(vehicle_id)].lost_s = lost_s
         _write_truth(stack, simulations or companions, truth or [])
         if not alone:
-            _accompany(companions, each, programs, payload_for, speed)
+            _accompany(companions, each, programs, payload_for, speed, logs)
             return
 
         def tell_ready() -> None:
@@ -289,12 +293,13 @@ def _accompany(
     programs: Sequence[Path],
     url: str | None,
     speed: float,
+    logs: Path | None,
 ) -> None:
     """Run the payloads of vehicles that are not ours: of these programs, or of the vehicle at a URL."""
     stopped = _stop_signal()
     try:
         if url is None:
-            run_binaries(companions, settings, programs, speed, stopped)
+            run_binaries(companions, settings, programs, speed, logs, stopped)
         else:
             accompany(
                 companions[0],

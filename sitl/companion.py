@@ -140,7 +140,8 @@ def accompany(
     that can never be reached, and where several vehicles are heard and none is named.
     """
     scheme, _, address = url.partition("://")
-    if scheme not in _SCHEMES or not address.rpartition(":")[2].isdigit():
+    port = address.rpartition(":")[2]
+    if scheme not in _SCHEMES or not (port.isdigit() and 0 < int(port) < 65536):
         raise CompanionError(f"must look like {', '.join(f'{s}://HOST:PORT' for s in _SCHEMES)}, not {url!r}")
     told = False
     while not stopped():

@@ -32,6 +32,13 @@ def check_ranges(values: dict[str, tuple[float, float, float, bool]]) -> None:
             refuse(option, f"must be {at_least} {least:g}{most}, not {value:g}")
 
 
+def check_programs(programs: Sequence[Path], vehicles: int, logs: Path | None) -> None:
+    if logs is not None and not programs:
+        refuse("--logs", "goes with --binary: a simulated vehicle writes none")
+    if programs and vehicles != len(programs):
+        refuse("--binary", f"is given {len(programs)} times for {vehicles} vehicles")
+
+
 def targets_of(
     specs: Sequence[str],
     speeds_m_s: Sequence[float | None],
@@ -157,5 +164,5 @@ def _address(text: str) -> Address:
 
 
 def refuse(option: str, reason: str) -> NoReturn:
-    print(f"{option} {reason}", file=sys.stderr)
+    print(f"sidelong: {option} {reason}", file=sys.stderr)
     raise typer.Exit(2)

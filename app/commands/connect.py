@@ -21,6 +21,7 @@ from app.flight.preflight import Check, checks
 from app.flight.source_rates import SourceRates
 from app.flight.source_use import describe_use
 from app.flight.streams import ask_for_streams
+from app.link.url import checked_url
 from app.shutdown import run
 
 
@@ -56,7 +57,10 @@ def connect(
     overrides = {"link": {"heartbeat_timeout_s": timeout, "signing_key_file": signing_key, "system_id": system_id}}
     if not names_a_fleet(config):
         settings = load_config(config, overrides)
-        write_json(json, run(_report(urls or _links(settings), settings, listen_s)))
+        links = urls or _links(settings)
+        for url in links:
+            checked_url(url)
+        write_json(json, run(_report(links, settings, listen_s)))
         return
     if urls or system_id is not None:
         raise InputError(f"{config} has the links of its aircraft; leave out the URL and --system-id.")

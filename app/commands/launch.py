@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from app.commands.export import write_export
-from app.commands.launch_fleet import fly_fleet
-from app.commands.launch_one import FlightEnded, fly_one
 from app.commands.output import (
     JsonOption,
     checked_output,
@@ -26,17 +23,17 @@ from app.commands.report import write_fleet_report, write_report
 from app.config import Config, check_flyable, load_config
 from app.errors import InputError
 from app.fleet.fleet_file import MAX_AIRCRAFT, FleetFile, load_fleet, names_a_fleet
-from app.flight.fleet_flight import FleetEnded
-from app.flight.flight import Sharing
 from app.flight.outputs import check_sharing
 from app.link.key_file import read_key
 from app.link.url import checked_url
 from app.planners.registry import PLANNER_NAMES
-from app.records.export import Format
 from app.records.mcap_writer import mcap_writer_class
-from app.records.run_folder import RunFolder
 from app.terrain.elevation_data import elevation_data
 from app.view.address import DEFAULT_PORT, LOOPBACK, page_address
+
+if TYPE_CHECKING:
+    from app.commands.launch_one import FlightEnded
+    from app.flight.fleet_flight import FleetEnded
 
 _DURATION_S = 1200.0
 
@@ -180,21 +177,23 @@ def launch(
         "planner": {"name": planner, "guidance": guidance},
         "sharing": {"cot": cot, "follow_target": follow_target, "nmea": nmea, "beacon": beacon},
     }
-    sharing = Sharing(point_gimbal)
     if mcap:
         mcap_writer_class()
     address = page_address(view, view_host, view_port, view_cert, view_key, map_file, map_bounds)
     if fleet is not None or names_a_fleet(config):
         several = load_fleet(config, overrides, fleet)
         if len(several.aircraft) > 1:
-            _check_fleet(several, sharing, system_id)
+            _check_fleet(several, point_gimbal, system_id)
+            # What flies takes a second to load; a wrong option is told before.
+            from app.commands.launch_fleet import fly_fleet  # noqa: PLC0415
+
             with shielded_output():
-                flown = fly_fleet(several, duration, out, quiet, sharing, address)
+                flown = fly_fleet(several, duration, out, quiet, point_gimbal, address)
                 _tell(flown, json)
                 if flown.reason is not None:
                     raise flown.reason
                 if mcap:
-                    write_export(flown.folder.path, Format.MCAP)
+                    _write_mcap(flown.folder.path)
                 if report:
                     write_fleet_report(flown.folder, flown.folder.path / "report.html")
             return
@@ -202,17 +201,22 @@ def launch(
     else:
         settings = load_config(config, overrides)
     check_flyable(settings)
-    _check_input(settings, sharing)
+    _check_input(settings, point_gimbal)
     warn_of_little_room(settings)
+    from app.commands.launch_one import fly_one  # noqa: PLC0415  # as above
+
     with shielded_output():
-        ended = fly_one(settings, duration, out, quiet, sharing, address)
+        ended = fly_one(settings, duration, out, quiet, point_gimbal, address)
         _tell(ended, json)
         if ended.reason is not None:
             raise ended.reason
-        _write_more(ended.folder, mcap, report)
+        if mcap:
+            _write_mcap(ended.folder.path)
+        if report:
+            write_report(ended.folder.path, ended.folder.path / "report.html")
 
 
-def _check_input(settings: Config, sharing: Sharing) -> None:
+def _check_input(settings: Config, point_gimbal: bool) -> None:
     """Raise InputError for what is not there or cannot be, before anything is connected or computed."""
     check_sharing(settings.sharing)
     for url in settings.link.connections:
@@ -223,7 +227,7 @@ def _check_input(settings: Config, sharing: Sharing) -> None:
         read_key(settings.link.signing_key_file)
     if settings.terrain.folder is not None:
         elevation_data(Path(settings.terrain.folder))
-    if sharing.point_gimbal and settings.terrain.folder is not None and settings.sensors.angles_alone:
+    if point_gimbal and settings.terrain.folder is not None and settings.sensors.angles_alone:
         raise InputError(
             "--point-gimbal points the gimbal at the estimate, which would confirm itself while the laser is silent; "
             "set sensors.angles_alone = false with it."
@@ -244,19 +248,17 @@ def _check_target(target: str) -> None:
         raise InputError(f"--target {target}: {error}") from error
 
 
-def _check_fleet(fleet: FleetFile, sharing: Sharing, system_id: int | None) -> None:
+def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) -> None:
     for member in fleet.members:
-        _check_input(member.config, sharing)
+        _check_input(member.config, point_gimbal)
     if system_id is not None:
         raise InputError("--system-id names one vehicle; give each aircraft of the fleet file its system_id.")
 
 
-def _write_more(folder: RunFolder, mcap: bool, report: bool) -> None:
-    """Write what was asked for beside the records."""
-    if mcap:
-        write_export(folder.path, Format.MCAP)
-    if report:
-        write_report(folder.path, folder.path / "report.html")
+def _write_mcap(run: Path) -> None:
+    from app.commands.export import Format, write_export  # noqa: PLC0415  # as above
+
+    write_export(run, Format.MCAP)
 
 
 def _tell(ended: FlightEnded | FleetEnded, json: Path | None) -> None:

@@ -23,10 +23,10 @@ from app.view.fleet_view import FleetView
 
 
 def fly_fleet(
-    fleet: FleetFile, duration_s: float, out: Path, quiet: bool, sharing: Sharing, address: Address | None
+    fleet: FleetFile, duration_s: float, out: Path, quiet: bool, point_gimbal: bool, address: Address | None
 ) -> FleetEnded:
     """Fly a fleet to its end; address: of the live map. Raises as ``launch`` does."""
-    return run_flight(_fly(fleet, duration_s, out, quiet, sharing, address))
+    return run_flight(_fly(fleet, duration_s, out, quiet, Sharing(point_gimbal), address))
 
 
 async def _fly(

@@ -42,10 +42,10 @@ class FlightEnded:
 
 
 def fly_one(
-    config: Config, duration_s: float, out: Path, quiet: bool, sharing: Sharing, address: Address | None
+    config: Config, duration_s: float, out: Path, quiet: bool, point_gimbal: bool, address: Address | None
 ) -> FlightEnded:
     """Fly one aircraft to its end; address: of the live map. Raises as ``launch`` does."""
-    return run_flight(_recorded(config, duration_s, out, quiet, sharing, address))
+    return run_flight(_recorded(config, duration_s, out, quiet, Sharing(point_gimbal), address))
 
 
 async def _recorded(

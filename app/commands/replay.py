@@ -27,7 +27,7 @@ from app.link.telemetry import Telemetry
 from app.planners.registry import PLANNER_NAMES
 from app.records.journal import Header, JournalReader
 from app.records.log import open_log
-from app.records.run_folder import FleetFolder, RunFolder
+from app.records.run_folder import FleetFolder, RunFolder, require_recording
 from app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
 from app.view.frames import Frames
 from app.view.panel import clock
@@ -77,8 +77,7 @@ def replay(
     """
     checked_output(json)
     changes = _changes(change or [], planner)
-    if not log.exists():
-        raise InputError(f"{log}: there is no such file; give the path of a run folder or a recorded log.")
+    require_recording(log)
     if view and verify:
         raise InputError("--verify compares, --view shows; give one of them.")
     if truth is not None:

@@ -12,7 +12,7 @@ from app.analysis.truth import read_truth
 from app.commands.output import console
 from app.commands.progress import progress_bar
 from app.errors import InputError
-from app.records.run_folder import FleetFolder
+from app.records.run_folder import FleetFolder, require_recording
 
 
 def report(
@@ -55,6 +55,7 @@ def write_report(
     run: Path, out: Path, png: Path | None = None, truth: Path | None = None, config: Path | None = None
 ) -> None:
     """Write the page, and the figures if asked for. Raises InputError naming the file that is at fault."""
+    require_recording(run)
     _check_out(out)
     # Only a report needs matplotlib, which takes a second to load.
     from app.report.page import report_page, save_png  # noqa: PLC0415

@@ -42,6 +42,8 @@ def make_key(path: Path) -> SigningKey:
 
 def read_key(path: Path) -> SigningKey:
     """Return the key. Raises InputError where others may read it, or it is no key; never tells its content."""
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; name the key's file in it, such as {path / 'plane.key'}.")
     try:
         with path.open("rb") as file:
             mode = os.fstat(file.fileno()).st_mode

@@ -9,7 +9,7 @@ from pathlib import Path
 from app.errors import InputError
 
 _SCHEMES = "udpin://HOST:PORT, udpout://HOST:PORT, tcpout://HOST:PORT, tcpin://HOST:PORT, serial:///dev/NAME:BAUD"
-_NETWORK_URL = re.compile(r"(udpin|udpout|tcpin|tcpout)://([^:/]+):(\d{1,5})")
+_NETWORK_URL = re.compile(r"(udpin|udpout|tcpin|tcpout)://([^:/]+):(\d+)")
 _SERIAL_URL = re.compile(r"serial(?:_flowcontrol)?://(/[^:]+):\d+")
 
 
@@ -24,9 +24,11 @@ def checked_url(url: str) -> str:
             raise InputError(f"{url!r}: there is no device {serial[1]}; plug it in, or name another.")
         return url
     match = _NETWORK_URL.fullmatch(url)
-    if match is None or not 0 < int(match[3]) < 65536:
+    if match is None:
         raise InputError(f"{url!r} is no link this can open; use one of {_SCHEMES}.")
     scheme, host, port = match[1], match[2], int(match[3])
+    if not 0 < port < 65536:
+        raise InputError(f"{url!r}: a port is a number from 1 to 65535, not {port}.")
     try:
         address = socket.gethostbyname(host)  # MAVSDK takes numbers only for its own end
     except OSError as error:

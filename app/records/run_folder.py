@@ -18,6 +18,12 @@ from app.text_file import read_text
 _SUMMARY_MAX_BYTES = 1 << 20
 
 
+def require_recording(path: Path) -> None:
+    """Raise InputError where there is nothing, neither a run folder nor a log."""
+    if not path.exists():
+        raise InputError(f"{path}: there is no such run folder or log; give the path of one.")
+
+
 @dataclass(frozen=True, slots=True)
 class RunFolder:
     """Names of what is in a run's folder; which of them exist depends on the run and on how it ended."""

@@ -212,11 +212,10 @@ def _errors(history: History) -> Drawing | None:
     axes.set_ylim(0.0, top_m)
     clipped = _beyond(np.append(errors.error_m, errors.radius95_m), top_m, " m")
     _over_time(axes, history, "position error, m")
-    rms_m = float(np.sqrt(np.mean(np.square(watched)))) if len(watched) else math.nan
     return Drawing(
         "estimate-error",
         "Error of the estimate",
-        f"Horizontal distance from the true target, {rms_m:.2f} m RMS, beside what the estimate claims{clipped}.",
+        f"Horizontal distance from the true target, once a second, beside what the estimate claims{clipped}.",
         made,
     )
 

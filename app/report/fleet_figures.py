@@ -21,7 +21,7 @@ from mission.geometry.separation import MIN_SEPARATION_M
 
 _COLOURS = ("#1f5f9e", "#2c8f5a", "#8a5fa8", "#b08a1e", "#c0527f", "#3f9fb5", "#6b6b6b", "#9a5a2c")
 _ANY = "#7fb98a"
-_TARGETS = (TARGET, "#b08a1e", "#8a5fa8", "#2c8f5a")
+_TARGETS = (TARGET, "#6b5a00", "#8a1e5a", "#1e6b6b")
 _STEP_S = 0.5
 _TIME = "time, s"
 
@@ -113,7 +113,7 @@ def _sides(flown: FleetFlown) -> Drawing:
         "sides",
         "Who watched from the wanted side",
         "Bars: on the wanted side and in the band; red where none of them was. The line below a bar is where the "
-        "coordinator wanted that aircraft on that side.",
+        "coordinator wanted that aircraft on that side. The shares above are of the time since all were in the band.",
         made,
     )
 

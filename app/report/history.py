@@ -220,6 +220,9 @@ class HistoryBuilder:
         start_s = self._start_s
         if start_s is None:  # nobody took over: the log begins where the target is first seen
             start_s = self._estimates[0].time_s if self._estimates else float(aircraft.time_s[0])
+        # What is seen before the fleet has named its target is of the first one named.
+        first = next(filter(None, self._targets), "")
+        targets = [name or first for name in self._targets]
         moments = _true_moments(truth, plane, start_s, float(aircraft.time_s[-1])) if truth is not None else ()
         return History(
             asked,
@@ -227,9 +230,9 @@ class HistoryBuilder:
             tuple(self._positions),
             aircraft,
             tuple(self._estimates),
-            tuple(self._targets),
+            tuple(targets),
             tuple(self._sightings),
-            moments or _estimated_moments(self._estimates, self._targets, aircraft, start_s),
+            moments or _estimated_moments(self._estimates, targets, aircraft, start_s),
             bool(moments),
             truth,
             plane,

@@ -16,7 +16,7 @@ from mission.core.circle import Circle
 
 TICK_S = 50.0
 _LABELS_MAX = 60
-_STAY_SHARE = 0.04  # of the target's extent: labels that near one another would overlap
+_STAY_SHARE = 0.04  # of the map's extent: labels that near one another would overlap
 _SAMPLES_MAX = 6000
 _CONTOUR_POSTS, _CONTOURS_MAX = 200, 25
 _CONTOUR_STEPS_M = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
@@ -106,7 +106,8 @@ def _ticks(axes: Axes, time_s: FloatArray, aircraft: FloatArray, target: FloatAr
     axes.plot(*np.stack((here_m, there_m)).transpose(2, 0, 1), color=FAINT, linewidth=0.4, alpha=0.6, zorder=1)
     axes.plot(*here_m.T, "o", color=AIRCRAFT, markersize=3.2)
     axes.plot(*there_m.T, "o", color=TARGET, markersize=3.8)
-    for stay in _stays(there_m)[:: max(1, len(at_s) // _LABELS_MAX)]:
+    near_m = _STAY_SHARE * float(np.ptp(np.concatenate((aircraft, target)), axis=0).max())
+    for stay in _stays(there_m, near_m)[:: max(1, len(at_s) // _LABELS_MAX)]:
         first, last = stay[0], stay[-1]
         there = there_m[first]
         away = there - here_m[first]
@@ -124,9 +125,8 @@ def _ticks(axes: Axes, time_s: FloatArray, aircraft: FloatArray, target: FloatAr
         )
 
 
-def _stays(target_m: FloatArray) -> list[range]:
+def _stays(target_m: FloatArray, near_m: float) -> list[range]:
     """Return the ticks in runs of which all lie where the first does: a target that stands gets one label."""
-    near_m = _STAY_SHARE * max(float(np.ptp(target_m, axis=0).max()), 1.0)
     stays: list[range] = []
     for number, place_m in enumerate(target_m):
         if stays and np.hypot(*(place_m - target_m[stays[-1][0]])) < near_m:

@@ -16,7 +16,7 @@ from app.flight.recording import JOURNAL_TYPES, journalled_config
 from app.link.telemetry import Telemetry
 from app.records.journal import JournalReader
 from app.records.log import Log, open_log
-from app.records.run_folder import RunFolder
+from app.records.run_folder import RunFolder, require_recording
 from app.records.windows import Progress
 from app.report.history import FlightRequirements, History, HistoryBuilder
 from app.report.results import read_summary, summary_of
@@ -49,10 +49,9 @@ def read_flight(
 
     Raises InputError for what is neither, or holds no flight, or no sighting of a target where one is needed.
     """
+    require_recording(path)
     if path.is_dir():
         return _run(RunFolder.open(path), truth, config, progress)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such run folder or log; give the path of one.")
     return _log(path, truth, config, progress, target_needed)
 
 

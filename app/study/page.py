@@ -91,7 +91,7 @@ def _spreads(result: StudyResult, design: Design) -> Iterator[html.Drawing]:
             continue
         everything = np.concatenate(list(known.values()))
         least, most = everything.min(), everything.max()
-        edges = np.linspace(least, most, _BINS + 1) if most > least else np.array([least - 0.5, least + 0.5])
+        edges = np.linspace(least, most, _BINS + 1) if most > least else np.array([least, least + 1.0])
         for name, v in known.items():
             axes.stairs(np.histogram(v, edges)[0], edges, label=str(name))
         axes.set(xlabel=title, ylabel="runs")

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.image import imsave
+from PIL import Image
 
 from estimators.terrain.ground import Ground
 
@@ -50,7 +50,7 @@ def hillshade(ground: Ground, reach_m: float = math.inf) -> Hillshade:
     pixels[..., :3] = np.where(change > 0.0, 255, 0)[..., None]
     pixels[..., 3] = np.rint(255.0 * _OPACITY_MAX * np.abs(np.clip(change, -1.0, 1.0)))
     png = io.BytesIO()
-    imsave(png, pixels, origin="lower", format="png")
+    Image.fromarray(np.flipud(pixels)).save(png, "PNG")
     # A pixel reaches half a step about its post.
     return Hillshade(
         png.getvalue(),

@@ -118,13 +118,16 @@ class ViewDisplay:
 
     def note(self, text: str) -> None:
         self._inner.note(text)
-        self._said.append([None, "note", text])
+        self._heard(None, "note", text)
         self.pump()
 
     def say(self, announcement: Announce) -> None:
         self._inner.say(announcement)
         time_s = None if self._start_s is None else announcement.time_s
-        self._said.append([time_s, announcement.kind, announcement.text])
+        self._heard(time_s, announcement.kind, announcement.text)
+
+    def _heard(self, time_s: float | None, kind: str, text: str) -> None:
+        self._said.append([time_s, kind, text])
 
     def show(self, snapshot: Snapshot) -> None:
         self._inner.show(snapshot)

@@ -57,6 +57,9 @@ class FleetView(ViewDisplay):
         one: AircraftDisplay = self._aircraft[name]
         return self if one is self._first else one
 
+    def _heard(self, time_s: float | None, kind: str, text: str) -> None:
+        super()._heard(time_s, kind, f"{self._first.name}: {text}")
+
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         super().begin(plane, request)
         self._request = self._ask_all
@@ -101,6 +104,8 @@ class FleetView(ViewDisplay):
         ]
         wanted = self._sides.get(snapshot.target, self._wanted)
         targets = self._other_targets(snapshot.target)
+        if len(self._sides) > 1 and state["target"] is not None:
+            state["target"]["name"] = snapshot.target
         asked = state["asked"] | {"side": wanted}
         return state | {"others": others, "targets": targets, "wanted": wanted, "asked": asked}
 

@@ -144,3 +144,16 @@ def test_the_map_draws_the_others_with_their_circles(page, snapshot):
     assert page.locator("#map path.aircraft.other").count() == 1
     circle = page.locator("#map circle.circle.other")
     assert float(circle.get_attribute("r")) == pytest.approx(snapshot.present.circle.radius_m)
+
+
+def test_of_several_targets_the_page_names_each_and_whose_decisions_are_told(snapshot):
+    panel = FleetPanel(Console(file=io.StringIO()), quiet=True)
+    shown = FleetView(panel, NAMES, Config(), Address(port=0), {"boat": Side.LEFT, "bike": Side.RIGHT})
+    for name, target in zip(NAMES, ("boat", "bike"), strict=True):
+        shown.of(name).begin(PLANE, lambda _wish: None)
+        shown.of(name).show(replace(snapshot, target=target))
+    state = shown._state(replace(snapshot, target="boat"), 0.0)
+    assert state["target"]["name"] == "boat"
+    assert [one["name"] for one in state["targets"]] == ["bike"]
+    shown.of("plane").say(Announce(snapshot.time_s, "decision", "moving"))
+    assert shown._said[-1][1:] == ["decision", "plane: moving"]

@@ -7,17 +7,21 @@ import math
 import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from app.analysis.score import Moment
+from app.assembly import tracker_of
 from app.commands.report import write_report
 from app.errors import InputError
 from app.report import series
-from app.report.history import AircraftTrack
+from app.report.history import AircraftTrack, HistoryBuilder
 from app.report.page import report_page
-from app.report.sources import read_flight
+from app.report.sources import feed, read_flight
+from mission.core.fleet import FleetAdvice, Role
+from mission.core.requirement import Side
 
 FIGURES = [
     "path",
@@ -190,3 +194,16 @@ def test_the_report_opens_offline_in_a_browser(page, tmp_path, browser):
     boxes = [shown.locator(f"#{name} svg").bounding_box() for name in FIGURES]
     assert all(box["width"] > 600 and box["height"] > 150 for box in boxes)
     shown.context.close()
+
+
+def test_what_is_seen_before_the_fleet_names_its_target_is_of_the_first_one_named(flown, run_folder):
+    builder, seen = HistoryBuilder(tracker_of(flown.config)), []
+    feed(run_folder, SimpleNamespace(event=seen.append, command=lambda _: None))
+    named_s = seen[len(seen) // 2].time_s
+    for event in seen:
+        builder.event(event)
+        if event.time_s == named_s:
+            builder.event(FleetAdvice(named_s, "boat", Role.WANTED, Side.LEFT, None, 100.0, ()))
+    history = builder.build(flown.history.asked, flown.history.plane, None)
+    assert history.estimates[0].time_s < named_s
+    assert set(history.targets) == {one.target for one in history.moments} == {"boat"}

@@ -21,6 +21,15 @@ def test_the_list_of_commands_loads_nothing_slow():
     assert loaded("import app.cli") == set()
 
 
+def test_options_of_a_launch_are_refused_before_what_flies_is_loaded():
+    mistaken = "from app.cli import app\napp(['launch', '--side', 'up'], standalone_mode=False)"
+    assert loaded(f"try:\n    exec({mistaken!r})\nexcept Exception as error:\n    assert 'side' in str(error)") <= {
+        "numpy",
+        "pydantic",
+        "pymavlink",
+    }
+
+
 def test_a_check_loads_no_link_and_no_compiler():
     assert loaded("import app.commands.check") <= {"numpy", "scipy", "pydantic"}
 

@@ -63,6 +63,23 @@ def test_it_ends_with_us_and_its_folder_too(tmp_path):
     assert not folder.exists()
 
 
+def test_its_folder_stays_where_its_logs_are_wanted(tmp_path):
+    binary = program(tmp_path / "arduplane", "mkdir logs; echo flown > logs/1.BIN; sleep 60")
+    with Binary(Flavour.ARDUPLANE, binary, 1.0, None, logs=tmp_path / "kept") as running:
+        log = running.folder / "logs" / "1.BIN"
+        while not (log.exists() and log.read_text()):
+            assert not running.ended
+    assert running.ended
+    assert log.read_text() == "flown\n"
+    assert log.is_relative_to(tmp_path / "kept")
+
+
+def test_a_folder_for_logs_that_cannot_be_made_is_told(tmp_path):
+    binary = program(tmp_path / "arduplane", "sleep 60")
+    with pytest.raises(BinaryError, match="cannot keep its logs"):
+        Binary(Flavour.ARDUPLANE, binary, 1.0, None, logs=binary / "kept")
+
+
 def test_the_command_tells_why_a_program_has_ended(tmp_path):
     binary = program(tmp_path / "arduplane", "echo no such model; exit 3")
     done = subprocess.run(

@@ -239,7 +239,7 @@ export class FlightMap {
     if (!seen.length) reach([0, 0], 500);
     const [east, north] = [0, 1].map((k) => seen.map((p) => p[k]));
     const [w, e, s, n] = [Math.min(...east), Math.max(...east), Math.min(...north), Math.max(...north)];
-    const scale = Math.min((width - 70) / (e - w), (height - 100) / (n - s)); // the legend stands above
+    const scale = Math.min((width - 70) / (e - w), (height - 70) / (n - s));
     return { east: (w + e) / 2, north: (s + n) / 2, scale: Math.max(scale, 0.001) };
   }
 
@@ -324,7 +324,8 @@ export class FlightMap {
     this.target.setAttribute("cy", y(north));
     this.words.setAttribute("x", x(east) + 9);
     this.words.setAttribute("y", y(north) + 16);
-    this.words.textContent = target.quality === "good" ? "" : `target ${target.quality}`;
+    const good = target.quality === "good";
+    this.words.textContent = target.name ? `${target.name}${good ? "" : ` ${target.quality}`}` : good ? "" : `target ${target.quality}`;
     this.drawSide(state, target);
   }
 

@@ -191,8 +191,8 @@ function places() {
   }
 }
 
-// The aircraft by its name, where it is one of several.
-const called = (what) => (what === "aircraft" ? map.setting.fleet?.[0] ?? what : what);
+// The aircraft and the target by their names, where they are of several.
+const called = (what) => (what === "aircraft" ? map.setting.fleet?.[0] : state.target?.name) || what;
 
 function inBand(range) {
   const band = map.setting.band_m;
