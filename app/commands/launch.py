@@ -256,7 +256,8 @@ def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) ->
 
 
 def _write_mcap(run: Path) -> None:
-    from app.commands.export import Format, write_export  # noqa: PLC0415  # as above
+    from app.commands.export import write_export  # noqa: PLC0415  # as above
+    from app.records.export import Format  # noqa: PLC0415
 
     write_export(run, Format.MCAP)
 
