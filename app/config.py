@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 else:
     PlannerName = Literal[PLANNER_NAMES]
 
+MAX_AIRCRAFT = 8  # of a fleet
 _COT_TYPE = r"^[a-z](-[A-Za-z0-9.]+)+$"
 # A circle that is chosen by itself is flown round in 22 s, as recorded targets are watched best, if the band
 # has room for it; such a share is left to the bank limit.
@@ -105,6 +106,8 @@ class RequirementSection(Section):
     """Factor C on range_max_m at which the paper's planner moves the circle."""
     course_horizon_s: float = Field(20.0, ge=0, le=60)
     """The predictive planner keeps to the side of the course made good over this long, s; 0: the present course."""
+    fleet_size: int = Field(1, ge=1, le=MAX_AIRCRAFT)
+    """How many aircraft watch together; the file of a fleet counts its own."""
 
     @model_validator(mode="after")
     def _band_not_empty(self) -> RequirementSection:
@@ -123,6 +126,7 @@ class RequirementSection(Section):
             self.target_speed_max_m_s,
             self.threshold,
             course_horizon_s=self.course_horizon_s,
+            fleet_size=self.fleet_size,
         )
         return watching_from(plain, self.side)
 

@@ -13,9 +13,9 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic.fields import FieldInfo
 
 from app.commands.output import console
-from app.config import AircraftSection, Config
+from app.config import MAX_AIRCRAFT, AircraftSection, Config
 from app.errors import InputError
-from app.fleet.fleet_file import LAYER_M, MAX_AIRCRAFT, FleetAircraftSection, TargetSection
+from app.fleet.fleet_file import LAYER_M, FleetAircraftSection, TargetSection
 from app.presets import PRESETS, Preset
 
 _WIDTH = 112

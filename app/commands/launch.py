@@ -20,9 +20,9 @@ from app.commands.output import (
 from app.commands.page_options import BoundsOption, MapOption, PortOption
 from app.commands.radius import warn_of_little_room
 from app.commands.report import write_fleet_report, write_report
-from app.config import Config, check_flyable, load_config
+from app.config import MAX_AIRCRAFT, Config, check_flyable, load_config
 from app.errors import InputError
-from app.fleet.fleet_file import MAX_AIRCRAFT, FleetFile, load_fleet, names_a_fleet
+from app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
 from app.flight.outputs import check_sharing
 from app.link.key_file import read_key
 from app.link.url import checked_url

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from app.config import AircraftSection, Config, RequirementSection, SensorsSection, check_flyable
+from app.config import MAX_AIRCRAFT, AircraftSection, Config, RequirementSection, SensorsSection, check_flyable
 from app.errors import InputError
 from app.section import Section, validated
 from app.sharing.cot import PLAIN_CALLSIGN
@@ -24,7 +24,7 @@ MIN_LAYER_M = 30.0
 """Least difference of two aircraft's heights."""
 LAYER_M = 60.0
 """Difference of heights where none are given: two aircraft are 50 m apart then wherever they fly."""
-MAX_AIRCRAFT, MAX_TARGETS = 8, 4
+MAX_TARGETS = 4
 
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")]
 
@@ -207,7 +207,7 @@ class FleetFile(Config):
 
     def _requirement_of(self, target: TargetSection) -> RequirementSection:
         side = target.side or self.requirement.side
-        return self.requirement.model_copy(update={"side": side})
+        return self.requirement.model_copy(update={"side": side, "fleet_size": len(self.aircraft)})
 
     def _members(self) -> Iterator[Member]:
         for number, one in enumerate(self.aircraft):

@@ -140,5 +140,6 @@ class StudySettings:
             self.target_speed_max_m_s,
             threshold=self.threshold,
             course_horizon_s=self.course_horizon_s,
+            fleet_size=self.fleet,
         )
         return watching_from(plain, self.side)

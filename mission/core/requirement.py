@@ -58,6 +58,7 @@ class Requirement:
     either_side: ``side`` is only the one to begin with; the nearer one is taken. sector: watch from these bearings,
     whichever way the target moves; ``side`` then only tells which way round the circles are flown.
     course_horizon_s: the side is that of the course made good over so many seconds; 0: of the present course.
+    fleet_size: how many aircraft watch together, this one included.
     """
 
     range_min_m: float
@@ -68,6 +69,7 @@ class Requirement:
     either_side: bool = False
     sector: Sector | None = None
     course_horizon_s: float = 20.0
+    fleet_size: int = 1
 
 
 @dataclass(frozen=True, slots=True)

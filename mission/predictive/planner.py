@@ -45,8 +45,10 @@ from mission.viewpoint.side_policy import SidePolicy
 _MAX_TRIES = 30
 # What a move must gain, in seconds off side. The wider the circle is in its band the more moves are needed, and the
 # more each has to be worth if no hour is to have too many: from a share of the band on, up to the widest circle that
-# leaves room in it.
-_PRICE_S, _PRICE_POWER, _MIN_SHARE, _MAX_SHARE = 4.0, 1.7, 0.175, 1.0 / 3.8
+# leaves room in it. In a fleet, where others see meanwhile, cheaper moves than those of that share are too hasty; and
+# one that is left alone keeps its price: others may join it, and its tables have to be at hand.
+_PRICE_S, _PRICE_SHARE, _PRICE_POWER = 4.0, 0.175, 1.7
+_MIN_SHARE, _MIN_SHARE_IN_FLEET, _MAX_SHARE = 1.0 / 8.0, _PRICE_SHARE, 1.0 / 3.8
 _NO_BREACH = "a better place should the target turn"
 # The table's classes need some speed, even for a target that is said to stand.
 _MIN_TARGET_SPEED_M_S = 0.5
@@ -75,8 +77,8 @@ class PredictiveSettings:
 def price_s(aircraft: Aircraft, requirement: Requirement) -> float:
     """Return what a move, or a change of one under way, must gain, in seconds off side: uploads are not free."""
     share = aircraft.radius_m / (requirement.range_max_m - requirement.range_min_m)
-    share = min(max(share, _MIN_SHARE), _MAX_SHARE)
-    return _PRICE_S * float((share / _MIN_SHARE) ** _PRICE_POWER)
+    min_share = _MIN_SHARE if requirement.fleet_size == 1 else _MIN_SHARE_IN_FLEET
+    return _PRICE_S * float((min(max(share, min_share), _MAX_SHARE) / _PRICE_SHARE) ** _PRICE_POWER)
 
 
 def table_configuration(

@@ -47,6 +47,13 @@ def test_each_aircraft_has_a_configuration_as_if_it_flew_alone(written):
     assert south.config.sensors.range_sigma_m == 1.5
 
 
+def test_each_knows_how_many_watch_together(written):
+    fleet = load_fleet(written(TWO))
+    assert [one.config.requirement.requirement().fleet_size for one in fleet.members] == [2, 2]
+    assert [one.fleet_size for one in fleet.asked.values()] == [2]
+    assert load_config(None).requirement.requirement().fleet_size == 1
+
+
 def test_others_are_told_of_one_target_and_of_every_aircraft_by_its_name(written):
     north, south = load_fleet(
         written(TWO + '[sharing]\ncot = "udp://127.0.0.1:8087"\nnmea = "udp://127.0.0.1:8088"\n')

@@ -6,7 +6,8 @@
 A dynamic programme goes backwards over the known way: states are the place relative to the target and the heading,
 controls are curvatures up to that of the circle, without a limit of the roll. What is printed is then flown forwards
 by what it found: it can be reached, and but for the grid's width nothing better can. What a planner stays below it is
-the price of not knowing the target, of wanting few moves, and of its own search.
+the price of not knowing the target, of wanting few moves, and of its own search. With --told it knows so many seconds
+at each moment only, and cares for nothing beyond.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ STEP_S, CELL_M, HALF_CELLS, HEADINGS = 2.0, 20.0, 28, 36
 NEAR_M, FAR_M, MARGIN_M = 100.0, 500.0, 5.0
 START_M, MOVED_M = 300.0, 10.0
 OUTSIDE, OUTSIDE_PER_M = 20.0, 0.5
+ANEW = 3  # steps after which it is told anew
 
 
 @compiled
@@ -80,15 +82,21 @@ def _to_go(way: FloatArray, moves: FloatArray, values: npt.NDArray[np.float32]) 
 
 @compiled
 def _flown(
-    way: FloatArray, moves: FloatArray, values: npt.NDArray[np.float32], x_m: float, y_m: float, found: FloatArray
-) -> None:
-    """Fly forwards from a place relative to the target, northwards; fill in places relative to it (k, 2)."""
+    way: FloatArray,
+    moves: FloatArray,
+    values: npt.NDArray[np.float32],
+    x_m: float,
+    y_m: float,
+    h: int,
+    found: FloatArray,
+) -> tuple[float, float, int]:
+    """Fly on from a place relative to the target and a heading; fill in places (k, 2), return what comes next."""
     steps, headings, n, _ = values.shape
-    turns, h = moves.shape[1], 0
-    for k in range(steps):
+    turns = moves.shape[1]
+    for k in range(len(found)):
         found[k, 0], found[k, 1] = x_m, y_m
         if k == steps - 1:
-            return
+            break
         least, best = np.inf, 0
         for t in range(turns):
             x = (x_m + moves[h, t, 0] - way[k + 1, 0] + way[k, 0]) / CELL_M + HALF_CELLS
@@ -102,9 +110,12 @@ def _flown(
         x_m += moves[h, best, 0] - way[k + 1, 0] + way[k, 0]
         y_m += moves[h, best, 1] - way[k + 1, 1] + way[k, 1]
         h = (h + best - turns // 2) % headings
+    return x_m, y_m, h
 
 
-def bound(target: RecordedTarget, airspeed_m_s: float, radius_m: float) -> tuple[float, float, float]:
+def bound(
+    target: RecordedTarget, airspeed_m_s: float, radius_m: float, told_s: float = math.inf
+) -> tuple[float, float, float]:
     """Return the shares of time on the left, by the course made good in 30 s, and in the band; the least range."""
     time_s = np.arange(0.0, min(target.duration_s, 1200.0), STEP_S)
     east, north = target.sampled(time_s)[:, :2].T
@@ -116,10 +127,15 @@ def bound(target: RecordedTarget, airspeed_m_s: float, radius_m: float) -> tuple
     chord_m = airspeed_m_s * STEP_S * np.sinc(0.5 * turned / math.pi)
     moves = np.stack([chord_m * np.sin(middle), chord_m * np.cos(middle)], axis=2)
     cells = 2 * HALF_CELLS + 1
-    values = np.empty((len(way), HEADINGS, cells, cells), np.float32)
-    _to_go(way, moves, values)
+    told = round(min(told_s / STEP_S + 1.0, len(way)))
+    values = np.empty((told, HEADINGS, cells, cells), np.float32)
     flown, course = np.empty((len(way), 2)), way[:, 2]
-    _flown(way, moves, values, -START_M * math.cos(course[0]), START_M * math.sin(course[0]), flown)
+    x_m, y_m, heading = -START_M * math.cos(course[0]), START_M * math.sin(course[0]), 0
+    anew = ANEW if told < len(way) else len(way)
+    for first in range(0, len(way), anew):
+        known, to_go = way[first : first + told], values[: len(way) - first]
+        _to_go(known, moves, to_go)
+        x_m, y_m, heading = _flown(known, moves, to_go, x_m, y_m, heading, flown[first : first + anew])
     range_m = np.hypot(*flown.T)
     left = flown[:, 1] * np.sin(course) - flown[:, 0] * np.cos(course) >= 0.0
     moved = np.logical_or.accumulate(np.hypot(east - east[0], north - north[0]) > MOVED_M)
@@ -128,11 +144,17 @@ def bound(target: RecordedTarget, airspeed_m_s: float, radius_m: float) -> tuple
 
 
 def told(
-    folder: Path, airspeed_m_s: float, radius_m: float, speed_max_m_s: float, name: str = "", worst: int = 12
+    folder: Path,
+    airspeed_m_s: float,
+    radius_m: float,
+    speed_max_m_s: float,
+    name: str = "",
+    worst: int = 12,
+    told_s: float = math.inf,
 ) -> FloatArray:
     """Print and return the bounds (tracks, 3) of those whose names begin with name."""
     tracks = [one for one in recorded_targets([folder], speed_max_m_s).flown if one.name.startswith(name)]
-    found = np.array([bound(one, airspeed_m_s, radius_m) for one in tracks])
+    found = np.array([bound(one, airspeed_m_s, radius_m, told_s) for one in tracks])
     sides = found[:, 0]
     print(f"\n{len(tracks)} tracks: on side {np.nanmean(sides):.4f}, worst {np.nanmin(sides):.3f}; ", end="")
     print(f"in band {found[:, 1].mean():.4f}, least range {found[:, 2].min():.0f} m")
@@ -154,8 +176,10 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=float, required=True)
     parser.add_argument("--name", default="", help="only tracks whose names begin with this")
     parser.add_argument("--worst", type=int, default=12)
+    parser.add_argument("--told", type=float, default=math.inf, help="seconds that are known ahead")
     given = parser.parse_args()
-    told(given.folder, given.airspeed, given.radius, given.target_speed_max, given.name, given.worst)
+    speed_max_m_s = given.target_speed_max
+    told(given.folder, given.airspeed, given.radius, speed_max_m_s, given.name, given.worst, given.told)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from mission.fleet.team_planner import TeamPlanner
 from mission.geometry.separation import flown_places
 from mission.predictive.planner import PredictivePlanner, table_configuration
 
-REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0, course_horizon_s=0.0)
+REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0, course_horizon_s=0.0, fleet_size=2)
 
 
 def costs(a: float, b: float, **of_b: bool) -> dict[str, Candidate]:
