@@ -91,7 +91,7 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
     async with connected(
         urls,
         link.heartbeat_timeout_s,
-        key_file=link.signing_key_file,
+        key=link.signing_key_file,
         note=console.print,
         system_id=link.system_id,
     ) as session:

@@ -138,9 +138,6 @@ class FleetFile(Config):
     @model_validator(mode="after")
     def _all_linked(self) -> Self:
         linked = [bool(_own_links(one)) for one in self.aircraft]
-        sharing = [one for one, own in zip(self.aircraft, linked, strict=True) if not own]
-        if self.link.connections and self.link.signing_key_file is not None and len(sharing) > 1:
-            raise ValueError("link.signing_key_file: a link that aircraft share is not signed; give each its own url")
         if self.link.connections:
             for one, own in zip(self.aircraft, linked, strict=True):
                 if not own and one.system_id is None:

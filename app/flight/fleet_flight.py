@@ -15,6 +15,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -36,9 +37,11 @@ from app.flight.link_log import link_log
 from app.flight.recording import beginning
 from app.flight.simulated import SimulatedVehicles
 from app.link.discovery import SETTLING_S
+from app.link.key_file import KeyInUse, key_in_use
 from app.link.message import Message
 from app.link.raw_links import opened_url
 from app.link.shared import sharing_opener
+from app.link.signing import signing_time
 from app.link.transport import Transport
 from app.records.journal import Header, JournalWriter
 from app.records.run_folder import FleetFolder
@@ -165,9 +168,12 @@ class FleetFlight:
         self, stack: contextlib.AsyncExitStack, urls: Sequence[tuple[str, ...]], simulated: bool, life: Life
     ) -> None:
         opener = sharing_opener(urls, opened_url)
+        key, file = None, self._fleet.link.signing_key_file
+        if file is not None:
+            key = stack.enter_context(key_in_use(file, signing_time(time.time()), self._aircraft[0].trouble))
         done = await asyncio.gather(
             *(
-                self._join(stack, one, own, opener if _is_shared(own, urls) else None, simulated)
+                self._join(stack, one, own, opener if _is_shared(own, urls) else None, key, simulated)
                 for one, own in zip(self._aircraft, urls, strict=True)
             ),
             return_exceptions=True,
@@ -182,17 +188,20 @@ class FleetFlight:
         one: FleetAircraft,
         urls: tuple[str, ...],
         opener: Callable[[str], Transport] | None,
+        key: KeyInUse | None,
         simulated: bool,
     ) -> None:
         """Connect to one aircraft. opener: of a link that it shares."""
         link = one.config.link
+        if key is not None and opener is not None:
+            key = replace(key, times=key.times.apart())
         one.display.note(f"connecting to {' and '.join(urls)}")
         one.session = await stack.enter_async_context(
             connected(
                 urls,
                 link.heartbeat_timeout_s,
                 one.recording.frame if opener is None else one.own_frame,
-                link.signing_key_file,
+                key,
                 one.trouble,
                 system_id=None if simulated else link.system_id,
                 settling_s=0.0 if simulated else SETTLING_S,

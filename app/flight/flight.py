@@ -33,6 +33,7 @@ from app.flight.streams import ask_for_streams, is_slow
 from app.flight.terrain_server import TerrainServer
 from app.flight.wind_tables import WindTables
 from app.link.discovery import SETTLING_S
+from app.link.key_file import KeyInUse
 from app.link.mavsdk_link import FrameListener, MavsdkLink
 from app.link.senders import SenderCheck
 from app.link.telemetry import Telemetry
@@ -94,7 +95,7 @@ async def connected(
     urls: Sequence[str],
     timeout_s: float,
     on_frame: FrameListener | None = None,
-    key_file: Path | None = None,
+    key: Path | KeyInUse | None = None,
     note: Callable[[str], object] = lambda _text: None,
     system_id: int | None = None,
     settling_s: float = SETTLING_S,
@@ -118,7 +119,7 @@ async def connected(
         urls,
         timeout_s,
         frame,
-        key_file=key_file,
+        key=key,
         on_trouble=note,
         system_id=system_id,
         settling_s=settling_s,

@@ -14,10 +14,11 @@ import secrets
 import stat
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from app.errors import InputError
-from app.link.signing import KEY_BYTES, UNITS_PER_S, SigningKey, SigningTimes
+from app.link.signing import KEY_BYTES, UNITS_PER_S, SigningKey, SigningTimes, Stream
 
 _SAVE_EVERY_S = 1.0
 _SENT_AHEAD = 5 * UNITS_PER_S
@@ -70,15 +71,41 @@ class KeptTimes:
         self.times = times
         self.locked = threading.Lock()
         self._save = save
+        self._all = [times]
+
+    def apart(self) -> KeptTimes:
+        """Return the same for one more who hears the same frames, as on a link that several vehicles share."""
+        with self.locked:
+            other = KeptTimes(self.times.apart(), self._save)
+            other.locked, other._all = self.locked, self._all
+            self._all.append(other.times)
+        return other
 
     def save(self) -> None:
-        """Write the times down, a little ahead of themselves."""
+        """Write the times of all down, a little ahead of themselves."""
         with self.locked:
-            ahead = SigningTimes(
-                self.times.sent + _SENT_AHEAD,
-                {stream: time + _ACCEPTED_AHEAD for stream, time in self.times.streams.items()},
-            )
+            streams: dict[Stream, int] = {}
+            for times in self._all:
+                for stream, time in times.streams.items():
+                    streams[stream] = max(time + _ACCEPTED_AHEAD, streams.get(stream, 0))
+            ahead = SigningTimes(self.times.sent + _SENT_AHEAD, streams)
         self._save(ahead)
+
+
+@dataclass(frozen=True, slots=True)
+class KeyInUse:
+    """A key with its times, both of one file."""
+
+    key: SigningKey
+    times: KeptTimes
+
+
+@contextlib.contextmanager
+def key_in_use(path: Path, now: int, on_trouble: Callable[[str], object]) -> Iterator[KeyInUse]:
+    """Lend a key and its times to this process alone; see :func:`read_key` and :func:`kept_times`."""
+    key = read_key(path)
+    with kept_times(path, now, on_trouble) as times:
+        yield KeyInUse(key, times)
 
 
 @contextlib.contextmanager

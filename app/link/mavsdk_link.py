@@ -31,6 +31,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from app.errors import InputError
 from app.link import mavsdk_log
 from app.link.discovery import SETTLING_S, check_alone, the_vehicle
+from app.link.key_file import KeyInUse
 from app.link.link import LinkError
 from app.link.message import Message
 from app.link.meter import LinkMeter
@@ -87,7 +88,7 @@ class MavsdkLink:
         on_frame: FrameListener | None = None,
         own_system_id: int = OWN_SYSTEM_ID,
         own_component_id: int = 190,
-        key_file: Path | None = None,
+        key: Path | KeyInUse | None = None,
         on_trouble: Callable[[str], object] = lambda _text: None,
         system_id: int | None = None,
         settling_s: float = SETTLING_S,
@@ -96,10 +97,10 @@ class MavsdkLink:
         """Connect and wait for the heartbeat of an autopilot: of ``system_id``, or of the only one there.
 
         open_transport: of a URL that others use as well. on_frame gets every raw frame, received and sent, from
-        several threads. With key_file every link is signed. on_trouble hears of refused frames and changes of link,
-        from several threads as well. Raises InputError for a bad URL, a busy port, an unusable key, when no heartbeat
-        comes within ``timeout_s``, and when several vehicles are heard (in ``settling_s`` since the first frame) and
-        none is named; until then nothing is sent, and what the first one says is kept.
+        several threads. With a key, or its file, every link is signed. on_trouble hears of refused frames and changes
+        of link, from several threads as well. Raises InputError for a bad URL, a busy port, an unusable key, when no
+        heartbeat comes within ``timeout_s``, and when several vehicles are heard (in ``settling_s`` since the first
+        frame) and none is named; until then nothing is sent, and what the first one says is kept.
         """
         own = (own_system_id, own_component_id)
         mavsdk_log.silence()
@@ -107,10 +108,10 @@ class MavsdkLink:
         ours = contextlib.ExitStack()  # transports of our own
         try:
             raw, meter = None, LinkMeter(urls[0], own)
-            if key_file is None and len(urls) == 1 and open_transport is None:
+            if key is None and len(urls) == 1 and open_transport is None:
                 await _connect(instance, urls[0], _both(on_frame, meter.frame))
             else:
-                raw = ours.enter_context(opened_links(urls, own, key_file, on_frame, on_trouble, open_transport))
+                raw = ours.enter_context(opened_links(urls, own, key, on_frame, on_trouble, open_transport))
                 # The asyncio wrapper does not offer the subscription, the object beneath it does.
                 instance._mavsdk.subscribe_raw_bytes_to_be_sent(raw.send)
                 await instance.add_any_connection("raw://", ForwardingOption.OFF)

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from app.errors import InputError
 from app.link.frames import Frame, FrameSplitter
-from app.link.key_file import KeptTimes, kept_times, read_key
+from app.link.key_file import KeptTimes, KeyInUse, key_in_use
 from app.link.merger import LinkMerger
 from app.link.quality import LinkQuality, LinkReport, Measured
 from app.link.signing import RADIO_STATUS_ID, LinkSigning, Refusal, SigningKey, signing_time
@@ -269,20 +269,19 @@ def opened_url(url: str) -> Transport:
 def opened_links(
     urls: Sequence[str],
     own: tuple[int, int],
-    key_file: Path | None,
+    key: Path | KeyInUse | None,
     on_frame: FrameListener | None = None,
     on_trouble: Callable[[str], object] = lambda _text: None,
     open_transport: Callable[[str], Transport] | None = None,
 ) -> Iterator[RawLinks]:
-    """Open a transport for each URL; with a key file all are signed. open_transport: other than by ``opened_url``.
+    """Open a transport for each URL; with a key all are signed. open_transport: other than by ``opened_url``.
 
-    Raises InputError for a bad URL, a port or device that cannot be opened, and a key file that cannot be used.
+    key: its file, or one that others use as well. Raises InputError for a bad URL, a port or device that cannot be
+    opened, and a key file that cannot be used.
     """
     with contextlib.ExitStack() as stack:
-        key = times = None
-        if key_file is not None:
-            key = read_key(key_file)
-            times = stack.enter_context(kept_times(key_file, signing_time(time.time()), on_trouble))
+        if isinstance(key, Path):
+            key = stack.enter_context(key_in_use(key, signing_time(time.time()), on_trouble))
         transports: list[tuple[str, Transport]] = []
         for url in urls:
             try:
@@ -292,6 +291,7 @@ def opened_links(
                 raise InputError(f"{url!r} could not be opened ({reason}); check the address or device.") from error
             stack.callback(transport.close)
             transports.append((url, transport))
-        links = RawLinks(transports, own, key, times, on_frame, on_trouble)
+        secret, times = (key.key, key.times) if key is not None else (None, None)
+        links = RawLinks(transports, own, secret, times, on_frame, on_trouble)
         stack.callback(links.close)
         yield links

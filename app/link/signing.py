@@ -72,8 +72,23 @@ class SigningTimes:
     """
 
     def __init__(self, sent: int = 0, streams: Mapping[Stream, int] | None = None) -> None:
-        self.sent = sent
+        self._sent = [sent]
         self.streams = dict(streams or {})
+
+    @property
+    def sent(self) -> int:
+        """The last time sent."""
+        return self._sent[0]
+
+    @sent.setter
+    def sent(self, time: int) -> None:
+        self._sent[0] = time
+
+    def apart(self) -> SigningTimes:
+        """Return times for one more who hears the same frames: all send in one order, each accepts by itself."""
+        other = SigningTimes(streams=self.streams)
+        other._sent = self._sent
+        return other
 
     def next(self, now: int) -> int:
         """Return the time for the next frame out."""

@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
-import pytest
+import time
 
+import pytest
+from pymavlink.dialects.v20 import all as mavlink
+
+from app.link.frames import Frame
+from app.link.key_file import key_in_use, make_key
+from app.link.raw_links import RawLinks
 from app.link.shared import sharing_opener
+from app.link.signing import LinkSigning, Refusal, signing_time
+from sitl.settings import Settings
+from sitl.signing import read_key as sitl_key
+from sitl.simulation import Simulation
 
 A, B, C = "udpin://127.0.0.1:1", "udpin://127.0.0.1:2", "udpin://127.0.0.1:3"
 
@@ -69,3 +79,54 @@ def test_the_last_user_closes_it(opened):
     assert heard == []
     other.close()
     assert wires[A].closed == 1
+
+
+def test_two_vehicles_that_demand_signing_share_a_link(opened, tmp_path):
+    opener, wires = opened
+    path, own = tmp_path / "fleet.key", (245, 190)
+    make_key(path)
+    vehicles = [
+        Simulation(Settings(system_id=k, signing_key=sitl_key(path), boot_unix_s=time.time())) for k in (1, 2)
+    ]
+    heard: list[list[bytes]] = [[], []]
+    with key_in_use(path, signing_time(time.time()), pytest.fail) as key:
+        links = [RawLinks([(A, opener(A))], own, key.key, key.times.apart()) for _ in vehicles]
+        for one, frames in zip(links, heard, strict=True):
+            one.start(frames.append)
+        brought = []
+
+        def run(seconds: float) -> None:
+            for _ in range(round(10 * seconds)):
+                for vehicle in vehicles:
+                    vehicle.advance(vehicle.time_s + 0.1)
+                    for _, data in vehicle.take():
+                        brought.append(data)
+                        wires[A].receive(data, ("vehicle", 1))
+                sent, wires[A].sent = wires[A].sent, []
+                for data in sent:
+                    for vehicle in vehicles:  # each hears what is for the other
+                        vehicle.receive(0, data)
+
+        for vehicle in vehicles:
+            vehicle.connect(0)
+        run(30.0)
+        plain = mavlink.MAVLink(None, *own)
+        for system_id, one in enumerate(links, 1):
+            arm = mavlink.MAVLink_command_long_message(
+                system_id, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, 0, 0, 0, 0, 0, 0
+            )
+            one.send(bytes(arm.pack(plain)))
+        run(1.0)
+        assert all(vehicle.vehicle.armed for vehicle in vehicles)
+        for one, frames in zip(links, heard, strict=True):
+            assert one.reports()[0].refused == {}
+            assert {Frame(data).system_id for data in frames} == {1, 2}
+        count = len(heard[0])
+        for data in brought[-50:]:
+            assert wires[A].receive(data, ("vehicle", 1)) is False  # heard before, by both
+        assert len(heard[0]) == len(heard[1]) == count
+        for one in links:
+            one.close()
+    with key_in_use(path, signing_time(time.time()), pytest.fail) as key:
+        again, now = LinkSigning(key.key, key.times.times, 0, own), signing_time(time.time())
+        assert {again.refusal(Frame(data), now) for data in brought[-50:]} == {Refusal.OLD}
