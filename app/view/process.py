@@ -12,7 +12,7 @@ from app.view.feed import Feed, FeedError
 from app.view.shading import Shading
 from app.view.state import Json
 
-_UP_S = 5.0
+_UP_S = 30.0  # a second or two; a machine that is busy takes many times that
 
 
 def start_page(address: Address, replay: bool = False) -> tuple[Feed, str, str]:
