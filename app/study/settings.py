@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Literal
 
@@ -140,6 +140,5 @@ class StudySettings:
             self.target_speed_max_m_s,
             threshold=self.threshold,
             course_horizon_s=self.course_horizon_s,
-            fleet_size=self.fleet,
         )
-        return watching_from(plain, self.side)
+        return replace(watching_from(plain, self.side), fleet_size=self.fleet)
