@@ -133,12 +133,6 @@ class StudySettings:
 
     def requirement(self) -> Requirement:
         """Return what is asked for."""
-        plain = Requirement(
-            self.range_min_m,
-            self.range_max_m,
-            Side.LEFT,
-            self.target_speed_max_m_s,
-            threshold=self.threshold,
-            course_horizon_s=self.course_horizon_s,
-        )
-        return replace(watching_from(plain, self.side), fleet_size=self.fleet)
+        plain = Requirement(self.range_min_m, self.range_max_m, Side.LEFT, self.target_speed_max_m_s, self.threshold)
+        watched = watching_from(plain, self.side)
+        return replace(watched, course_horizon_s=self.course_horizon_s, fleet_size=self.fleet)
