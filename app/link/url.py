@@ -9,7 +9,7 @@ from pathlib import Path
 from app.errors import InputError
 
 _SCHEMES = "udpin://HOST:PORT, udpout://HOST:PORT, tcpout://HOST:PORT, tcpin://HOST:PORT, serial:///dev/NAME:BAUD"
-_NETWORK_URL = re.compile(r"(udpin|udpout|tcpin|tcpout)://([^:/]+):(\d+)")
+_NETWORK_URL = re.compile(r"(udpin|udpout|tcpin|tcpout)://([^:/]+):(\d{1,9})")
 _SERIAL_URL = re.compile(r"serial(?:_flowcontrol)?://(/[^:]+):\d+")
 
 
