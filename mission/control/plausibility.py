@@ -51,8 +51,7 @@ _DRIFT_M_S = 10.0  # of a position told while GPS or EKF complain
 _AWAITED_S = 5.0  # so long for a word of GPS and EKF after a silence
 _TOLD_AGAIN_S = 30.0
 _SOURCES_MAX = 32
-_FLYING_M_S = 5.0
-_SAME_PLACE_M, _DISPLACED_MIN = 15.0, 3
+_DISPLACED_MIN = 3
 _OVERTAKEN_S = 1.0
 _BOOT_S = 4.0  # who has started anew so long ago has been silent and has moved meanwhile
 
@@ -83,7 +82,8 @@ class Plausibility:
         self._wind_max_m_s = wind_max_m_s
         self._bank_rad = 0.0
         self._displaced = 0  # positions in a row that are of another time, and elsewhere
-        self._clock_stood = False  # whether a stamp was refused or long overtaken since the latest believed position
+        # Whether a stamp was long overtaken, or refused, since the latest believed position.
+        self._overtaken = self._refused = False
         self._faults: dict[str, tuple[float, float, str]] = {}  # by source: since, latest, what
         self._good_s: dict[str, float] = {}
         self._awaited_s: dict[str, float] = {}  # by source of which nothing was heard since a silence: since when
@@ -143,12 +143,11 @@ class Plausibility:
     def _position(self, reading: PositionReading) -> Event | None:
         possible = _possible(reading)
         if not self._on_time(reading.time_s, reading):
-            self._clock_stood = True
+            self._refused = True
             return None
         if self.position.believed is None and not possible:
             return None
-        if reading.time_s < self.clock.now_s - _OVERTAKEN_S:
-            self._clock_stood = True
+        self._overtaken |= reading.time_s < self.clock.now_s - _OVERTAKEN_S
         was_astray = self.position.astray_s is not None
         self._await_after_silence(reading.time_s)
         sound = self._fault(reading.time_s) is None
@@ -161,7 +160,7 @@ class Plausibility:
         if self.dead_reckoned and not was_astray:
             self._tell("jump", "position", f"the position jumped by {_length(self.position.jump_m)}: dead reckoning")
         elif self.position.believed is reading:
-            self._clock_stood = False
+            self._overtaken = self._refused = False
         self._judge(reading.time_s)
         return believed
 
@@ -176,7 +175,9 @@ class Plausibility:
         ahead = 0.0 < stamp_s - clock.now_s <= SILENCE_MAX_S
         booted = clock.now_s > BOOTING_S and _BOOT_S < stamp_s - clock.questioned_for_s < BOOTING_S
         if (ahead or booted) and place is not None:
-            self._displaced = 0 if self._is_where_it_was(place) else self._displaced + 1
+            # A clock that is put right after it stood has readings elsewhere, too: by that they are no jump.
+            is_where_it_was = self.position.stayed(place, clock.questioned_for_s, jumped=not self._overtaken)
+            self._displaced = 0 if is_where_it_was else self._displaced + 1
         stamp = clock.take(stamp_s, PROOF_S if (ahead or booted) and self._displaced < _DISPLACED_MIN else None)
         if stamp is Stamp.GOOD:
             self._displaced = 0
@@ -199,17 +200,6 @@ class Plausibility:
         if off_s is not None and clock.questioned_for_s > BRIDGED_S:
             self._tell("clock", "position", f"the aircraft's clock is {_off(off_s)}: nothing is decided on it")
         return False
-
-    def _is_where_it_was(self, place: PositionReading) -> bool:
-        """Tell whether no time has gone by for the aircraft but what its doubtful stamps themselves have told."""
-        last = self.position.believed
-        if last is None:
-            return False
-        if math.hypot(last.velocity_east_m_s, last.velocity_north_m_s) < _FLYING_M_S:
-            return False  # at rest no place tells the time
-        moved_m = math.hypot(place.east_m - last.east_m, place.north_m - last.north_m)
-        speed_m_s = math.hypot(place.velocity_east_m_s, place.velocity_north_m_s)
-        return moved_m < _SAME_PLACE_M + speed_m_s * self.clock.questioned_for_s
 
     def _yield_to_two(self, how: str) -> None:
         if self.two_vehicles is None:
@@ -244,7 +234,7 @@ class Plausibility:
         doubt = None
         if fault is not None and now_s - fault[0] > BRIDGED_S:
             doubt = fault[1]
-        elif astray_s is not None and (now_s - astray_s > BRIDGED_S or self._clock_stood):
+        elif astray_s is not None and (now_s - astray_s > BRIDGED_S or self._overtaken or self._refused):
             # Nothing is bridged from a place whose time is not known.
             doubt = f"the position jumped by {_length(self.position.jump_m)}"
         if doubt is not None and self.doubt is None:

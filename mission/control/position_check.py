@@ -26,6 +26,7 @@ SILENT_S = 3.0
 """A place after so long without one is one after a silence."""
 _CIRCLING_RAD, _OFF_CIRCLE_M = math.radians(12.0), 60.0
 _ODD_S = 1.0  # so long after the one before it a believed reading may turn out to have been the odd one
+_FLYING_M_S = 5.0
 _SETTLED = 5  # so many readings in order, before there is anything to hold on to
 _TURNS_MAX, _TURN_MAX_S = 20, 0.5
 
@@ -61,6 +62,14 @@ class PositionCheck:
         if self.astray_s is not None:
             self.astray_s += seconds
             self._elsewhere_since_s += seconds
+
+    def stayed(self, place: PositionReading, passed_s: float, *, jumped: bool) -> bool:
+        """Tell whether no more time than that has gone by for the aircraft, whatever its stamps tell.
+
+        jumped: readings that lie elsewhere have jumped there; they may go on, or come back, and neither is a flight.
+        """
+        places = (self.believed, self._elsewhere if jumped and self.astray_s is not None else None)
+        return any(one is not None and _stayed(one, place, passed_s) for one in places)
 
     def take(
         self, reading: PositionReading, bank_rad: float, *, possible: bool, sound: bool
@@ -119,6 +128,13 @@ class PositionCheck:
         return _reachable(last, reading, reckoned_for_s + self._drifted_m / _DRIFT_M_S) and (
             reading.time_s - last.time_s <= SILENT_S or _still_circles(last, reading, bank_rad)
         )
+
+
+def _stayed(last: PositionReading, place: PositionReading, passed_s: float) -> bool:
+    if math.hypot(last.velocity_east_m_s, last.velocity_north_m_s) < _FLYING_M_S:
+        return False  # at rest no place tells the time
+    moved_m = math.hypot(place.east_m - last.east_m, place.north_m - last.north_m)
+    return moved_m < _SLACK_M + math.hypot(place.velocity_east_m_s, place.velocity_north_m_s) * passed_s
 
 
 def _reachable(last: PositionReading, reading: PositionReading, reckoned_for_s: float) -> bool:

@@ -192,6 +192,20 @@ def test_a_jump_that_meets_a_change_of_clock_is_still_a_jump(flown):
     assert flown.of(PositionReading)[-1] == position(129.9)
 
 
+@pytest.mark.parametrize("jump_ends_s", [112.0, 114.0, 119.0])
+def test_a_jump_is_no_flight_of_a_clock_that_goes_ahead(flown, jump_ends_s):
+    def wrong(event: Event) -> Event:
+        begun_s = event.time_s
+        if isinstance(event, VEHICLE):
+            event = later(57.3 if 111.5 <= begun_s < 116.3 else 0.0)(event)
+        return away(2700.0 if begun_s < jump_ends_s else 0.0)(event)
+
+    flown.fly(110.0, 125.0, wrong)
+    assert not [reading for reading in flown.of(PositionReading) if reading.east_m > 1000.0 or reading.time_s > 125.0]
+    assert any("aircraft's clock" in text for text in flown.told)
+    assert flown.of(PositionReading)[-1] == position(124.9)
+
+
 def test_nothing_is_seen_from_a_place_whose_clock_stood_still(flown):
     flown.fly(110.0, 116.1, only(VEHICLE, later(-4.3)))
     believed = flown.door.position.believed
