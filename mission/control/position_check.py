@@ -18,7 +18,7 @@ from mission.core.requirement import GRAVITY_M_S2
 
 _SLACK_M, _ACCELERATION_M_S2 = 15.0, 8.0
 _GUST_M_S = 15.0
-_DRIFT_M_S = 3.0  # of dead reckoning
+_DRIFT_M_S, _DRIFTING_MAX_S = 3.0, 10.0  # of dead reckoning
 _VELOCITY_SLACK_M_S, _VELOCITY_RATE_M_S2 = 6.0, 15.0
 _CLIMB_SLACK_M, _CLIMB_RATE_M_S = 20.0, 10.0
 _PROOF_S = 15.0
@@ -111,7 +111,8 @@ class PositionCheck:
         before = self._elsewhere
         agrees = before is not None and _reachable(before, reading, 0.0)
         if self.astray_s is None:
-            self.astray_s = last.time_s
+            # What lies elsewhere after a longer silence is nothing that dead reckoning has drifted from meanwhile.
+            self.astray_s = max(last.time_s, reading.time_s - _DRIFTING_MAX_S)
             self.jump_m = math.hypot(reading.east_m - last.east_m, reading.north_m - last.north_m)
             in_turn = before is not None and reading.time_s - before.time_s < _TURN_MAX_S
             self._turns = self._turns + 1 if agrees and in_turn else 0

@@ -316,6 +316,23 @@ def test_a_jump_that_meets_a_silence_is_still_a_jump(flown):
     assert flown.of(PositionReading)[-1] == position(159.9)
 
 
+def test_a_jump_off_the_circle_during_a_silence_is_nothing_that_has_drifted(flown):
+    lap_s = round(20.0 * math.pi * RADIUS_M / SPEED_M_S) / 10.0
+    silent_s = lap_s * math.ceil(25.0 / lap_s)  # it comes back with the velocity that it had
+    there, begin_s = flown.door.position.believed, 109.9 + silent_s
+    reckoned_m = silent_s * there.velocity_east_m_s, silent_s * there.velocity_north_m_s
+
+    def jumped(event: Event) -> Event:
+        if not isinstance(event, PositionReading):
+            return event
+        return replace(event, east_m=event.east_m + reckoned_m[0], north_m=event.north_m + reckoned_m[1] + 90.0)
+
+    flown.fly(begin_s, begin_s + 6.0, jumped)
+    assert flown.door.doubt is not None
+    flown.fly(begin_s + 6.0, begin_s + 25.0)
+    assert flown.of(PositionReading)[-1] == position(begin_s + 24.9)
+
+
 def test_a_new_place_is_not_believed_while_the_ekf_complains(flown):
     for begin_s in range(110, 150):
         flown.give(NavigationReported(float(begin_s), "EKF", "the EKF sees a GPS glitch"))
