@@ -2,35 +2,43 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-_SHARE_S = 1e6  # more than any way
+from mission.core.path import FloatArray
+from mission.fleet.roles import RoleCosts
+
+_SHARE_S = 1e6  # more than anything costs: that a target has less than its even share
+_ELSEWHERE_S = 1e9
 
 
 def spread_over(
-    targets: Sequence[str], way_s: Sequence[Sequence[float]], at: Sequence[str], gain_s: float
-) -> list[str]:
-    """Return the target of each aircraft: as evenly as can be, and with the least time on the way for all together.
+    targets: Sequence[str], costs: Sequence[Sequence[RoleCosts]], at: Sequence[str], change_s: float
+) -> tuple[list[str], float]:
+    """Return the target of each aircraft, and by how much that is cheaper than as it is, in seconds off the sides.
 
-    way_s: of each aircraft to each target; at: where each is, '' or another name for none of these. While that is
-    even already, it is changed only where all together gain ``gain_s``.
+    As evenly as can be, and with the least cost for all together: each target has a place on its wanted side, then
+    one opposite, and so on in turn. costs: of each aircraft beside each target, finite; at: where each is, '' or
+    another name for none of these. Each aircraft that changes costs ``change_s`` beside: so none does for less, also
+    while others have to. The gain is infinite where the aircraft are spread unevenly, or one is nowhere.
     """
-    each, odd = divmod(len(way_s), len(targets))
-    slots = [k for k in range(len(targets)) for _ in range(each + (odd > 0))]
-    to_s = np.array([[own[k] for k in slots] for own in way_s], float)
-    # Every target has its even share first; who is over goes where the way is shortest.
-    to_s -= np.tile([_SHARE_S] * each + [0.0] * (odd > 0), len(targets))
-    _, columns = linear_sum_assignment(to_s)
-    best = [targets[slots[column]] for column in columns.tolist()]
-    counts = [at.count(name) for name in targets]
-    if sum(counts) == len(at) and min(counts) >= each and max(counts) <= each + (odd > 0):
-        gained_s = sum(
-            own[targets.index(name)] - own[targets.index(other)]
-            for own, name, other in zip(way_s, at, best, strict=True)
-        )
-        if gained_s < gain_s:
-            return list(at)
-    return best
+    each, odd = divmod(len(costs), len(targets))
+    places = [(k, row) for k in range(len(targets)) for row in range(each + (odd > 0))]
+    # Every target has its even share first; who is over goes where it costs least.
+    share_s = np.where([row < each for _, row in places], _SHARE_S, 0.0)
+    elsewhere = np.array([[targets[k] != name for k, _ in places] for name in at])
+    beside_s = [[own[k].opposite_s if row % 2 else own[k].wanted_s for k, row in places] for own in costs]
+    to_s = beside_s - share_s + change_s * elsewhere
+    best, best_s = _cheapest(to_s)
+    _, stay_s = _cheapest(to_s + _ELSEWHERE_S * elsewhere)
+    gained_s = stay_s - best_s
+    return [targets[places[column][0]] for column in best], math.inf if gained_s > 0.5 * _SHARE_S else gained_s
+
+
+def _cheapest(to_s: FloatArray) -> tuple[list[int], float]:
+    """Return the place of each aircraft, and what all cost together."""
+    rows, columns = linear_sum_assignment(to_s)
+    return columns.tolist(), float(to_s[rows, columns].sum())

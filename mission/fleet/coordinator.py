@@ -28,9 +28,10 @@ Rules
 3. Relief: an aircraft whose battery is below ``relieve_below``, which has watched for its ``endurance_s``, or whose
    relief is asked for gives the wanted side away, but holds it with the other one until that one is there; a reserve
    is asked for. Below ``leave_below`` it leaves whatever happens. A reserve is asked for too when nobody is left.
-4. Several targets: aircraft are given out by the time to get there, those that are free or with a target that is lost
-   at once, others only where all together gain ``reassign_gain_s``. What a payload has seen counts for the target
-   that it looks at: another one than before once ``turned_after`` sightings in a row lie there.
+4. Several targets: aircraft are given out evenly, by what their roles would cost them beside each, the way there
+   included. Those of a lost target go at once, others where all together have gained more than ``reassign_cost_s``
+   for each that changes, for ``reassign_after_s``. What a payload has seen counts for the target that it looks at:
+   another one than before once ``turned_after`` sightings in a row lie there.
 5. Each aircraft keeps the height layer that it was set up with: layers are never swapped, so nothing has to be
    confirmed before one is free.
 6. The wanted side is a person's to change (``SideRequested``), for all aircraft and targets at once; a band or radius
@@ -95,7 +96,8 @@ class FleetSettings:
     silent_after_s: float = 5.0
     relieve_below: float = 0.3
     leave_below: float = 0.15
-    reassign_gain_s: float = 30.0
+    reassign_cost_s: float = 15.0
+    reassign_after_s: float = 5.0
     turned_after: int = 3
 
 
@@ -150,6 +152,7 @@ class FleetCoordinator:
         self._foreign: dict[str, ForeignAircraftReported] = {}
         self._refused: dict[str, Mapping[str, str]] = {}
         self._asked: set[str] = set()
+        self._gains_since_s = math.inf  # another assignment to the targets
         self._now_s, self._next_s = -math.inf, -math.inf
         self._out: list[FleetCommand] = []
 
@@ -337,13 +340,36 @@ class FleetCoordinator:
         free = [one for one in self._vehicles.values() if one.takes_part and estimates[one.target] is not None]
         if len(self._targets) < 2 or not known or not free:
             return
-        at = [one.target for one in free]
-        way_s = [[one.way_s(known[name]) for name in known] for one in free]
-        given = spread_over(list(known), way_s, at, self.settings.reassign_gain_s)
+        costs = [[self._role_costs(one, name, estimate) for name, estimate in known.items()] for one in free]
+        at, settings = [one.target for one in free], self.settings
+        given, gained_s = spread_over(list(known), costs, at, settings.reassign_cost_s)
+        self._gains_since_s = min(self._gains_since_s, self._now_s) if gained_s > 0.0 else math.inf
+        if math.isfinite(gained_s) and self._now_s - self._gains_since_s < settings.reassign_after_s:
+            return
         for one, target in zip(free, given, strict=True):
             if one.target != target:
                 one.target = target
                 self._say(one.member.name, f"goes to {target}")
+
+    def _role_costs(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts:
+        """Return what an aircraft would pay in each role beside a target, the way there included."""
+        costs = self._judged(vehicle, target, estimate) or RoleCosts(0.0, 0.0)
+        way_s = self._way_s(vehicle, target, estimate)
+        return RoleCosts(costs.wanted_s + way_s, costs.opposite_s + way_s)
+
+    def _way_s(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> float:
+        """Return how long an aircraft needs to a target, 0 where it is at it."""
+        at_it = vehicle.range_m(estimate) <= self._targets[target].requirement.range_max_m
+        return 0.0 if at_it else vehicle.way_s(estimate)
+
+    def _judged(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts | None:
+        """Return what an aircraft would pay from its next departure on; None before its plan is known."""
+        report = vehicle.report
+        present = None if vehicle.plans is None else shifted_plan(vehicle.plans.present, vehicle.clock.offset_s)
+        if report is None or present is None:
+            return None
+        judge = self._judges[vehicle.member.name, target]
+        return judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
 
     def _assign_roles(self, target: str, estimate: TargetEstimate | None) -> None:
         if estimate is None or estimate.quality is TrackQuality.LOST:
@@ -351,20 +377,17 @@ class FleetCoordinator:
         candidates: dict[str, Candidate] = {}
         wanted = self._targets[target].requirement
         for name, vehicle in self._vehicles.items():
-            report, plans = vehicle.report, vehicle.plans
-            if vehicle.target != target or report is None or plans is None or not vehicle.takes_part:
+            report = vehicle.report
+            if vehicle.target != target or report is None or not vehicle.takes_part:
                 continue
-            present = shifted_plan(plans.present, vehicle.clock.offset_s)
-            if present is None:
+            costs = self._judged(vehicle, target, estimate)
+            if costs is None:
                 continue
-            judge = self._judges[name, target]
-            costs = judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
-            if self._is_to_be_relieved(vehicle):
-                costs = replace(costs, wanted_s=math.inf)
-            elif vehicle.range_m(estimate) > wanted.range_max_m:  # it has to get there first
-                costs = replace(costs, wanted_s=costs.wanted_s + vehicle.way_s(estimate))
+            # One that has to get there first takes no side from one that is there.
+            way_s = math.inf if self._is_to_be_relieved(vehicle) else self._way_s(vehicle, target, estimate)
+            costs = replace(costs, wanted_s=costs.wanted_s + way_s)
             beside = is_beside(report.state, estimate, wanted)
-            candidates[name] = Candidate(costs, beside, plans.coming is not None)
+            candidates[name] = Candidate(costs, beside, vehicle.plans is not None and vehicle.plans.coming is not None)
         roles = self._assignments[target].assign(self._now_s, candidates, course_known=course_is_known(estimate))
         for name, role in roles.items():
             self._vehicles[name].role = role

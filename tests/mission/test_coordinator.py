@@ -58,7 +58,8 @@ class Aside:
         return Decision(aircraft.time_s, None, "")
 
     def role_costs(self, aircraft, target, present, wind, latency_s):
-        return RoleCosts(abs(aircraft.east_m - self.middle_m) / 5.0, abs(aircraft.east_m + self.middle_m) / 5.0)
+        off_m = aircraft.east_m - target.east_m
+        return RoleCosts(abs(off_m - self.middle_m) / 5.0, abs(off_m + self.middle_m) / 5.0)
 
 
 class Vehicle:
@@ -308,7 +309,12 @@ def test_aircraft_are_given_out_to_the_targets_and_a_lost_target_frees_its_own()
         "c": "bike",
         "d": "bike",
     }
-    fly(10, 80, unseen="bike")
+    places |= {"b": places["c"], "c": places["b"]}
+    fly(10, 14)
+    assert coordinator.roles["b"][0] == "boat"  # what is gained has to last
+    fly(14, 20)
+    assert (coordinator.roles["b"][0], coordinator.roles["c"][0]) == ("bike", "boat")
+    fly(20, 90, unseen="bike")
     assert {target for target, _ in coordinator.roles.values()} == {"boat"}
 
 
@@ -363,14 +369,42 @@ def test_the_same_events_lead_to_the_same_commands():
 
 
 @pytest.mark.parametrize(
-    ("at", "way_s", "given"),
+    ("at", "costs_s", "given", "gained_s"),
     [
-        (["x", "x", "y"], [[10, 90], [20, 80], [90, 10]], ["x", "x", "y"]),
-        (["x", "y", "y"], [[10, 90], [80, 20], [90, 10]], ["x", "y", "y"]),  # who is over may be with either
-        (["x", "x", "x"], [[10, 90], [20, 40], [10, 70]], ["x", "y", "x"]),
-        (["x", "y", "y"], [[10, 90], [10, 60], [90, 10]], ["x", "x", "y"]),  # 50 s are gained
-        (["", "", ""], [[10, 90], [80, 20], [90, 10]], ["x", "y", "y"]),
+        (["x", "x", "y"], [[10, 90], [20, 80], [90, 10]], ["x", "x", "y"], 0.0),
+        (["x", "y", "y"], [[10, 90], [80, 20], [90, 10]], ["x", "y", "y"], 0.0),  # who is over may be with either
+        (["x", "x", "x"], [[10, 90], [20, 40], [10, 70]], ["x", "y", "x"], math.inf),
+        (["x", "y", "y"], [[10, 90], [10, 60], [90, 10]], ["x", "x", "y"], 50.0),
+        (["", "", ""], [[10, 90], [80, 20], [90, 10]], ["x", "y", "y"], math.inf),
     ],
 )
-def test_aircraft_are_spread_evenly_by_the_way_and_change_for_a_gain_only(at, way_s, given):
-    assert spread_over(["x", "y"], way_s, at, 30.0) == given
+def test_aircraft_are_spread_evenly_with_the_least_cost(at, costs_s, given, gained_s):
+    costs = [[RoleCosts(each_s, each_s) for each_s in own] for own in costs_s]
+    assert spread_over(["x", "y"], costs, at, 0.0) == (given, gained_s)
+
+
+def test_each_goes_where_a_side_is_left_for_it():
+    left, right = RoleCosts(5.0, 60.0), RoleCosts(60.0, 5.0)
+    own = [[left, left], [right, left], [left, right], [right, right]]  # on which side of x and y each of them is
+    given, gained_s = spread_over(["x", "y"], own, ["x", "x", "y", "y"], 0.0)
+    assert gained_s == 55.0  # both beside y are on the same side of it
+    assert given in (["x", "y", "y", "x"], ["y", "x", "x", "y"])
+    two_left = [[left, left], [left, left], [right, right], [right, right]]
+    given, gained_s = spread_over(["x", "y"], two_left, ["x", "x", "y", "y"], 0.0)
+    assert sorted(given[:2]) == sorted(given[2:]) == ["x", "y"]
+    assert gained_s == 110.0
+
+
+def test_none_changes_its_target_for_less_than_a_change_costs():
+    def beside(*each_s: float) -> list[RoleCosts]:
+        return [RoleCosts(one_s, one_s) for one_s in each_s]
+
+    targets = ["x", "y"]
+    assert spread_over(targets, [beside(30, 10), beside(10, 30)], ["x", "y"], 15.0) == (["y", "x"], 10.0)
+    assert spread_over(targets, [beside(24, 10), beside(10, 24)], ["x", "y"], 15.0) == (["x", "y"], 0.0)
+    assert spread_over(targets, [beside(5, 5)] * 4, ["y", "x", "x", "y"], 15.0) == (["y", "x", "x", "y"], 0.0)
+    # Also while another has to: of three beside x the one goes that is nearest to y, and the others stay.
+    uneven = [beside(10, 90), beside(10, 60), beside(10, 80), beside(20, 14)]
+    assert spread_over(targets, uneven, ["x", "x", "x", "y"], 15.0) == (["x", "y", "x", "y"], math.inf)
+    # A target that nobody sees is none of these: who is with it is free, and goes where most is wanted.
+    assert spread_over(["x"], [beside(10), beside(90)], ["x", "z"], 15.0) == (["x", "x"], math.inf)
