@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 
@@ -44,6 +44,7 @@ from mission.core.requirement import Side
 from mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_beside
 from mission.fleet.team import TeamSettings
 from mission.fleet.team_planner import TeamPlanner
+from mission.fleet.watched_course import WatchedCourse
 from mission.geometry._line_kernel import Circling
 from mission.geometry.progress import line_of
 from mission.laws.phased import CircularFormation, PhasedField
@@ -132,7 +133,7 @@ class FleetRun:
         self._target = Target(np.ascontiguousarray(self._scene.target.sampled(time_s)), np.zeros((1, 3)))
         self._members = self._set_up(table, team)
         heights_m = [member.height_m for member in self._members]
-        self._roles = RoleAssignment()
+        self._roles, self._course = RoleAssignment(), WatchedCourse(settings.requirement())
         self._handovers = 0
         self._sight = None if settings.perfect_sensors else JointSight(settings, self._scene, heights_m, self._steps)
         self._watch = StopWatch(1)
@@ -195,10 +196,12 @@ class FleetRun:
         settings, wind = self._settings, self._settings.wind
         flying = [member for member in self._members if not member.lost]
         requirement = settings.requirement()
+        self._course.update(estimate, flying[0].state)
+        course_rad = self._course.course_rad
         candidates = {
             one.name: Candidate(
                 one.planner.role_costs(one.state, estimate, one.plan(), wind, settings.latency_s),
-                is_beside(one.state, estimate, requirement),
+                is_beside(one.state, estimate, requirement, course_rad),
                 one.busy,
             )
             for one in flying
@@ -221,7 +224,8 @@ class FleetRun:
             role = roles[member.name]
             side = wanted if role is Role.WANTED else wanted.opposite
             others = tuple(one for name, one in neighbours.items() if name != member.name)
-            member.planner.advise(FleetAdvice(estimate.time_s, "", role, side, estimate, member.height_m, others))
+            advice = FleetAdvice(estimate.time_s, "", role, side, estimate, member.height_m, others)
+            member.planner.advise(replace(advice, course_rad=course_rad))
             if member.busy:
                 continue
             arguments = member.state, estimate, member.plan(), wind, settings.latency_s

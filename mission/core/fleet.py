@@ -44,6 +44,7 @@ class FleetAdvice:
 
     estimate: the joint one of that target, None before it was seen. height_m: of the layer to fly in. reason: why
     this differs from the advice before, '' where it does not. turn_payload: its payload looks at another target.
+    course_rad: of the target, whose sides the fleet shares out; None before anybody watches.
     """
 
     time_s: float
@@ -55,6 +56,7 @@ class FleetAdvice:
     neighbours: tuple[Neighbour, ...]
     reason: str = ""
     turn_payload: bool = False
+    course_rad: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

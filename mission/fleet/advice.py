@@ -20,8 +20,9 @@ def advice_to(
     estimate: TargetEstimate | None,
     fleet: Iterable[FleetVehicle],
     foreign: Iterable[ForeignAircraftReported],
+    course_rad: float | None = None,
 ) -> FleetAdvice:
-    """Return an aircraft's advice at mission time ``now_s``; wanted: the side of its target."""
+    """Return an aircraft's advice at mission time ``now_s``; wanted, course_rad: side and course of its target."""
     by_s = -vehicle.clock.offset_s
     told = (vehicle.role, vehicle.target)
     reason = "" if told == vehicle.told else _reason(vehicle.role)
@@ -45,6 +46,7 @@ def advice_to(
         (*ours, *(_neighbour(one, by_s) for one in foreign)),
         reason,
         vehicle.watches != vehicle.target,
+        course_rad,
     )
 
 

@@ -24,7 +24,8 @@ in the same order lead to the same commands, so that a journal of them replays.
 Rules
 -----
 1. Only what was reported lately counts: an aircraft silent for ``silent_after_s`` has lost its role to the others.
-2. Roles are given out each second by expected cost; see :mod:`mission.fleet.roles`.
+2. Roles are given out each second by expected cost; see :mod:`mission.fleet.roles`. The sides are those of one course
+   for all, known since the target was first seen; see :mod:`mission.fleet.watched_course`.
 3. Relief: an aircraft whose battery is below ``relieve_below``, which has watched for its ``endurance_s``, or whose
    relief is asked for gives the wanted side away, but holds it with the other one until that one is there; a reserve
    is asked for. Below ``leave_below`` it leaves whatever happens. A reserve is asked for too when nobody is left.
@@ -75,6 +76,7 @@ from mission.fleet.events import (
 )
 from mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside
 from mission.fleet.vehicle import FleetMember, FleetVehicle
+from mission.fleet.watched_course import WatchedCourse
 
 _FOREIGN_FORGOTTEN_S = 30.0
 _NEAR_M, _NEARER = 60.0, 0.5  # a sighting of another target is so near to it, and by this share nearer than its own
@@ -108,6 +110,10 @@ class RoleJudge(Protocol):
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> RoleCosts:
         """Return what this aircraft would pay in each role."""
+        ...
+
+    def presume(self, course_rad: float) -> None:
+        """Count by this course of the target until it has been seen to move."""
         ...
 
 
@@ -148,6 +154,7 @@ class FleetCoordinator:
         for one in targets:
             self._ask(one.name, one.requirement)
         self._assignments = {one.name: RoleAssignment() for one in targets}
+        self._courses = {one.name: WatchedCourse(one.requirement) for one in targets}
         self._estimates: Mapping[str, TargetEstimate | None] = {}  # as of the last second
         self._foreign: dict[str, ForeignAircraftReported] = {}
         self._refused: dict[str, Mapping[str, str]] = {}
@@ -310,6 +317,7 @@ class FleetCoordinator:
         self._next_s = self._now_s + self.settings.period_s
         estimates = self._estimates = {name: track.estimate(self._now_s) for name, track in self._tracks.items()}
         self._tell_refusals()
+        self._follow(estimates)
         self._assign_targets(estimates)
         for name in self._targets:
             self._assign_roles(name, estimates[name])
@@ -321,7 +329,8 @@ class FleetCoordinator:
             if vehicle.report is not None:
                 target, fleet, foreign = vehicle.target, self._vehicles.values(), self._foreign.values()
                 wanted = self._targets[target].requirement.side
-                advice = advice_to(vehicle, self._now_s, wanted, estimates[target], fleet, foreign)
+                course_rad = self._courses[target].course_rad
+                advice = advice_to(vehicle, self._now_s, wanted, estimates[target], fleet, foreign, course_rad)
                 self._out.append(Tell(vehicle.member.name, advice))
 
     def _tell_refusals(self) -> None:
@@ -331,6 +340,13 @@ class FleetCoordinator:
                 if payload not in before:
                     self._say(payload, f"its sightings are left out: {reason}")
             self._refused[name] = dict(track.refused)
+
+    def _follow(self, estimates: Mapping[str, TargetEstimate | None]) -> None:
+        for name, estimate in estimates.items():
+            if estimate is not None and estimate.quality is not TrackQuality.LOST:
+                watching = [one for one in self._vehicles.values() if one.takes_part and one.target == name]
+                first = min(watching, key=lambda one: one.since_s).report if watching else None
+                self._courses[name].update(estimate, None if first is None else first.state)
 
     def _assign_targets(self, estimates: Mapping[str, TargetEstimate | None]) -> None:
         """Give the aircraft out to the targets that are seen, as evenly as can be."""
@@ -368,7 +384,9 @@ class FleetCoordinator:
         present = None if vehicle.plans is None else shifted_plan(vehicle.plans.present, vehicle.clock.offset_s)
         if report is None or present is None:
             return None
-        judge = self._judges[vehicle.member.name, target]
+        judge, course_rad = self._judges[vehicle.member.name, target], self._courses[target].course_rad
+        if course_rad is not None:
+            judge.presume(course_rad)
         return judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
 
     def _assign_roles(self, target: str, estimate: TargetEstimate | None) -> None:
@@ -386,8 +404,10 @@ class FleetCoordinator:
             # One that has to get there first takes no side from one that is there.
             way_s = math.inf if self._is_to_be_relieved(vehicle) else self._way_s(vehicle, target, estimate)
             costs = replace(costs, wanted_s=costs.wanted_s + way_s)
-            beside = is_beside(report.state, estimate, wanted)
-            candidates[name] = Candidate(costs, beside, vehicle.plans is not None and vehicle.plans.coming is not None)
+            beside = is_beside(report.state, estimate, wanted, self._courses[target].course_rad)
+            candidates[name] = Candidate(
+                costs, beside, vehicle.plans is not None and vehicle.plans.coming is not None
+            )
         roles = self._assignments[target].assign(self._now_s, candidates, course_known=course_is_known(estimate))
         for name, role in roles.items():
             self._vehicles[name].role = role
@@ -408,8 +428,11 @@ class FleetCoordinator:
             ]
             vehicle.role = Role.WANTED  # with who takes over, until that one is there
             estimate, wanted = estimates[vehicle.target], self._targets[vehicle.target].requirement
+            course_rad = self._courses[vehicle.target].course_rad
             if estimate is not None and any(
-                one.role is Role.WANTED and one.report is not None and is_beside(one.report.state, estimate, wanted)
+                one.role is Role.WANTED
+                and one.report is not None
+                and is_beside(one.report.state, estimate, wanted, course_rad)
                 for one in others
             ):
                 self._leave(vehicle, "another aircraft has taken over")

@@ -128,10 +128,16 @@ def course_is_known(target: TargetEstimate) -> bool:
     return sigma_m_s < math.tan(_COURSE_SIGMA_RAD) * target.speed_m_s
 
 
-def is_beside(aircraft: AircraftState, target: TargetEstimate, requirement: Requirement) -> bool:
-    """Tell whether an aircraft is on the wanted side of a target and in the band."""
+def is_beside(
+    aircraft: AircraftState, target: TargetEstimate, requirement: Requirement, course_rad: float | None
+) -> bool:
+    """Tell whether an aircraft is on the wanted side of a target and in the band.
+
+    course_rad: the one whose sides count; None where the target has none yet: any place is on either side then.
+    """
     east_m, north_m = aircraft.east_m - target.east_m, aircraft.north_m - target.north_m
-    normal_rad = target.course_rad + requirement.side.normal_turn_rad
-    beside = east_m * math.sin(normal_rad) + north_m * math.cos(normal_rad) >= 0.0
     in_band = requirement.range_min_m <= math.hypot(east_m, north_m) <= requirement.range_max_m
-    return in_band and (beside or target.speed_m_s < _STANDING_M_S)
+    if course_rad is None:
+        return in_band
+    normal_rad = course_rad + requirement.side.normal_turn_rad
+    return in_band and east_m * math.sin(normal_rad) + north_m * math.cos(normal_rad) >= 0.0

@@ -26,7 +26,7 @@ from mission.predictive._sight_kernel import NOTHING_HIDDEN, SightAt
 from mission.predictive.planner import PredictivePlanner, PredictiveSettings, cheapest_allowed
 from mission.predictive.situation import situation
 from mission.predictive.value_table import ValueTable
-from mission.viewpoint._viewpoint_kernel import SIDE
+from mission.viewpoint._viewpoint_kernel import PRESUMED, SIDE
 from mission.viewpoint.descriptions import describe_new_circle
 
 _ADVICE_S = 5.0  # advice is followed for so long
@@ -71,6 +71,12 @@ class TeamPlanner:
             held = 1.0 if told.side is Side.LEFT else -1.0
             self._wanted = -held if told.role is Role.OPPOSITE else held
             self._alone.lookers[0].memory[SIDE] = held  # of all lookers
+            if told.course_rad is not None:
+                self.presume(told.course_rad)
+
+    def presume(self, course_rad: float) -> None:
+        """Take the target's course as the fleet knows it: it counts until this one has seen the target move."""
+        self._alone.lookers[0].memory[PRESUMED] = course_rad  # of all lookers
 
     def prepare(self, wind_speed_m_s: float) -> None:
         """See :class:`mission.core.plan.WindPlanner`."""

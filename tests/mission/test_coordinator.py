@@ -14,7 +14,7 @@ from mission.control.controller import StandoffController, StandoffSettings
 from mission.control.snapshot import Phase
 from mission.core.circle import Circle
 from mission.core.events import Command, ControlAcquired, End, MissionChange, UploadPlan
-from mission.core.fleet import Role
+from mission.core.fleet import FleetAdvice, Role
 from mission.core.plan import AircraftState, Decision, Plan
 from mission.core.requirement import Aircraft, Requirement, Side
 from mission.fleet.assignment import spread_over
@@ -53,6 +53,7 @@ class Aside:
 
     def __init__(self, requirement: Requirement) -> None:
         self.middle_m = WEST if requirement.side is Side.LEFT else EAST
+        self.course_rad = math.nan
 
     def decide(self, aircraft, target, present, wind, latency_s):
         return Decision(aircraft.time_s, None, "")
@@ -60,6 +61,9 @@ class Aside:
     def role_costs(self, aircraft, target, present, wind, latency_s):
         off_m = aircraft.east_m - target.east_m
         return RoleCosts(abs(off_m - self.middle_m) / 5.0, abs(off_m + self.middle_m) / 5.0)
+
+    def presume(self, course_rad):
+        self.course_rad = course_rad
 
 
 class Vehicle:
@@ -122,6 +126,7 @@ class Fleet:
         self.members = members
         self.coordinator = self.new_coordinator()
         self.journal: list[FleetEvent] = []
+        self.advice: dict[str, FleetAdvice] = {}  # the last of each aircraft
         self.said: list[FleetAnnounce | LaunchRequested | RequirementChanged] = []
         self.time_s = 0.0
         for one in vehicles:
@@ -131,10 +136,12 @@ class Fleet:
 
     def new_coordinator(self) -> FleetCoordinator:
         self.judged: list[Aircraft] = []  # the aircraft as the coordinator takes them to be
+        self.judges: list[Aside] = []
 
         def judge(_name: str, aircraft: Aircraft, requirement: Requirement) -> Aside:
             self.judged.append(aircraft)
-            return Aside(requirement)
+            self.judges.append(Aside(requirement))
+            return self.judges[-1]
 
         return FleetCoordinator(self.members, [FleetTarget("boat", REQUIREMENT)], judge)
 
@@ -142,6 +149,8 @@ class Fleet:
         self.journal.append(event)
         for command in self.coordinator.step(event):
             if isinstance(command, Tell):
+                if isinstance(command.event, FleetAdvice):
+                    self.advice[command.name] = command.event
                 for news in self.vehicles[command.name].take(command.event, self.time_s):
                     self.tell(news)
             else:
@@ -174,6 +183,17 @@ def test_each_is_told_its_side_and_decides_by_the_joint_estimate():
     assert seen is not None
     assert seen.time_s == pytest.approx(fleet.time_s - 40.0, abs=2.5)  # on its own clock
     assert math.hypot(seen.east_m, seen.north_m - TARGET_SPEED_M_S * (seen.time_s + 40.0)) < 1.0
+
+
+def test_all_go_by_one_course_also_who_comes_later():
+    fleet = pair()
+    fleet.fly(30.0, "b")
+    assert fleet.advice["a"].course_rad == pytest.approx(0.0, abs=0.1)
+    assert "b" not in fleet.advice
+    fleet.fly(3.0)
+    assert fleet.role("b") is Role.OPPOSITE
+    assert fleet.advice["b"].course_rad == fleet.advice["a"].course_rad
+    assert {judge.course_rad for judge in fleet.judges} == {fleet.advice["b"].course_rad}
 
 
 def test_the_one_left_takes_the_wanted_side_when_the_other_falls_silent():

@@ -18,6 +18,7 @@ from mission.core.requirement import Aircraft, Requirement, Side, Wind
 from mission.fleet import _cover_kernel as kernel
 from mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside
 from mission.fleet.team_planner import TeamPlanner
+from mission.fleet.watched_course import WatchedCourse
 from mission.geometry.separation import flown_places
 from mission.predictive.planner import PredictivePlanner, table_configuration
 
@@ -86,9 +87,10 @@ def test_what_a_hand_over_hangs_on():
     north = going(0.0)
     requirement = replace(REQUIREMENT, side=Side.LEFT)
     state, _ = on_circle(-200.0, 0.0, clockwise=True)
-    assert is_beside(state, north, requirement)
-    assert not is_beside(state, going(180.0), requirement)
-    assert not is_beside(replace(state, east_m=-90.0, north_m=0.0), north, requirement)
+    assert is_beside(state, north, requirement, 0.0)
+    assert not is_beside(state, north, requirement, math.pi)
+    assert not is_beside(replace(state, east_m=-90.0, north_m=0.0), north, requirement, 0.0)
+    assert is_beside(state, north, requirement, None)  # a target that has not moved has no sides
     assert course_is_known(north)
     assert not course_is_known(replace(north, covariance=9.0 * np.eye(4)))
 
@@ -106,6 +108,22 @@ def test_somebody_always_holds_the_wanted_side():
         present = [(k, name) for k, name in enumerate("abc", 1) if t // 7 % 4 != k]
         told = {name: Candidate(RoleCosts(3.0 + math.sin(t * k), 1.0)) for k, name in present}
         assert list(roles.assign(float(t), told).values()).count(Role.WANTED) >= 1
+
+
+def test_the_course_whose_sides_count():
+    course, (state, _) = WatchedCourse(REQUIREMENT), on_circle(250.0, 0.0, clockwise=False)
+    standing = replace(going(0.0), velocity_north_m_s=0.0)
+    course.update(standing, None)
+    assert course.course_rad is None
+    course.update(replace(standing, time_s=101.0), state)
+    east_of_it = math.atan2(state.east_m, state.north_m)
+    assert course.course_rad == pytest.approx(east_of_it + math.pi / 2)  # so that it is on the left
+    for k in range(30):
+        course.update(replace(going(0.0), time_s=102.0 + k, north_m=4.0 * k), state)
+        assert course.course_rad == pytest.approx(0.0)  # also before it has made its way
+    for k in range(60):
+        course.update(replace(standing, time_s=132.0 + k, north_m=120.0), state)
+    assert course.course_rad == pytest.approx(0.0)  # held, whatever the estimate turns about
 
 
 # -- one aircraft's decisions beside another's -----------------------------------------------------------------------
@@ -237,3 +255,12 @@ def test_the_courses_that_nobody_covers_are_the_gap_beyond_half_a_turn(bearings_
 def test_a_requirement_without_sides_is_refused():
     with pytest.raises(ValueError, match="left or right"):
         TeamPlanner(AIRCRAFT, replace(REQUIREMENT, either_side=True), TABLE)
+
+
+def test_who_comes_while_the_target_stands_counts_by_the_course_that_the_fleet_knows():
+    standing = replace(going(0.0), velocity_north_m_s=0.0)
+    state, plan = on_circle(250.0, 0.0, clockwise=False)
+    alone, told = planner(), planner()
+    assert alone.role_costs(state, standing, plan, Wind(), 0.5).regret_s < -15.0  # it presumes that it is on the left
+    told.advise(FleetAdvice(100.0, "t", Role.OPPOSITE, Side.RIGHT, standing, 100.0, (), course_rad=0.0))
+    assert told.role_costs(state, standing, plan, Wind(), 0.5).regret_s > 15.0
