@@ -42,19 +42,17 @@ Rules
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 from estimators.estimate import TargetEstimate, TrackQuality
 from estimators.joint_track import JointTrack
 from estimators.sighting import AnySighting
 from mission.core.fleet import Role
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Aircraft, Requirement, Wind
+from mission.core.requirement import Requirement
 from mission.fleet.advice import advice_to, plans_told
 from mission.fleet.assignment import spread_over
-from mission.fleet.clocks import shifted_plan, shifted_state
+from mission.fleet.clocks import shifted_state
 from mission.fleet.events import (
     BatteryReported,
     ClockReported,
@@ -74,9 +72,9 @@ from mission.fleet.events import (
     VehicleLost,
     VehicleReported,
 )
-from mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside
+from mission.fleet.judges import MakeJudge, RoleJudges
+from mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_beside
 from mission.fleet.vehicle import FleetMember, FleetVehicle
-from mission.fleet.watched_course import WatchedCourse
 
 _FOREIGN_FORGOTTEN_S = 30.0
 _NEAR_M, _NEARER = 60.0, 0.5  # a sighting of another target is so near to it, and by this share nearer than its own
@@ -103,20 +101,6 @@ class FleetSettings:
     turned_after: int = 3
 
 
-class RoleJudge(Protocol):
-    """Tells what the roles cost an aircraft; see :meth:`mission.fleet.team_planner.TeamPlanner.role_costs`."""
-
-    def role_costs(
-        self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
-    ) -> RoleCosts:
-        """Return what this aircraft would pay in each role."""
-        ...
-
-    def presume(self, course_rad: float) -> None:
-        """Count by this course of the target until it has been seen to move."""
-        ...
-
-
 class FleetCoordinator:
     """See the module.
 
@@ -129,7 +113,7 @@ class FleetCoordinator:
         self,
         members: Sequence[FleetMember],
         targets: Sequence[FleetTarget],
-        make_judge: Callable[[str, Aircraft, Requirement], RoleJudge],
+        make_judge: MakeJudge,
         settings: FleetSettings | None = None,
     ) -> None:
         names = [one.name for one in members]
@@ -149,12 +133,10 @@ class FleetCoordinator:
         for one in targets:
             if one.requirement.either_side or one.requirement.sector is not None:
                 raise ValueError("several aircraft share the sides of a target: side has to be left or right")
-        self._make_judge = make_judge
-        self._judges: dict[tuple[str, str], RoleJudge] = {}
+        self._judges = RoleJudges(make_judge)
         for one in targets:
             self._ask(one.name, one.requirement)
         self._assignments = {one.name: RoleAssignment() for one in targets}
-        self._courses = {one.name: WatchedCourse(one.requirement) for one in targets}
         self._estimates: Mapping[str, TargetEstimate | None] = {}  # as of the last second
         self._foreign: dict[str, ForeignAircraftReported] = {}
         self._refused: dict[str, Mapping[str, str]] = {}
@@ -301,8 +283,7 @@ class FleetCoordinator:
 
     def _ask(self, target: str, wanted: Requirement) -> None:
         self._targets[target] = FleetTarget(target, wanted)
-        for name, one in self._vehicles.items():
-            self._judges[name, target] = self._make_judge(name, one.member.aircraft, wanted)
+        self._judges.ask(target, wanted, self._vehicles.values())
 
     def _say(self, name: str, text: str) -> None:
         self._out.append(FleetAnnounce(self._now_s, name, text))
@@ -317,7 +298,7 @@ class FleetCoordinator:
         self._next_s = self._now_s + self.settings.period_s
         estimates = self._estimates = {name: track.estimate(self._now_s) for name, track in self._tracks.items()}
         self._tell_refusals()
-        self._follow(estimates)
+        self._judges.follow(estimates, self._vehicles.values())
         self._assign_targets(estimates)
         for name in self._targets:
             self._assign_roles(name, estimates[name])
@@ -329,7 +310,7 @@ class FleetCoordinator:
             if vehicle.report is not None:
                 target, fleet, foreign = vehicle.target, self._vehicles.values(), self._foreign.values()
                 wanted = self._targets[target].requirement.side
-                course_rad = self._courses[target].course_rad
+                course_rad = self._judges.course_rad(target)
                 advice = advice_to(vehicle, self._now_s, wanted, estimates[target], fleet, foreign, course_rad)
                 self._out.append(Tell(vehicle.member.name, advice))
 
@@ -341,13 +322,6 @@ class FleetCoordinator:
                     self._say(payload, f"its sightings are left out: {reason}")
             self._refused[name] = dict(track.refused)
 
-    def _follow(self, estimates: Mapping[str, TargetEstimate | None]) -> None:
-        for name, estimate in estimates.items():
-            if estimate is not None and estimate.quality is not TrackQuality.LOST:
-                watching = [one for one in self._vehicles.values() if one.takes_part and one.target == name]
-                first = min(watching, key=lambda one: one.since_s).report if watching else None
-                self._courses[name].update(estimate, None if first is None else first.state)
-
     def _assign_targets(self, estimates: Mapping[str, TargetEstimate | None]) -> None:
         """Give the aircraft out to the targets that are seen, as evenly as can be."""
         known = {
@@ -356,7 +330,9 @@ class FleetCoordinator:
         free = [one for one in self._vehicles.values() if one.takes_part and estimates[one.target] is not None]
         if len(self._targets) < 2 or not known or not free:
             return
-        costs = [[self._role_costs(one, name, estimate) for name, estimate in known.items()] for one in free]
+        costs = [
+            [self._judges.costs_from_afar(one, name, estimate) for name, estimate in known.items()] for one in free
+        ]
         at, settings = [one.target for one in free], self.settings
         given, gained_s = spread_over(list(known), costs, at, settings.reassign_cost_s)
         self._gains_since_s = min(self._gains_since_s, self._now_s) if gained_s > 0.0 else math.inf
@@ -367,28 +343,6 @@ class FleetCoordinator:
                 one.target = target
                 self._say(one.member.name, f"goes to {target}")
 
-    def _role_costs(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts:
-        """Return what an aircraft would pay in each role beside a target, the way there included."""
-        costs = self._judged(vehicle, target, estimate) or RoleCosts(0.0, 0.0)
-        way_s = self._way_s(vehicle, target, estimate)
-        return RoleCosts(costs.wanted_s + way_s, costs.opposite_s + way_s)
-
-    def _way_s(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> float:
-        """Return how long an aircraft needs to a target, 0 where it is at it."""
-        at_it = vehicle.range_m(estimate) <= self._targets[target].requirement.range_max_m
-        return 0.0 if at_it else vehicle.way_s(estimate)
-
-    def _judged(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts | None:
-        """Return what an aircraft would pay from its next departure on; None before its plan is known."""
-        report = vehicle.report
-        present = None if vehicle.plans is None else shifted_plan(vehicle.plans.present, vehicle.clock.offset_s)
-        if report is None or present is None:
-            return None
-        judge, course_rad = self._judges[vehicle.member.name, target], self._courses[target].course_rad
-        if course_rad is not None:
-            judge.presume(course_rad)
-        return judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
-
     def _assign_roles(self, target: str, estimate: TargetEstimate | None) -> None:
         if estimate is None or estimate.quality is TrackQuality.LOST:
             return
@@ -398,13 +352,13 @@ class FleetCoordinator:
             report = vehicle.report
             if vehicle.target != target or report is None or not vehicle.takes_part:
                 continue
-            costs = self._judged(vehicle, target, estimate)
+            costs = self._judges.costs(vehicle, target, estimate)
             if costs is None:
                 continue
             # One that has to get there first takes no side from one that is there.
-            way_s = math.inf if self._is_to_be_relieved(vehicle) else self._way_s(vehicle, target, estimate)
+            way_s = math.inf if self._is_to_be_relieved(vehicle) else self._judges.way_s(vehicle, target, estimate)
             costs = replace(costs, wanted_s=costs.wanted_s + way_s)
-            beside = is_beside(report.state, estimate, wanted, self._courses[target].course_rad)
+            beside = is_beside(report.state, estimate, wanted, self._judges.course_rad(target))
             candidates[name] = Candidate(
                 costs, beside, vehicle.plans is not None and vehicle.plans.coming is not None
             )
@@ -428,7 +382,7 @@ class FleetCoordinator:
             ]
             vehicle.role = Role.WANTED  # with who takes over, until that one is there
             estimate, wanted = estimates[vehicle.target], self._targets[vehicle.target].requirement
-            course_rad = self._courses[vehicle.target].course_rad
+            course_rad = self._judges.course_rad(vehicle.target)
             if estimate is not None and any(
                 one.role is Role.WANTED
                 and one.report is not None

@@ -1,0 +1,82 @@
+"""What the roles beside the targets would cost each aircraft."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Protocol
+
+from estimators.estimate import TargetEstimate, TrackQuality
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Aircraft, Requirement, Wind
+from mission.fleet.clocks import shifted_plan
+from mission.fleet.roles import RoleCosts
+from mission.fleet.vehicle import FleetVehicle
+from mission.fleet.watched_course import WatchedCourse
+
+
+class RoleJudge(Protocol):
+    """Tells what the roles cost an aircraft; see :class:`mission.fleet.team_planner.TeamPlanner`."""
+
+    def role_costs(
+        self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
+    ) -> RoleCosts:
+        """Return what this aircraft would pay in each role."""
+        ...
+
+    def presume(self, course_rad: float) -> None:
+        """Count by this course of the target until it has been seen to move."""
+        ...
+
+
+MakeJudge = Callable[[str, Aircraft, Requirement], RoleJudge]
+
+
+class RoleJudges:
+    """One judge for each aircraft and target, all by the target's one course."""
+
+    def __init__(self, make_judge: MakeJudge) -> None:
+        self._make_judge = make_judge
+        self._judges: dict[tuple[str, str], RoleJudge] = {}
+        self._wanted: dict[str, Requirement] = {}
+        self._courses: dict[str, WatchedCourse] = {}
+
+    def ask(self, target: str, wanted: Requirement, fleet: Iterable[FleetVehicle]) -> None:
+        """Judge by this requirement of a target from now on."""
+        self._wanted[target] = wanted
+        self._courses.setdefault(target, WatchedCourse(wanted))
+        for one in fleet:
+            self._judges[one.member.name, target] = self._make_judge(one.member.name, one.member.aircraft, wanted)
+
+    def follow(self, estimates: Mapping[str, TargetEstimate | None], fleet: Iterable[FleetVehicle]) -> None:
+        """Take the targets' estimates, in the order of time."""
+        for name, estimate in estimates.items():
+            if estimate is not None and estimate.quality is not TrackQuality.LOST:
+                watching = [one for one in fleet if one.takes_part and one.target == name]
+                first = min(watching, key=lambda one: one.since_s).report if watching else None
+                self._courses[name].update(estimate, None if first is None else first.state)
+
+    def course_rad(self, target: str) -> float | None:
+        """Return the course of a target whose sides count."""
+        return self._courses[target].course_rad
+
+    def costs(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts | None:
+        """Return what an aircraft would pay from its next departure on; None before its plan is known."""
+        report = vehicle.report
+        present = None if vehicle.plans is None else shifted_plan(vehicle.plans.present, vehicle.clock.offset_s)
+        if report is None or present is None:
+            return None
+        judge, course_rad = self._judges[vehicle.member.name, target], self.course_rad(target)
+        if course_rad is not None:
+            judge.presume(course_rad)
+        return judge.role_costs(report.state, estimate, present, report.wind, report.latency_s)
+
+    def way_s(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> float:
+        """Return how long an aircraft needs to a target, 0 where it is at it."""
+        at_it = vehicle.range_m(estimate) <= self._wanted[target].range_max_m
+        return 0.0 if at_it else vehicle.way_s(estimate)
+
+    def costs_from_afar(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts:
+        """Return what an aircraft would pay in each role beside a target, the way there included."""
+        costs = self.costs(vehicle, target, estimate) or RoleCosts(0.0, 0.0)
+        way_s = self.way_s(vehicle, target, estimate)
+        return RoleCosts(costs.wanted_s + way_s, costs.opposite_s + way_s)
