@@ -263,7 +263,9 @@ def take_in(
         for a in range(n):
             for b in range(a):
                 p[a, b] = p[b, a] = 0.5 * (p[a, b] + p[b, a])
-    nearest, total = distances.min(), 0.0
+    nearest, total = np.inf, 0.0
+    for model in range(_MODELS):
+        nearest = min(nearest, distances[model])
     for model in range(_MODELS):
         state[model, 0] *= math.exp(-0.5 * (distances[model] - nearest)) * likelihoods[model]
         total += state[model, 0]

@@ -125,21 +125,26 @@ class _Compiled:
     def dispatcher(self) -> Any:
         """Numba's own, which compiles for the arguments of a call."""
         import numba  # noqa: PLC0415  # see above
-        from numba.core.caching import IndexDataCacheFile  # noqa: PLC0415
+
+        from estimators.kept_code import KeptCode  # noqa: PLC0415
 
         function = self._function
-        callees = {name: value.dispatcher for name, value in self._used.items() if isinstance(value, _Compiled)}
-        linked = FunctionType(function.__code__, function.__globals__ | callees, function.__name__)
+        known = dict(function.__globals__)
+        linked = FunctionType(function.__code__, known, function.__name__)
         linked.__module__, linked.__qualname__ = function.__module__, function.__qualname__
+
+        def link() -> None:
+            """Put what numba can compile in the place of what the function calls."""
+            for name, value in self._used.items():
+                if isinstance(value, _Compiled):
+                    known[name] = value.dispatcher
+
         options: dict[str, Any] = {"error_model": "numpy", "forceinline": self._forceinline, "_nrt": not self.borrows}
+        dispatcher: Any = numba.njit(**options)(linked)
         try:
-            dispatcher: Any = numba.njit(cache=True, **options)(linked)
-        except RuntimeError:  # numba finds no place to keep it
-            return numba.njit(**options)(linked)
-        kept = dispatcher._cache
-        # Under names of their own: numba reads even what is out of date, and with it types that are.
-        name = f"{kept._impl.filename_base}-{self.stamp[:16]}"
-        kept._cache_file = IndexDataCacheFile(kept.cache_path, name, self.stamp)  # type: ignore[no-untyped-call]
+            dispatcher._cache = KeptCode(linked, self.stamp, link)
+        except RuntimeError:  # there is no place to keep it
+            link()
         return dispatcher
 
 

@@ -30,7 +30,7 @@ from mission.fleet._cover_kernel import (
     uncovered,
     wanted_value,
 )
-from mission.predictive._cost_kernel import IntArray, cost_rate, table_value
+from mission.predictive._cost_kernel import IntArray, cost_rate, least, table_value
 from mission.predictive._decision_kernel import Looker, add_prices, alternatives, commitment
 from mission.predictive._future_kernel import first_of, winding
 from mission.predictive._moves_kernel import STEP_S
@@ -207,7 +207,7 @@ def team_look_ahead(
     team_lines_costs(among.moves, among.start, scene, f, cover, looker, team, 1.0 / scene.radius_m, costs)
     team_lines_costs(among.stays, among.stays_start, scene, f, cover, looker, team, stay_per_m, stay_costs)
     add_prices(among, scene.radius_m, team.price * prices.leave, team.price * prices.change, costs)
-    return float(stay_costs.min())
+    return least(stay_costs)
 
 
 @compiled

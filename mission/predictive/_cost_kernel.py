@@ -122,3 +122,12 @@ def table_values(
     """Fill in :func:`table_value` for many places (n,); classes, share (1, 1, 4)."""
     for i in range(len(x_m)):
         found[i] = table_value(values, cell_m, x_m[i], y_m[i], heading_rad[i], classes, share, 0, 0)
+
+
+@compiled
+def least(costs: FloatArray) -> float:
+    """Return the smallest of costs (n,), infinity of none. numba's own ``min`` has scipy loaded at each start."""
+    smallest = np.inf
+    for cost in costs:
+        smallest = min(smallest, cost)
+    return smallest

@@ -10,7 +10,7 @@ import numpy as np
 from estimators.compiled import compiled
 from mission.core.path import FloatArray
 from mission.geometry._line_kernel import ARC, Craft, line_at, sharpness_per_m2
-from mission.predictive._cost_kernel import CostTerms, Table, fading_per_s
+from mission.predictive._cost_kernel import CostTerms, Table, fading_per_s, least
 from mission.predictive._future_kernel import Motions, Turns, first_of, winding
 from mission.predictive._moves_kernel import MOVES, STEP_S, Kept, lines_from, move_line, ramp_on
 from mission.predictive._rollout_kernel import Futures, Lines, Pose, lines_costs, single_line, times_s
@@ -181,7 +181,7 @@ def look_ahead(
     lines_costs(among.stays, among.stays_start, futures, scene.doubt, looker.terms, table, stay_costs)
     add_sight(among.stays, among.stays_start, sight, view, radius_m, lap_s, rate_per_s, stay_costs)
     add_prices(among, radius_m, prices.leave, prices.change, costs)
-    return float(stay_costs.min())
+    return least(stay_costs)
 
 
 @compiled
@@ -201,7 +201,7 @@ def look_deeper(
         return stay_cost
     under_way = left_m(scene, now) > 0.0
     price = prices.change if under_way else prices.leave
-    if costs.min() - price > stay_cost:
+    if least(costs) - price > stay_cost:
         return stay_cost
     second = Second(
         foretold_of(futures, scene.doubt, looker.table, depth.min_values, depth.min_after_turn),

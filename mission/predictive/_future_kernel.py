@@ -229,7 +229,10 @@ def first_of(f: Futures, n: int) -> Futures:
     """Return the first n futures alone: the second as likely as it is, the first otherwise."""
     weight = np.ones(n)
     weight[1:] = f.weight[1:n]
-    weight[0] -= weight[1:].sum()
+    others = 0.0
+    for one in range(1, n):
+        others += weight[one]
+    weight[0] -= others
     return Futures(
         weight, f.step_s, f.place[:n], f.facing[:n], f.course[:n], f.classes[:n], f.share[:n], f.turn_share[:n]
     )

@@ -8,7 +8,7 @@ import pytest
 
 from app.analysis.replay import JournalReplay
 from app.flight.recording import JOURNAL_TYPES
-from app.records.journal import Header, JournalReader, JournalWriter
+from app.records.journal import Header, JournalReader, JournalWriter, encode
 from mission.core.events import ActivatePlan, Command, PlanStatus, UploadPlan, Yield
 from mission.exchange.mission_controller import DERIVED
 from mission.exchange.outbox import ExternalControl, SendMessage, TakeoverFailed
@@ -30,6 +30,8 @@ def replayed(flight, path):
         for output in outputs:
             writer.write(output)
     writer.close()
+    lines = path.read_bytes().splitlines(keepends=True)[1:]
+    assert [encode(record) for record in JournalReader(path, JOURNAL_TYPES)] == lines
     again = flight.make_core(type(flight.planner)(flight.seed))
     replay = JournalReplay(again.controller, again)
     for _ in replay.run(JournalReader(path, JOURNAL_TYPES)):

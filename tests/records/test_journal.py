@@ -11,6 +11,7 @@ from enum import StrEnum
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, Literal
+from unittest.mock import Mock
 
 import numpy as np
 import numpy.typing as npt
@@ -19,9 +20,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.errors import InputError
+from app.flight.coordination import FLEET_JOURNAL_TYPES
+from app.flight.recording import JOURNAL_TYPES
+from app.records import journal
 from app.records.journal import Header, JournalReader, JournalWriter, encode
 from estimators.frames import LocalPlane
 from mission.core.events import Announce, PlanStatus, UploadPlan
+from mission.fleet.events import SightingReported, Tell
 
 HEADER = Header("sidelong 0", {"aircraft": {"radius_m": 80.0}}, LocalPlane(47.4, 8.5), {"target": 3})
 
@@ -103,11 +108,52 @@ def test_events_come_back_bit_for_bit(tmp_path_factory, several):
     assert reader.damaged_lines == 0
 
 
+@settings(max_examples=60, deadline=None)
+@given(several=st.lists(events, max_size=3))
+def test_the_quick_way_gives_what_the_other_gives(tmp_path_factory, several):
+    path = written(tmp_path_factory.mktemp("journal") / "j.jsonl", several)
+    quick = list(JournalReader(path, [Everything]))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(journal, "_decoder", Mock(return_value=None))
+        slow = list(JournalReader(path, [Everything]))
+    assert list(map(bits, quick)) == list(map(bits, slow))
+
+
+def test_nearly_every_type_is_read_the_quick_way():
+    kinds = {*JOURNAL_TYPES, *FLEET_JOURNAL_TYPES}
+    assert {kind for kind in kinds if journal._decoder(kind) is None} == {SightingReported, Tell}
+
+
+@pytest.mark.parametrize(
+    ("fields", "read"),
+    [
+        (b'{"x_m":3,"count":2.0}', Inner(3.0, 2)),  # whole numbers and others in one another's place
+        (b'{"x_m":"0.5","count":true}', Inner(0.5, 1)),
+        (b'{"x_m":1e999,"count":36893488147419103232}', Inner(math.inf, 2**65)),
+        (b'{"count":1, "x_m": -0.0,"gone":[null]} ', Inner(-0.0, 1)),
+    ],
+)
+def test_what_is_written_otherwise_is_read_as_ever(tmp_path, fields, read):
+    line = b'{"event":"Inner","fields":' + fields
+    path = written(tmp_path / "j.jsonl", [])
+    path.write_bytes(path.read_bytes() + line + b',"crc32":"%08x"}\n' % zlib.crc32(line))
+    assert list(map(bits, JournalReader(path, [Inner]))) == [bits(read)]
+
+
+@pytest.mark.parametrize("rest", [b"[1]", b'{"x_m":1.0,"count":', b'{"x_m":1.0,"count":1}]'])
+def test_a_whole_line_that_is_no_event_is_passed_over_and_counted(tmp_path, rest):
+    line = b'{"event":"Inner","fields":' + rest
+    path = written(tmp_path / "j.jsonl", [])
+    path.write_bytes(path.read_bytes() + line + b',"crc32":"%08x"}\n' % zlib.crc32(line))
+    reader = JournalReader(path, [Inner])
+    assert (list(reader), reader.damaged_lines) == ([], 1)
+
+
 def test_the_writer_writes_what_the_reader_reads(tmp_path):
     several = [Inner(0.1 * i, i) for i in range(1000)]
-    with JournalWriter(tmp_path / "j.jsonl", HEADER, pytest.fail) as journal:
+    with JournalWriter(tmp_path / "j.jsonl", HEADER, pytest.fail) as writer:
         for event in several:
-            journal.write(event)
+            writer.write(event)
     reader = JournalReader(tmp_path / "j.jsonl", [Inner])
     assert list(reader) == several
     assert list(reader) == several  # from the first again
