@@ -29,9 +29,9 @@ class KeptCode(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return what is kept for these argument types, None where nothing is."""
-        rtsys.initialize(target_context)  # type: ignore[no-untyped-call]
+        rtsys.initialize(target_context)
         with self._guard_against_spurious_io_errors():
-            kept = self._load_overload(sig, target_context)
+            kept = self._load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         if kept is None:
             self._on_missing()
         return kept
