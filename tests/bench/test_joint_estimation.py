@@ -1,5 +1,7 @@
 """The estimate of several aircraft against its limit: python -m pytest tests/bench/test_joint_estimation.py -s.
 
+RUNS=100 for so many flights: all moments of one share its constant errors, so that few tell little.
+
 Each aircraft circles (80 m, 15 m/s) at 300 m from a target that moves by an exactly known model, at an angle of its
 own; laser and gimbal measure at 10 Hz with 0.8 m and 0.35 degrees, and have constant errors of 0.5 m and 0.5 degrees
 (one sigma). The bound is the posterior Cramer-Rao bound, the errors being parts of the state.
@@ -8,6 +10,7 @@ own; laser and gimbal measure at 10 Hz with 0.8 m and 0.35 degrees, and have con
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +33,7 @@ from tests.bench.test_estimation import (
 
 BIASES = np.array([math.radians(0.5), math.radians(0.5), 0.5])
 SETTINGS = TrackerSettings(yaw_bias_sigma_rad=BIASES[0], pitch_bias_sigma_rad=BIASES[1], range_bias_sigma_m=BIASES[2])
+RUNS = int(os.environ.get("RUNS", "48"))
 RANGE_M, RADIUS_M, SPEED_M_S = 300.0, 80.0, 15.0
 
 
@@ -103,16 +107,14 @@ def summed(flights: list[Flown], settled: slice) -> tuple[float, float, float]:
 
 def test_error_of_two_against_the_bound():
     """At whatever angle between them, the error is the same: two base lines tell each payload's errors."""
-    inside_every = []
     for apart_deg in (None, 30, 90, 150, 180):
         angles = (math.pi,) if apart_deg is None else (math.pi, math.pi + math.radians(apart_deg))
-        rmse, bound, inside = summed([fly(seed, angles, 2000) for seed in range(16)], slice(1000, None))
+        rmse, bound, inside = summed([fly(seed, angles, 2000) for seed in range(RUNS)], slice(1000, None))
         who = "one aircraft" if apart_deg is None else f"two, {apart_deg} degrees apart"
         print(f"\n{who}: {rmse:.2f} m, bound {bound:.2f} ({rmse / bound:.2f} x), ellipse {100 * inside:.1f} %")
         if apart_deg is not None:
             assert rmse <= 1.25 * bound
-            inside_every.append(inside)
-    assert 0.92 <= float(np.mean(inside_every)) <= 0.98
+            assert 0.92 <= inside <= 0.98
 
 
 def test_a_clock_that_is_ahead_is_found_out():
