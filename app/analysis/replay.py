@@ -18,6 +18,7 @@ from app.link.message import Message
 from app.link.telemetry import Telemetry
 from app.records.journal import encode
 from app.records.log import Log
+from estimators.estimate import TargetEstimate
 from estimators.frames import LocalPlane
 from estimators.readings import (
     AttitudeReading,
@@ -44,19 +45,25 @@ from mission.exchange.outbox import SendMessage, TakeoverFailed
 from mission.exchange.reports import ExchangeEvent
 
 _MODE = "as recorded"
-_EXCHANGE = (*get_args(ExchangeEvent), SendMessage, TakeoverFailed)
-# Between two positions these only feed the filter: nothing to show or to judge changes.
-_UNSEEN = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading, *get_args(ExchangeEvent))
+# By type alone, which a set tells at once: no event but the exchange's own is of a type derived from another.
+_COMMANDS, _DERIVED = frozenset(get_args(Command)), frozenset(DERIVED)
+_EXCHANGE = frozenset((*get_args(ExchangeEvent), SendMessage, TakeoverFailed))
+# Between two positions these only feed the filter and the door: nothing to show or to judge changes.
+_UNSEEN = frozenset(
+    (AttitudeReading, RangeReading, GimbalReading, TargetFixReading, NavigationReported, *get_args(ExchangeEvent))
+)
 _READINGS = (*get_args(Reading), WindReported, NavigationReported)
 _MIN_BANKED_CURVATURE = 0.25  # of the circle's own; a straighter flight is taken as the circle
 
 
 class Replayed(NamedTuple):
-    """What one event of the log led to."""
+    """What one event of the log led to. estimate: the latest."""
 
     event: InboundEvent
     commands: tuple[Command, ...]
-    snapshot: Snapshot
+    estimate: TargetEstimate | None
+    snapshot: Callable[[], Snapshot]
+    """The state after the event: to be asked for before the next one is taken."""
 
 
 class Proposals:
@@ -77,25 +84,27 @@ class Proposals:
             for command in commands:
                 if isinstance(command, UploadPlan):
                     controller.step(PlanStatus(command.time_s, command.number, "failed", "not flown in this log"))
-            if commands or not isinstance(event, _UNSEEN):
-                snapshot = controller.snapshot()
-                if isinstance(event, PositionReading):
-                    self._engage(snapshot)
-                yield Replayed(event, commands, snapshot)
+            if commands or type(event) not in _UNSEEN:
+                yield Replayed(event, commands, controller.estimate, controller.snapshot)
+            if isinstance(event, PositionReading):
+                self._engage()  # after it was seen: the circle is made up
 
-    def _engage(self, snapshot: Snapshot) -> None:
-        aircraft = snapshot.aircraft
-        if aircraft is None or snapshot.estimate is None or snapshot.time_s - self._engaged_s < 1.0:
+    def _engage(self) -> None:
+        controller = self.controller
+        aircraft, time_s = controller.aircraft, controller.time_s
+        if aircraft is None or controller.estimate is None or time_s - self._engaged_s < 1.0:
             return
-        self._engaged_s = snapshot.time_s
-        airframe = self.controller.settings.aircraft
+        self._engaged_s = time_s
+        airframe = controller.settings.aircraft
         curvature_per_m = aircraft.curvature_per_m
         if abs(curvature_per_m) < _MIN_BANKED_CURVATURE / airframe.radius_m:
-            curvature_per_m = math.copysign(1.0 / airframe.radius_m, 1.0 if snapshot.side.clockwise else -1.0)
+            curvature_per_m = math.copysign(
+                1.0 / airframe.radius_m, 1.0 if controller.settings.requirement.side.clockwise else -1.0
+            )
         circle = Circle.tangent_to(
             aircraft.east_m, aircraft.north_m, aircraft.course_rad, 1.0 / abs(curvature_per_m), curvature_per_m > 0.0
         )
-        self.controller.step(ControlAcquired(snapshot.time_s, circle, _MODE))
+        controller.step(ControlAcquired(time_s, circle, _MODE))
 
 
 class LogReplay(Proposals):
@@ -166,9 +175,8 @@ class JournalReplay:
     def __init__(self, controller: StandoffController, mission: MissionController | None = None) -> None:
         self.controller = controller
         self._step: Callable[[Any], tuple[Output, ...]] = controller.step if mission is None else mission.step
-        self._outputs, self._left_out = (
-            (get_args(Command), _EXCHANGE) if mission is None else ((*get_args(Output), *DERIVED), ())
-        )
+        self._outputs: frozenset[type] = _COMMANDS if mission is None else frozenset(get_args(Output))
+        self._left_out: frozenset[type] = _EXCHANGE if mission is None else frozenset()
         self.compared = 0
         self.difference: Difference | None = None
         self._cause: InboundEvent | None = None
@@ -176,22 +184,26 @@ class JournalReplay:
 
     def run(self, records: Iterable[Any]) -> Iterator[Replayed]:
         """Yield the events of the journal with what the step made of them now, without those that nobody sees."""
+        controller, outputs_too, left_out = self.controller, self._outputs, self._left_out
         for record in records:
-            if isinstance(record, self._left_out):
+            kind = type(record)
+            if kind in left_out:
                 continue
-            if isinstance(record, self._outputs):
+            if kind in outputs_too:
                 self._compare(record)
-                if isinstance(record, DERIVED):
-                    yield Replayed(record, (), self.controller.snapshot())
+                if kind in _DERIVED:
+                    yield Replayed(record, (), controller.estimate, controller.snapshot)
                 continue
             if self._expected:
                 self._compare(None)
             outputs = self._step(record)
             self._cause = record
-            self._expected.extend(outputs)
-            commands = tuple(output for output in outputs if isinstance(output, Command))
-            if commands or not isinstance(record, _UNSEEN):
-                yield Replayed(record, commands, self.controller.snapshot())
+            commands: tuple[Command, ...] = ()
+            if outputs:
+                self._expected.extend(outputs)
+                commands = tuple(output for output in outputs if isinstance(output, Command))
+            if commands or kind not in _UNSEEN:
+                yield Replayed(record, commands, controller.estimate, controller.snapshot)
         # A flight that was cut off may lack the commands of its last event: those are not held against it.
 
     def _compare(self, flown: Output | None) -> None:

@@ -103,16 +103,16 @@ class SummaryCollector:
     def __init__(self, requirement: Requirement) -> None:
         self._estimated: list[Moment] = []
         self._asked: list[tuple[float, Requirement]] = [(-math.inf, requirement)]
-        self._last_s = -math.inf
+        self.judged_s = -math.inf  # time of the latest estimate that was taken
         self._over_ground: list[tuple[float, bool, float]] = []  # time, whether the target is seen, clearance
         self.ground: Ground | None = None  # what they are over, once it is known
 
     def observe(self, snapshot: Snapshot) -> None:
         """Take a snapshot; those without a new estimate are passed over."""
         aircraft, estimate = snapshot.aircraft, snapshot.estimate
-        if aircraft is None or estimate is None or estimate.time_s <= self._last_s or snapshot.turn_payload:
+        if aircraft is None or estimate is None or estimate.time_s <= self.judged_s or snapshot.turn_payload:
             return  # what is not seen is not watched
-        self._last_s = estimate.time_s
+        self.judged_s = estimate.time_s
         if self._asked[-1][1] != snapshot.requirement:
             self._asked.append((estimate.time_s, snapshot.requirement))
         self._estimated.append(

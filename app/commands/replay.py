@@ -26,7 +26,6 @@ from app.flight.recording import JOURNAL_TYPES, journalled_config
 from app.link.telemetry import Telemetry
 from app.planners.registry import PLANNER_NAMES
 from app.records.journal import Header, JournalReader
-from app.records.log import open_log
 from app.records.run_folder import FleetFolder, RunFolder, require_recording
 from app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
 from app.view.frames import Frames
@@ -130,6 +129,8 @@ def _changes(given: list[str], planner: str | None) -> dict[str, dict[str, Any]]
 def _replay_log(
     path: Path, truth: Path | None, settings: Config, quiet: bool, frames: Frames | None = None
 ) -> Summary:
+    from app.records.log import open_log  # noqa: PLC0415  # a run of ours is read without
+
     log = open_log(path)
     telemetry = Telemetry()
     controller = controller_of(settings, table_progress(console.print), console.print)
@@ -284,9 +285,11 @@ class _Judged:
 
     def follow(self, steps: Iterable[Replayed]) -> None:
         for step in steps:
-            self.collector.observe(step.snapshot)
-            if self.first_estimate_s is None and step.snapshot.estimate is not None:
-                self.first_estimate_s = step.snapshot.time_s
+            if step.estimate is not None and step.estimate.time_s > self.collector.judged_s:
+                snapshot = step.snapshot()
+                self.collector.observe(snapshot)
+                if self.first_estimate_s is None:
+                    self.first_estimate_s = snapshot.time_s
             if self.engaged_s is None and isinstance(step.event, ControlAcquired):
                 self.engaged_s = step.event.time_s
             if not self._quiet:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from app.errors import InputError
-from app.view.background import Background, background
+
+if TYPE_CHECKING:
+    from app.view.background import Background
 
 LOOPBACK = ("127.0.0.1", "localhost")
 DEFAULT_PORT = 8420
@@ -61,5 +64,8 @@ def page_address(
         return None
     if map_file is None and map_bounds is not None:
         raise InputError("--map-bounds tells where the picture of --map lies; give both.")
-    under = None if map_file is None else background(map_file, map_bounds)
-    return Address(host, port, cert, key, under)
+    if map_file is None:
+        return Address(host, port, cert, key)
+    from app.view.background import background  # noqa: PLC0415  # SQLite, which few need
+
+    return Address(host, port, cert, key, background(map_file, map_bounds))

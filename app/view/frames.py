@@ -36,7 +36,7 @@ class Frames:
         """Pass the steps on, keeping what the page needs of them. proposals: made anew each second, told once."""
         step_s, last_s, moved_s, watching = _STEP_S, -math.inf, -math.inf, False
         for step in steps:
-            snapshot, encoder.plane = step.snapshot, self.plane
+            snapshot, encoder.plane = step.snapshot(), self.plane
             if isinstance(step.event, ControlAcquired) and not watching:
                 self.start_s, watching = step.event.time_s, True
             if self.start_s is None and snapshot.estimate is not None:

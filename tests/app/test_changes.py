@@ -96,7 +96,7 @@ def test_a_changed_flight_is_replayed_to_the_last_bit_and_judged_by_what_was_ask
 
     journal = JournalReader(folder.journal, JOURNAL_TYPES)
     replay = JournalReplay(controller_of(config))
-    snapshots = [step.snapshot for step in replay.run(journal)]
+    snapshots = [step.snapshot() for step in replay.run(journal)]
     assert replay.difference is None
     assert replay.compared > 10
     assert snapshots[-1].requirement.range_min_m == 150.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest.mock import Mock
+
 import pytest
 
 from app.analysis.replay import Proposals, Replayed
@@ -19,7 +21,10 @@ PLANE = LocalPlane(47.4, 8.5)
 
 @pytest.fixture(scope="module")
 def steps(flight):
-    return [Replayed(event, commands, controller.snapshot()) for event, commands, controller in flight(150.0)]
+    return [
+        Replayed(event, commands, controller.estimate, Mock(return_value=controller.snapshot()))
+        for event, commands, controller in flight(150.0)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +60,7 @@ def test_times_count_from_when_watching_began(steps, frames):
     list(
         log.noted((step for step in steps if not isinstance(step.event, ControlAcquired)), StateEncoder(15.0, 100.0))
     )
-    assert log.start_s == next(step.snapshot.time_s for step in steps if step.snapshot.estimate is not None)
+    assert log.start_s == next(step.snapshot().time_s for step in steps if step.snapshot().estimate is not None)
 
 
 def test_it_plays_at_its_speed_and_tells_only_what_came(frames, clock):
