@@ -96,9 +96,9 @@ class FleetSettings:
     silent_after_s: float = 5.0
     relieve_below: float = 0.3
     leave_below: float = 0.15
+    turned_after: int = 3
     reassign_cost_s: float = 15.0
     reassign_after_s: float = 5.0
-    turned_after: int = 3
 
 
 class FleetCoordinator:
