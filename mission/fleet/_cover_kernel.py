@@ -30,8 +30,8 @@ class Team(NamedTuple):
     wanted: the side, 1 left, -1 right. turns_rad, chances (t,): the turns that the target may make. alone_running,
     alone_end: shares of what an aircraft alone would pay on the way, and from the end of its line on. opposite: per
     second, of the share of courses that nobody would cover. turn: weight of what turns would cost. margin: of the
-    side, in radii of the circle. price: share of what changes cost alone. futures: 1 for the target's velocity kept
-    alone.
+    side, in radii of the circle. price: share of what changes cost alone. own: weight of what the moves of who holds
+    the wanted side are worth to it alone. futures: 1 for the target's velocity kept alone.
     """
 
     wanted: float
@@ -44,6 +44,7 @@ class Team(NamedTuple):
     opposite: float
     turn: float
     margin: float
+    own: float
     futures: int
 
 
@@ -51,15 +52,14 @@ class Cover(NamedTuple):
     """What the others cover, foretold in the departure's frame of one aircraft every STEP_S from its departure on.
 
     off (f, FORESEEN): the chance that none of them is on the wanted side; now (f, FORESEEN): what the one that is
-    best off would pay if the target goes on as it does. after, settled (f, FORESEEN, t): how long the best of them
-    would be off the side after each turn, from where they are and from the middle of their next lap. Infinite where
-    there are none. bearings (f, FORESEEN, m): of each from the target.
+    best off would pay if the target goes on as it does. after (f, FORESEEN, t): for how long that one which is least
+    long off the side would be after each turn. Infinite where there are none. bearings (f, FORESEEN, m): of each from
+    the target.
     """
 
     off: FloatArray
     now: FloatArray
     after: FloatArray
-    settled: FloatArray
     bearings: FloatArray
 
 
@@ -143,12 +143,12 @@ def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, 
     """Return what the others cover. others (m, 3, n): east, north, course every STEP_S from first_s (m,) on."""
     futures, turns, m = len(f.weight), len(team.turns_rad), len(others)
     off, now = np.ones((futures, FORESEEN)), np.full((futures, FORESEEN), np.inf)
-    after, settled = np.full((futures, FORESEEN, turns), np.inf), np.full((futures, FORESEEN, turns), np.inf)
+    after = np.full((futures, FORESEEN, turns), np.inf)
     bearings, found = np.empty((futures, FORESEEN, m)), np.empty(turns)
     classes, share = asking_room()
     s = scene.mirror * team.wanted
     near_m, far_m = looker.terms.near_m, looker.terms.far_m
-    n, lap = others.shape[2], int(2.0 * math.pi * scene.radius_m / (scene.air.airspeed_m_s * STEP_S))
+    n = others.shape[2]
     for k in range(FORESEEN):
         time_s = k * STEP_S
         for j in range(m):
@@ -159,9 +159,6 @@ def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, 
             north_m = others[j, 1, i] + past * (others[j, 1, i + 1] - others[j, 1, i])
             x_m, y_m = in_frame(scene, east_m, north_m)
             heading_rad = scene.mirror * (others[j, 2, i] - scene.course_rad)
-            until = min(i + lap, n)
-            east_m, north_m = float(np.mean(others[j, 0, i:until])), float(np.mean(others[j, 1, i:until]))
-            middle_x_m, middle_y_m = in_frame(scene, east_m, north_m)
             for one in range(futures):
                 p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
                 sin_t, cos_t = f.facing[one, p, 0], f.facing[one, p, 1]
@@ -172,15 +169,10 @@ def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, 
                     off[one, k] *= off_side(across_m, blurred_m(scene, f.facing[one, p, 2], along_m, time_s))
                 value = wanted_value(scene, f, looker, s, one, p, off_x, off_y, heading_rad, classes, share)
                 now[one, k] = min(now[one, k], value)
-                frame_rad = s * f.course[one, p, 2]
-                off_after_turns(team, scene, s * off_x, off_y, frame_rad, found)
+                off_after_turns(team, scene, s * off_x, off_y, s * f.course[one, p, 2], found)
                 for t in range(turns):
                     after[one, k, t] = min(after[one, k, t], found[t])
-                _, off_x, off_y = from_target(f.place, f.step_s, one, middle_x_m, middle_y_m, time_s)
-                off_after_turns(team, scene, s * off_x, off_y, frame_rad, found)
-                for t in range(turns):
-                    settled[one, k, t] = min(settled[one, k, t], found[t])
-    return Cover(off, now, after, settled, bearings)
+    return Cover(off, now, after, bearings)
 
 
 @compiled

@@ -7,7 +7,12 @@ Each line of an aircraft costs, beside the walls of the band:
   aircraft the one that would be off the wanted side for the shortest time counts. So two aircraft stand opposite each
   other, and not on the line in which a likely turn would put both ahead and astern;
 - the courses of the target for which nobody would be on the wanted side: none while the aircraft stand opposite;
-- a share of what the line would cost the aircraft alone on the side of its role, so that it stays near to that.
+- a share of what the line would cost the aircraft alone on the side of its role, so that it stays near to that;
+- for who holds the wanted side what the move costs it more than staying where it looks two moves ahead, alone: what
+  the others see is foretold along the lines that they have, and a target that winds leaves those behind.
+
+The two that follow a line's end, turns and courses, are averaged over the lap on the circle after it: two circles in
+step cover each other's swings, two that are not open a gap with every lap.
 """
 
 from __future__ import annotations
@@ -31,9 +36,9 @@ from mission.fleet._cover_kernel import (
     wanted_value,
 )
 from mission.predictive._cost_kernel import IntArray, cost_rate, least, table_value
-from mission.predictive._decision_kernel import Looker, add_prices, alternatives, commitment
+from mission.predictive._decision_kernel import Looker, add_prices, alternatives, commitment, look_deeper
 from mission.predictive._future_kernel import first_of, winding
-from mission.predictive._moves_kernel import STEP_S
+from mission.predictive._moves_kernel import MOVES, STEP_S
 from mission.predictive._rollout_kernel import (
     Futures,
     Lines,
@@ -44,10 +49,13 @@ from mission.predictive._rollout_kernel import (
     turn_samples,
 )
 from mission.predictive._scene_kernel import Scene, Situation, in_frame, scene_of
+from mission.predictive._sight_kernel import Sight
 from mission.viewpoint._viewpoint_kernel import SIDE
 
 _TAIL_S = 30.0  # how they stand at the end of a line lasts for so long
 _CIRCLING_S = 60.0  # and the circle that it ends in
+_LAP = 4  # places of a lap
+_WORSE_MAX_S = 20.0  # a move that alone is worse by more, or was not looked at again, is out of the question
 _QUICK_S = 1.0  # an upload that takes no longer is over by the end of any line
 
 
@@ -84,17 +92,14 @@ def _team_rate(
 def _turn_cost(
     scene: Scene,
     f: Futures,
-    covered_s: FloatArray,
+    cover: Cover,
     team: Team,
     x_m: float,
     y_m: float,
     time_s: float,
     found: FloatArray,
 ) -> float:
-    """Return for how long the target's turning now would leave all off the side, over all futures and turns.
-
-    covered_s (f, FORESEEN, t): for how long the others would be.
-    """
+    """Return for how long the target's turning now would leave all off the side, over all futures and turns."""
     s = scene.mirror * team.wanted
     k = min(int(time_s / STEP_S), FORESEEN - 1)
     total = 0.0
@@ -102,7 +107,7 @@ def _turn_cost(
         p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
         off_after_turns(team, scene, s * off_x, off_y, s * f.course[one, p, 2], found)
         for t in range(len(team.turns_rad)):
-            total += f.weight[one] * team.chances[t] * min(found[t], covered_s[one, k, t])
+            total += f.weight[one] * team.chances[t] * min(found[t], cover.after[one, k, t])
     return team.turn * total
 
 
@@ -136,23 +141,51 @@ def _end_value(
 ) -> float:
     """Return what is to be paid from the end of a line on: its share alone, and together.
 
-    There it circles with that curvature: what a turn of the target would cost then is counted from its middle.
+    There it circles with that curvature.
     """
     x_m, y_m, heading_rad = end
     k, s, total = min(int(time_s / STEP_S), FORESEEN - 1), scene.mirror * team.wanted, 0.0
     for one in range(len(f.weight)):
         p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
         value = wanted_value(scene, f, looker, s, one, p, off_x, off_y, heading_rad, classes, share)
-        gap = uncovered(math.atan2(off_x, off_y), cover.bearings[one, k])
-        total += f.weight[one] * (min(value, cover.now[one, k]) + _TAIL_S * team.opposite / team.together * gap)
-    middle_x = x_m + math.cos(heading_rad) / curvature_per_m
-    middle_y = y_m - math.sin(heading_rad) / curvature_per_m
-    turn = _turn_cost(scene, f, cover.settled, team, middle_x, middle_y, time_s, found)
+        total += f.weight[one] * min(value, cover.now[one, k])
+    turn, gap = _circling_cost(scene, f, cover, team, end, time_s, curvature_per_m, found)
     return (
         team.together * total
+        + _TAIL_S * team.opposite * gap
         + team.alone_end * _role_value(f, looker, x_m, y_m, heading_rad, time_s)
         + _CIRCLING_S / looker.table.mean_leg_s * turn
     )
+
+
+@compiled
+def _circling_cost(
+    scene: Scene,
+    f: Futures,
+    cover: Cover,
+    team: Team,
+    end: Pose,
+    time_s: float,
+    curvature_per_m: float,
+    found: FloatArray,
+) -> tuple[float, float]:
+    """Return what turns of the target cost, and the share of its courses that nobody covers, over a lap."""
+    x_m, y_m, heading_rad = end
+    middle_x = x_m + math.cos(heading_rad) / curvature_per_m
+    middle_y = y_m - math.sin(heading_rad) / curvature_per_m
+    lap_s = 2.0 * math.pi / (abs(curvature_per_m) * scene.air.airspeed_m_s)
+    turn, gap = 0.0, 0.0
+    for q in range(_LAP):
+        at_s = time_s + lap_s * q / _LAP
+        at_rad = heading_rad + math.copysign(2.0 * math.pi * q / _LAP, curvature_per_m)
+        at_x = middle_x - math.cos(at_rad) / curvature_per_m
+        at_y = middle_y + math.sin(at_rad) / curvature_per_m
+        turn += _turn_cost(scene, f, cover, team, at_x, at_y, at_s, found)
+        k = min(int(at_s / STEP_S), FORESEEN - 1)
+        for one in range(len(f.weight)):
+            _, off_x, off_y = from_target(f.place, f.step_s, one, at_x, at_y, at_s)
+            gap += f.weight[one] * uncovered(math.atan2(off_x, off_y), cover.bearings[one, k])
+    return turn / _LAP, gap / _LAP
 
 
 @compiled
@@ -181,7 +214,7 @@ def team_lines_costs(
     for s in range(n):
         rates[s] = weight[s] * _team_rate(scene, f, cover, looker, team, x[s], y[s], time_s[s])
     for s in turn_samples(lines):
-        turn = _turn_cost(scene, f, cover.after, team, x[s], y[s], time_s[s], found)
+        turn = _turn_cost(scene, f, cover, team, x[s], y[s], time_s[s], found)
         turn_rates[s] = hazard_per_s * weight[s] * turn
     for i in range(lines_count):
         s = lines.own_first[i + 1] - 1
@@ -233,16 +266,26 @@ def _value_at(now: Situation, looker: Looker) -> float:
 
 @compiled
 def team_decide(
-    now: Situation, others: FloatArray, first_s: FloatArray, looker: Looker, team: Team, costs: FloatArray
-) -> tuple[Scene, float, float]:
-    """Fill in what each move costs (MOVES,); return the scene, what staying costs, and what a move has to beat.
+    scene: Scene,
+    now: Situation,
+    others: FloatArray,
+    first_s: FloatArray,
+    looker: Looker,
+    team: Team,
+    sight: Sight,
+    costs: FloatArray,
+) -> tuple[float, float]:
+    """Fill in what each move costs (MOVES,); return what staying costs, and what a move has to beat.
 
     others, first_s: see :func:`cover_of`.
     """
-    scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
-    f = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
-    if team.futures < 2:
-        f = first_of(f, 1)
+    every = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+    f = first_of(every, 1) if team.futures < 2 else every
     cover = cover_of(scene, f, others, first_s, looker, team)
     stay_cost = team_look_ahead(scene, now, f, cover, looker, team, costs)
-    return scene, stay_cost, stay_cost - team.price * commitment(scene, now, f, looker)
+    if scene.mirror == team.wanted:
+        alone = np.empty(MOVES)
+        alone_stay = look_deeper(scene, now, every, looker, sight, alone)
+        for i in range(MOVES):
+            costs[i] += team.own * min(alone[i] - alone_stay, _WORSE_MAX_S)
+    return stay_cost, stay_cost - team.price * commitment(scene, now, f, looker)

@@ -10,6 +10,8 @@ from mission.core.requirement import Side
 from mission.fleet._cover_kernel import Team
 from mission.predictive.value_table import ValueTable
 
+_DIRECTIONS_RAD = np.radians(np.arange(-168.75, 180.0, 22.5))
+
 
 @dataclass(frozen=True, slots=True)
 class TeamSettings:
@@ -18,6 +20,7 @@ class TeamSettings:
     together: weight of the time without anybody on the wanted side. price: share of an aircraft's prices of changes.
     opposite: per second, of the share of courses for which nobody would be on the wanted side. turn: weight of the
     time that a turn of the target would leave all off it; margin: of the side then, in radii of the circle.
+    own: weight of what a move gains for who holds the wanted side where it looks ahead alone.
     futures: 1 to foretell the target by its velocity alone, 3 to count on turns too.
     """
 
@@ -25,9 +28,10 @@ class TeamSettings:
     alone_end: float = 0.2
     together: float = 1.0
     price: float = 1.0
-    opposite: float = 0.3
+    opposite: float = 0.6
     turn: float = 2.0
     margin: float = 0.5
+    own: float = 1.0
     futures: int = 1
 
 
@@ -48,5 +52,11 @@ def team_of(table: ValueTable, wanted: Side, settings: TeamSettings | None = Non
         own.opposite,
         own.turn,
         own.margin,
+        own.own,
         own.futures,
     )
+
+
+def beside_standing(team: Team) -> Team:
+    """Return what to decide with while the target stands: it may set out into any direction."""
+    return team._replace(turns_rad=_DIRECTIONS_RAD, chances=np.full(_DIRECTIONS_RAD.size, 1.0 / _DIRECTIONS_RAD.size))

@@ -18,7 +18,7 @@ from mission.core.requirement import Aircraft, Requirement, Side, Wind
 from mission.fleet import _team_kernel as kernel
 from mission.fleet._cover_kernel import Team
 from mission.fleet.roles import RoleCosts
-from mission.fleet.team import TeamSettings, team_of
+from mission.fleet.team import TeamSettings, beside_standing, team_of
 from mission.geometry.separation import airspeed_of, flown_places
 from mission.predictive._decision_kernel import Looker
 from mission.predictive._moves_kernel import MOVES, STEP_S
@@ -30,6 +30,7 @@ from mission.viewpoint._viewpoint_kernel import PRESUMED, SIDE
 from mission.viewpoint.descriptions import describe_new_circle
 
 _ADVICE_S = 5.0  # advice is followed for so long
+_STANDING_M_S = 0.5  # a slower target's course is not believed to last
 _FORETOLD = 160  # seconds of the others' lines: longer than any line, and what their reports may be late
 
 
@@ -101,13 +102,18 @@ class TeamPlanner:
         if not others or lost or wind.speed_m_s >= self._airspeed_m_s:
             return self._alone.decide(aircraft, target, present, wind, latency_s)
         looker, team = self._for(wind)
-        costs = np.empty(MOVES)
-        scene, stay_cost, bar = kernel.team_decide(
-            situation(aircraft, target, present, wind, latency_s),
+        if target.speed_m_s < _STANDING_M_S:
+            team = beside_standing(team)
+        now, costs = situation(aircraft, target, present, wind, latency_s), np.empty(MOVES)
+        scene, sight = self._alone.outlook(now, looker)
+        stay_cost, bar = kernel.team_decide(
+            scene,
+            now,
             np.stack([self._foretold(one, wind) for one in others]),
             np.array([one.state.time_s for one in others]),
             looker,
             team,
+            sight,
             costs,
         )
         values = {"stay_cost_s": float(stay_cost), "move_cost_s": float(costs.min())}

@@ -33,7 +33,7 @@ from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
 from mission.predictive._rollout_kernel import Futures
 from mission.predictive._scene_kernel import Scene, Situation, scene_of
 from mission.predictive._second_moves_kernel import no_seconds
-from mission.predictive._sight_kernel import NOTHING_HIDDEN, SightAt
+from mission.predictive._sight_kernel import NOTHING_HIDDEN, Sight, SightAt
 from mission.predictive.cost import WatchCost
 from mission.predictive.forecast import Outlook, describe_breach, describe_range
 from mission.predictive.situation import situation
@@ -187,15 +187,19 @@ class PredictivePlanner:
         now = situation(aircraft, target, present, wind, latency_s)
         return self._look_ahead(now, present, looker)
 
+    def outlook(self, now: Situation, looker: Looker) -> tuple[Scene, Sight]:
+        """Return what is to be decided about, and from where the target is seen."""
+        scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
+        return scene, self._sight(scene.frame_east_m, scene.frame_north_m, *kernel.target_velocity(scene))
+
     def _futures(self, scene: Scene, looker: Looker) -> Futures:
         """Return what the target may do."""
         return winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
 
     def _look_ahead(self, now: Situation, present: Plan, looker: Looker) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
-        scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
+        scene, sight = self.outlook(now, looker)
         costs = np.empty(MOVES)
-        sight = self._sight(scene.frame_east_m, scene.frame_north_m, *kernel.target_velocity(scene))
         futures = self._futures(scene, looker)
         stay_cost = kernel.look_deeper(scene, now, futures, looker, sight, costs)
         places, time_s = kernel.flown_on(scene, now, 4.0 * math.pi * scene.radius_m)
