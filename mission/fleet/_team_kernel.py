@@ -285,7 +285,7 @@ def team_decide(
     stay_cost = team_look_ahead(scene, now, f, cover, looker, team, costs)
     if scene.mirror == team.wanted:
         alone = np.empty(MOVES)
-        alone_stay = look_deeper(scene, now, every, looker, sight, alone)
+        alone_stay = look_deeper(scene, now, every, looker, sight, 0.0, alone)
         for i in range(MOVES):
             costs[i] += team.own * min(alone[i] - alone_stay, _WORSE_MAX_S)
     return stay_cost, stay_cost - team.price * commitment(scene, now, f, looker)

@@ -10,6 +10,8 @@ from mission.core.requirement import Side
 from mission.fleet._cover_kernel import Team
 from mission.predictive.value_table import ValueTable
 
+# A circle that takes more of the band swings further about the target: what is foretold of the others is worth less.
+_WIDE, _WIDER_POWER = 1.0 / 7.0, 3
 _DIRECTIONS_RAD = np.radians(np.arange(-168.75, 180.0, 22.5))
 
 
@@ -20,7 +22,7 @@ class TeamSettings:
     together: weight of the time without anybody on the wanted side. price: share of an aircraft's prices of changes.
     opposite: per second, of the share of courses for which nobody would be on the wanted side. turn: weight of the
     time that a turn of the target would leave all off it; margin: of the side then, in radii of the circle.
-    own: weight of what a move gains for who holds the wanted side where it looks ahead alone.
+    own: weight of what a move gains for who holds the wanted side where it looks ahead alone; wide circles raise it.
     futures: 1 to foretell the target by its velocity alone, 3 to count on turns too.
     """
 
@@ -40,7 +42,8 @@ def team_of(table: ValueTable, wanted: Side, settings: TeamSettings | None = Non
     configuration, own = table.configuration, settings or TeamSettings()
     if not configuration.follows_course:
         raise ValueError("several aircraft share the sides of a target, not a sector")
-    habits = configuration.habits
+    habits, cost = configuration.habits, configuration.cost
+    wide = configuration.radius_m / (_WIDE * (cost.far_m - cost.near_m))
     return Team(
         1.0 if wanted is Side.LEFT else -1.0,
         np.radians(habits.turns_deg),
@@ -52,7 +55,7 @@ def team_of(table: ValueTable, wanted: Side, settings: TeamSettings | None = Non
         own.opposite,
         own.turn,
         own.margin,
-        own.own,
+        own.own * max(1.0, wide**_WIDER_POWER),
         own.futures,
     )
 

@@ -185,13 +185,29 @@ def look_ahead(
 
 
 @compiled
+def lay_out(looker: Looker, radius_m: float, airspeed_m_s: float, wind_m_s: float) -> None:
+    """Have the second moves at hand for a circle, an airspeed and a wind: the first time takes half a millisecond."""
+    # A wind of a whole step stays of that step, however its direction was rounded.
+    steps = math.ceil(wind_m_s / _WIND_STEP_M_S - 1e-6)
+    ramp = sharpness_per_m2(airspeed_m_s + steps * _WIND_STEP_M_S, looker.craft)
+    lay_out_seconds(looker.seconds, radius_m, ramp, airspeed_m_s * STEP_S)
+
+
+@compiled
 def look_deeper(
-    scene: Scene, now: Situation, futures: Futures, looker: Looker, sight: Sight, costs: FloatArray
+    scene: Scene,
+    now: Situation,
+    futures: Futures,
+    looker: Looker,
+    sight: Sight,
+    min_gain: float,
+    costs: FloatArray,
 ) -> float:
     """Do as :func:`look_ahead`, then look at the best moves again, two moves deep over several futures.
 
     All other moves become infinitely dear. That look is spared where staying would be cheaper than every move even
-    if moves were free, and where the ground hides something: second moves know nothing of it.
+    if moves were free, and where the ground hides something: second moves know nothing of it. What gains less than
+    min_gain may be given any cost above that.
     """
     # The turns that it may begin need the second move to tell; that it goes its old way again matters from the first.
     likely = first_of(futures, max(1, 1 + len(futures.weight) - len(looker.turns.rate_rad_s)))
@@ -213,11 +229,7 @@ def look_deeper(
         depth.horizon_s,
         room_for(futures, air),
     )
-    wind_m_s = math.hypot(air.wind_x_m_s, air.wind_y_m_s)
-    # A wind of a whole step stays of that step, however its direction was rounded.
-    steps = math.ceil(wind_m_s / _WIND_STEP_M_S - 1e-6)
-    ramp = sharpness_per_m2(air.airspeed_m_s + steps * _WIND_STEP_M_S, looker.craft)
-    lay_out_seconds(looker.seconds, scene.radius_m, ramp, air.airspeed_m_s * STEP_S)
+    lay_out(looker, scene.radius_m, air.airspeed_m_s, math.hypot(air.wind_x_m_s, air.wind_y_m_s))
     ahead, end = staying_ahead(scene, now, under_way)
     stay_cost = deep_cost(ahead, end, STAY_BRANCHES, scene, second, np.inf)
     order = np.argsort(costs, kind="mergesort")
@@ -227,7 +239,7 @@ def look_deeper(
             costs[move] = np.inf
         elif costs[move] < np.inf:
             ahead, end = moving_ahead(scene, looker.craft, move)
-            costs[move] = price + deep_cost(ahead, end, MOVE_BRANCHES, scene, second, stay_cost - price)
+            costs[move] = price + deep_cost(ahead, end, MOVE_BRANCHES, scene, second, stay_cost - price - min_gain)
     return stay_cost
 
 
@@ -257,8 +269,9 @@ def decide(now: Situation, looker: Looker) -> tuple[float, float, FloatArray]:
     costs = np.empty(MOVES)
     flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
     futures = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
-    stay_cost = look_deeper(scene, now, futures, looker, flat, costs)
-    line = best_line(scene, looker, costs, stay_cost - commitment(scene, now, futures, looker))
+    min_gain = commitment(scene, now, futures, looker)
+    stay_cost = look_deeper(scene, now, futures, looker, flat, min_gain, costs)
+    line = best_line(scene, looker, costs, stay_cost - min_gain)
     return scene.departure_s, scene.radius_m, line
 
 

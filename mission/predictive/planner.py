@@ -135,6 +135,8 @@ class PredictivePlanner:
         self._policy = SidePolicy(requirement, aircraft.radius_m, requirement.course_horizon_s)
         self._kept, self._seconds = nothing_kept(), no_seconds()
         self.lookers = [self._looker(one) for one in self._tables]
+        if self._settings.beam > 0:  # else the first decisions would wait for it
+            kernel.lay_out(self.lookers[0], aircraft.radius_m, aircraft.airspeed_m_s, 0.0)
 
     def _looker(self, table: ValueTable) -> Looker:
         """Return what looks ahead with a table; all remember the same."""
@@ -201,12 +203,13 @@ class PredictivePlanner:
         scene, sight = self.outlook(now, looker)
         costs = np.empty(MOVES)
         futures = self._futures(scene, looker)
-        stay_cost = kernel.look_deeper(scene, now, futures, looker, sight, costs)
+        min_gain_s = kernel.commitment(scene, now, futures, looker)
+        stay_cost = kernel.look_deeper(scene, now, futures, looker, sight, min_gain_s, costs)
         places, time_s = kernel.flown_on(scene, now, 4.0 * math.pi * scene.radius_m)
         ahead = Outlook(places[0] - scene.velocity_x_m_s * time_s, places[1] - scene.velocity_y_m_s * time_s, time_s)
         side = Side.LEFT if scene.mirror > 0.0 else Side.RIGHT
         breach = describe_breach(ahead, side, self._requirement, scene.departure_s - now.time_s)
-        bar = stay_cost - kernel.commitment(scene, now, futures, looker)
+        bar = stay_cost - min_gain_s
         move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self._check)
         if plan is not None:
             moved = describe_new_circle(present.circle, plan.circle)
@@ -215,7 +218,7 @@ class PredictivePlanner:
             reason = f"staying: {broken}"
         elif bar <= costs[move] < stay_cost:
             age, gain_s = f"the plan is {now.age_s:.0f} s old", stay_cost - costs[move]
-            reason = f"staying: {age}, and another would gain only {gain_s:.0f} s on the side"
+            reason = f"staying: {age}, and another would gain {gain_s:.0f} s on the side at most"
         elif breach is not None:
             reason = f"staying until a better moment: {breach}"
         else:
