@@ -31,7 +31,7 @@ Rules
    is asked for. Below ``leave_below`` it leaves whatever happens. A reserve is asked for too when nobody is left.
 4. Several targets: aircraft are given out evenly, by what their roles would cost them beside each, the way there
    included. Those of a lost target go at once, others where all together have gained more than ``reassign_cost_s``
-   for each that changes, for ``reassign_after_s``. What a payload has seen counts for the target that it looks at:
+   for each that changes, for some seconds. What a payload has seen counts for the target that it looks at:
    another one than before once ``turned_after`` sightings in a row lie there.
 5. Each aircraft keeps the height layer that it was set up with: layers are never swapped, so nothing has to be
    confirmed before one is free.
@@ -78,6 +78,7 @@ from mission.fleet.vehicle import FleetMember, FleetVehicle
 
 _FOREIGN_FORGOTTEN_S = 30.0
 _NEAR_M, _NEARER = 60.0, 0.5  # a sighting of another target is so near to it, and by this share nearer than its own
+_REASSIGN_AFTER_S = 5.0  # for so long the gain has to last
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +97,8 @@ class FleetSettings:
     silent_after_s: float = 5.0
     relieve_below: float = 0.3
     leave_below: float = 0.15
-    turned_after: int = 3
     reassign_cost_s: float = 15.0
-    reassign_after_s: float = 5.0
+    turned_after: int = 3
 
 
 class FleetCoordinator:
@@ -336,7 +336,7 @@ class FleetCoordinator:
         at, settings = [one.target for one in free], self.settings
         given, gained_s = spread_over(list(known), costs, at, settings.reassign_cost_s)
         self._gains_since_s = min(self._gains_since_s, self._now_s) if gained_s > 0.0 else math.inf
-        if math.isfinite(gained_s) and self._now_s - self._gains_since_s < settings.reassign_after_s:
+        if math.isfinite(gained_s) and self._now_s - self._gains_since_s < _REASSIGN_AFTER_S:
             return
         for one, target in zip(free, given, strict=True):
             if one.target != target:
