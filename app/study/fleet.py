@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 
@@ -224,8 +224,8 @@ class FleetRun:
             role = roles[member.name]
             side = wanted if role is Role.WANTED else wanted.opposite
             others = tuple(one for name, one in neighbours.items() if name != member.name)
-            advice = FleetAdvice(estimate.time_s, "", role, side, estimate, member.height_m, others)
-            member.planner.advise(replace(advice, course_rad=course_rad))
+            advice = estimate.time_s, "", role, side, estimate, member.height_m, others
+            member.planner.advise(FleetAdvice(*advice, course_rad=course_rad))
             if member.busy:
                 continue
             arguments = member.state, estimate, member.plan(), wind, settings.latency_s
