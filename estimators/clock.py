@@ -95,18 +95,25 @@ class VehicleClock:
 
         confirmed_after_s: how long another line has to go on before it is followed; None: as its distance tells.
         """
+        if self.goes_on(stamp_s):
+            return Stamp.GOOD
+        assert self._own is not None
+        return self._taken_elsewhere(self._own, stamp_s, confirmed_after_s)
+
+    def goes_on(self, stamp_s: float) -> bool:
+        """Take a stamp if it goes on from the clock's own, as nearly all do; tell whether it does."""
         own = self._own
         if own is None:
             self._own = _Line(stamp_s, stamp_s)
-            return Stamp.GOOD
+            return True
         if own.last_s - LATE_S <= stamp_s <= own.last_s + self._ahead_s(stamp_s - own.last_s):
             if stamp_s > own.last_s:
                 self._ticks_s.append(stamp_s - own.last_s)
                 own.last_s = stamp_s
             own.count += 1
             self._in_question = False
-            return Stamp.GOOD
-        return self._taken_elsewhere(own, stamp_s, confirmed_after_s)
+            return True
+        return False
 
     def _ahead_s(self, step_s: float) -> float:
         """Return how far a step may go; only a step beyond the ordinary asks how long they are here."""

@@ -20,9 +20,8 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import count
 from pathlib import Path
-from typing import Any, TypeVar, get_origin
+from typing import TYPE_CHECKING, Any, TypeVar, get_origin
 
-import cattrs
 import msgspec
 import numpy as np
 
@@ -31,6 +30,9 @@ from app.records.appender import Appender
 from app.records.old_formats import OLDEST_FORMAT, upgraded
 from app.records.windows import Progress
 from estimators.frames import LocalPlane
+
+if TYPE_CHECKING:
+    import cattrs
 
 FORMAT = 2
 
@@ -67,7 +69,10 @@ def _is_array(kind: object) -> bool:
     return get_origin(kind) is np.ndarray
 
 
+@cache
 def _converter() -> cattrs.Converter:
+    import cattrs  # noqa: PLC0415  # only what msgspec refuses needs it
+
     converter = cattrs.Converter(detailed_validation=False)
     converter.register_structure_hook_func(
         _is_array,
@@ -77,7 +82,7 @@ def _converter() -> cattrs.Converter:
 
 
 def _plain(value: Any) -> Any:
-    """Return what json cannot write itself as it can: arrays and scalars of numpy."""
+    """Return what msgspec does not know as it does: arrays and scalars of numpy."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"a journal holds no {type(value).__name__}")
@@ -99,13 +104,13 @@ def _decoder(kind: type) -> msgspec.json.Decoder[Any] | None:
         return None
 
 
-_CONVERTER = _converter()
-_ENCODE = json.JSONEncoder(separators=(",", ":"), default=_plain).encode
+_ENCODE = json.JSONEncoder(separators=(",", ":")).encode
 
 
 def encode(event: Any) -> bytes:
     """Return the line for a frozen dataclass."""
-    body = f'{{"event":"{type(event).__name__}","fields":{_ENCODE(_CONVERTER.unstructure(event))}'.encode()
+    fields = _ENCODE(msgspec.to_builtins(event, enc_hook=_plain))
+    body = f'{{"event":"{type(event).__name__}","fields":{fields}'.encode()
     return body + _CHECKSUM % zlib.crc32(body)
 
 
@@ -161,7 +166,7 @@ class JournalReader:
     def _structured(self, name: str, fields: dict[str, Any]) -> Any:
         try:
             name, fields = upgraded(name, fields, self._format)
-            return _CONVERTER.structure(fields, self._types[name])
+            return _converter().structure(fields, self._types[name])
         except Exception as error:  # cattrs passes on whatever a type's constructor makes of another's values
             raise InputError(f"{self.path} has an event {name:.40} that this program does not know.") from error
 

@@ -102,6 +102,8 @@ class Plausibility:
     @property
     def faulty(self) -> bool:
         """Whether GPS or EKF complain now, be it but for a moment, or are awaited: no time to begin something new."""
+        if not self._awaited_s and not self._faults:
+            return False
         now_s = self.clock.now_s
         awaited = any(now_s - since_s < _AWAITED_S for since_s in self._awaited_s.values())
         return awaited or (bool(self._faults) and self._fault(now_s) is not None)
@@ -172,6 +174,9 @@ class Plausibility:
     def _on_time(self, stamp_s: float, place: PositionReading | None) -> bool:
         """Tell whether a stamp is of the vehicle's clock; place is where the aircraft is said to be then."""
         clock = self.clock
+        if clock.goes_on(stamp_s):  # as nearly all do
+            self._displaced = 0
+            return True
         ahead = 0.0 < stamp_s - clock.now_s <= SILENCE_MAX_S
         booted = clock.now_s > BOOTING_S and _BOOT_S < stamp_s - clock.questioned_for_s < BOOTING_S
         if (ahead or booted) and place is not None:
@@ -179,9 +184,6 @@ class Plausibility:
             is_where_it_was = self.position.stayed(place, clock.questioned_for_s, jumped=not self._overtaken)
             self._displaced = 0 if is_where_it_was else self._displaced + 1
         stamp = clock.take(stamp_s, PROOF_S if (ahead or booted) and self._displaced < _DISPLACED_MIN else None)
-        if stamp is Stamp.GOOD:
-            self._displaced = 0
-            return True
         if clock.two_lines_s is not None:
             self._yield_to_two(f"its clocks take turns, {clock.two_lines_s:.0f} s apart")
         if stamp is Stamp.NEW_LINE:
