@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import signal
 import sys
 import traceback
@@ -77,7 +78,10 @@ class _Command(TyperCommand):
 
 def load_command(name: str) -> Any:
     """Return a command, ready to be called, with its module loaded."""
+    gc.disable()
     module = import_module(COMMANDS[name][0])
+    gc.freeze()  # to look through all this for garbage, again and again while more came, took a tenth of a start
+    gc.enable()
     single = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     single.command(name, cls=_Command)(getattr(module, "run" if name == "sitl" else name))
     command = typer.main.get_command(single)

@@ -1,12 +1,12 @@
 """A process that ends when it is told to, whatever a library's threads do.
 
 MAVSDK's blocking calls run in threads that nothing can cancel. Python waits for such threads without a bound, first
-where ``asyncio.run`` ends and again where the interpreter does; one call that never comes back would hold both.
+where ``asyncio.run`` ends (see :mod:`app.event_loop`) and again where the interpreter does; one call that never comes
+back would hold both.
 """
 
 from __future__ import annotations
 
-import asyncio
 import atexit
 import contextlib
 import os
@@ -14,31 +14,13 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Coroutine, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NoReturn, TextIO, TypeVar
+from collections.abc import Iterator
+from typing import NoReturn, TextIO
 
 INTERRUPTED = 130  # the exit code
 _THREADS_END_S = 1.0
 _HEEDED_AGAIN_S = 0.05
 _again: threading.Timer | None = None  # when a dropped interrupt comes
-
-T = TypeVar("T")
-
-
-class _Threads(ThreadPoolExecutor):
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        super().shutdown(wait=False, cancel_futures=True)
-
-
-def run(main: Coroutine[Any, Any, T]) -> T:
-    """Do as ``asyncio.run``, without waiting for calls that still block a thread when ``main`` is done."""
-
-    async def with_threads() -> T:
-        asyncio.get_running_loop().set_default_executor(_Threads())
-        return await main
-
-    return asyncio.run(with_threads())
 
 
 @contextlib.contextmanager

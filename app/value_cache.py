@@ -6,7 +6,6 @@ is computed anew: a damaged table would be believed otherwise.
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import hashlib
 import os
@@ -69,6 +68,8 @@ async def have_at_hand(configurations: Iterable[TableConfiguration]) -> None:
 
 
 async def _made_beside(configuration: TableConfiguration) -> ValueTable:
+    import asyncio  # noqa: PLC0415  # with a flight it is there; who only reads a table goes without
+
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "app.value_cache"),
         stdin=asyncio.subprocess.PIPE,

@@ -11,13 +11,10 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from app.errors import InputError
-from app.link.message import Message
-from app.link.telemetry import Telemetry
 from app.records.journal import encode
-from app.records.log import Log
 from estimators.estimate import TargetEstimate
 from estimators.frames import LocalPlane
 from estimators.readings import (
@@ -43,6 +40,11 @@ from mission.core.events import (
 from mission.exchange.mission_controller import DERIVED, InboundEvent, MissionController, Output
 from mission.exchange.outbox import SendMessage, TakeoverFailed
 from mission.exchange.reports import ExchangeEvent
+
+if TYPE_CHECKING:
+    from app.link.message import Message
+    from app.link.telemetry import Telemetry
+    from app.records.log import Log
 
 _MODE = "as recorded"
 # By type alone, which a set tells at once: no event but the exchange's own is of a type derived from another.

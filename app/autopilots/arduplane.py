@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar
 
-from pymavlink.dialects.v20 import all as _mav
+from pymavlink.dialects.v20 import common as _mav
 
 from app.autopilots.autopilot import Limits
-from app.autopilots.parameters import RequiredParameter, required_airspeed
+from app.autopilots.required_parameter import RequiredParameter, required_airspeed
 from app.link.modes import AUTOPILOT_ARDUPILOT
 from mission.core.requirement import Wind
 from mission.exchange.dialect import CircleOrder, Home, ProtocolQuirks

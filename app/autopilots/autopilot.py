@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from app.autopilots.parameters import RequiredParameter
+from app.autopilots.required_parameter import RequiredParameter
 from mission.exchange.dialect import AutopilotDialect
 
 

@@ -1,4 +1,4 @@
-"""The autopilot's parameters: read, judged for the mission, and changed for its time where that is asked for."""
+"""The autopilot's parameters: read, and changed for a mission's time where that is asked for."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import asyncio
 import contextlib
 import struct
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
+from app.autopilots.required_parameter import RequiredParameter
 from app.errors import InputError
 from app.link.modes import AUTOPILOT_PX4
 from app.link.vehicle import Vehicle
@@ -16,16 +16,6 @@ from app.link.vehicle import Vehicle
 _ANSWER_S = 0.8  # since the last answer; then those that are missing are asked for again
 _IDLE_S, _IDLE_ROUNDS = 1.6, 2  # so long, and so often, without an answer: there is none of that name
 _REAL32 = 9  # MAV_PARAM_TYPE
-
-
-@dataclass(frozen=True, slots=True)
-class RequiredParameter:
-    """A parameter whose present value stands in the way, what it has to be, and why."""
-
-    name: str
-    present: float
-    value: float
-    why: str
 
 
 async def read_parameters(vehicle: Vehicle, names: Iterable[str]) -> dict[str, float]:
@@ -63,15 +53,6 @@ def _value(fields: Mapping[str, Any], bytewise: bool) -> float | None:
     if value is None or not bytewise or int(fields["param_type"]) == _REAL32:
         return value if value is None else float(value)
     return float(struct.unpack("<i", struct.pack("<f", value))[0])
-
-
-def required_airspeed(values: Mapping[str, float], name: str, airspeed_m_s: float) -> tuple[RequiredParameter, ...]:
-    """Return the need for another cruise airspeed, where it differs by more than a tenth."""
-    cruise_m_s = values.get(name)
-    if cruise_m_s is None or abs(cruise_m_s - airspeed_m_s) <= 0.1 * airspeed_m_s:
-        return ()
-    why = f"it would fly {cruise_m_s:g} m/s, aircraft.airspeed_m_s is {airspeed_m_s:g}"
-    return (RequiredParameter(name, cruise_m_s, airspeed_m_s, why),)
 
 
 @contextlib.asynccontextmanager

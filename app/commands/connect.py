@@ -15,6 +15,7 @@ from app.autopilots.queries import home_of, mode_of
 from app.commands.output import JsonOption, checked_output, console, write_json
 from app.config import Config, load_config
 from app.errors import InputError
+from app.event_loop import run
 from app.fleet.fleet_file import load_fleet, names_a_fleet
 from app.flight.flight import connected
 from app.flight.preflight import Check, checks
@@ -22,7 +23,6 @@ from app.flight.source_rates import SourceRates
 from app.flight.source_use import describe_use
 from app.flight.streams import ask_for_streams
 from app.link.url import checked_url
-from app.shutdown import run
 
 
 def connect(

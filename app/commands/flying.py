@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from app.errors import FlightError, Interrupted
+from app.event_loop import run
 from app.flight.life import Life
-from app.shutdown import interrupt_dropped, run
+from app.shutdown import interrupt_dropped
 
 _NOTHING_COMMANDED = "interrupted: nothing was commanded; no records are kept."
 

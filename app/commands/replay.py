@@ -23,13 +23,12 @@ from app.commands.progress import progress_bar, table_progress
 from app.config import Config, load_config, with_values
 from app.errors import FlightError, InputError
 from app.flight.recording import JOURNAL_TYPES, journalled_config
-from app.link.telemetry import Telemetry
 from app.planners.registry import PLANNER_NAMES
 from app.records.journal import Header, JournalReader
 from app.records.run_folder import FleetFolder, RunFolder, require_recording
 from app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
+from app.view.clock import clock
 from app.view.frames import Frames
-from app.view.panel import clock
 from app.view.player import SPEED_MAX
 from app.view.state import StateEncoder
 from estimators.frames import LocalPlane
@@ -129,7 +128,8 @@ def _changes(given: list[str], planner: str | None) -> dict[str, dict[str, Any]]
 def _replay_log(
     path: Path, truth: Path | None, settings: Config, quiet: bool, frames: Frames | None = None
 ) -> Summary:
-    from app.records.log import open_log  # noqa: PLC0415  # a run of ours is read without
+    from app.link.telemetry import Telemetry  # noqa: PLC0415  # a run of ours is read without
+    from app.records.log import open_log  # noqa: PLC0415
 
     log = open_log(path)
     telemetry = Telemetry()

@@ -16,8 +16,9 @@ from app.analysis.summary import Summary, SummaryCollector, summarise
 from app.analysis.truth import Truth
 from app.assembly import mission_controller_of, settle, winds_m_s
 from app.autopilots.autopilot import Autopilot
-from app.autopilots.parameters import RequiredParameter, read_parameters, temporary_parameters
+from app.autopilots.parameters import read_parameters, temporary_parameters
 from app.autopilots.queries import home_of, is_flying, mode_of
+from app.autopilots.required_parameter import RequiredParameter
 from app.config import Config
 from app.errors import FlightError, InputError
 from app.flight.changes import MissionChanges

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.autopilots.autopilot import Autopilot, Limits
-from app.autopilots.parameters import RequiredParameter
 from app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
+from app.autopilots.required_parameter import RequiredParameter
 from app.config import Config
 from app.errors import InputError
 from app.flight.source_rates import SourceRate

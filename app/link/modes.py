@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from pymavlink.dialects.v20 import all as dialect
+from pymavlink.dialects.v20 import common as dialect
 
 AUTOPILOT_ARDUPILOT = int(dialect.MAV_AUTOPILOT_ARDUPILOTMEGA)
 AUTOPILOT_PX4 = int(dialect.MAV_AUTOPILOT_PX4)

@@ -14,13 +14,12 @@ from __future__ import annotations
 import io
 import json
 import zlib
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_origin
+from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 import numpy as np
@@ -96,12 +95,26 @@ def _array(kind: type, values: Any) -> Any:
 
 
 @cache
-def _decoder(kind: type) -> msgspec.json.Decoder[Any] | None:
-    """Return what reads a type's fields, None where msgspec cannot: it takes one dataclass at most for a union."""
-    try:
-        return msgspec.json.Decoder(kind, dec_hook=_array)
-    except TypeError:
-        return None
+def _decode(kind: type) -> Callable[[bytes], Any]:
+    """Return what reads a type's fields. msgspec tells no two dataclasses apart: for them their fields do."""
+    hints = get_type_hints(kind)
+    several = {name: get_args(hint) for name, hint in hints.items() if sum(map(is_dataclass, get_args(hint))) > 1}
+    if not several:
+        return msgspec.json.Decoder(kind, dec_hook=_array).decode
+    plain = [(name, dict[str, Any] if name in several else hint) for name, hint in hints.items()]
+    decode = msgspec.json.Decoder(msgspec.defstruct(kind.__name__, plain), dec_hook=_array).decode
+
+    def read(line: bytes) -> Any:
+        told = msgspec.structs.asdict(decode(line))
+        return kind(**told | {name: _one_of(kinds, told[name]) for name, kinds in several.items()})
+
+    return read
+
+
+def _one_of(kinds: Iterable[type], told: dict[str, Any]) -> Any:
+    """Return an object of the kind that has these very fields."""
+    kind = next(kind for kind in kinds if [field.name for field in fields(kind)] == list(told))
+    return msgspec.convert(told, kind, dec_hook=_array)
 
 
 _ENCODE = json.JSONEncoder(separators=(",", ":")).encode
@@ -145,6 +158,8 @@ class JournalReader:
             raise InputError(
                 f"{path} is a journal of format {self._format!r:.20}; this program reads {OLDEST_FORMAT} to {FORMAT}."
             )
+        # By their names as a line has them; what was written before goes the old way.
+        self._kinds = {name.encode(): kind for name, kind in self._types.items()} if self._format == FORMAT else {}
         self.header: Header = self._structured(*first)
 
     def __iter__(self) -> Iterator[Any]:
@@ -155,12 +170,10 @@ class JournalReader:
     def _event(self, body: bytes) -> Any:
         """Return the event of a whole line, None where it holds something else."""
         end = body.find(_FIELDS, len(_OPENING))
-        kind = self._types.get(body[len(_OPENING) : end].decode(errors="replace"))
-        decoder = _decoder(kind) if kind is not None and self._format == FORMAT else None
-        if decoder is not None:
-            with suppress(Exception):  # as below; what is wrong with it, if anything is, the other way tells
-                return decoder.decode(memoryview(body)[end + len(_FIELDS) :])
-        record = _record(body)
+        try:
+            return _decode(self._kinds[body[len(_OPENING) : end]])(body[end + len(_FIELDS) :])
+        except Exception:  # as below; what is wrong with it, if anything is, the other way tells
+            record = _record(body)
         return None if record is None else self._structured(*record)
 
     def _structured(self, name: str, fields: dict[str, Any]) -> Any:
@@ -185,9 +198,8 @@ class JournalReader:
                     record = read(body) if body is not None else None
                     if record is not None:
                         yield record
-                    self.damaged_lines += line.endswith(b"\n") and (
-                        body is None or record is None or len(body) + _CHECKSUM_BYTES < len(line)
-                    )
+                    if body is None or record is None or len(body) + _CHECKSUM_BYTES < len(line):
+                        self.damaged_lines += line.endswith(b"\n")
                     if self._progress and number % _PROGRESS_LINES == 0:
                         self._progress(file.tell() / size)
         except OSError as error:
@@ -212,4 +224,4 @@ def _whole_body(line: bytes) -> bytes | None:
     """
     start = line.rfind(_OPENING)
     body = line[start:-_CHECKSUM_BYTES]
-    return body if start >= 0 and line[-_CHECKSUM_BYTES:] == _CHECKSUM % zlib.crc32(body) else None
+    return body if start >= 0 and line.endswith(_CHECKSUM % zlib.crc32(body)) else None

@@ -15,7 +15,8 @@ from rich.text import Text
 from app.flight.display import Wish
 from app.link.plain_text import plain
 from app.link.vehicle_status import VehicleStatus
-from app.view.panel import REFRESH_HZ, STYLES, clock, target_motion, target_range_m
+from app.view.clock import clock
+from app.view.panel import REFRESH_HZ, STYLES, target_motion, target_range_m
 from estimators.frames import LocalPlane
 from mission.control.snapshot import Snapshot
 from mission.core.events import Announce

@@ -16,6 +16,7 @@ from rich.text import Text
 from app.flight.display import Wish
 from app.link.plain_text import plain
 from app.link.vehicle_status import VehicleStatus
+from app.view.clock import clock
 from app.view.prompt import HELP, Keyboard, Prompt
 from estimators.ellipse import confidence_ellipse
 from estimators.estimate import TrackQuality
@@ -39,11 +40,6 @@ STYLES = {
 }
 _PHASE_STYLES = {Phase.WATCHING: "green", Phase.HOLDING: "yellow", Phase.YIELDED: "red", Phase.ENDED: "red"}
 _QUALITY_STYLES = {TrackQuality.GOOD: "green", TrackQuality.COASTING: "yellow", TrackQuality.LOST: "bold red"}
-
-
-def clock(time_s: float) -> str:
-    """Return minutes:seconds."""
-    return f"{int(time_s // 60):d}:{int(time_s % 60):02d}"
 
 
 class PanelDisplay:

@@ -174,7 +174,7 @@ class Plausibility:
     def _on_time(self, stamp_s: float, place: PositionReading | None) -> bool:
         """Tell whether a stamp is of the vehicle's clock; place is where the aircraft is said to be then."""
         clock = self.clock
-        if clock.goes_on(stamp_s):  # as nearly all do
+        if clock.goes_on(stamp_s):
             self._displaced = 0
             return True
         ahead = 0.0 < stamp_s - clock.now_s <= SILENCE_MAX_S

@@ -7,13 +7,13 @@ import pytest
 
 LEFT = """
 import asyncio, threading
-from app import shutdown
+from app import event_loop, shutdown
 async def main():
     asyncio.get_running_loop().run_in_executor(None, threading.Event().wait)
     await asyncio.sleep(0.01)
     print("done")
     return 3
-shutdown.exit_process(shutdown.run(main()))
+shutdown.exit_process(event_loop.run(main()))
 """
 
 HELD_UP = """

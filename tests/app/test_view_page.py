@@ -14,10 +14,11 @@ from rich.console import Console
 from app.config import Config
 from app.link.vehicle_status import VehicleStatus
 from app.view.address import Address
+from app.view.clock import clock
 from app.view.display import ViewDisplay
 from app.view.fleet_panel import FleetPanel
 from app.view.fleet_view import FleetView
-from app.view.panel import PanelDisplay, clock
+from app.view.panel import PanelDisplay
 from estimators.frames import LocalPlane
 from mission.control.snapshot import Phase
 from mission.core.events import Announce, MissionChange, OperatorRequest
