@@ -183,6 +183,8 @@ class SourceClock:
             self._sampled_s = clock.now_s
             self._samples.append(ahead_s)
             self._estimate(clock.tick_s)
+        if not self.ahead_s and -LATE_S <= ahead_s <= AHEAD_S:  # as nearly all are
+            return stamp_s
         early_s = AHEAD_S + clock.tick_s  # the vehicle's own last words may be lost
         late_s = LATE_S
         if self.ahead_s:  # where it is off by more, the vehicle's own clock may have been set

@@ -39,6 +39,7 @@ class Pairing:
         self._poses = poses
         self._gimbals: History[GimbalReading] = History(_SPAN_S)
         self._ranges: History[RangeReading] = History(_SPAN_S)
+        self._has_arm = any(settings.lever_arm_body_m)
         self._parent_from_mount = from_roll_pitch_yaw(*settings.mount_roll_pitch_yaw_rad)
         self._paired_s = -math.inf
         self._alone: list[float] = []  # times of lines of sight that go without a range
@@ -91,7 +92,7 @@ class Pairing:
     @property
     def _needs_attitude(self) -> bool:
         newest = self._gimbals.newest()
-        return any(self._settings.lever_arm_body_m) or (newest is not None and newest.frame != "earth")
+        return self._has_arm or (newest is not None and newest.frame != "earth")
 
     def _sighting(self, reading: RangeReading) -> Sighting | None:
         sigma_m = reading.sigma_m or self._settings.range_sigma_m

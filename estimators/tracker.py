@@ -64,7 +64,7 @@ class Tracker:
                 return self._add_fix(reading)
         if not self._pairing.due:
             return ()
-        return tuple(self._take(sighting) for sighting in self._pairing.completed())
+        return tuple(map(self._take, self._pairing.completed()))
 
     def _add_gimbal(self, reading: GimbalReading) -> None:
         if self._gimbals.accepts(reading.source, reading.time_s):

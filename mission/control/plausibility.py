@@ -265,16 +265,15 @@ class Plausibility:
             if len(self._sources) >= _SOURCES_MAX:
                 return None
             source = self._sources[key] = SourceClock()
-        device = _NAMES[type(reading)] if reading.source.message not in BEACON_MESSAGES else "beacon"
-        name = f"the {device}'s clock (component {reading.source.component_id})"
         before_s = source.ahead_s
         time_s = source.corrected_s(reading.time_s, self.clock)
         if source.ahead_s != before_s:
+            name = _clock_of(reading)
             self._told_s.pop(name, None)
             text = f"is {_off(source.ahead_s)}: corrected" if source.ahead_s else "agrees with the aircraft's again"
             self._tell(name, "sensor", f"{name} {text}")
         if time_s is None:
-            off_s = reading.time_s - self.clock.now_s
+            name, off_s = _clock_of(reading), reading.time_s - self.clock.now_s
             self._tell(name, "sensor", f"{name} is {_off(off_s)}: what it stamps is refused")
             return None
         return reading if time_s == reading.time_s else replace(reading, time_s=time_s)
@@ -304,6 +303,11 @@ def _possible(reading: PositionReading) -> bool:
         and math.hypot(reading.velocity_east_m_s, reading.velocity_north_m_s) <= _SPEED_MAX_M_S
         and abs(reading.velocity_up_m_s) <= _CLIMB_MAX_M_S
     )
+
+
+def _clock_of(reading: Payload) -> str:
+    device = _NAMES[type(reading)] if reading.source.message not in BEACON_MESSAGES else "beacon"
+    return f"the {device}'s clock (component {reading.source.component_id})"
 
 
 def _off(seconds: float) -> str:

@@ -99,7 +99,7 @@ class MissionController:
             self._exchange(event)
         else:
             commands = () if self._closing else self.controller.step(event)
-            self._outbox.begin(max(self._outbox.time_s, self.controller.time_s), None)
+            self._outbox.time_s = max(self._outbox.time_s, self.controller.time_s)
             if commands:
                 self._route(commands)
             self._observe(event)

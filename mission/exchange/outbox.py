@@ -52,12 +52,9 @@ class Outbox:
     derived: list[Derived | Announce | TakeoverFailed] = field(default_factory=list)
     _began: tuple[float, float] | None = None
 
-    def begin(self, time_s: float, link_s: float | None) -> None:
-        """Begin a step. link_s: None where the event has none."""
-        self.time_s = time_s
-        if link_s is None:
-            return
-        self.link_s = link_s
+    def begin(self, time_s: float, link_s: float) -> None:
+        """Begin a step that an event of the exchange leads to."""
+        self.time_s, self.link_s = time_s, link_s
         if math.isfinite(time_s) and (self._began is None or time_s < self._began[0]):
             self._began = (time_s, link_s)
 

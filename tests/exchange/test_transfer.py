@@ -51,7 +51,7 @@ class Work:
         return self._work.done if isinstance(self._work, MissionRead) else self._work.result is not None
 
     def step(self, event):
-        self._outbox.begin(event.time_s, getattr(event, "link_s", None))
+        self._outbox.begin(event.time_s, getattr(event, "link_s", self._outbox.link_s))
         if isinstance(event, TimerExpired):
             self._work.expire()
         else:

@@ -134,7 +134,7 @@ SIGHTED = Sighting(1.5, 300.0, -0.5, 0.25, 0.75, 0.01, 0.02, -50.0, 20.0, 80.0, 
     [
         SightingReported("wing", SIGHTED),
         SightingReported("wing", Fix(2.5, -10.0, 20.0, 3.0)),
-        Tell("wing", NeighbourPlanned(3.5, "plane", 100.0, None)),
+        Tell("wing", NeighbourPlanned(3.5, "plane", None, None)),
     ],
     ids=["sighting", "fix", "neighbour"],
 )
