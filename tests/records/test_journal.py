@@ -141,7 +141,7 @@ SIGHTED = Sighting(1.5, 300.0, -0.5, 0.25, 0.75, 0.01, 0.02, -50.0, 20.0, 80.0, 
 def test_the_quick_way_tells_types_apart_by_their_fields(event):
     line = encode(event)
     fields_of_it = line[line.index(b'"fields":') + len(b'"fields":') : line.rindex(b',"crc32"')]
-    assert journal._decode(type(event))(fields_of_it) == event
+    assert encode(journal._decode(type(event))(fields_of_it)) == line
 
 
 @pytest.mark.parametrize(
