@@ -65,6 +65,15 @@ def test_a_change_of_what_is_called_compiles_the_caller_anew(tmp_path):
     assert outer(tmp_path) == ["6.0", "0"]
 
 
+def test_a_caller_is_compiled_of_what_was_kept(tmp_path):
+    (tmp_path / "caller.py").write_text(CALLER + "print(sum(inner.dispatcher.stats.cache_hits.values()))")
+    (tmp_path / "callee.py").write_text(CALLEE.format("2.0"))
+    (tmp_path / "first.py").write_text("from callee import inner\nprint(inner(1.0))")
+    assert outer(tmp_path, "first.py") == ["2.0"]
+    assert outer(tmp_path) == ["3.0", "0", "1"]
+    assert outer(tmp_path) == ["3.0", "1", "0"]
+
+
 def test_without_a_place_to_keep_it_each_start_compiles(tmp_path):
     (tmp_path / "caller.py").write_text(CALLER)
     (tmp_path / "callee.py").write_text(CALLEE.format(2.0))
