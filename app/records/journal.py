@@ -160,7 +160,7 @@ class JournalReader:
             )
         # By their names as a line has them; what was written before goes the old way.
         self._kinds = {name.encode(): kind for name, kind in self._types.items()} if self._format == FORMAT else {}
-        self.header: Header = self._structured(*first)
+        self.header: Header = next(self._records(self._event))
 
     def __iter__(self) -> Iterator[Any]:
         events = self._records(self._event)
