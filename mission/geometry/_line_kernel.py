@@ -30,7 +30,7 @@ _BESIDE_GAIN_1_M2, _COURSE_GAIN_1_M = 1.0 / 20.0**2, 2.0 / 20.0
 
 # Planned lines roll from one turn into the opposite one in this time, with at least and at most these shares of the
 # aircraft's roll rate: the rest is left to the autopilot for gusts and corrections.
-_REVERSAL_S = 5.0
+_REVERSAL_S = 3.0
 _MIN_SHARE, _MAX_SHARE = 1.0 / 6.0, 1.0 / 2.0
 
 # Further off its line than this, or on another course, an aircraft is not following its plan.

@@ -103,8 +103,8 @@ def test_a_quarter_circle_comes_out():
 @pytest.mark.parametrize(
     ("speed_m_s", "radius_m", "roll_deg_s"),
     [
-        (10.0, 50.0, 5.0),  # a gentle turn: a sixth of 30 degrees/s
-        (22.0, 90.0, 2.0 * 28.73 / 5.0),  # from 28.7 degrees of bank to the opposite in 5 s
+        (10.0, 100.0, 5.0),  # a gentle turn: a sixth of 30 degrees/s
+        (12.0, 40.0, 2.0 * 20.16 / 3.0),  # from 20.2 degrees of bank to the opposite in 3 s
         (30.0, 60.0, 15.0),  # a steep one: no more than half the roll rate
     ],
 )
