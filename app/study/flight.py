@@ -321,7 +321,7 @@ def _blind() -> Looker:
     """Return a looker that is never asked: with it the loop is compiled once for all planners."""
     nothing = np.zeros((1, 1, 2, 2), np.float32)
     return Looker(
-        Craft(1.0, 1.0, 1.0, 1.0),
+        Craft(1.0, 1.0, 1.0, 1.0, 1.0),
         1.0,
         Wish(False, 0.0, math.nan),
         WatchCost(0.0, 1.0).terms,

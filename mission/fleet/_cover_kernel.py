@@ -20,7 +20,8 @@ from mission.predictive._rollout_kernel import Futures, from_target
 from mission.predictive._scene_kernel import Scene, in_frame
 
 FORESEEN = 111  # seconds, as far as any line leads
-_BACK_SHARE = 0.6  # of the airspeed, at which an aircraft comes back over the edge of the side
+BACK_SHARE = 0.6  # of the airspeed, at which an aircraft comes back over the edge of the side
+IN_BAND_M = 15.0  # outside the band that is planned for, still in the one that is asked for
 _OFF_MAX_S = 60.0
 
 
@@ -73,7 +74,7 @@ def off_after_turns(team: Team, scene: Scene, x_m: float, y_m: float, frame_rad:
     for i in range(len(team.turns_rad)):
         angle_rad = frame_rad + team.turns_rad[i]
         across_m = x_m * math.cos(angle_rad) - y_m * math.sin(angle_rad)
-        off_s = (across_m + team.margin * scene.radius_m) / (_BACK_SHARE * scene.air.airspeed_m_s)
+        off_s = (across_m + team.margin * scene.radius_m) / (BACK_SHARE * scene.air.airspeed_m_s)
         found[i] = min(max(off_s, 0.0), _OFF_MAX_S)
 
 
@@ -165,7 +166,7 @@ def cover_of(scene: Scene, f: Futures, others: FloatArray, first_s: FloatArray, 
                 across_m, along_m = s * (off_x * cos_t - off_y * sin_t), off_x * sin_t + off_y * cos_t
                 bearings[one, k, j] = math.atan2(off_x, off_y)
                 range_m = math.hypot(off_x, off_y)
-                if near_m - 15.0 < range_m < far_m + 15.0:
+                if near_m - IN_BAND_M < range_m < far_m + IN_BAND_M:
                     off[one, k] *= off_side(across_m, blurred_m(scene, f.facing[one, p, 2], along_m, time_s))
                 value = wanted_value(scene, f, looker, s, one, p, off_x, off_y, heading_rad, classes, share)
                 now[one, k] = min(now[one, k], value)

@@ -24,7 +24,9 @@ import numpy as np
 from estimators.compiled import compiled
 from mission.core.path import FloatArray
 from mission.fleet._cover_kernel import (
+    BACK_SHARE,
     FORESEEN,
+    IN_BAND_M,
     Cover,
     Team,
     asking_room,
@@ -126,6 +128,20 @@ def _role_value(f: Futures, looker: Looker, x_m: float, y_m: float, heading_rad:
 
 
 @compiled
+def _way_back(scene: Scene, looker: Looker, range_m: float) -> float:
+    """Return what the way back into the band costs.
+
+    What the others see bounds what an end costs together: without this the shortest line would be the cheapest one
+    outside the band, and an aircraft that got there would stay.
+    """
+    c = looker.terms
+    outside_m = max(c.near_m - range_m, range_m - c.far_m) - IN_BAND_M
+    if outside_m <= 0.0:
+        return 0.0
+    return outside_m / (BACK_SHARE * scene.air.airspeed_m_s) * (c.outside + 0.5 * c.outside_per_m * outside_m)
+
+
+@compiled
 def _end_value(
     scene: Scene,
     f: Futures,
@@ -144,17 +160,19 @@ def _end_value(
     There it circles with that curvature.
     """
     x_m, y_m, heading_rad = end
-    k, s, total = min(int(time_s / STEP_S), FORESEEN - 1), scene.mirror * team.wanted, 0.0
+    k, s, total, back = min(int(time_s / STEP_S), FORESEEN - 1), scene.mirror * team.wanted, 0.0, 0.0
     for one in range(len(f.weight)):
         p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
         value = wanted_value(scene, f, looker, s, one, p, off_x, off_y, heading_rad, classes, share)
         total += f.weight[one] * min(value, cover.now[one, k])
+        back += f.weight[one] * _way_back(scene, looker, math.hypot(off_x, off_y))
     turn, gap = _circling_cost(scene, f, cover, team, end, time_s, curvature_per_m, found)
     return (
         team.together * total
         + _TAIL_S * team.opposite * gap
         + team.alone_end * _role_value(f, looker, x_m, y_m, heading_rad, time_s)
         + _CIRCLING_S / looker.table.mean_leg_s * turn
+        + back
     )
 
 

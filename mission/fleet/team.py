@@ -29,7 +29,7 @@ class TeamSettings:
     alone_running: float = 0.2
     alone_end: float = 0.2
     together: float = 1.0
-    price: float = 1.0
+    price: float = 0.6
     opposite: float = 0.6
     turn: float = 2.0
     margin: float = 0.5

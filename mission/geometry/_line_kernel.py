@@ -33,6 +33,9 @@ _BESIDE_GAIN_1_M2, _COURSE_GAIN_1_M = 1.0 / 20.0**2, 2.0 / 20.0
 _REVERSAL_S = 3.0
 _MIN_SHARE, _MAX_SHARE = 1.0 / 6.0, 1.0 / 2.0
 
+# Turns of a transition that are tighter than the circle bank no more than this.
+_TURN_BANK_RAD = math.radians(30.0)
+
 # Further off its line than this, or on another course, an aircraft is not following its plan.
 OFF_TRACK_M, OFF_TRACK_RAD = 40.0, math.radians(40.0)
 
@@ -40,17 +43,22 @@ Trapezoid = tuple[float, float, float, float, float, float]
 
 
 class Craft(NamedTuple):
-    """The aircraft: see :class:`mission.core.requirement.Aircraft`."""
+    """The aircraft: see :class:`mission.core.requirement.Aircraft`.
+
+    turn_share: the tightest turn of a transition, in radii of the circle, if the bank allows.
+    """
 
     airspeed_m_s: float
     radius_m: float
     bank_max_rad: float
     roll_rate_max_rad_s: float
+    turn_share: float
 
 
-def craft_of(aircraft: Aircraft) -> Craft:
+def craft_of(aircraft: Aircraft, turn_share: float = 1.0) -> Craft:
     """Return the aircraft as the loops see it."""
-    return Craft(aircraft.airspeed_m_s, aircraft.radius_m, aircraft.bank_max_rad, aircraft.roll_rate_max_rad_s)
+    limits = aircraft.bank_max_rad, aircraft.roll_rate_max_rad_s
+    return Craft(aircraft.airspeed_m_s, aircraft.radius_m, *limits, turn_share)
 
 
 class LinePoint(NamedTuple):
@@ -103,9 +111,16 @@ def ground_speeds_m_s(
 
 
 @compiled
+def turn_radius_m(radius_m: float, speed_m_s: float, craft: Craft) -> float:
+    """Return the radius of the tightest turn on the way to a circle."""
+    banked_m = speed_m_s * speed_m_s / (GRAVITY_M_S2 * math.tan(min(_TURN_BANK_RAD, craft.bank_max_rad)))
+    return min(radius_m, max(craft.turn_share * radius_m, banked_m))
+
+
+@compiled
 def sharpness_per_m2(speed_m_s: float, craft: Craft) -> float:
     """See :func:`mission.geometry.trapezoid.sharpnesses_per_m2`."""
-    bank_rad = math.atan(speed_m_s * speed_m_s / (GRAVITY_M_S2 * craft.radius_m))
+    bank_rad = math.atan(speed_m_s * speed_m_s / (GRAVITY_M_S2 * turn_radius_m(craft.radius_m, speed_m_s, craft)))
     max_rad_s = craft.roll_rate_max_rad_s
     roll_rad_s = min(max(2.0 * bank_rad / _REVERSAL_S, _MIN_SHARE * max_rad_s), _MAX_SHARE * max_rad_s)
     return roll_rad_s * GRAVITY_M_S2 / (speed_m_s * speed_m_s * speed_m_s)

@@ -9,7 +9,7 @@ r"""Curvature trapezoids: the transition that can begin anywhere, at any moment,
               ramp      hold_length    ramp          arc length ->
 
 Curvature is continuous and its rate along the line never exceeds ``sharpness_per_m2``; where start, hold and final
-are within +-1/R, so is every point between. A transition under way is retargeted by starting another trapezoid from
+are within a limit, so is every point between. A transition under way is retargeted by starting another trapezoid from
 the curvature it has there. Course is a piecewise quadratic of arc length (exact); position is its Gauss quadrature.
 """
 
@@ -26,6 +26,12 @@ from mission.core.requirement import Aircraft
 from mission.geometry import _line_kernel
 
 
+def turn_radius_m(aircraft: Aircraft, ground_speed_m_s: float, turn_share: float) -> float:
+    """Return the tightest radius of a transition: turn_share of the circle's, with 30 degrees of bank at most."""
+    craft = _line_kernel.craft_of(aircraft, turn_share)
+    return _line_kernel.turn_radius_m(aircraft.radius_m, ground_speed_m_s, craft)
+
+
 def sharpnesses_per_m2(aircraft: Aircraft, ground_speed_m_s: FloatArray) -> FloatArray:
     """Return the change of curvature per metre (n,) that keeps the roll rate within its share at each ground speed.
 
@@ -36,9 +42,9 @@ def sharpnesses_per_m2(aircraft: Aircraft, ground_speed_m_s: FloatArray) -> Floa
     return ramps
 
 
-def sharpness_per_m2(aircraft: Aircraft, ground_speed_m_s: float) -> float:
-    """Return one of :func:`sharpnesses_per_m2`."""
-    return _line_kernel.sharpness_per_m2(ground_speed_m_s, _line_kernel.craft_of(aircraft))
+def sharpness_per_m2(aircraft: Aircraft, ground_speed_m_s: float, turn_share: float = 1.0) -> float:
+    """Return one of :func:`sharpnesses_per_m2`, for transitions that turn as tightly as that."""
+    return _line_kernel.sharpness_per_m2(ground_speed_m_s, _line_kernel.craft_of(aircraft, turn_share))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

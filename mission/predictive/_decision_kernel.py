@@ -9,7 +9,7 @@ import numpy as np
 
 from estimators.compiled import compiled
 from mission.core.path import FloatArray
-from mission.geometry._line_kernel import ARC, Craft, line_at, sharpness_per_m2
+from mission.geometry._line_kernel import ARC, Craft, line_at, sharpness_per_m2, turn_radius_m
 from mission.predictive._cost_kernel import CostTerms, Table, fading_per_s, least
 from mission.predictive._future_kernel import Motions, Turns, first_of, winding
 from mission.predictive._moves_kernel import MOVES, STEP_S, Kept, lines_from, move_line, ramp_on
@@ -189,8 +189,10 @@ def lay_out(looker: Looker, radius_m: float, airspeed_m_s: float, wind_m_s: floa
     """Have the second moves at hand for a circle, an airspeed and a wind: the first time takes half a millisecond."""
     # A wind of a whole step stays of that step, however its direction was rounded.
     steps = math.ceil(wind_m_s / _WIND_STEP_M_S - 1e-6)
-    ramp = sharpness_per_m2(airspeed_m_s + steps * _WIND_STEP_M_S, looker.craft)
-    lay_out_seconds(looker.seconds, radius_m, ramp, airspeed_m_s * STEP_S)
+    fastest_m_s = airspeed_m_s + steps * _WIND_STEP_M_S
+    ramp = sharpness_per_m2(fastest_m_s, looker.craft)
+    turn_m = turn_radius_m(radius_m, fastest_m_s, looker.craft)
+    lay_out_seconds(looker.seconds, radius_m, turn_m, ramp, airspeed_m_s * STEP_S)
 
 
 @compiled

@@ -28,8 +28,8 @@ STEP_S = 1.0
 RAMP_TURNS_RAD = (-0.5, -0.25, 0.0, 0.25, 0.5)
 
 # The moves, in units of the circle's radius, for a circle flown clockwise; mirrored for the other way round. Holds of
-# curvature -1 turn the other way: that is how the aircraft gets round a target that turned back. "Back to the circle
-# at once" is the last.
+# curvature -1 turn the other way: that is how the aircraft gets round a target that turned back. They are as tight as
+# a transition may be, in units of that turn's radius. "Back to the circle at once" is the last.
 HOLD_CURVATURES = np.array([-1.0, -0.5, 0.0, 0.33, 0.66])
 HOLD_LENGTHS = np.array([0.0, 0.2, 0.4, 0.6, 0.9, 1.2, 1.6, 2.1, 2.7, 3.4, 4.2, 5.2, 6.4, 8.0])
 # How long the circle may be flown on before the next move.
@@ -86,12 +86,19 @@ def ramp_on(heading_rad: float, air: Air, craft: Craft) -> float:
 
 
 @compiled
-def move_from(start_per_m: float, move: int, radius_m: float, ramp: float) -> Trapezoid:
+def unit_m(hold: int, radius_m: float, turn_radius_m: float) -> float:
+    """Return the radius that a hold's curvature and lengths are told in."""
+    return turn_radius_m if hold == 0 else radius_m
+
+
+@compiled
+def move_from(start_per_m: float, move: int, radius_m: float, turn_radius_m: float, ramp: float) -> Trapezoid:
     """Return one of the moves from a curvature, ending on the clockwise circle."""
     if move == MOVES - 1:
         return trapezoid(start_per_m, start_per_m, 0.0, 1.0 / radius_m, ramp)
-    hold = HOLD_CURVATURES[move // HOLD_LENGTHS.size] / radius_m
-    return trapezoid(start_per_m, hold, HOLD_LENGTHS[move % HOLD_LENGTHS.size] * radius_m, 1.0 / radius_m, ramp)
+    hold, length = move // HOLD_LENGTHS.size, HOLD_LENGTHS[move % HOLD_LENGTHS.size]
+    unit = unit_m(hold, radius_m, turn_radius_m)
+    return trapezoid(start_per_m, HOLD_CURVATURES[hold] / unit, length * unit, 1.0 / radius_m, ramp)
 
 
 @compiled
@@ -106,13 +113,15 @@ def _moves(
 ) -> Lines:
     """Return the lines of all moves."""
     holds_per_m = np.empty(HOLD_CURVATURES.size + 1)
-    holds_per_m[:-1] = HOLD_CURVATURES / scene.radius_m
+    for k in range(HOLD_CURVATURES.size):
+        holds_per_m[k] = HOLD_CURVATURES[k] / unit_m(k, scene.radius_m, scene.turn_radius_m)
     holds_per_m[-1] = start_per_m
     hold, lengths_m, last_ramps = np.empty(MOVES, np.int64), np.empty(MOVES), np.empty(MOVES)
     for move in range(MOVES):
         hold[move] = move // HOLD_LENGTHS.size
-        lengths_m[move] = HOLD_LENGTHS[move % HOLD_LENGTHS.size] * scene.radius_m
-        one = move_from(start_per_m, move, scene.radius_m, ramp)
+        one = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
+        unit = unit_m(hold[move], scene.radius_m, scene.turn_radius_m)
+        lengths_m[move] = HOLD_LENGTHS[move % HOLD_LENGTHS.size] * unit
         last_ramps[move] = ramp_on(heading_rad + turned_rad(one, one[4]), scene.air, craft)
     lengths_m[MOVES - 1] = 0.0
     return spread(
@@ -228,7 +237,7 @@ def move_line(scene: Scene, craft: Craft, move: int) -> FloatArray:
     """Return the line (5, n) of a move, in the plane."""
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
     ramp = ramp_on(heading_rad, scene.air, craft)
-    one = move_from(scene.mirror * scene.start.curvature_per_m, move, scene.radius_m, ramp)
+    one = move_from(scene.mirror * scene.start.curvature_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
     one = with_last_ramp(one, ramp_on(heading_rad + turned_rad(one, one[4]), scene.air, craft))
     m = scene.mirror
     one = (m * one[0], m * one[1], one[2], m * one[3], one[4], one[5])

@@ -18,6 +18,7 @@ from mission.geometry._line_kernel import (
     nearest_arc_m,
     point_at,
     remainder,
+    turn_radius_m,
 )
 from mission.predictive._rollout_kernel import Air, Doubt
 from mission.viewpoint._viewpoint_kernel import (
@@ -60,7 +61,8 @@ class Scene(NamedTuple):
 
     The frame has its origin at the target and its y axis along the watch course; mirror is -1 where left and right
     are swapped. velocity and air are in the frame, start is in the plane. arc_m counts along the present plan as
-    :mod:`mission.geometry.progress` does.
+    :mod:`mission.geometry.progress` does. radius_m is that of the circles which moves end in, turn_radius_m that of
+    the tightest turn on the way.
     """
 
     departure_s: float
@@ -75,6 +77,7 @@ class Scene(NamedTuple):
     air: Air
     doubt: Doubt
     radius_m: float
+    turn_radius_m: float
 
 
 @compiled
@@ -104,12 +107,13 @@ def scene_of(now: Situation, target_speed_max_m_s: float, craft: Craft, wish: Wi
     fastest_m_s = max(airspeed_m_s, craft.airspeed_m_s) + wind_m_s
     # The tightest circle over the ground whose bank stays within the limit where the wind is astern.
     radius_m = max(craft.radius_m, fastest_m_s * fastest_m_s / (GRAVITY_M_S2 * math.tan(craft.bank_max_rad)))
+    turn_m = turn_radius_m(radius_m, fastest_m_s, craft)
     arc_m = nearest_arc_m(line, circle, now.east_m, now.north_m, now.course_rad)
     start = point_at(line, circle, arc_m, now.east_m, now.north_m)
     off_m = math.hypot(now.east_m - start.east_m, now.north_m - start.north_m)
     flown_m = now.speed_m_s * now.latency_s
     if off_m > OFF_TRACK_M or abs(remainder(now.course_rad - start.course_rad)) > OFF_TRACK_RAD:
-        tight_per_m = min(max(now.curvature_per_m, -1.0 / radius_m), 1.0 / radius_m)
+        tight_per_m = min(max(now.curvature_per_m, -1.0 / turn_m), 1.0 / turn_m)
         start = arc_point(LinePoint(now.east_m, now.north_m, now.course_rad, tight_per_m), 0.0, flown_m)
     else:
         arc_m += flown_m
@@ -144,6 +148,7 @@ def scene_of(now: Situation, target_speed_max_m_s: float, craft: Craft, wish: Wi
             math.sqrt(max(target.covariance[0, 0], target.covariance[1, 1], 0.0)), sigma_m_s, view.course_sigma_rad
         ),
         radius_m,
+        turn_m,
     )
 
 

@@ -186,9 +186,8 @@ def moving_ahead(scene: Scene, craft: Craft, move: int) -> tuple[FloatArray, int
     """Return a move (x, y, heading, curvature) (4, k), and the second from which it is on its circle."""
     air = scene.air
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
-    one = move_from(
-        scene.mirror * scene.start.curvature_per_m, move, scene.radius_m, ramp_on(heading_rad, air, craft)
-    )
+    ramp, start_per_m = ramp_on(heading_rad, air, craft), scene.mirror * scene.start.curvature_per_m
+    one = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
     one = with_last_ramp(one, ramp_on(heading_rad + turned_rad(one, one[4]), air, craft))
     ahead, end = np.empty((4, 4 * SAMPLES)), -1
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)

@@ -12,12 +12,12 @@ from estimators.compiled import compiled, inlined
 from mission.core.path import FloatArray
 from mission.geometry._line_kernel import ground_speed_m_s, moved_m, trapezoid, turned_rad
 from mission.predictive._cost_kernel import IntArray
-from mission.predictive._moves_kernel import HOLD_CURVATURES, HOLD_LENGTHS
+from mission.predictive._moves_kernel import HOLD_CURVATURES, HOLD_LENGTHS, unit_m
 from mission.predictive._rollout_kernel import Air, Pose
 
 BoolArray = npt.NDArray[np.bool_]
 
-LEVELS = np.array([-1.0, -0.75, -0.5, -0.25, 0.0, 0.165, 0.33, 0.5, 0.66, 0.83, 1.0])
+LEVELS = np.array([-2.0, -1.5, -1.0, -0.75, -0.5, -0.25, 0.0, 0.165, 0.33, 0.5, 0.66, 0.83, 1.0])
 SECOND_LENGTHS = HOLD_LENGTHS[::3].copy()
 SECONDS = HOLD_CURVATURES.size * SECOND_LENGTHS.size + 1
 SAMPLES = 64  # of a second move; longer ones are left out
@@ -27,8 +27,9 @@ _HEADINGS = 48
 class Seconds(NamedTuple):
     """Second moves from each level of curvature, from the origin along y: arrays (levels, lines, samples).
 
-    key (3,): radius, ramp and step that they were laid out for. end (levels, lines): the sample from which they are
-    on the circle, 0 for a line that is too long. placed (3, lines, samples), flown (samples, lines): room to work in.
+    key (4,): radius, tightest turn's radius, ramp and step that they were laid out for. end (levels, lines): the
+    sample from which they are on the circle, 0 for a line that is too long. placed (3, lines, samples), flown
+    (samples, lines): room to work in.
     """
 
     key: FloatArray
@@ -44,25 +45,23 @@ def no_seconds() -> Seconds:
     """Return room for second moves."""
     shape = len(LEVELS), SECONDS, SAMPLES
     laid_out = np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape[:2], np.int64)
-    return Seconds(np.zeros(3), *laid_out, np.zeros((3, SECONDS, SAMPLES)), np.zeros((SAMPLES, SECONDS)))
+    return Seconds(np.zeros(4), *laid_out, np.zeros((3, SECONDS, SAMPLES)), np.zeros((SAMPLES, SECONDS)))
 
 
 @compiled
-def lay_out_seconds(s: Seconds, radius_m: float, ramp: float, step_m: float) -> None:
+def lay_out_seconds(s: Seconds, radius_m: float, turn_radius_m: float, ramp: float, step_m: float) -> None:
     """Fill in the second moves, unless they are there."""
-    if s.key[0] == radius_m and s.key[1] == ramp and s.key[2] == step_m:
+    if s.key[0] == radius_m and s.key[1] == turn_radius_m and s.key[2] == ramp and s.key[3] == step_m:
         return
-    s.key[0], s.key[1], s.key[2] = radius_m, ramp, step_m
+    s.key[0], s.key[1], s.key[2], s.key[3] = radius_m, turn_radius_m, ramp, step_m
     lengths = len(SECOND_LENGTHS)
     for level in range(len(LEVELS)):
         start_per_m = LEVELS[level] / radius_m
         for j in range(SECONDS):
             hold_per_m, length_m = start_per_m, 0.0
             if j < SECONDS - 1:
-                hold_per_m, length_m = (
-                    HOLD_CURVATURES[j // lengths] / radius_m,
-                    SECOND_LENGTHS[j % lengths] * radius_m,
-                )
+                unit = unit_m(j // lengths, radius_m, turn_radius_m)
+                hold_per_m, length_m = HOLD_CURVATURES[j // lengths] / unit, SECOND_LENGTHS[j % lengths] * unit
             one = trapezoid(start_per_m, hold_per_m, length_m, 1.0 / radius_m, ramp)
             end = max(1, math.ceil(one[5] / step_m - 1e-9))
             s.end[level, j] = end if end < SAMPLES else 0

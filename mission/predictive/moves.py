@@ -1,6 +1,6 @@
 """The moves a planner chooses among: 70 trapezoids, and going back to the circle at once.
 
-Their holds and lengths stand in :mod:`mission.predictive._decision_kernel`, in units of the circle's radius.
+Their holds and lengths stand in :mod:`mission.predictive._moves_kernel`.
 """
 
 from __future__ import annotations
@@ -11,9 +11,10 @@ from mission.geometry.trapezoid import Trapezoids
 from mission.predictive._moves_kernel import MOVES, STAY_LENGTHS, move_from
 
 
-def moves_from(start_per_m: float, radius_m: float, sharpness_per_m2: float) -> Trapezoids:
+def moves_from(start_per_m: float, radius_m: float, turn_radius_m: float, sharpness_per_m2: float) -> Trapezoids:
     """Return all moves from a curvature, ending on the clockwise circle; the last one ramps back at once."""
-    return Trapezoids(np.array([move_from(start_per_m, move, radius_m, sharpness_per_m2) for move in range(MOVES)]))
+    shapes = [move_from(start_per_m, move, radius_m, turn_radius_m, sharpness_per_m2) for move in range(MOVES)]
+    return Trapezoids(np.array(shapes))
 
 
 def staying_on(curvature_per_m: float, radius_m: float, sharpness_per_m2: float) -> Trapezoids:

@@ -25,7 +25,7 @@ from mission.core.path import FloatArray, Path
 from mission.core.plan import AircraftState, Decision, Plan
 from mission.core.requirement import Aircraft, Requirement, Side, Wind
 from mission.geometry._line_kernel import craft_of
-from mission.geometry.trapezoid import end_circle, sharpness_per_m2
+from mission.geometry.trapezoid import end_circle, sharpness_per_m2, turn_radius_m
 from mission.predictive import _decision_kernel as kernel
 from mission.predictive._decision_kernel import Depth, Looker, Prices
 from mission.predictive._future_kernel import Turns, winding
@@ -49,6 +49,7 @@ _MAX_TRIES = 30
 # one that is left alone keeps its price: others may join it, and its tables have to be at hand.
 _PRICE_S, _PRICE_SHARE, _PRICE_POWER = 4.0, 0.175, 1.7
 _MIN_SHARE, _MIN_SHARE_IN_FLEET, _MAX_SHARE = 1.0 / 8.0, _PRICE_SHARE, 1.0 / 3.8
+_TURN_SHARE_IN_FLEET = 0.5
 _NO_BREACH = "a better place should the target turn"
 # The table's classes need some speed, even for a target that is said to stand.
 _MIN_TARGET_SPEED_M_S = 0.5
@@ -81,6 +82,15 @@ def price_s(aircraft: Aircraft, requirement: Requirement) -> float:
     return _PRICE_S * float((min(max(share, min_share), _MAX_SHARE) / _PRICE_SHARE) ** _PRICE_POWER)
 
 
+def turn_share(requirement: Requirement) -> float:
+    """Return the tightest turn of a transition, in radii of the circle.
+
+    One aircraft alone gains little by tighter ones than the circle, and comes nearer to the target. Of several one
+    gets back to the side sooner where a turn of the target has put all of them off it.
+    """
+    return 1.0 if requirement.fleet_size == 1 else _TURN_SHARE_IN_FLEET
+
+
 def table_configuration(
     aircraft: Aircraft, requirement: Requirement, wind_speed_m_s: float = 0.0
 ) -> TableConfiguration:
@@ -91,7 +101,8 @@ def table_configuration(
     return TableConfiguration(
         aircraft.airspeed_m_s,
         aircraft.radius_m,
-        sharpness_per_m2(aircraft, aircraft.airspeed_m_s + wind_speed_m_s),
+        turn_radius_m(aircraft, aircraft.airspeed_m_s + wind_speed_m_s, turn_share(requirement)),
+        sharpness_per_m2(aircraft, aircraft.airspeed_m_s + wind_speed_m_s, turn_share(requirement)),
         max(requirement.target_speed_max_m_s, _MIN_TARGET_SPEED_M_S),
         WatchCost.inside(
             requirement.range_min_m,
@@ -143,7 +154,7 @@ class PredictivePlanner:
         own, price = self._settings, table.configuration.leave_cost
         change = price if own.change_cost is None else own.change_cost
         return Looker(
-            craft_of(self._aircraft),
+            craft_of(self._aircraft, turn_share(self._requirement)),
             self._requirement.target_speed_max_m_s,
             self._policy.wish,
             table.configuration.cost.terms,

@@ -84,7 +84,8 @@ def _moves(c: TableConfiguration, step_m: float) -> list[_Move]:
     ramp = c.sharpness_per_m2
     moves = []
     # "Back to the circle at once", the last of the moves, is none when flown from the circle.
-    leaving, staying = moves_from(curvature_per_m, c.radius_m, ramp), staying_on(curvature_per_m, c.radius_m, ramp)
+    leaving = moves_from(curvature_per_m, c.radius_m, c.turn_radius_m, ramp)
+    staying = staying_on(curvature_per_m, c.radius_m, ramp)
     for shapes, price in ((leaving.shapes[:-1], c.leave_cost), (staying.shapes, 0.0)):
         for shape in shapes:
             one = Trapezoids(shape[None, :])

@@ -57,12 +57,13 @@ class TargetHabits:
 class TableConfiguration:
     """All that the table depends on. follows_course: the frame turns with the target (a side, not a sector).
 
-    sharpness_per_m2 is that of the transitions in still air. cells: of the grid, from the target to its edge (even).
-    improvements: of the policy, on the coarse grid and on the fine one.
+    turn_radius_m and sharpness_per_m2 are those of the transitions, in still air. cells: of the grid, from the target
+    to its edge (even). improvements: of the policy, on the coarse grid and on the fine one.
     """
 
     airspeed_m_s: float
     radius_m: float
+    turn_radius_m: float
     sharpness_per_m2: float
     target_speed_max_m_s: float
     cost: WatchCost

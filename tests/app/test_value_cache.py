@@ -11,7 +11,9 @@ from mission.predictive.cost import WatchCost
 from mission.predictive.value_table import TableConfiguration
 
 # Coarse and hardly improved, so that it takes about a second.
-SMALL = TableConfiguration(10.0, 50.0, 0.0008, 5.0, WatchCost.inside(100.0, 500.0), cells=4, improvements=(1, 1))
+SMALL = TableConfiguration(
+    10.0, 50.0, 50.0, 0.0008, 5.0, WatchCost.inside(100.0, 500.0), cells=4, improvements=(1, 1)
+)
 
 
 @pytest.fixture(scope="module")

@@ -42,7 +42,9 @@ from tests.faults.damage import Damage, damaged, resealed
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 _EXCERPT_BYTES = 20_000  # so that a header is often met, and a million are read within half an hour
-TABLE = TableConfiguration(10.0, 50.0, 0.0008, 5.0, WatchCost.inside(100.0, 500.0), cells=2, improvements=(1, 1))
+TABLE = TableConfiguration(
+    10.0, 50.0, 50.0, 0.0008, 5.0, WatchCost.inside(100.0, 500.0), cells=2, improvements=(1, 1)
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,8 +71,9 @@ class Lines:
         return np.cumsum(east, axis=1), np.cumsum(north, axis=1)
 
 
-def moves_from(start, radius, ramp):
-    hold, length = np.meshgrid(HOLD_CURVATURES / radius, HOLD_LENGTHS * radius, indexing="ij")
+def moves_from(start, radius, tightest, ramp, lengths=HOLD_LENGTHS):
+    unit = np.where(np.arange(len(HOLD_CURVATURES)) == 0, tightest, radius)[:, None]
+    hold, length = HOLD_CURVATURES[:, None] / unit * np.ones(len(lengths)), lengths * unit
     return Lines.between(start, np.append(hold.ravel(), start), np.append(length.ravel(), 0.0), 1.0 / radius, ramp)
 
 
@@ -164,7 +165,7 @@ def _directions(vector, count):
     return (first % count, 1.0 - past), ((first + 1) % count, past)
 
 
-def deep_cost(table, futures, doubt, ahead, end, branches, horizon, prices, radius, ramp, levels, lengths):
+def deep_cost(table, futures, doubt, ahead, end, branches, horizon, prices, radius, tightest, ramp, levels, lengths):
     """What a line (x, y, heading, curvature) (4, k) at whole seconds costs in calm air, with the best second move."""
     c = table.configuration
     hazard = 1.0 / c.habits.mean_leg_s
@@ -217,10 +218,7 @@ def deep_cost(table, futures, doubt, ahead, end, branches, horizon, prices, radi
         )
         for at in branches:
             level = levels[np.argmin(np.abs(levels - curvature[at] * radius))] / radius
-            hold, length = np.meshgrid(HOLD_CURVATURES / radius, lengths * radius, indexing="ij")
-            lines = Lines.between(
-                level, np.append(hold.ravel(), level), np.append(length.ravel(), 0.0), 1 / radius, ramp
-            )
+            lines = moves_from(level, radius, tightest, ramp, lengths)
             for j, last in enumerate(np.maximum(np.ceil(lines.last_end / 10.0), horizon - at).astype(int)):
                 arc = np.tile(10.0 * np.arange(last + 1.0), (len(lines.last_end), 1))
                 east, north = (a[j] for a in lines.displaced(arc, heading[at]))

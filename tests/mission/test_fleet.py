@@ -202,6 +202,28 @@ def test_who_is_off_the_wanted_side_hurries_only_when_nobody_else_sees_it():
     assert max(one.values["stay_cost_s"] for one in seen) < min(one.values["stay_cost_s"] for one in alone)
 
 
+def test_who_was_left_behind_comes_back_while_another_watches():
+    state, plan = on_circle(900.0, -1000.0, True)
+    team, end_s = planner(), 220.0
+    while state.time_s < end_s:
+        north_m = 4.0 * (state.time_s - 100.0)
+        target = replace(going(0.0), time_s=state.time_s, north_m=north_m, last_sighting_s=state.time_s)
+        there, other = on_circle(-300.0, north_m, True)
+        team.advise(NeighbourPlanned(state.time_s, "b", other, None))
+        neighbour = Neighbour("b", replace(there, time_s=state.time_s), 160.0, ours=True, target="t")
+        team.advise(FleetAdvice(state.time_s, "t", Role.OPPOSITE, Side.RIGHT, target, 100.0, (neighbour,)))
+        moved = team.decide(state, target, plan, Wind(), 0.0).plan
+        if moved is not None:
+            plan, course_rad = moved, moved.transition.course_rad[-1]
+            flown_s = moved.transition_m / 10.0
+        else:
+            flown_s, course_rad = 1.0, state.course_rad + (0.2 if plan.circle.clockwise else -0.2)
+        east_m, north_m = plan.circle.position_at_course(course_rad)
+        per_m = plan.circle.curvature_per_m
+        state = AircraftState(state.time_s + flown_s, east_m, north_m, course_rad, 10.0, per_m)
+    assert math.hypot(state.east_m, state.north_m - 4.0 * (state.time_s - 100.0)) < 1000.0
+
+
 def test_a_move_that_is_refused_gives_way_to_the_next():
     refused = []
 

@@ -117,7 +117,9 @@ class Look:
             around = np.asarray(heading_rad)[:, None] + np.linspace(-0.5, 0.5, 5)
             return sharpnesses_per_m2(self.aircraft, ground_speeds_m_s(around, 10.0, wind).max(axis=1))
 
-        moves = moves_from(self.side * scene.start.curvature_per_m, radius_m, ramps([heading])[0])
+        moves = moves_from(
+            self.side * scene.start.curvature_per_m, radius_m, scene.turn_radius_m, ramps([heading])[0]
+        )
         moves = moves.with_last_ramps(ramps(heading + moves.turned(moves.last_start[:, None])[:, 0]))
         costs = roll_out.costs(moves, x, y, heading)
         if not self.under_way:
@@ -215,6 +217,7 @@ def test_the_radius_grows_with_the_wind(paper_aircraft, paper_requirement):
     steep = replace(paper_aircraft, radius_m=12.0)
     scene = Look(steep, table, Wind(4.0, 0.0)).scene
     assert scene.radius_m == pytest.approx(min_radius_m(10.0, Wind(4.0, 0.0), steep.bank_max_rad))
+    assert scene.turn_radius_m == scene.radius_m
     assert sharpness_per_m2(steep, 10.0) > sharpness_per_m2(paper_aircraft, 10.0)
 
 
@@ -298,7 +301,7 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
     moved = moving_ahead(scene, look.craft, 20)
     assert (end > 0) is under_way
     ramp, seconds, terms = sharpness_per_m2(paper_aircraft, 10.0), no_seconds(), table.configuration.cost.terms
-    lay_out_seconds(seconds, scene.radius_m, ramp, 10.0)
+    lay_out_seconds(seconds, scene.radius_m, scene.turn_radius_m, ramp, 10.0)
     foretold = foretold_of(futures, scene.doubt, table.arrays, table.values.min(axis=(1, 2, 3)).astype(float), 0.0)
     for (line, ends), branches in (((ahead, end), STAY_BRANCHES), (moved, MOVE_BRANCHES)):
         second = Second(foretold, terms, table.arrays, seconds, 3.0, 5.0, 15.0, room_for(futures, scene.air))
@@ -306,8 +309,8 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
         assert deep_cost(line, ends, branches, scene, second, found + 0.1) == found
         assert found - 5.0 <= deep_cost(line, ends, branches, scene, second, found - 5.0) <= found
         plain = plain_rollout.deep_cost(
-            *(table, futures, scene.doubt, line, ends, branches, 15, (3.0, 5.0), scene.radius_m, ramp),
-            *(LEVELS, SECOND_LENGTHS),
+            *(table, futures, scene.doubt, line, ends, branches, 15, (3.0, 5.0)),
+            *(scene.radius_m, scene.turn_radius_m, ramp, LEVELS, SECOND_LENGTHS),
         )
         assert found == pytest.approx(plain, rel=1e-4)
 
@@ -315,7 +318,7 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
 def test_second_moves_in_wind_are_flown_at_the_ground_speed(paper_aircraft, paper_requirement):
     """What is laid out for still air is stretched along itself: a second's way is that of the ground speed there."""
     seconds = no_seconds()
-    lay_out_seconds(seconds, 60.0, sharpness_per_m2(paper_aircraft, 12.0), 10.0)
+    lay_out_seconds(seconds, 60.0, 40.0, sharpness_per_m2(paper_aircraft, 12.0), 10.0)
     calm, windy = np.empty((3, SECONDS, 64)), np.empty((3, SECONDS, 64))
     start, flown = Pose(5.0, -7.0, math.pi / 2), np.empty((64, SECONDS))
     stretch(seconds, 4, start.heading_rad, speeds_over_ground(Air(10.0, 2.0, 0.0)), 12, flown)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from mission.core.plan import AircraftState, Plan
 from mission.core.requirement import GRAVITY_M_S2, Aircraft
 from mission.geometry.progress import point_at
-from mission.geometry.trapezoid import Trapezoids, end_circle, sharpness_per_m2
+from mission.geometry.trapezoid import Trapezoids, end_circle, sharpness_per_m2, turn_radius_m
 
 RADIUS_M = 50.0
 RAMP = sharpness_per_m2(Aircraft(10.0, RADIUS_M), 10.0)
@@ -98,6 +98,15 @@ def test_a_quarter_circle_comes_out():
     path = one.path(0, 0.0, 0.0, 0.0)
     assert (path.east_m[-1], path.north_m[-1]) == pytest.approx((RADIUS_M, RADIUS_M), abs=1e-9)
     assert path.course_rad[-1] == pytest.approx(math.pi / 2)
+
+
+@pytest.mark.parametrize(("radius_m", "turn_m"), [(80.0, 40.0), (40.0, 25.43), (20.0, 20.0)])
+def test_a_transition_turns_as_tightly_as_told_where_the_bank_allows(radius_m, turn_m):
+    aircraft = Aircraft(12.0, radius_m)
+    assert turn_radius_m(aircraft, 12.0, 1.0) == radius_m
+    assert turn_radius_m(aircraft, 12.0, 0.5) == pytest.approx(turn_m, abs=0.05)
+    shallow = Aircraft(12.0, radius_m, math.radians(20.0))
+    assert turn_radius_m(shallow, 12.0, 0.5) == pytest.approx(min(radius_m, max(turn_m, 40.34)), abs=0.05)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from mission.predictive.cost import WatchCost
 from mission.predictive.value_table import TableConfiguration, TargetHabits, completed, expected_after_turn
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
-SMALL = TableConfiguration(10.0, 50.0, 0.0008, 5.0, WatchCost.inside(100.0, 500.0), cells=8)
+SMALL = TableConfiguration(10.0, 50.0, 50.0, 0.0008, 5.0, WatchCost.inside(100.0, 500.0), cells=8)
 SECTOR = replace(SMALL, cost=WatchCost.inside(100.0, 500.0, math.radians(60.0)), follows_course=False)
 
 
@@ -56,7 +56,7 @@ def test_the_table_agrees_with_roll_outs_from_it(paper_table):
         for _ in range(40):
             range_m, aside_rad, heading_rad = rng.uniform(180, 420), rng.uniform(-1.2, 1.2), rng.uniform(-3, 3)
             place = -range_m * math.cos(aside_rad), range_m * math.sin(aside_rad), heading_rad
-            leaving = moves_from(1.0 / c.radius_m, c.radius_m, c.sharpness_per_m2)
+            leaving = moves_from(1.0 / c.radius_m, c.radius_m, c.turn_radius_m, c.sharpness_per_m2)
             staying = staying_on(1.0 / c.radius_m, c.radius_m, c.sharpness_per_m2)
             # The last move, back to the circle at once, is none when flown from the circle.
             leaving_cost = c.leave_cost + roll_out.costs(leaving, *place)[:-1].min()
