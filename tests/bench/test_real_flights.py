@@ -5,9 +5,10 @@
 
 FOLDER holds tracks of 22 minutes and more as ``sidelong study --targets`` takes them, and they are played smoothed as
 there: what a receiver of one point a second adds is no motion. Twenty minutes each, ArduPlane in a wind of 4 m/s,
-RATE=4 times as fast as the clock: the programs do not wait for anybody, so the machine has to keep up. The study
-flies the very piece of track that the flight watched, DRAWS times, with the same aircraft; both are judged alike.
-``-k px4-mission`` flies a part; RECORDS=FOLDER keeps the records.
+RATE=4 times as fast as the clock: the programs do not wait for anybody, so the machine has to keep up. A flight is
+judged from a minute after it was taken over, when it has come from home; the target waits for a PX4 to come up. The
+study flies the very piece of track that the flight watched, DRAWS times, with the same aircraft; both are judged
+alike. ``-k px4-mission`` flies a part; RECORDS=FOLDER keeps the records.
 """
 
 from __future__ import annotations
@@ -37,8 +38,11 @@ from tests.autopilot.real_vehicle import FLAVOURS, ROOT, RealVehicle, configured
 RATE, DRAWS = float(os.environ.get("RATE", "4")), 5
 DURATION_S = float(os.environ.get("DURATION", "1200"))
 WIND_FROM_DEG = 270.0  # as the study's
+COMING_S = 60.0  # from the circle at home: a study begins beside the target
 SIDE_MAX, MOVES_MAX, BAND_MIN, RANGE_MIN_M = 0.05, 1.5, 0.995, 95.0
 TARGETS = sorted(Path(os.environ.get("SIDELONG_TARGETS", "-")).glob("*.csv"))
+# A cyclist would be out of sight before the simulated PX4, which circles at home until it climbs, has come.
+WAITS_S = {"arduplane": 0.0, "px4": 150.0}
 TARGET_SPEED_MAX_M_S, WIND_M_S = {"arduplane": 9.0, "px4": 7.0}, {"arduplane": 4.0, "px4": 0.0}
 
 
@@ -68,7 +72,8 @@ def test_a_flight_is_as_its_study_foretells(flavour, guidance, target, tmp_path)
     requirement = f"[requirement]\ntarget_speed_max_m_s = {TARGET_SPEED_MAX_M_S[flavour]}\n"
     configured(tmp_path / "mission.toml", flavour, requirement)
     (smooth,) = recorded_targets([target], math.inf).flown
-    write_track(played, np.arange(smooth.east_m.size) * 0.5, smooth.east_m, smooth.north_m)
+    path_m = np.pad([smooth.east_m, smooth.north_m], ((0, 0), (round(2.0 * WAITS_S[flavour]), 0)), "edge")
+    write_track(played, np.arange(path_m.shape[1]) * 0.5, *path_m)
     run = flown(vehicle, guidance, tmp_path)
     truth, records = read_truth(tmp_path / "truth.csv"), JournalReader(run / "journal.jsonl", JOURNAL_TYPES)
     log, changed_s = seen(truth, records)
@@ -117,11 +122,11 @@ def flown(vehicle: RealVehicle, guidance: str, folder: Path) -> Path:
 
 
 def seen(truth: Truth, records: JournalReader) -> tuple[np.ndarray, list[float]]:
-    """Return a flight's log (n, 6) as a study has it, from the first moment in the band on, and when it moved."""
+    """Return a flight's log (n, 6) as a study has it, once it came from home into the band, and when it moved."""
     begin_s, departed_s = math.inf, []
     for record in records:
         if isinstance(record, ControlAcquired):
-            begin_s = min(begin_s, record.time_s)
+            begin_s = min(begin_s, record.time_s + COMING_S)
         elif isinstance(record, PlanStatus) and record.stage == "departed":
             departed_s.append(record.time_s)
     plane = LocalPlane(*truth.positions_deg[:2, 0])
