@@ -1,6 +1,7 @@
 """One aircraft's planner in a fleet: it counts on what the others will see, and moves where all together gain.
 
-Without fresh advice, or alone on its target, it decides as the planner of a single aircraft does.
+Without fresh advice, or alone on its target, it decides as the planner of a single aircraft does, but at the price of
+moves that it pays beside others: it may have been left opposite the side that nobody watches any more.
 """
 
 from __future__ import annotations
@@ -100,7 +101,8 @@ class TeamPlanner:
         unseen_s = aircraft.time_s - target.last_sighting_s
         lost = target.quality is TrackQuality.LOST or unseen_s > self._settings.lost_after_s
         if not others or lost or wind.speed_m_s >= self._airspeed_m_s:
-            return self._alone.decide(aircraft, target, present, wind, latency_s)
+            looker = left_alone(self._alone.looker_for(wind), self._teams[0])
+            return self._alone.decide_with(looker, aircraft, target, present, wind, latency_s)
         looker, team = self._for(wind)
         if target.speed_m_s < _STANDING_M_S:
             team = beside_standing(team)
@@ -152,6 +154,12 @@ class TeamPlanner:
         assert told.present is not None
         airspeed_m_s = airspeed_of(state, wind)
         return flown_places(state, told.present, told.coming, wind, airspeed_m_s, STEP_S, _FORETOLD)
+
+
+def left_alone(looker: Looker, team: Team) -> Looker:
+    """Return what the last one beside a target looks ahead with: it pays for a move what it pays beside others."""
+    prices = looker.prices
+    return looker._replace(prices=prices._replace(leave=team.price * prices.leave, change=team.price * prices.change))
 
 
 def _names(others: Sequence[Neighbour]) -> str:

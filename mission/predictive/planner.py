@@ -188,6 +188,22 @@ class PredictivePlanner:
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
         """Decide at ``aircraft.time_s``; see :class:`mission.core.plan.Planner`."""
+        return self.decide_with(self.looker_for(wind), aircraft, target, present, wind, latency_s)
+
+    def looker_for(self, wind: Wind) -> Looker:
+        """Return what looks ahead with the table for the wind that is nearest to this one."""
+        return min(self.lookers, key=lambda one: abs(one.motions.wind_speed_m_s - wind.speed_m_s))
+
+    def decide_with(
+        self,
+        looker: Looker,
+        aircraft: AircraftState,
+        target: TargetEstimate,
+        present: Plan,
+        wind: Wind,
+        latency_s: float,
+    ) -> Decision:
+        """Decide as :meth:`decide` does, with a looker of this planner, maybe at other prices."""
         unseen_s = aircraft.time_s - target.last_sighting_s
         if target.quality is TrackQuality.LOST or unseen_s > self._settings.lost_after_s:
             reason = f"holding the circle: the target has not been seen for {unseen_s:.0f} s"
@@ -196,7 +212,6 @@ class PredictivePlanner:
             words = f"a wind of {wind.speed_m_s:.1f} m/s is too strong"
             reason = f"holding the circle: {words} for an airspeed of {self._aircraft.airspeed_m_s:.1f} m/s"
             return Decision(aircraft.time_s, None, reason)
-        looker = min(self.lookers, key=lambda one: abs(one.motions.wind_speed_m_s - wind.speed_m_s))
         now = situation(aircraft, target, present, wind, latency_s)
         return self._look_ahead(now, present, looker)
 
