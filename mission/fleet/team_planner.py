@@ -61,6 +61,7 @@ class TeamPlanner:
         self._wanted, self._airspeed_m_s = 1.0 if requirement.side is Side.LEFT else -1.0, aircraft.airspeed_m_s
         self._team_with = partial(team_of, wanted=requirement.side, settings=team)
         self._teams, self._table_at = [self._team_with(one) for one in (table, *windy)], table_at
+        self._alone.price_share = self._teams[0].price
         self._advice: FleetAdvice | None = None
         self._plans: dict[str, NeighbourPlanned] = {}
 
@@ -101,8 +102,7 @@ class TeamPlanner:
         unseen_s = aircraft.time_s - target.last_sighting_s
         lost = target.quality is TrackQuality.LOST or unseen_s > self._settings.lost_after_s
         if not others or lost or wind.speed_m_s >= self._airspeed_m_s:
-            looker = left_alone(self._alone.looker_for(wind), self._teams[0])
-            return self._alone.decide_with(looker, aircraft, target, present, wind, latency_s)
+            return self._alone.decide(aircraft, target, present, wind, latency_s)
         looker, team = self._for(wind)
         if target.speed_m_s < _STANDING_M_S:
             team = beside_standing(team)
@@ -154,12 +154,6 @@ class TeamPlanner:
         assert told.present is not None
         airspeed_m_s = airspeed_of(state, wind)
         return flown_places(state, told.present, told.coming, wind, airspeed_m_s, STEP_S, _FORETOLD)
-
-
-def left_alone(looker: Looker, team: Team) -> Looker:
-    """Return what the last one beside a target looks ahead with: it pays for a move what it pays beside others."""
-    prices = looker.prices
-    return looker._replace(prices=prices._replace(leave=team.price * prices.leave, change=team.price * prices.change))
 
 
 def _names(others: Sequence[Neighbour]) -> str:

@@ -143,6 +143,7 @@ class PredictivePlanner:
         self._aircraft, self._requirement, self._tables = aircraft, requirement, (table, *windy)
         self._settings = settings or PredictiveSettings()
         self._check, self._sight, self._table_at = check, sight, table_at
+        self.price_share = 1.0  # of what moves cost, in its own decisions
         self._policy = SidePolicy(requirement, aircraft.radius_m, requirement.course_horizon_s)
         self._kept, self._seconds = nothing_kept(), no_seconds()
         self.lookers = [self._looker(one) for one in self._tables]
@@ -188,22 +189,6 @@ class PredictivePlanner:
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
         """Decide at ``aircraft.time_s``; see :class:`mission.core.plan.Planner`."""
-        return self.decide_with(self.looker_for(wind), aircraft, target, present, wind, latency_s)
-
-    def looker_for(self, wind: Wind) -> Looker:
-        """Return what looks ahead with the table for the wind that is nearest to this one."""
-        return min(self.lookers, key=lambda one: abs(one.motions.wind_speed_m_s - wind.speed_m_s))
-
-    def decide_with(
-        self,
-        looker: Looker,
-        aircraft: AircraftState,
-        target: TargetEstimate,
-        present: Plan,
-        wind: Wind,
-        latency_s: float,
-    ) -> Decision:
-        """Decide as :meth:`decide` does, with a looker of this planner, maybe at other prices."""
         unseen_s = aircraft.time_s - target.last_sighting_s
         if target.quality is TrackQuality.LOST or unseen_s > self._settings.lost_after_s:
             reason = f"holding the circle: the target has not been seen for {unseen_s:.0f} s"
@@ -212,8 +197,11 @@ class PredictivePlanner:
             words = f"a wind of {wind.speed_m_s:.1f} m/s is too strong"
             reason = f"holding the circle: {words} for an airspeed of {self._aircraft.airspeed_m_s:.1f} m/s"
             return Decision(aircraft.time_s, None, reason)
+        looker = min(self.lookers, key=lambda one: abs(one.motions.wind_speed_m_s - wind.speed_m_s))
+        full, share = looker.prices, self.price_share
+        prices = full._replace(leave=share * full.leave, change=share * full.change)
         now = situation(aircraft, target, present, wind, latency_s)
-        return self._look_ahead(now, present, looker)
+        return self._look_ahead(now, present, looker._replace(prices=prices))
 
     def outlook(self, now: Situation, looker: Looker) -> tuple[Scene, Sight]:
         """Return what is to be decided about, and from where the target is seen."""

@@ -18,7 +18,7 @@ from mission.core.requirement import Aircraft, Requirement, Side, Wind
 from mission.fleet import _cover_kernel as kernel
 from mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside
 from mission.fleet.team import team_of
-from mission.fleet.team_planner import TeamPlanner, left_alone
+from mission.fleet.team_planner import TeamPlanner
 from mission.fleet.watched_course import WatchedCourse
 from mission.geometry.separation import flown_places
 from mission.predictive.planner import PredictivePlanner, table_configuration
@@ -161,9 +161,8 @@ def advised(team: TeamPlanner, other: tuple[AircraftState, Plan] | None, role: R
 def test_alone_it_decides_as_the_planner_of_one_does_at_the_prices_of_a_fleet():
     state, plan = on_circle(-280.0, 40.0, True)
     one = PredictivePlanner(AIRCRAFT, REQUIREMENT, TABLE)
-    cheaper = left_alone(one.lookers[0], team_of(TABLE, Side.LEFT))
-    assert cheaper.prices.leave < one.lookers[0].prices.leave
-    lone = one.decide_with(cheaper, state, going(0.0), plan, Wind(), 0.5)
+    one.price_share = team_of(TABLE, Side.LEFT).price
+    lone = one.decide(state, going(0.0), plan, Wind(), 0.5)
     for team in (planner(), advised(planner(), None, Role.WANTED, Side.LEFT)):
         mine = team.decide(state, going(0.0), plan, Wind(), 0.5)
         assert (mine.reason, mine.values) == (lone.reason, lone.values)
