@@ -45,8 +45,8 @@ from mission.viewpoint.side_policy import SidePolicy
 _MAX_TRIES = 30
 # What a move must gain, in seconds off side. The wider the circle is in its band the more moves are needed, and the
 # more each has to be worth if no hour is to have too many: from a share of the band on, up to the widest circle that
-# leaves room in it. In a fleet, where others see meanwhile, cheaper moves than those of that share are too hasty; and
-# one that is left alone keeps its price: others may join it, and its tables have to be at hand.
+# leaves room in it. In a fleet, where others see meanwhile, cheaper moves than those of that share are too hasty in
+# the tables; one that is left alone keeps these, as others may join it, and pays the fleet's share of the price.
 _PRICE_S, _PRICE_SHARE, _PRICE_POWER = 4.0, 0.175, 1.7
 _MIN_SHARE, _MIN_SHARE_IN_FLEET, _MAX_SHARE = 1.0 / 8.0, _PRICE_SHARE, 1.0 / 3.8
 _TURN_SHARE_IN_FLEET = 0.5
