@@ -12,6 +12,8 @@ from mission.predictive.value_table import ValueTable
 
 # A circle that takes more of the band swings further about the target: what is foretold of the others is worth less.
 _WIDE, _WIDER_POWER = 1.0 / 7.0, 3
+# The share of the band that the fastest target crosses in a lap: where it is more, a circle is left sooner anyway.
+_CROSSED = 0.43
 _DIRECTIONS_RAD = np.radians(np.arange(-168.75, 180.0, 22.5))
 
 
@@ -20,8 +22,9 @@ class TeamSettings:
     """alone_running, alone_end: shares of what an aircraft would pay alone, on its line and after it.
 
     together: weight of the time without anybody on the wanted side. price: share of an aircraft's prices of changes.
-    opposite: per second, of the share of courses for which nobody would be on the wanted side. turn: weight of the
-    time that a turn of the target would leave all off it; margin: of the side then, in radii of the circle.
+    opposite: per second, of the share of courses for which nobody would be on the wanted side. Fast targets lower the
+    price and raise that. turn: weight of the time that a turn of the target would leave all off the side; margin: of
+    the side then, in radii of the circle.
     own: weight of what a move gains for who holds the wanted side where it looks ahead alone; wide circles raise it.
     futures: 1 to foretell the target by its velocity alone, 3 to count on turns too.
     """
@@ -44,6 +47,9 @@ def team_of(table: ValueTable, wanted: Side, settings: TeamSettings | None = Non
         raise ValueError("several aircraft share the sides of a target, not a sector")
     habits, cost = configuration.habits, configuration.cost
     wide = configuration.radius_m / (_WIDE * (cost.far_m - cost.near_m))
+    lap_s = 2.0 * np.pi * configuration.radius_m / configuration.airspeed_m_s
+    crossed = lap_s * configuration.target_speed_max_m_s / (cost.far_m - cost.near_m)
+    haste = max(1.0, crossed / _CROSSED)
     return Team(
         1.0 if wanted is Side.LEFT else -1.0,
         np.radians(habits.turns_deg),
@@ -51,8 +57,8 @@ def team_of(table: ValueTable, wanted: Side, settings: TeamSettings | None = Non
         own.alone_running,
         own.alone_end,
         own.together,
-        own.price,
-        own.opposite,
+        own.price / haste,
+        own.opposite * haste,
         own.turn,
         own.margin,
         own.own * max(1.0, wide**_WIDER_POWER),

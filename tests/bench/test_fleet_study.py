@@ -1,13 +1,16 @@
 """Several aircraft on one target: python -m pytest tests/bench/test_fleet_study.py -s; RUNS=200 for so many targets.
 
-How much of the time one of two watches from the wanted side, beside laws that hold phases; what the loss of one
-costs; and what the decisions of four aircraft on two targets take.
+How much of the time one of two watches from the wanted side, beside laws that hold phases, and on recorded targets
+beside one aircraft alone (TARGETS=DIR DRAWS=3: one's own, with so many draws of noise); what the loss of one costs;
+and what the decisions of four aircraft on two targets take.
 """
 
 from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
+from pathlib import Path
 from time import process_time
 
 import numpy as np
@@ -16,7 +19,9 @@ from rich.console import Console
 
 from app.study.fleet import FleetPlannerName, FleetResult, Loss, run_fleet
 from app.study.fleet_study import fleet_table, fly_fleets
+from app.study.recorded import recorded_targets
 from app.study.settings import PlannerName, StudySettings
+from app.study.study import run_study, table_of
 from app.value_cache import value_table
 from estimators.settings import TrackerSettings
 from estimators.sighting import Sighting
@@ -39,6 +44,10 @@ from mission.predictive.planner import table_configuration
 from mission.predictive.value_table import ValueTable
 
 RUNS = int(os.environ.get("RUNS", "20"))
+TARGETS = Path(os.environ.get("TARGETS", Path(__file__).parents[1] / "data" / "targets"))
+DRAWS = int(os.environ.get("DRAWS", "1"))
+# Airspeed, radius and the fastest targets of each class.
+CLASSES = ((12.0, 40.0, 5.0), (20.0, 70.0, 9.0), (30.0, 105.0, 14.0))
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +67,39 @@ def test_one_of_two_watches_from_the_wanted_side(settings, table):
     assert np.mean([run.time_on_side_any for run in joint]) > 0.99
     assert min(run.min_separation_m for run in joint) >= 50.0
     assert np.mean([run.in_ellipse for run in joint]) > 0.9
+
+
+def test_two_beside_recorded_targets_and_one_alone():
+    off_alone, off_both = [], []
+    for airspeed_m_s, radius_m, speed_max_m_s in CLASSES:
+        tracks = recorded_targets([TARGETS], speed_max_m_s).flown
+        alone = StudySettings(
+            planners=(PlannerName.PREDICTIVE,),
+            runs=len(tracks),
+            tracks=tracks,
+            noise_draws=DRAWS,
+            airspeed_m_s=airspeed_m_s,
+            still_air_radius_m=radius_m,
+            target_speed_max_m_s=speed_max_m_s,
+            duration_s=math.inf,
+        )
+        both = replace(alone, fleet=2)
+        one = run_study(alone, table_of(alone)).planners[PlannerName.PREDICTIVE]
+        two = fly_fleets(both, table_of(both), None, lambda _runs: None, [FleetPlannerName.JOINT])
+        runs = two.runs[FleetPlannerName.JOINT]
+        off_alone.append(1.0 - np.array(one.time_on_side))
+        off_both.append(1.0 - np.array([run.time_on_side_any for run in runs]))
+        worst, both_off, alone_off = int(off_both[-1].argmax()), off_both[-1].mean(), off_alone[-1].mean()
+        print(
+            f"\n{airspeed_m_s:.0f} m/s, {len(runs)} runs: off the side for {both_off:.2%} of the time, at worst "
+            f"{off_both[-1][worst]:.1%} ({tracks[worst % len(tracks)].name}), one alone for {alone_off:.2%}: "
+            f"{both_off / alone_off:.3f} of it"
+        )
+        Console().print(fleet_table(two))
+        assert min(run.min_separation_m for run in runs) >= 50.0
+    share = np.concatenate(off_both).mean() / np.concatenate(off_alone).mean()
+    print(f"\nall together: {share:.3f} of the time that one aircraft alone is off the side")
+    assert share < 0.3
 
 
 def regained_s(run: FleetResult, loss: Loss, for_s: float = 0.1) -> float:

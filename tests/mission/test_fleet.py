@@ -168,6 +168,24 @@ def test_alone_it_decides_as_the_planner_of_one_does_at_the_prices_of_a_fleet():
         assert (mine.reason, mine.values) == (lone.reason, lone.values)
 
 
+def test_moves_cost_less_and_gaps_more_where_a_target_crosses_much_of_the_band_in_a_lap():
+    slow, fast = (
+        team_of(
+            replace(
+                TABLE,
+                configuration=table_configuration(
+                    Aircraft(30.0, 105.0), replace(REQUIREMENT, target_speed_max_m_s=speed_max_m_s)
+                ),
+            ),
+            Side.LEFT,
+        )
+        for speed_max_m_s in (7.0, 14.0)
+    )
+    assert (slow.price, slow.opposite) == (0.6, 0.6)
+    assert fast.price == pytest.approx(0.30, abs=0.01)  # 308 of 360 m in 22 s
+    assert fast.opposite == pytest.approx(1.19, abs=0.02)
+
+
 def test_the_wanted_side_costs_most_where_it_is_farthest():
     team = planner()
     left = team.role_costs(*_looked(on_circle(-300.0, 0.0, True), going(0.0)))
