@@ -65,6 +65,7 @@ class Participant:
         self.home_above_m = home_above_m
         self.reporter, self.clock = FleetReporter(name), VehicleClockReader(name, now_s, mission_s)
         self.battery_percent: int | None = None
+        self.heard_s = -math.inf  # last, by this computer's clock
 
 
 class Coordination:
@@ -107,11 +108,18 @@ class Coordination:
         return max(self._ticked_s, *known) if known else self._ticked_s
 
     def told_by_others_s(self, name: str) -> float:
-        """Return what mission time it is by the clocks of the others that tell one; NaN where none does."""
+        """Return what mission time it is by the clocks of the others that tell one; NaN where none does.
+
+        The clock of one that has gone home, or is silent, stands still: it tells none.
+        """
+        since_s = time.monotonic() - _STANDING_S
         known = [
             participant.now_s() + self._offsets_s[other]
             for other, participant in self._participants.items()
-            if other != name and other in self._offsets_s and participant.clock.tells_time
+            if other != name
+            and other in self._offsets_s
+            and participant.clock.tells_time
+            and participant.heard_s >= since_s
         ]
         return max(known, default=math.nan)
 
@@ -151,6 +159,7 @@ class Coordination:
     def message(self, name: str, message: Message) -> None:
         """Take a message of that aircraft: its clock, its battery."""
         participant = self._participants[name]
+        participant.heard_s = time.monotonic()
         told = participant.clock.report(message)
         if message.name == "TIMESYNC":
             self._compare_utc()

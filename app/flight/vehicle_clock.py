@@ -44,7 +44,8 @@ class VehicleClockReader:
     The answer to TIMESYNC tells its clock half a round trip ago: half of that is what is not known of it. Where there
     is neither, its positions count as made when they came. Of a simulator that goes faster than time does, and tells
     UTC as this computer has it all the same, neither is believed: its positions then count as made at the time that
-    the others have come to. now_s: its own clock; mission_s: what the others have come to, NaN where nobody tells.
+    the others have come to. now_s: its own clock; mission_s: what the others have come to, NaN where nobody tells:
+    then its own clock goes on as it was told last.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class VehicleClockReader:
         self._utc_offset_s: float | None = None  # from its own clock
         self._host_offset_s: tuple[float, float] | None = None  # of this computer's, and what is not known of it
         self._utc_doubted = False
+        self._told_offset_s: float | None = None  # of mission time from its own clock
         self._alone_offset_s: float | None = None
 
     @property
@@ -83,6 +85,12 @@ class VehicleClockReader:
 
     def report(self, message: Message) -> ClockReported | None:
         """Return what a message tells of the clock, None where it tells nothing."""
+        told = self._told(message)
+        if told is not None:
+            self._told_offset_s = told.mission_time_s - told.time_s
+        return told
+
+    def _told(self, message: Message) -> ClockReported | None:
         if message.component_id != AUTOPILOT_COMPONENT:
             return None
         fields, heard_s = message.fields, time.monotonic()
@@ -121,7 +129,8 @@ class VehicleClockReader:
         mission_s = self._mission_s()
         if math.isnan(mission_s):
             if self._alone_offset_s is None:
-                self._alone_offset_s = time.time() - vehicle_s
+                told_s = self._told_offset_s
+                self._alone_offset_s = time.time() - vehicle_s if told_s is None else told_s
             mission_s = vehicle_s + self._alone_offset_s
         return ClockReported(self._name, vehicle_s, mission_s, _ARRIVAL_SIGMA_S)
 

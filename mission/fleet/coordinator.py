@@ -79,6 +79,7 @@ from mission.fleet.vehicle import FleetMember, FleetVehicle
 _FOREIGN_FORGOTTEN_S = 30.0
 _NEAR_M, _NEARER = 60.0, 0.5  # a sighting of another target is so near to it, and by this share nearer than its own
 _REASSIGN_AFTER_S = 5.0  # for so long the gain has to last
+_PASSED_MAX_S = 2.0  # mission time that jumps ahead, as with a clock that is set anew, is no silence
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +143,7 @@ class FleetCoordinator:
         self._refused: dict[str, Mapping[str, str]] = {}
         self._asked: set[str] = set()
         self._gains_since_s = math.inf  # another assignment to the targets
-        self._now_s, self._next_s = -math.inf, -math.inf
+        self._now_s = self._next_s = self._coordinated_s = -math.inf
         self._out: list[FleetCommand] = []
 
     # -- what a display wants -------------------------------------------------------------------------------
@@ -202,6 +203,7 @@ class FleetCoordinator:
             time_s=event.time_s + by_s,
             state=shifted_state(event.state, by_s),
         )
+        vehicle.silent_s = 0.0
         self._now_s = max(self._now_s, vehicle.report.time_s)
         if event.watching:
             vehicle.since_s = min(vehicle.since_s, vehicle.report.time_s)
@@ -291,10 +293,14 @@ class FleetCoordinator:
     # -- each second ------------------------------------------------------------------------------------------
 
     def _coordinate(self) -> None:
+        passed_s = min(self._now_s - self._coordinated_s, _PASSED_MAX_S)
+        self._coordinated_s = self._now_s
         for vehicle in self._vehicles.values():
-            report = vehicle.report
-            if report is not None and self._now_s - report.time_s > self.settings.silent_after_s:
-                self._lost(vehicle, f"nothing was heard of it for {self._now_s - report.time_s:.0f} s")
+            if vehicle.report is None:
+                continue
+            vehicle.silent_s += passed_s
+            if vehicle.silent_s > self.settings.silent_after_s:
+                self._lost(vehicle, f"nothing was heard of it for {vehicle.silent_s:.0f} s")
         self._next_s = self._now_s + self.settings.period_s
         estimates = self._estimates = {name: track.estimate(self._now_s) for name, track in self._tracks.items()}
         self._tell_refusals()

@@ -41,6 +41,7 @@ class FleetVehicle:
     member: FleetMember
     clock: VehicleTime = field(default_factory=VehicleTime)
     report: VehicleReported | None = None
+    silent_s: float = 0.0  # for so long none has come, whatever time its own clock tells
     plans: PlansReported | None = None
     lost: str = ""
     remaining: float = 1.0

@@ -162,6 +162,24 @@ def test_without_either_the_positions_tell_the_clock_by_their_arrival(monkeypatc
     assert reader.report(position) is None
 
 
+def test_one_whose_utc_stands_still_goes_by_the_others_while_they_are_heard_and_then_on_as_before(pair, monkeypatch):
+    coordination, _, _, _, _, clocks = pair
+    wall = Wall(coordination, monkeypatch)
+    by_others = VehicleClockReader("b", lambda: clocks["b"], lambda: coordination.told_by_others_s("b"))
+    wall.pass_by(10, {"a": 0.0})
+    clocks["a"] = wall.now_s - 900.0
+    utc_us = int((UTC_S + wall.now_s) * 1e6)
+    for boot_s in (590.0, 600.0):  # it was told, and then it does not go on
+        by_others.report(said("SYSTEM_TIME", time_unix_usec=utc_us, time_boot_ms=int(1e3 * boot_s)))
+    wall.now_s += 0.5
+    told = by_others.report(said("GLOBAL_POSITION_INT", time_boot_ms=600_500))
+    assert told.mission_time_s == pytest.approx(UTC_S + wall.now_s - 0.5)
+    wall.now_s += 300.0  # the other one has gone home, and its clock stands still
+    assert math.isnan(coordination.told_by_others_s("b"))
+    told = by_others.report(said("GLOBAL_POSITION_INT", time_boot_ms=900_500))
+    assert told.mission_time_s == pytest.approx(UTC_S + wall.now_s - 0.5)
+
+
 def test_mission_time_is_the_latest_of_any_aircraft_and_goes_on_when_all_are_silent(pair):
     coordination, coordinator, _, _, _, clocks = pair
     coordination.keep_up(0.0)

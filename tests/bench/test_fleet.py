@@ -32,9 +32,9 @@ PROGRAMS = [os.environ.get(f"SIDELONG_{flavour.upper()}", "") for flavour in FLA
 SPEED, SEED = float(os.environ.get("SPEED", "1" if all(PROGRAMS) else "4")), int(os.environ.get("SEED", "1"))
 DURATION_S = float(os.environ.get("DURATION", "1200"))
 REQUIREMENT = load_config(None).requirement.requirement()
-_STEP_S = 0.5
 _LEAST_M = 50.0
 _SAME_TARGET_M = 10.0  # the two of a fair flight see the target no farther apart
+_CLOCKS_EVERY_S, _TOLD_BY_M = 30.0, 15.0  # two clocks are compared where the target goes that far meanwhile
 
 FLEET = """
 [[aircraft]]
@@ -131,23 +131,30 @@ def world(tmp_path, request):
         yield make
 
 
-def clock_ahead_s(other: Truth, one: Truth, begin_s: float, end_s: float) -> float:
-    """Return how far the other's clock is ahead: by when each of both has the target where the other one has it.
+def on_clock_of(one: Truth, other: Truth, times_s: np.ndarray) -> np.ndarray:
+    """Return what times the other's clock told at times of the one's: when each had the target at the same place.
 
-    Programs of one's own count from their own starts. Fails where they have it at two places whatever their clocks.
+    Programs of one's own count from their own starts, and fall behind the clock by a little all the time. Fails where
+    they have the target at two places whatever their clocks.
     """
-    at_s = np.arange(begin_s, min(end_s, one.time_s[-1]), 1.0)
+    plane = LocalPlane(*one.positions_deg[:2, 0])
 
-    def target_m(truth: Truth, times_s: np.ndarray) -> np.ndarray:
-        plane = LocalPlane(*one.positions_deg[:2, 0])
-        deg = np.column_stack([np.interp(times_s, truth.time_s, column) for column in truth.positions_deg[:2]])
+    def target_m(truth: Truth, at_s: np.ndarray) -> np.ndarray:
+        deg = np.column_stack([np.interp(at_s, truth.time_s, column) for column in truth.positions_deg[:2]])
         return np.array([plane.east_north_m(*place) for place in deg])
 
-    seen_m = target_m(one, at_s)
-    apart_m = {s: float(np.abs(target_m(other, at_s + s) - seen_m).max()) for s in np.arange(-60.0, 60.0, 0.25)}
-    ahead_s = min(apart_m, key=apart_m.__getitem__)
-    assert apart_m[ahead_s] <= _SAME_TARGET_M, "one program fell behind the other: each has the target elsewhere"
-    return float(ahead_s)
+    known: list[tuple[float, float]] = []
+    for begin_s in np.arange(times_s[0], min(times_s[-1], one.time_s[-1]) - _CLOCKS_EVERY_S, _CLOCKS_EVERY_S):
+        at_s = np.arange(begin_s, begin_s + _CLOCKS_EVERY_S, 1.0)
+        seen_m = target_m(one, at_s)
+        if np.ptp(seen_m, axis=0).max() < _TOLD_BY_M:
+            continue  # it stands, at whatever time
+        apart_m = {s: float(np.abs(target_m(other, at_s + s) - seen_m).max()) for s in np.arange(-60.0, 60.0, 0.25)}
+        ahead_s = min(apart_m, key=apart_m.__getitem__)
+        assert apart_m[ahead_s] <= _SAME_TARGET_M, "one program fell behind the other: each has the target elsewhere"
+        known.append((float(at_s.mean()), float(ahead_s)))
+    assert known, "the target has not moved"
+    return times_s + np.interp(times_s, *np.transpose(known))
 
 
 def judged(world: World, begin_s: float, end_s: float) -> tuple[float, float, float]:
@@ -157,26 +164,22 @@ def judged(world: World, begin_s: float, end_s: float) -> tuple[float, float, fl
     """
     truths = [read_truth(path) for path in world.truths]
     plane, on_side, places = LocalPlane(*truths[0].positions_deg[2:, 0]), [], []
+    times_s = np.arange(begin_s, min(end_s, truths[0].time_s[-1]), 0.1)
     for path, truth in zip(world.truths, truths, strict=True):
-        ahead_s = clock_ahead_s(truth, truths[0], begin_s, end_s)
-        from_s, to_s = begin_s + ahead_s, end_s + ahead_s
-        flags = np.zeros(len(np.arange(begin_s, end_s, _STEP_S)), bool)
-        for one in judge(truth.moments(plane, from_s, to_s, _STEP_S), [(-math.inf, REQUIREMENT)]):
-            flags[min(round((one.time_s - from_s) / _STEP_S), len(flags) - 1)] = one.on_side
-        on_side.append(flags)
+        own_s = times_s if truth is truths[0] else on_clock_of(truths[0], truth, times_s)
+        found = list(judge(truth.at_each(own_s, plane), [(-math.inf, REQUIREMENT)]))
+        sides = np.interp(own_s, [one.time_s for one in found], [float(one.on_side) for one in found], right=0.0)
+        on_side.append(sides > 0.5)
         rows = np.genfromtxt(path, delimiter=",", names=True, usecols=("time_boot_s", "uav_relative_alt_m"))
-        at_s = np.arange(from_s, to_s, 0.1)
         flat = np.array([plane.east_north_m(*deg) for deg in truth.positions_deg[2:].T])
-        place = [np.interp(at_s, truth.time_s, column) for column in flat.T]
-        place.append(np.interp(at_s, rows["time_boot_s"], rows["uav_relative_alt_m"]))
-        known = at_s <= truth.time_s[-1]
+        place = [np.interp(own_s, truth.time_s, column) for column in flat.T]
+        place.append(np.interp(own_s, rows["time_boot_s"], rows["uav_relative_alt_m"]))
+        known = own_s <= truth.time_s[-1]
         places.append(np.where(known[:, None], np.column_stack(place), np.nan))
     any_side = np.logical_or(*on_side)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], ~any_side, [0])).astype(int)))
-    longest_s = float((edges[1::2] - edges[::2]).max() * _STEP_S) if edges.size else 0.0
-    rows_together = min(map(len, places))
-    apart_m = np.linalg.norm(places[0][:rows_together] - places[1][:rows_together], axis=1)
-    return float(any_side.mean()), longest_s, float(np.nanmin(apart_m))
+    longest_s = float((edges[1::2] - edges[::2]).max() * 0.1) if edges.size else 0.0
+    return float(any_side.mean()), longest_s, float(np.nanmin(np.linalg.norm(places[0] - places[1], axis=1)))
 
 
 def told(world: World, name: str, begin_s: float, end_s: float) -> tuple[float, float]:

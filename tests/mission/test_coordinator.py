@@ -206,6 +206,20 @@ def test_the_one_left_takes_the_wanted_side_when_the_other_falls_silent():
     assert any(said.text == "is back" for said in fleet.said)
 
 
+@pytest.mark.parametrize("off_s", [-11.0, 11.0])
+def test_a_clock_that_is_set_wrong_for_a_while_is_no_silence(off_s):
+    fleet = pair()
+    fleet.fly(10.0)
+    ahead_s = fleet.vehicles["a"].ahead_s
+    fleet.tell(ClockReported("a", fleet.time_s + ahead_s, fleet.time_s + off_s, 0.02))
+    fleet.fly(5.0)
+    fleet.tell(ClockReported("a", fleet.time_s + ahead_s, fleet.time_s, 0.02))
+    fleet.fly(20.0)
+    assert not any("is out" in said.text for said in fleet.said if isinstance(said, FleetAnnounce))
+    fleet.fly(8.0, "a")
+    assert [said.text for said in fleet.said if said.name == "a"] == ["is out: nothing was heard of it for 6 s"]
+
+
 def test_one_that_circles_about_the_target_does_not_take_the_side_from_one_that_watches():
     fleet = pair()
     holder, near = fleet.vehicles["a"], fleet.vehicles["b"]
