@@ -45,7 +45,7 @@ class VehicleClockReader:
     is neither, its positions count as made when they came. Of a simulator that goes faster than time does, and tells
     UTC as this computer has it all the same, neither is believed: its positions then count as made at the time that
     the others have come to. now_s: its own clock; mission_s: what the others have come to, NaN where nobody tells:
-    then its own clock goes on as it was told last.
+    then its own clock goes on as it was told last, and the others may go by it.
     """
 
     def __init__(
@@ -59,12 +59,12 @@ class VehicleClockReader:
         self._host_offset_s: tuple[float, float] | None = None  # of this computer's, and what is not known of it
         self._utc_doubted = False
         self._told_offset_s: float | None = None  # of mission time from its own clock
-        self._alone_offset_s: float | None = None
+        self._leads = False
 
     @property
     def tells_time(self) -> bool:
         """Whether mission time may go by this clock: it does not hang on the others'."""
-        return self._utc_rate.holds or self._alone_offset_s is not None
+        return self._utc_rate.holds or self._leads
 
     @property
     def utc_ahead_s(self) -> tuple[float, float] | None:
@@ -126,12 +126,13 @@ class VehicleClockReader:
 
     def _beside_the_others(self, fields: Mapping[str, Any]) -> ClockReported:
         vehicle_s = self._unwrapped_s(fields["time_boot_ms"] * 1e-3)
-        mission_s = self._mission_s()
+        # Two that went by each other would fall back by what each learns too late.
+        mission_s = math.nan if self._leads else self._mission_s()
         if math.isnan(mission_s):
-            if self._alone_offset_s is None:
-                told_s = self._told_offset_s
-                self._alone_offset_s = time.time() - vehicle_s if told_s is None else told_s
-            mission_s = vehicle_s + self._alone_offset_s
+            self._leads = True
+            if self._told_offset_s is None:
+                self._told_offset_s = time.time() - vehicle_s
+            mission_s = vehicle_s + self._told_offset_s
         return ClockReported(self._name, vehicle_s, mission_s, _ARRIVAL_SIGMA_S)
 
     def _unwrapped_s(self, stamp_s: float) -> float:

@@ -178,6 +178,9 @@ def test_one_whose_utc_stands_still_goes_by_the_others_while_they_are_heard_and_
     assert math.isnan(coordination.told_by_others_s("b"))
     told = by_others.report(said("GLOBAL_POSITION_INT", time_boot_ms=900_500))
     assert told.mission_time_s == pytest.approx(UTC_S + wall.now_s - 0.5)
+    wall.pass_by(1, {"a": 0.0})  # it is heard again: neither goes by the other now
+    told = by_others.report(said("GLOBAL_POSITION_INT", time_boot_ms=901_500))
+    assert told.mission_time_s == pytest.approx(UTC_S + wall.now_s - 0.5)
 
 
 def test_mission_time_is_the_latest_of_any_aircraft_and_goes_on_when_all_are_silent(pair):

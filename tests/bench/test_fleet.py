@@ -32,7 +32,7 @@ PROGRAMS = [os.environ.get(f"SIDELONG_{flavour.upper()}", "") for flavour in FLA
 SPEED, SEED = float(os.environ.get("SPEED", "1" if all(PROGRAMS) else "4")), int(os.environ.get("SEED", "1"))
 DURATION_S = float(os.environ.get("DURATION", "1200"))
 REQUIREMENT = load_config(None).requirement.requirement()
-_LEAST_M = 50.0
+_LEAST_M, _STEP_S = 50.0, 0.1
 _SAME_TARGET_M = 10.0  # the two of a fair flight see the target no farther apart
 _CLOCKS_EVERY_S, _TOLD_BY_M = 30.0, 15.0  # two clocks are compared where the target goes that far meanwhile
 
@@ -54,7 +54,7 @@ class World:
     def __init__(self, folder: Path, *lose: str) -> None:
         self.folder, self.truths = folder, [folder / "plane.csv", folder / "wing.csv"]
         self.fleet_file = folder / "fleet.toml"
-        own = all(PROGRAMS) and not lose
+        self.own = own = all(PROGRAMS) and not lose
         ports = [free_udp_port(), free_udp_port()]
         options = [f"--to={number}@127.0.0.1:{port}" for number, port in enumerate(ports, 1)]
         options += [f"--lose={one}" for one in lose]
@@ -164,12 +164,13 @@ def judged(world: World, begin_s: float, end_s: float) -> tuple[float, float, fl
     """
     truths = [read_truth(path) for path in world.truths]
     plane, on_side, places = LocalPlane(*truths[0].positions_deg[2:, 0]), [], []
-    times_s = np.arange(begin_s, min(end_s, truths[0].time_s[-1]), 0.1)
+    times_s = np.arange(begin_s, min(end_s, truths[0].time_s[-1]), _STEP_S)
     for path, truth in zip(world.truths, truths, strict=True):
-        own_s = times_s if truth is truths[0] else on_clock_of(truths[0], truth, times_s)
+        own_s = on_clock_of(truths[0], truth, times_s) if world.own and truth is not truths[0] else times_s
         found = list(judge(truth.at_each(own_s, plane), [(-math.inf, REQUIREMENT)]))
-        sides = np.interp(own_s, [one.time_s for one in found], [float(one.on_side) for one in found], right=0.0)
-        on_side.append(sides > 0.5)
+        flags = np.zeros(len(own_s), bool)  # nothing is known of one that is lost
+        flags[np.searchsorted(own_s, [one.time_s for one in found])] = [one.on_side for one in found]
+        on_side.append(flags)
         rows = np.genfromtxt(path, delimiter=",", names=True, usecols=("time_boot_s", "uav_relative_alt_m"))
         flat = np.array([plane.east_north_m(*deg) for deg in truth.positions_deg[2:].T])
         place = [np.interp(own_s, truth.time_s, column) for column in flat.T]
@@ -178,7 +179,7 @@ def judged(world: World, begin_s: float, end_s: float) -> tuple[float, float, fl
         places.append(np.where(known[:, None], np.column_stack(place), np.nan))
     any_side = np.logical_or(*on_side)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], ~any_side, [0])).astype(int)))
-    longest_s = float((edges[1::2] - edges[::2]).max() * 0.1) if edges.size else 0.0
+    longest_s = float((edges[1::2] - edges[::2]).max() * _STEP_S) if edges.size else 0.0
     return float(any_side.mean()), longest_s, float(np.nanmin(np.linalg.norm(places[0] - places[1], axis=1)))
 
 
