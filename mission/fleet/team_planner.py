@@ -1,7 +1,8 @@
 """One aircraft's planner in a fleet: it counts on what the others will see, and moves where all together gain.
 
-Without fresh advice, or alone on its target, it decides as the planner of a single aircraft does, but at the price of
-moves that it pays beside others: it may have been left opposite the side that nobody watches any more.
+Without fresh advice, or alone on its target, it decides as the planner of a single aircraft does. One of several does
+so at the price of moves that it pays beside others: it may have been left opposite the side that nobody watches any
+more.
 """
 
 from __future__ import annotations
@@ -61,7 +62,8 @@ class TeamPlanner:
         self._wanted, self._airspeed_m_s = 1.0 if requirement.side is Side.LEFT else -1.0, aircraft.airspeed_m_s
         self._team_with = partial(team_of, wanted=requirement.side, settings=team)
         self._teams, self._table_at = [self._team_with(one) for one in (table, *windy)], table_at
-        self._alone.price_share = self._teams[0].price
+        if requirement.fleet_size > 1:
+            self._alone.price_share = self._teams[0].price
         self._advice: FleetAdvice | None = None
         self._plans: dict[str, NeighbourPlanned] = {}
 

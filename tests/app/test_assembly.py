@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from app import value_cache
 from app.assembly import controller_of, winds_m_s
 from app.config import load_config
+from estimators.estimate import TargetEstimate, TrackQuality
 from mission.core.circle import Circle
 from mission.core.events import ControlAcquired, OperatorRequest
-from mission.core.requirement import Side
+from mission.core.plan import AircraftState, Plan
+from mission.core.requirement import Side, Wind
+from mission.fleet.team_planner import TeamPlanner
 from mission.predictive import planner
 
 
@@ -41,6 +45,25 @@ def test_a_change_of_side_computes_and_loads_no_table(monkeypatch, tmp_path):
 )
 def test_a_real_vehicle_is_made_ready_for_a_likely_wind(changes, winds):
     assert winds_m_s(load_config(None, changes)) == winds
+
+
+@pytest.mark.parametrize("fleet_size", [1, 2])
+def test_what_flies_decides_as_what_is_studied(fleet_size):
+    controller = controller_of(load_config(None, {"requirement": {"fleet_size": fleet_size}}))
+    aircraft, requirement = controller.settings.aircraft, controller.settings.requirement
+    table = value_cache.value_table(planner.table_configuration(aircraft, requirement))
+    kind = planner.PredictivePlanner if fleet_size == 1 else TeamPlanner
+    studied, circle = kind(aircraft, requirement, table), Circle(-250.0, 0.0, 50.0, True)
+    for time_s in range(30):
+        course_rad = 0.3 * time_s
+        state = AircraftState(
+            time_s, *circle.position_at_course(course_rad), course_rad, aircraft.airspeed_m_s, circle.curvature_per_m
+        )
+        velocity_m_s = (2.0, 0.5) if time_s < 15 else (-2.0, 1.0)
+        target = TargetEstimate(time_s, 0.0, 0.0, *velocity_m_s, 0.04 * np.eye(4), TrackQuality.GOOD, time_s)
+        seen = state, target, Plan(circle), Wind(), 0.5
+        flown, expected = controller.planning.decide(*seen), studied.decide(*seen)
+        assert (flown.reason, flown.values) == (expected.reason, expected.values)
 
 
 def test_a_side_is_refused_where_bearings_are_watched_from():

@@ -32,7 +32,7 @@ from app.study.judging import STEP_S, judged
 from app.study.recorded import recorded_targets
 from app.study.settings import StudySettings
 from estimators.frames import LocalPlane
-from mission.core.events import ControlAcquired, PlanStatus
+from mission.core.events import ControlAcquired, PlanStatus, UploadPlan
 from tests.autopilot.real_vehicle import FLAVOURS, ROOT, RealVehicle, configured
 
 RATE, DRAWS = float(os.environ.get("RATE", "4")), 5
@@ -122,13 +122,18 @@ def flown(vehicle: RealVehicle, guidance: str, folder: Path) -> Path:
 
 
 def seen(truth: Truth, records: JournalReader) -> tuple[np.ndarray, list[float]]:
-    """Return a flight's log (n, 6) as a study has it, once it came from home into the band, and when it moved."""
-    begin_s, departed_s = math.inf, []
+    """Return a flight's log (n, 6) as a study has it, once it came from home into the band, and when it moved.
+
+    The same circle sent with another radius, as it is flown too wide or too tight, is no move.
+    """
+    begin_s, moved_s, moving = math.inf, [], set[int]()
     for record in records:
         if isinstance(record, ControlAcquired):
             begin_s = min(begin_s, record.time_s + COMING_S)
-        elif isinstance(record, PlanStatus) and record.stage == "departed":
-            departed_s.append(record.time_s)
+        elif isinstance(record, UploadPlan) and record.plan.circle != record.present.circle:
+            moving.add(record.number)
+        elif isinstance(record, PlanStatus) and record.stage == "departed" and record.number in moving:
+            moved_s.append(record.time_s)
     plane = LocalPlane(*truth.positions_deg[:2, 0])
     rows = [
         (m.time_s, m.aircraft_east_m, m.aircraft_north_m, m.target_east_m, m.target_north_m, 0.0)
@@ -137,7 +142,7 @@ def seen(truth: Truth, records: JournalReader) -> tuple[np.ndarray, list[float]]
     log = np.array(rows)
     range_m = np.hypot(log[:, 1] - log[:, 3], log[:, 2] - log[:, 4])
     log = log[np.argmax((range_m >= 100.0) & (range_m <= 500.0)) :]
-    return log, [time_s for time_s in departed_s if time_s >= log[0, 0]]
+    return log, [time_s for time_s in moved_s if time_s >= log[0, 0]]
 
 
 def judged_as_studied(log: np.ndarray, changed_s: list[float], piece: Path) -> Watched:

@@ -158,12 +158,17 @@ def advised(team: TeamPlanner, other: tuple[AircraftState, Plan] | None, role: R
     return team
 
 
-def test_alone_it_decides_as_the_planner_of_one_does_at_the_prices_of_a_fleet():
+@pytest.mark.parametrize(("fleet_size", "price_share"), [(1, 1.0), (2, team_of(TABLE, Side.LEFT).price)])
+def test_alone_it_decides_as_the_planner_of_one_does_and_one_of_a_fleet_at_its_prices(fleet_size, price_share):
     state, plan = on_circle(-280.0, 40.0, True)
-    one = PredictivePlanner(AIRCRAFT, REQUIREMENT, TABLE)
-    one.price_share = team_of(TABLE, Side.LEFT).price
+    requirement = replace(REQUIREMENT, fleet_size=fleet_size)
+    one = PredictivePlanner(AIRCRAFT, requirement, TABLE)
+    one.price_share = price_share
     lone = one.decide(state, going(0.0), plan, Wind(), 0.5)
-    for team in (planner(), advised(planner(), None, Role.WANTED, Side.LEFT)):
+    for role in (None, Role.WANTED):
+        team = TeamPlanner(AIRCRAFT, requirement, TABLE)
+        if role is not None:
+            advised(team, None, role, Side.LEFT)
         mine = team.decide(state, going(0.0), plan, Wind(), 0.5)
         assert (mine.reason, mine.values) == (lone.reason, lone.values)
 
