@@ -133,8 +133,8 @@ AIRCRAFT = Aircraft(10.0, 50.0)
 TABLE = value_table(table_configuration(AIRCRAFT, REQUIREMENT))
 
 
-def planner(check=lambda _plan: None) -> TeamPlanner:
-    return TeamPlanner(AIRCRAFT, REQUIREMENT, TABLE, check=check)
+def planner(check=lambda _plan: None, requirement=REQUIREMENT) -> TeamPlanner:
+    return TeamPlanner(AIRCRAFT, requirement, TABLE, check=check)
 
 
 def on_circle(east_m: float, north_m: float, clockwise: bool) -> tuple[AircraftState, Plan]:
@@ -165,10 +165,8 @@ def test_alone_it_decides_as_the_planner_of_one_does_and_one_of_a_fleet_at_its_p
     one = PredictivePlanner(AIRCRAFT, requirement, TABLE)
     one.price_share = price_share
     lone = one.decide(state, going(0.0), plan, Wind(), 0.5)
-    for role in (None, Role.WANTED):
-        team = TeamPlanner(AIRCRAFT, requirement, TABLE)
-        if role is not None:
-            advised(team, None, role, Side.LEFT)
+    by_itself, told = planner(requirement=requirement), planner(requirement=requirement)
+    for team in (by_itself, advised(told, None, Role.WANTED, Side.LEFT)):
         mine = team.decide(state, going(0.0), plan, Wind(), 0.5)
         assert (mine.reason, mine.values) == (lone.reason, lone.values)
 
