@@ -8,34 +8,34 @@ from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.autopilots.autopilot import Autopilot
-from app.config import Config, Polygon, SensorsSection
-from app.errors import InputError
-from app.planners.planner_kind import PlannerNeeds
-from app.planners.registry import planner_by_name
-from app.terrain.elevation_data import elevation_data
-from estimators._imm_kernel import update
-from estimators.compiled import is_kept
-from estimators.frames import LocalPlane
-from estimators.sighting import Sighting
-from estimators.track import Track
-from estimators.tracker import SourceChoice, Tracker, TrackerSettings
-from mission.control.controller import StandoffController, StandoffSettings
-from mission.core.circle import Circle
-from mission.core.heights import ClimbRates, OneHeight
-from mission.core.plan import AircraftState, Plan, Planner
-from mission.core.requirement import Wind
-from mission.exchange.dialect import Home
-from mission.exchange.mission_controller import MissionController
-from mission.exchange.plan_backend import BackendSettings
-from mission.exchange.takeover import TakeoverSettings
-from mission.geometry.progress import nearest_arc_m, point_at
-from mission.geometry.trapezoid import Trapezoids
-from mission.upload.fences import FenceError, Fences, Outline
+from sidelong.app.autopilots.autopilot import Autopilot
+from sidelong.app.config import Config, Polygon, SensorsSection
+from sidelong.app.errors import InputError
+from sidelong.app.planners.planner_kind import PlannerNeeds
+from sidelong.app.planners.registry import planner_by_name
+from sidelong.app.terrain.elevation_data import elevation_data
+from sidelong.estimators.compiled import is_kept
+from sidelong.estimators.filters.imm_kernel import update
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.estimators.tracking.track import Track
+from sidelong.estimators.tracking.tracker import SourceChoice, Tracker, TrackerSettings
+from sidelong.mission.control.controller import StandoffController, StandoffSettings
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.heights import ClimbRates, OneHeight
+from sidelong.mission.core.plan import AircraftState, Plan, Planner
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.exchange.dialect import Home
+from sidelong.mission.exchange.mission_controller import MissionController
+from sidelong.mission.exchange.plan_backend import BackendSettings
+from sidelong.mission.exchange.takeover import TakeoverSettings
+from sidelong.mission.geometry.progress import nearest_arc_m, point_at
+from sidelong.mission.geometry.trapezoid import Trapezoids
+from sidelong.mission.upload.fences import FenceError, Fences, Outline
 
 if TYPE_CHECKING:
-    from estimators.terrain.ground import Ground
-    from mission.predictive._sight_kernel import Sight, SightAt
+    from sidelong.estimators.terrain.ground import Ground
+    from sidelong.mission.core.sight import Sight, SightAt
 
 # Lasers miss for a second or two all the time; that is nothing to tell anybody.
 _COASTING_AFTER_S = 3.0
@@ -225,8 +225,8 @@ def settle(
     if ground is None:
         return None
     # What is compiled takes a second to load: only who has elevation data waits for it.
-    from mission.terrain.heights import FlightHeights, HeightRules  # noqa: PLC0415
-    from mission.terrain.sight import SightField  # noqa: PLC0415
+    from sidelong.mission.terrain.heights import FlightHeights, HeightRules  # noqa: PLC0415
+    from sidelong.mission.terrain.sight import SightField  # noqa: PLC0415
 
     rules = HeightRules(
         aircraft.height_m,

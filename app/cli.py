@@ -14,9 +14,9 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from app.errors import FlightError, InputError, Interrupted
-from app.link.plain_text import plain
-from app.shutdown import INTERRUPTED, exit_process, heed_again, interrupt_dropped
+from sidelong.app.errors import FlightError, InputError, Interrupted
+from sidelong.app.link.plain_text import plain
+from sidelong.app.shutdown import INTERRUPTED, exit_process, heed_again, interrupt_dropped
 
 _HELP = """Watch a moving ground target from one side with a fixed-wing UAV.
 
@@ -28,17 +28,17 @@ Begin with: sidelong launch
 
 # Each command with its module and its short help: a module is loaded when its command is called.
 COMMANDS = {
-    "launch": ("app.commands.launch", "Fly beside a moving target, in simulation or a real vehicle."),
-    "connect": ("app.commands.connect", "Tell what is there and what is not ready yet."),
-    "replay": ("app.commands.replay", "Run filter and planner over a recorded flight."),
-    "report": ("app.commands.report", "Write one HTML page about a flight."),
-    "export": ("app.commands.export", "Write a flight for other programs."),
-    "check": ("app.commands.check", "Check whether a requirement can be kept."),
-    "sign": ("app.commands.sign", "Make a key for signed links, give it to a vehicle."),
-    "init": ("app.commands.init", "Write a configuration file with every key explained."),
-    "study": ("app.commands.study", "Compare planners over many targets."),
-    "terrain": ("app.commands.terrain", "Tell what elevation data covers."),
-    "sitl": ("sitl.cli", "Fly a simulated vehicle that speaks MAVLink."),
+    "launch": ("sidelong.app.commands.launch", "Fly beside a moving target, in simulation or a real vehicle."),
+    "connect": ("sidelong.app.commands.connect", "Tell what is there and what is not ready yet."),
+    "replay": ("sidelong.app.commands.replay", "Run filter and planner over a recorded flight."),
+    "report": ("sidelong.app.commands.report", "Write one HTML page about a flight."),
+    "export": ("sidelong.app.commands.export", "Write a flight for other programs."),
+    "check": ("sidelong.app.commands.check", "Check whether a requirement can be kept."),
+    "sign": ("sidelong.app.commands.sign", "Make a key for signed links, give it to a vehicle."),
+    "init": ("sidelong.app.commands.init", "Write a configuration file with every key explained."),
+    "study": ("sidelong.app.commands.study", "Compare planners over many targets."),
+    "terrain": ("sidelong.app.commands.terrain", "Tell what elevation data covers."),
+    "sitl": ("sidelong.sitl.cli", "Fly a simulated vehicle that speaks MAVLink."),
 }
 
 

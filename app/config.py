@@ -16,14 +16,14 @@ from pydantic import (
     model_validator,
 )
 
-from app.errors import InputError
-from app.planners.registry import PLANNER_NAMES, PLANNERS, planner_by_name
-from app.section import Section, validated
-from app.sharing.address import Address
-from app.text_file import read_toml
-from mission.core.requirement import Aircraft, Requirement, Side, widest_radius_m
-from mission.paper.feasibility import in_words
-from mission.viewpoint.side_policy import watching_from
+from sidelong.app.errors import InputError
+from sidelong.app.planners.registry import PLANNER_NAMES, PLANNERS, planner_by_name
+from sidelong.app.section import Section, validated
+from sidelong.app.sharing.address import Address
+from sidelong.app.text_file import read_toml
+from sidelong.mission.core.feasibility import in_words
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side, widest_radius_m
+from sidelong.mission.viewpoint.side_policy import watching_from
 
 if TYPE_CHECKING:
     PlannerName = str

@@ -1,4 +1,4 @@
-"""An event loop that ends when its work is done, whatever still blocks a thread; see :mod:`app.shutdown`."""
+"""An event loop that ends when its work is done, whatever still blocks a thread; see :mod:`sidelong.app.shutdown`."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
-from app.errors import InputError
+from sidelong.app.errors import InputError
 
 _SHOWN_CHARACTERS = 80  # of a wrong value
 

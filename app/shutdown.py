@@ -1,8 +1,8 @@
 """A process that ends when it is told to, whatever a library's threads do.
 
 MAVSDK's blocking calls run in threads that nothing can cancel. Python waits for such threads without a bound, first
-where ``asyncio.run`` ends (see :mod:`app.event_loop`) and again where the interpreter does; one call that never comes
-back would hold both.
+where ``asyncio.run`` ends (see :mod:`sidelong.app.event_loop`) and again where the interpreter does; one call that
+never comes back would hold both.
 """
 
 from __future__ import annotations

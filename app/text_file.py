@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from app.errors import InputError
+from sidelong.app.errors import InputError
 
 _CONFIG_MAX_BYTES = 256 << 10
 _STRING_OR_COMMENT = re.compile(

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mission.predictive.value_iteration import compute
-from mission.predictive.value_table import Float32, TableConfiguration, ValueTable, completed
+from sidelong.mission.predictive.value_iteration import compute
+from sidelong.mission.predictive.value_table import Float32, TableConfiguration, ValueTable, completed
 
 _REMEMBERED_MAX = 8
 _BESIDE_WITHIN_S, _NICER = 120.0, 10
@@ -71,7 +71,7 @@ async def _made_beside(configuration: TableConfiguration) -> ValueTable:
     import asyncio  # noqa: PLC0415  # with a flight it is there; who only reads a table goes without
 
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "app.value_cache"),
+        *(sys.executable, "-P", "-m", "sidelong.app.value_cache"),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         start_new_session=True,  # the terminal's Ctrl-C is not for it

@@ -6,8 +6,8 @@ Pure: time comes in as an argument, nothing here reads a clock, a socket or a fi
                               ^                     |
                              pose              imm, ekf or ukf
 
-:class:`estimators.tracker.Tracker` is the whole of it; who has sightings already begins at
-:class:`estimators.track.Track`.
+:class:`sidelong.estimators.tracking.tracker.Tracker` is the whole of it; who has sightings already begins at
+:class:`sidelong.estimators.tracking.track.Track`.
 
 Frames
 ------
@@ -32,20 +32,20 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from estimators.estimate import TargetEstimate
-    from estimators.frames import LocalPlane
-    from estimators.settings import TrackerSettings
-    from estimators.sighting import Sighting
-    from estimators.track import Track
-    from estimators.tracker import Tracker
+    from sidelong.estimators.estimate import TargetEstimate
+    from sidelong.estimators.frames import LocalPlane
+    from sidelong.estimators.sensing.sighting import Sighting
+    from sidelong.estimators.settings import TrackerSettings
+    from sidelong.estimators.tracking.track import Track
+    from sidelong.estimators.tracking.tracker import Tracker
 
 # What a researcher imports from here; each is loaded when it is first used.
 _HOMES = {
     "LocalPlane": "frames",
-    "Sighting": "sighting",
+    "Sighting": "sensing.sighting",
     "TargetEstimate": "estimate",
-    "Track": "track",
-    "Tracker": "tracker",
+    "Track": "tracking.track",
+    "Tracker": "tracking.tracker",
     "TrackerSettings": "settings",
 }
 __all__ = ["LocalPlane", "Sighting", "TargetEstimate", "Track", "Tracker", "TrackerSettings"]

@@ -126,7 +126,7 @@ class _Compiled:
         """Numba's own, which compiles for the arguments of a call."""
         import numba  # noqa: PLC0415  # see above
 
-        from estimators.kept_code import KeptCode  # noqa: PLC0415
+        from sidelong.estimators.kept_code import KeptCode  # noqa: PLC0415
 
         function = self._function
         known = dict(function.__globals__)

@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
-from estimators.ellipse import Ellipse, confidence_ellipse
+from sidelong.estimators.ellipse import Ellipse, confidence_ellipse
 
 
 class TrackQuality(StrEnum):

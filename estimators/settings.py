@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from estimators.readings import Source
+from sidelong.estimators.sensing.readings import Source
 
 TargetKind = Literal["unknown", "walker", "cyclist", "car", "boat", "animal"]
 

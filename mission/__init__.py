@@ -16,11 +16,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from mission.core.circle import Circle
-    from mission.core.plan import AircraftState, Decision, Plan, Planner
-    from mission.core.requirement import Aircraft, Requirement, Side, Wind
-    from mission.paper.planner import PaperPlanner
-    from mission.predictive.planner import PredictivePlanner
+    from sidelong.mission.core.circle import Circle
+    from sidelong.mission.core.plan import AircraftState, Decision, Plan, Planner
+    from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
+    from sidelong.mission.paper.planner import PaperPlanner
+    from sidelong.mission.predictive.planner import PredictivePlanner
 
 # What a researcher imports from here; each is loaded when it is first used.
 _HOMES = {

@@ -1,7 +1,7 @@
 """A simulated vehicle, target and payload that speak MAVLink over UDP; shares no code with what it tests.
 
-The core is :class:`sitl.simulation.Simulation`: it is stepped by hand, takes and gives datagrams, and reads no
-clock. :mod:`sitl.server` puts sockets and a clock around it, :mod:`sitl.cli` the command line.
+The core is :class:`sidelong.sitl.simulation.Simulation`: it is stepped by hand, takes and gives datagrams, and reads
+no clock. :mod:`sidelong.sitl.server` puts sockets and a clock around it, :mod:`sidelong.sitl.cli` the command line.
 
 Frames and units
 ----------------

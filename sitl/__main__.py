@@ -2,7 +2,7 @@
 
 import typer
 
-from sitl.cli import run
+from sidelong.sitl.cli import run
 
 if __name__ == "__main__":
     typer.run(run)

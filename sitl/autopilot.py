@@ -9,18 +9,18 @@ from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.airframe import GRAVITY_M_S2, Airframe, AirframeParameters, true_over_equivalent_airspeed
-from sitl.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command, Handler
-from sitl.file_server import FileServer
-from sitl.geodesy import HomePlane
-from sitl.items import RELATIVE_FRAMES, Item
-from sitl.parameters import Parameters
-from sitl.place import Place
-from sitl.radio import Radio, Station
-from sitl.settings import Settings
-from sitl.signing import Signing
-from sitl.telemetry import Builder
-from sitl.transfer import ProtocolQuirks, Store, Transfer
+from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command, Handler
+from sidelong.sitl.protocol.file_server import FileServer
+from sidelong.sitl.protocol.items import RELATIVE_FRAMES, Item
+from sidelong.sitl.protocol.parameters import Parameters
+from sidelong.sitl.protocol.radio import Radio, Station
+from sidelong.sitl.protocol.signing import Signing
+from sidelong.sitl.protocol.telemetry import Builder
+from sidelong.sitl.protocol.transfer import ProtocolQuirks, Store, Transfer
+from sidelong.sitl.settings import Settings
+from sidelong.sitl.world.airframe import GRAVITY_M_S2, Airframe, AirframeParameters, true_over_equivalent_airspeed
+from sidelong.sitl.world.geodesy import HomePlane
+from sidelong.sitl.world.place import Place
 
 _ALTITUDE_GAIN_PER_S = 0.4
 _LIFT_OFF_FRACTION = 0.85  # of the cruise airspeed

@@ -8,12 +8,12 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from sitl.binary import Binary, BinaryError
-from sitl.companion import Companion, CompanionError, accompany
-from sitl.hills import HillsError
-from sitl.settings import PayloadSettings, Settings
-from sitl.shared_target import SharedTarget
-from sitl.simulation import target_motion
+from sidelong.sitl.binary import Binary, BinaryError
+from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
+from sidelong.sitl.settings import PayloadSettings, Settings
+from sidelong.sitl.simulation import target_motion
+from sidelong.sitl.world.hills import HillsError
+from sidelong.sitl.world.shared_target import SharedTarget
 
 
 def companions_of(

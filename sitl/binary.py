@@ -14,8 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 
-from sitl.airframe import Wind
-from sitl.settings import DEFAULT_HOMES, Flavour, Home
+from sidelong.sitl.settings import DEFAULT_HOMES, Flavour, Home
+from sidelong.sitl.world.airframe import Wind
 
 _STOP_S = 5.0
 _INSTANCES = 10

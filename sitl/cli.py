@@ -17,14 +17,9 @@ from typing import Annotated
 
 import typer
 
-from sitl.airframe import Wind
-from sitl.binaries import companions_of, ready, run_binaries, waits
-from sitl.binary import BinaryError
-from sitl.companion import Companion, CompanionError, accompany
-from sitl.hills import HillsError
-from sitl.link import LinkFaults
-from sitl.motion import MOTIONS
-from sitl.options import (
+from sidelong.sitl.binaries import companions_of, ready, run_binaries, waits
+from sidelong.sitl.binary import BinaryError
+from sidelong.sitl.options import (
     DEFAULT_STATIONS,
     check_programs,
     check_ranges,
@@ -38,9 +33,11 @@ from sitl.options import (
     targets_of,
     targets_seen,
 )
-from sitl.pace import Pace
-from sitl.server import serve
-from sitl.settings import (
+from sidelong.sitl.pace import Pace
+from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
+from sidelong.sitl.protocol.link import LinkFaults
+from sidelong.sitl.server import serve
+from sidelong.sitl.settings import (
     STARTS_M,
     Flavour,
     GimbalFrame,
@@ -48,10 +45,13 @@ from sitl.settings import (
     RangeMessage,
     Settings,
 )
-from sitl.simulation import Simulation
-from sitl.track import TrackError
-from sitl.truth import TruthFile
-from sitl.world import MAX_VEHICLES, in_turn
+from sidelong.sitl.several import MAX_VEHICLES, in_turn
+from sidelong.sitl.simulation import Simulation
+from sidelong.sitl.world.airframe import Wind
+from sidelong.sitl.world.hills import HillsError
+from sidelong.sitl.world.motion import MOTIONS
+from sidelong.sitl.world.track import TrackError
+from sidelong.sitl.world.truth import TruthFile
 
 _LINE_MAX = 100  # characters
 

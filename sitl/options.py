@@ -13,12 +13,12 @@ from typing import NoReturn
 
 import typer
 
-from sitl.geodesy import HomePlane
-from sitl.hills import Hills, HillsError
-from sitl.motion import MOTIONS
-from sitl.server import Address
-from sitl.settings import DEFAULT_HOMES, STARTS_M, Flavour, Home, TargetSettings
-from sitl.signing import KeyFileError, read_key
+from sidelong.sitl.protocol.signing import KeyFileError, read_key
+from sidelong.sitl.server import Address
+from sidelong.sitl.settings import DEFAULT_HOMES, STARTS_M, Flavour, Home, TargetSettings
+from sidelong.sitl.world.geodesy import HomePlane
+from sidelong.sitl.world.hills import Hills, HillsError
+from sidelong.sitl.world.motion import MOTIONS
 
 _NAMED = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}=")
 DEFAULT_STATIONS = ("127.0.0.1:14540", "127.0.0.1:14550")

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from sitl.link import FaultyLink, LinkFaults
-from sitl.pace import Pace
-from sitl.simulation import STEP_S, Simulation
+from sidelong.sitl.pace import Pace
+from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
+from sidelong.sitl.simulation import STEP_S, Simulation
 
 Address = tuple[str, int]
 

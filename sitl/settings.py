@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
-from sitl.airframe import Wind
+from sidelong.sitl.world.airframe import Wind
 
 
 class Flavour(StrEnum):
@@ -59,7 +59,7 @@ STARTS_M = ((250.0, 300.0), (650.0, -300.0), (850.0, 300.0), (250.0, -300.0))
 
 @dataclass(frozen=True, slots=True)
 class TargetSettings:
-    """motion: a name of sitl.motion.MOTIONS or a track file. speed_max_m_s None: 3, for tracks 6.
+    """motion: a name of sidelong.sitl.world.motion.MOTIONS or a track file. speed_max_m_s None: 3, for tracks 6.
 
     start_m: east and north of the first vehicle's home. skip_s None: a track starts where it becomes lively. name: in
     the truth.

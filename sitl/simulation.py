@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from sitl.arduplane import ArduPlane
-from sitl.autopilot import Autopilot
-from sitl.hills import Hills
-from sitl.motion import Motion, built_in_motion
-from sitl.payload import PAYLOAD_MESSAGES, PERIOD_S, Payload, Sight
-from sitl.px4 import Px4
-from sitl.radio import PAYLOAD, Datagram, Station
-from sitl.settings import Flavour, Settings, TargetSettings
-from sitl.track import TrackMotion, read_track
-from sitl.truth import TruthRow
+from sidelong.sitl.arduplane.vehicle import ArduPlane
+from sidelong.sitl.autopilot import Autopilot
+from sidelong.sitl.payload.payload import PAYLOAD_MESSAGES, PERIOD_S, Payload, Sight
+from sidelong.sitl.protocol.radio import PAYLOAD, Datagram, Station
+from sidelong.sitl.px4.vehicle import Px4
+from sidelong.sitl.settings import Flavour, Settings, TargetSettings
+from sidelong.sitl.world.hills import Hills
+from sidelong.sitl.world.motion import Motion, built_in_motion
+from sidelong.sitl.world.track import TrackMotion, read_track
+from sidelong.sitl.world.truth import TruthRow
 
 STEP_S = 0.02
 _OBSERVE_EVERY = round(PERIOD_S / STEP_S)

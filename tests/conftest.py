@@ -23,7 +23,9 @@ _ports = itertools.count(101 * os.getpid())  # processes begun one after the oth
 
 
 # The planner and the filter, which every flight loads from disk once somebody has compiled them.
-_COMPILED = "from app.assembly import controller_of; from app.config import Config; controller_of(Config())"
+_COMPILED = (
+    "from sidelong.app.assembly import controller_of; from sidelong.app.config import Config; controller_of(Config())"
+)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

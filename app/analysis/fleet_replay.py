@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from app.records.journal import encode
-from mission.fleet.coordinator import FleetCoordinator
-from mission.fleet.events import FleetCommand, FleetEvent
+from sidelong.app.records.journal import encode
+from sidelong.mission.fleet.coordinator import FleetCoordinator
+from sidelong.mission.fleet.events import FleetCommand, FleetEvent
 
 
 @dataclass(frozen=True, slots=True)

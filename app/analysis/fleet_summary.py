@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from rich.table import Table
 
-from app.analysis.score import Asked, Judged, Moment, judge
-from app.analysis.summary import Summary
+from sidelong.app.analysis.score import Asked, Judged, Moment, judge
+from sidelong.app.analysis.summary import Summary
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

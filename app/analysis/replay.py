@@ -13,11 +13,11 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-from app.errors import InputError
-from app.records.journal import encode
-from estimators.estimate import TargetEstimate
-from estimators.frames import LocalPlane
-from estimators.readings import (
+from sidelong.app.errors import InputError
+from sidelong.app.records.journal import encode
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import (
     AttitudeReading,
     GimbalReading,
     PositionReading,
@@ -25,10 +25,10 @@ from estimators.readings import (
     Reading,
     TargetFixReading,
 )
-from mission.control.controller import StandoffController
-from mission.control.snapshot import Snapshot
-from mission.core.circle import Circle
-from mission.core.events import (
+from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import (
     Announce,
     Command,
     ControlAcquired,
@@ -37,14 +37,14 @@ from mission.core.events import (
     UploadPlan,
     WindReported,
 )
-from mission.exchange.mission_controller import DERIVED, InboundEvent, MissionController, Output
-from mission.exchange.outbox import SendMessage, TakeoverFailed
-from mission.exchange.reports import ExchangeEvent
+from sidelong.mission.exchange.mission_controller import DERIVED, InboundEvent, MissionController, Output
+from sidelong.mission.exchange.outbox import SendMessage, TakeoverFailed
+from sidelong.mission.exchange.reports import ExchangeEvent
 
 if TYPE_CHECKING:
-    from app.link.message import Message
-    from app.link.telemetry import Telemetry
-    from app.records.log import Log
+    from sidelong.app.link.message import Message
+    from sidelong.app.link.telemetry import Telemetry
+    from sidelong.app.records.log import Log
 
 _MODE = "as recorded"
 # By type alone, which a set tells at once: no event but the exchange's own is of a type derived from another.

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from app.analysis.target_course import TargetCourse
-from estimators.frames import wrap_rad
-from mission.core.requirement import Requirement
+from sidelong.app.analysis.target_course import TargetCourse
+from sidelong.estimators.frames import wrap_rad
+from sidelong.mission.core.requirement import Requirement
 
 STANDING_M_S = 0.3  # the truth's
 

@@ -9,13 +9,13 @@ from typing import Any, Literal
 
 from rich.table import Table
 
-from app.analysis.score import Asked, Moment, Score, asked_at, score
-from app.analysis.truth import Truth
-from estimators.biases import Calibration
-from estimators.frames import LocalPlane
-from estimators.terrain.ground import Ground
-from mission.control.snapshot import Snapshot
-from mission.core.requirement import Requirement
+from sidelong.app.analysis.score import Asked, Moment, Score, asked_at, score
+from sidelong.app.analysis.truth import Truth
+from sidelong.estimators.filters.biases import Calibration
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.core.requirement import Requirement
 
 _TRUTH_STEP_S = 0.5
 _EYE_M = 1.0  # of the target over its ground
@@ -145,7 +145,7 @@ class SummaryCollector:
     def over_ground(self, start_s: float) -> tuple[float | None, float | None]:
         """Return the share of time since ``start_s`` in which no hill hides the estimated place, and the clearance.
 
-        As :meth:`app.analysis.truth.Truth.over_ground` has them; None without elevation data.
+        As :meth:`sidelong.app.analysis.truth.Truth.over_ground` has them; None without elevation data.
         """
         since = [(seen, clear_m) for time_s, seen, clear_m in self._over_ground if time_s >= start_s]
         clear = [clear_m for _, clear_m in since if not math.isnan(clear_m)]

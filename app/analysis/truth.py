@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from app.analysis.score import Moment
-from app.errors import InputError
-from estimators.frames import LocalPlane
+from sidelong.app.analysis.score import Moment
+from sidelong.app.errors import InputError
+from sidelong.estimators.frames import LocalPlane
 
 _POSITION_COLUMNS = ("target_lat_deg", "target_lon_deg", "uav_lat_deg", "uav_lon_deg")
 _GROUND_COLUMNS = ("clearance_m", "in_sight")

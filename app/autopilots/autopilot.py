@@ -1,7 +1,7 @@
 """All that autopilots do differently, as one Protocol: their part in the exchange, their parameters and limits.
 
-A module for each fills it in, and ``app.autopilots.registry`` knows them all; the rest of the program does not know
-which one it flies.
+A module for each fills it in, and ``sidelong.app.autopilots.registry`` knows them all; the rest of the program does
+not know which one it flies.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from app.autopilots.required_parameter import RequiredParameter
-from mission.exchange.dialect import AutopilotDialect
+from sidelong.app.autopilots.required_parameter import RequiredParameter
+from sidelong.mission.exchange.dialect import AutopilotDialect
 
 
 @dataclass(frozen=True, slots=True)

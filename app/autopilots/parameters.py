@@ -8,10 +8,10 @@ import struct
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from typing import Any
 
-from app.autopilots.required_parameter import RequiredParameter
-from app.errors import InputError
-from app.link.modes import AUTOPILOT_PX4
-from app.link.vehicle import Vehicle
+from sidelong.app.autopilots.required_parameter import RequiredParameter
+from sidelong.app.errors import InputError
+from sidelong.app.link.modes import AUTOPILOT_PX4
+from sidelong.app.link.vehicle import Vehicle
 
 _ANSWER_S = 0.8  # since the last answer; then those that are missing are asked for again
 _IDLE_S, _IDLE_ROUNDS = 1.6, 2  # so long, and so often, without an answer: there is none of that name

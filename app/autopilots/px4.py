@@ -8,16 +8,16 @@ from typing import ClassVar
 
 from pymavlink.dialects.v20 import common as _mav
 
-from app.autopilots.autopilot import Limits
-from app.autopilots.required_parameter import RequiredParameter, required_airspeed
-from app.link.modes import AUTOPILOT_PX4
-from mission.core.requirement import Wind
-from mission.exchange.dialect import CircleOrder, Home, ProtocolQuirks
-from mission.exchange.raw_item import RawItem, raw_item
-from mission.exchange.reports import OrbitReported, VehicleReport
-from mission.exchange.vehicle_command import VehicleCommand
-from mission.upload.items import Item
-from mission.upload.line_tracking import LineTracking, px4
+from sidelong.app.autopilots.autopilot import Limits
+from sidelong.app.autopilots.required_parameter import RequiredParameter, required_airspeed
+from sidelong.app.link.modes import AUTOPILOT_PX4
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.exchange.dialect import CircleOrder, Home, ProtocolQuirks
+from sidelong.mission.exchange.raw_item import RawItem, raw_item
+from sidelong.mission.exchange.reports import OrbitReported, VehicleReport
+from sidelong.mission.exchange.vehicle_command import VehicleCommand
+from sidelong.mission.upload.items import Item
+from sidelong.mission.upload.line_tracking import LineTracking, px4
 
 _CUSTOM_MODE_ENABLED = 1
 _AUTO, _MISSION, _RTL = 4, 4, 5

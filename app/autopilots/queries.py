@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 
-from app.link.modes import ARMED_FLAG, mode_name
-from app.link.vehicle import Vehicle
-from mission.exchange.dialect import Home
+from sidelong.app.link.modes import ARMED_FLAG, mode_name
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.mission.exchange.dialect import Home
 
 _FLYING_HEIGHT_M = 25.0
 _ANSWER_S, _TRIES = 0.8, 3

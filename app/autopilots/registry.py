@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from app.autopilots.arduplane import ArduPlane
-from app.autopilots.autopilot import Autopilot
-from app.autopilots.px4 import Px4
+from sidelong.app.autopilots.arduplane import ArduPlane
+from sidelong.app.autopilots.autopilot import Autopilot
+from sidelong.app.autopilots.px4 import Px4
 
 AUTOPILOTS: tuple[Autopilot, ...] = (
     ArduPlane(),

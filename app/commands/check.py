@@ -9,14 +9,15 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from app.commands.output import JsonOption, checked_output, console, write_json
-from app.commands.radius import RadiusOption, warn_of_little_room
-from app.config import Config, load_config
-from app.errors import InputError
-from app.fleet.fleet_file import load_fleet, names_a_fleet
-from mission.paper.feasibility import Feasibility, feasibility, in_words
-from mission.paper.optimum import ThresholdBounds, threshold_bounds
-from mission.paper.optimum import optimise as optimum
+from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
+from sidelong.app.commands.radius import RadiusOption, warn_of_little_room
+from sidelong.app.config import Config, load_config
+from sidelong.app.errors import InputError
+from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
+from sidelong.mission.core.feasibility import in_words
+from sidelong.mission.paper.feasibility import Feasibility, feasibility
+from sidelong.mission.paper.optimum import ThresholdBounds, threshold_bounds
+from sidelong.mission.paper.optimum import optimise as optimum
 
 _LABELS = {
     "x_tr_m": ("advance of one turn of the transition (x_tr)", "m"),

@@ -9,20 +9,20 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from app.autopilots.autopilot import parameter_notes
-from app.autopilots.parameters import read_parameters
-from app.autopilots.queries import home_of, mode_of
-from app.commands.output import JsonOption, checked_output, console, write_json
-from app.config import Config, load_config
-from app.errors import InputError
-from app.event_loop import run
-from app.fleet.fleet_file import load_fleet, names_a_fleet
-from app.flight.flight import connected
-from app.flight.preflight import Check, checks
-from app.flight.source_rates import SourceRates
-from app.flight.source_use import describe_use
-from app.flight.streams import ask_for_streams
-from app.link.url import checked_url
+from sidelong.app.autopilots.autopilot import parameter_notes
+from sidelong.app.autopilots.parameters import read_parameters
+from sidelong.app.autopilots.queries import home_of, mode_of
+from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
+from sidelong.app.config import Config, load_config
+from sidelong.app.errors import InputError
+from sidelong.app.event_loop import run
+from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
+from sidelong.app.flight.flight import connected
+from sidelong.app.flight.preflight import Check, checks
+from sidelong.app.flight.source_rates import SourceRates
+from sidelong.app.flight.source_use import describe_use
+from sidelong.app.flight.streams import ask_for_streams
+from sidelong.app.link.url import checked_url
 
 
 def connect(

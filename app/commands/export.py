@@ -10,23 +10,23 @@ from typing import Annotated
 
 import typer
 
-from app.assembly import tracker_of
-from app.commands.output import checked_file, console
-from app.commands.progress import progress_bar
-from app.errors import InputError
-from app.records.export import MISSIONS, Format
-from app.records.export import export as write
-from app.records.klv import KlvLog
-from app.records.log import open_log
-from app.records.log_context import LogContext
-from app.records.mcap import LAYOUT, McapLog
-from app.records.mcap_writer import McapWriter
-from app.records.run_folder import FleetFolder, RunFolder
-from app.records.track import Flight, Mission
-from app.report.sources import Flown, feed, read_flight
-from mission.core.plan import Plan
-from mission.upload.items import plan_items
-from mission.upload.line_tracking import arduplane, px4
+from sidelong.app.assembly import tracker_of
+from sidelong.app.commands.output import checked_file, console
+from sidelong.app.commands.progress import progress_bar
+from sidelong.app.errors import InputError
+from sidelong.app.records.export import MISSIONS, Format
+from sidelong.app.records.export import export as write
+from sidelong.app.records.klv import KlvLog
+from sidelong.app.records.log import open_log
+from sidelong.app.records.log_context import LogContext
+from sidelong.app.records.mcap import LAYOUT, McapLog
+from sidelong.app.records.mcap_writer import McapWriter
+from sidelong.app.records.run_folder import FleetFolder, RunFolder
+from sidelong.app.records.track import Flight, Mission
+from sidelong.app.report.sources import Flown, feed, read_flight
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.upload.items import plan_items
+from sidelong.mission.upload.line_tracking import arduplane, px4
 
 _TRACKING = {"arduplane": arduplane, "px4": px4}
 

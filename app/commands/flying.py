@@ -9,10 +9,10 @@ from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
-from app.errors import FlightError, Interrupted
-from app.event_loop import run
-from app.flight.life import Life
-from app.shutdown import interrupt_dropped
+from sidelong.app.errors import FlightError, Interrupted
+from sidelong.app.event_loop import run
+from sidelong.app.flight.life import Life
+from sidelong.app.shutdown import interrupt_dropped
 
 _NOTHING_COMMANDED = "interrupted: nothing was commanded; no records are kept."
 

@@ -12,11 +12,11 @@ import typer
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic.fields import FieldInfo
 
-from app.commands.output import console
-from app.config import MAX_AIRCRAFT, AircraftSection, Config
-from app.errors import InputError
-from app.fleet.fleet_file import LAYER_M, FleetAircraftSection, TargetSection
-from app.presets import PRESETS, Preset
+from sidelong.app.commands.output import console
+from sidelong.app.config import MAX_AIRCRAFT, AircraftSection, Config
+from sidelong.app.errors import InputError
+from sidelong.app.fleet.fleet_file import LAYER_M, FleetAircraftSection, TargetSection
+from sidelong.app.presets import PRESETS, Preset
 
 _WIDTH = 112
 # What a key that is not set, or an empty list, would look like.

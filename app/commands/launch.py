@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from app.commands.output import (
+from sidelong.app.commands.output import (
     JsonOption,
     checked_output,
     console,
@@ -17,23 +17,23 @@ from app.commands.output import (
     warn,
     write_json,
 )
-from app.commands.page_options import BoundsOption, MapOption, PortOption
-from app.commands.radius import warn_of_little_room
-from app.commands.report import write_fleet_report, write_report
-from app.config import MAX_AIRCRAFT, Config, check_flyable, load_config
-from app.errors import InputError
-from app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
-from app.flight.outputs import check_sharing
-from app.link.key_file import read_key
-from app.link.url import checked_url
-from app.planners.registry import PLANNER_NAMES
-from app.records.mcap_writer import mcap_writer_class
-from app.terrain.elevation_data import elevation_data
-from app.view.address import DEFAULT_PORT, LOOPBACK, page_address
+from sidelong.app.commands.page_options import BoundsOption, MapOption, PortOption
+from sidelong.app.commands.radius import warn_of_little_room
+from sidelong.app.commands.report import write_fleet_report, write_report
+from sidelong.app.config import MAX_AIRCRAFT, Config, check_flyable, load_config
+from sidelong.app.errors import InputError
+from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
+from sidelong.app.flight.outputs import check_sharing
+from sidelong.app.link.key_file import read_key
+from sidelong.app.link.url import checked_url
+from sidelong.app.planners.registry import PLANNER_NAMES
+from sidelong.app.records.mcap_writer import mcap_writer_class
+from sidelong.app.terrain.elevation_data import elevation_data
+from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, page_address
 
 if TYPE_CHECKING:
-    from app.commands.launch_one import FlightEnded
-    from app.flight.fleet_flight import FleetEnded
+    from sidelong.app.commands.launch_one import FlightEnded
+    from sidelong.app.flight.fleet_flight import FleetEnded
 
 _DURATION_S = 1200.0
 
@@ -185,7 +185,7 @@ def launch(
         if len(several.aircraft) > 1:
             _check_fleet(several, point_gimbal, system_id)
             # What flies takes a second to load; a wrong option is told before.
-            from app.commands.launch_fleet import fly_fleet  # noqa: PLC0415
+            from sidelong.app.commands.launch_fleet import fly_fleet  # noqa: PLC0415
 
             with shielded_output():
                 flown = fly_fleet(several, duration, out, quiet, point_gimbal, address)
@@ -203,7 +203,7 @@ def launch(
     check_flyable(settings)
     _check_input(settings, point_gimbal)
     warn_of_little_room(settings)
-    from app.commands.launch_one import fly_one  # noqa: PLC0415  # as above
+    from sidelong.app.commands.launch_one import fly_one  # noqa: PLC0415  # as above
 
     with shielded_output():
         ended = fly_one(settings, duration, out, quiet, point_gimbal, address)
@@ -235,8 +235,8 @@ def _check_input(settings: Config, point_gimbal: bool) -> None:
 
 
 def _check_target(target: str) -> None:
-    from sitl.motion import MOTIONS  # noqa: PLC0415  # only a simulated flight needs them
-    from sitl.track import TrackError, read_track  # noqa: PLC0415
+    from sidelong.sitl.world.motion import MOTIONS  # noqa: PLC0415  # only a simulated flight needs them
+    from sidelong.sitl.world.track import TrackError, read_track  # noqa: PLC0415
 
     if target in MOTIONS:
         return
@@ -256,8 +256,8 @@ def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) ->
 
 
 def _write_mcap(run: Path) -> None:
-    from app.commands.export import write_export  # noqa: PLC0415  # as above
-    from app.records.export import Format  # noqa: PLC0415
+    from sidelong.app.commands.export import write_export  # noqa: PLC0415  # as above
+    from sidelong.app.records.export import Format  # noqa: PLC0415
 
     write_export(run, Format.MCAP)
 

@@ -10,26 +10,26 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-from app.analysis.summary import Summary
-from app.analysis.truth import truth_if_whole
-from app.assembly import controller_of
-from app.commands.flying import kept_if_armed, run_flight
-from app.commands.output import console, warn
-from app.commands.progress import table_progress
-from app.config import Config
-from app.errors import FlightError, InputError, Interrupted
-from app.flight.display import FlightDisplay
-from app.flight.flight import Flight, Sharing, connected
-from app.flight.life import Life, describe_aircraft
-from app.flight.link_log import ClockRate, link_log
-from app.flight.recording import Recording
-from app.flight.simulated import SimulatedVehicles
-from app.link.discovery import SETTLING_S
-from app.records.run_folder import RunFolder
-from app.view.address import Address
-from app.view.display import ViewDisplay, served
-from app.view.panel import PanelDisplay
-from app.view.prompt import keyboard_descriptor
+from sidelong.app.analysis.summary import Summary
+from sidelong.app.analysis.truth import truth_if_whole
+from sidelong.app.assembly import controller_of
+from sidelong.app.commands.flying import kept_if_armed, run_flight
+from sidelong.app.commands.output import console, warn
+from sidelong.app.commands.progress import table_progress
+from sidelong.app.config import Config
+from sidelong.app.errors import FlightError, InputError, Interrupted
+from sidelong.app.flight.display import FlightDisplay
+from sidelong.app.flight.flight import Flight, Sharing, connected
+from sidelong.app.flight.life import Life, describe_aircraft
+from sidelong.app.flight.link_log import ClockRate, link_log
+from sidelong.app.flight.recording import Recording
+from sidelong.app.flight.simulated import SimulatedVehicles
+from sidelong.app.link.discovery import SETTLING_S
+from sidelong.app.records.run_folder import RunFolder
+from sidelong.app.view.address import Address
+from sidelong.app.view.display import ViewDisplay, served
+from sidelong.app.view.panel import PanelDisplay
+from sidelong.app.view.prompt import keyboard_descriptor
 
 
 @dataclass(frozen=True, slots=True)

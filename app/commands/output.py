@@ -15,8 +15,8 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
-from app.errors import InputError
-from app.shutdown import abandon
+from sidelong.app.errors import InputError
+from sidelong.app.shutdown import abandon
 
 _WIDE = 400  # characters, more than any table
 

@@ -18,8 +18,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from app.commands.output import console
-from app.link.plain_text import plain
+from sidelong.app.commands.output import console
+from sidelong.app.link.plain_text import plain
 
 _TOLD_EVERY_S = 30.0  # where there is no terminal
 

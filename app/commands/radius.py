@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from app.commands.output import console
-from app.config import Config, room_warning
+from sidelong.app.commands.output import console
+from sidelong.app.config import Config, room_warning
 
 
 def _parsed(words: str) -> float | str:

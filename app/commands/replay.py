@@ -12,30 +12,37 @@ import typer
 from rich.progress import Progress
 from rich.text import Text
 
-from app.analysis.replay import JournalReplay, LogReplay, Proposals, Replayed, announcements, require_sightings
-from app.analysis.summary import Summary, SummaryCollector, describe_calibration, summarise
-from app.analysis.truth import Truth, read_truth
-from app.assembly import controller_of, mission_controller_of, settle
-from app.autopilots.registry import autopilot_by_name
-from app.commands.output import JsonOption, checked_output, console, write_json
-from app.commands.page_options import BoundsOption, MapOption, PortOption
-from app.commands.progress import progress_bar, table_progress
-from app.config import Config, load_config, with_values
-from app.errors import FlightError, InputError
-from app.flight.recording import JOURNAL_TYPES, journalled_config
-from app.planners.registry import PLANNER_NAMES
-from app.records.journal import Header, JournalReader
-from app.records.run_folder import FleetFolder, RunFolder, require_recording
-from app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
-from app.view.clock import clock
-from app.view.frames import Frames
-from app.view.player import SPEED_MAX
-from app.view.state import StateEncoder
-from estimators.frames import LocalPlane
-from mission.control.controller import StandoffController
-from mission.core.events import ControlAcquired
-from mission.exchange.dialect import Home
-from mission.exchange.mission_controller import MissionController
+from sidelong.app.analysis.replay import (
+    JournalReplay,
+    LogReplay,
+    Proposals,
+    Replayed,
+    announcements,
+    require_sightings,
+)
+from sidelong.app.analysis.summary import Summary, SummaryCollector, describe_calibration, summarise
+from sidelong.app.analysis.truth import Truth, read_truth
+from sidelong.app.assembly import controller_of, mission_controller_of, settle
+from sidelong.app.autopilots.registry import autopilot_by_name
+from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
+from sidelong.app.commands.page_options import BoundsOption, MapOption, PortOption
+from sidelong.app.commands.progress import progress_bar, table_progress
+from sidelong.app.config import Config, load_config, with_values
+from sidelong.app.errors import FlightError, InputError
+from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
+from sidelong.app.planners.registry import PLANNER_NAMES
+from sidelong.app.records.journal import Header, JournalReader
+from sidelong.app.records.run_folder import FleetFolder, RunFolder, require_recording
+from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, page_address
+from sidelong.app.view.clock import clock
+from sidelong.app.view.frames import Frames
+from sidelong.app.view.player import SPEED_MAX
+from sidelong.app.view.state import StateEncoder
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.core.events import ControlAcquired
+from sidelong.mission.exchange.dialect import Home
+from sidelong.mission.exchange.mission_controller import MissionController
 
 
 def replay(
@@ -91,7 +98,7 @@ def replay(
         def one(folder: RunFolder) -> Summary:
             return _replay_run(folder.path, truth, None, changes, verify, quiet)
 
-        from app.commands.replay_fleet import replay_fleet  # noqa: PLC0415  # it takes half a second to load
+        from sidelong.app.commands.replay_fleet import replay_fleet  # noqa: PLC0415  # it takes half a second to load
 
         write_json(json, replay_fleet(fleet, one, verify))
         return
@@ -128,8 +135,8 @@ def _changes(given: list[str], planner: str | None) -> dict[str, dict[str, Any]]
 def _replay_log(
     path: Path, truth: Path | None, settings: Config, quiet: bool, frames: Frames | None = None
 ) -> Summary:
-    from app.link.telemetry import Telemetry  # noqa: PLC0415  # a run of ours is read without
-    from app.records.log import open_log  # noqa: PLC0415
+    from sidelong.app.link.telemetry import Telemetry  # noqa: PLC0415  # a run of ours is read without
+    from sidelong.app.records.log import open_log  # noqa: PLC0415
 
     log = open_log(path)
     telemetry = Telemetry()
@@ -223,7 +230,7 @@ class _Shown:
         write_json(self.json, result.as_json())
         if not frames.times_s:
             raise InputError(f"{self.name}: there is nothing to show, the vehicle told no position.")
-        from app.view.replay_page import serve_replay  # noqa: PLC0415  # it takes a third of a second to load
+        from sidelong.app.view.replay_page import serve_replay  # noqa: PLC0415  # it takes a third of a second to load
 
         serve_replay(
             frames,

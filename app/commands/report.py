@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from app.analysis.truth import read_truth
-from app.commands.output import console
-from app.commands.progress import progress_bar
-from app.errors import InputError
-from app.records.run_folder import FleetFolder, require_recording
+from sidelong.app.analysis.truth import read_truth
+from sidelong.app.commands.output import console
+from sidelong.app.commands.progress import progress_bar
+from sidelong.app.errors import InputError
+from sidelong.app.records.run_folder import FleetFolder, require_recording
 
 
 def report(
@@ -58,8 +58,8 @@ def write_report(
     require_recording(run)
     _check_out(out)
     # Only a report needs matplotlib, which takes a second to load.
-    from app.report.page import report_page, save_png  # noqa: PLC0415
-    from app.report.sources import read_flight  # noqa: PLC0415
+    from sidelong.app.report.page import report_page, save_png  # noqa: PLC0415
+    from sidelong.app.report.sources import read_flight  # noqa: PLC0415
 
     progress, task = progress_bar(run.name)
     with progress:
@@ -76,9 +76,9 @@ def write_report(
 def write_fleet_report(folder: FleetFolder, out: Path) -> None:
     """Write the page about a fleet's flight, and each aircraft's into its own folder. Raises as ``write_report``."""
     _check_out(out)
-    from app.report.fleet_flown import read_fleet  # noqa: PLC0415
-    from app.report.fleet_page import fleet_page  # noqa: PLC0415
-    from app.report.page import report_page  # noqa: PLC0415
+    from sidelong.app.report.fleet_flown import read_fleet  # noqa: PLC0415
+    from sidelong.app.report.fleet_page import fleet_page  # noqa: PLC0415
+    from sidelong.app.report.page import report_page  # noqa: PLC0415
 
     progress, task = progress_bar(folder.path.name)
     with progress:

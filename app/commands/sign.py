@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from app.commands.output import console
-from app.errors import InputError
-from app.link.key_file import kept_times, make_key, read_key
-from app.link.key_setup import KeySetup, checked_local_url
-from app.link.signing import signing_time
+from sidelong.app.commands.output import console
+from sidelong.app.errors import InputError
+from sidelong.app.link.key_file import kept_times, make_key, read_key
+from sidelong.app.link.key_setup import KeySetup, checked_local_url
+from sidelong.app.link.signing import signing_time
 
 
 def sign(

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from app.commands.output import (
+from sidelong.app.commands.output import (
     JsonOption,
     checked_file,
     checked_output,
@@ -22,25 +22,32 @@ from app.commands.output import (
     print_whole,
     write_json,
 )
-from app.commands.progress import runs_progress
-from app.commands.radius import RadiusOption
-from app.config import load_config
-from app.errors import InputError
-from app.study import export as exporting
-from app.study._flight_kernel import advance as advance_flight
-from app.study.design import Design, Overrides, configured, designs, parsed_sweep
-from app.study.fleet import FleetPlannerName
-from app.study.fleet_study import fleet_json, fleet_table, fly_fleets
-from app.study.processes import on_processes
-from app.study.recorded import recorded_targets
-from app.study.report import HEADINGS_EXPLAINED, study_json, study_table, study_title, sweep_json, sweep_table
-from app.study.settings import AUTOPILOTS, Hills, PlannerName, StudySettings
-from app.study.store import ResultStore
-from app.study.study import Study, table_of
-from app.terrain.elevation_data import elevation_data
-from estimators.compiled import is_kept
-from estimators.frames import LocalPlane
-from mission.core.requirement import Requirement
+from sidelong.app.commands.progress import runs_progress
+from sidelong.app.commands.radius import RadiusOption
+from sidelong.app.config import load_config
+from sidelong.app.errors import InputError
+from sidelong.app.study import export as exporting
+from sidelong.app.study.design import Design, Overrides, configured, designs, parsed_sweep
+from sidelong.app.study.fleet import FleetPlannerName
+from sidelong.app.study.fleet_study import fleet_json, fleet_table, fly_fleets
+from sidelong.app.study.flight_kernel import advance as advance_flight
+from sidelong.app.study.processes import on_processes
+from sidelong.app.study.recorded import recorded_targets
+from sidelong.app.study.report import (
+    HEADINGS_EXPLAINED,
+    study_json,
+    study_table,
+    study_title,
+    sweep_json,
+    sweep_table,
+)
+from sidelong.app.study.settings import AUTOPILOTS, Hills, PlannerName, StudySettings
+from sidelong.app.study.store import ResultStore
+from sidelong.app.study.study import Study, table_of
+from sidelong.app.terrain.elevation_data import elevation_data
+from sidelong.estimators.compiled import is_kept
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.requirement import Requirement
 
 _LEGS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
 _FIGURES = (".png", ".pdf", ".svg")
@@ -202,7 +209,7 @@ def study(
             _written("--export", export, lambda: exporting.write_runs(whole, export))
         if out is not None or report is not None:
             # Only figures need matplotlib, which takes a second to load.
-            from app.study import figure, page  # noqa: PLC0415
+            from sidelong.app.study import figure, page  # noqa: PLC0415
 
             if out is not None:
                 _written("--out", out, lambda: figure.write_figure(whole.result(found[0]), out))
@@ -218,7 +225,7 @@ def _hills(terrain: Path, home: str | None, planners: list[PlannerName] | None, 
     home_deg = latitude_longitude_deg("--home", home)
     if home_deg is None:
         raise InputError("--terrain needs a place within the elevation data; give --home LAT,LON.")
-    from app.study.hills import hills_of  # noqa: PLC0415  # what is compiled takes a second to load
+    from sidelong.app.study.hills import hills_of  # noqa: PLC0415  # what is compiled takes a second to load
 
     return hills_of(elevation_data(terrain).ground(LocalPlane(*home_deg), home_deg))
 
@@ -256,7 +263,7 @@ def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:
     processes = jobs or os.cpu_count() or 1
     with runs_progress(missing) as (advance, computing):
         if scheduler is not None:
-            from app.study.cluster import on_cluster  # noqa: PLC0415  # an extra
+            from sidelong.app.study.cluster import on_cluster  # noqa: PLC0415  # an extra
 
             executor, size = on_cluster(scheduler, console.print), _BATCH_MAX
         else:

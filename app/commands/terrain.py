@@ -8,10 +8,10 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from app.commands.output import JsonOption, checked_output, console, write_json
-from app.errors import InputError
-from app.terrain.elevation_data import Coverage, ElevationData
-from app.terrain.tile import Bounds
+from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
+from sidelong.app.errors import InputError
+from sidelong.app.terrain.elevation_data import Coverage, ElevationData
+from sidelong.app.terrain.tile import Bounds
 
 
 def terrain(

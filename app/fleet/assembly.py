@@ -6,20 +6,20 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from app.assembly import planner_needs, tracker_settings
-from app.fleet.fleet_file import FleetFile
-from app.planners.predictive import Predictive
-from estimators.joint_track import JointTrack
-from estimators.settings import TrackerSettings
-from estimators.sighting import Sighting
-from mission.core.circle import Circle
-from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Aircraft, Requirement, Side, Wind
-from mission.fleet.coordinator import FleetCoordinator, FleetTarget
-from mission.fleet.team_planner import TeamPlanner
-from mission.fleet.vehicle import FleetMember
-from mission.predictive._sight_kernel import NOTHING_HIDDEN, Sight
+from sidelong.app.assembly import planner_needs, tracker_settings
+from sidelong.app.fleet.fleet_file import FleetFile
+from sidelong.app.planners.predictive import Predictive
+from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.joint_track import JointTrack
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
+from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight
+from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
+from sidelong.mission.fleet.team_planner import TeamPlanner
+from sidelong.mission.fleet.vehicle import FleetMember
 
 
 def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda _share: None) -> FleetCoordinator:

@@ -13,12 +13,19 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from app.config import MAX_AIRCRAFT, AircraftSection, Config, RequirementSection, SensorsSection, check_flyable
-from app.errors import InputError
-from app.section import Section, validated
-from app.sharing.cot import PLAIN_CALLSIGN
-from app.text_file import read_toml
-from mission.core.requirement import Requirement, Side
+from sidelong.app.config import (
+    MAX_AIRCRAFT,
+    AircraftSection,
+    Config,
+    RequirementSection,
+    SensorsSection,
+    check_flyable,
+)
+from sidelong.app.errors import InputError
+from sidelong.app.section import Section, validated
+from sidelong.app.sharing.cot import PLAIN_CALLSIGN
+from sidelong.app.text_file import read_toml
+from sidelong.mission.core.requirement import Requirement, Side
 
 MIN_LAYER_M = 30.0
 """Least difference of two aircraft's heights."""

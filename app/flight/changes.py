@@ -10,13 +10,13 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import replace
 
-from app.assembly import winds_m_s
-from app.config import Config, check_flyable, with_values
-from app.errors import InputError
-from app.planners.registry import planner_by_name
-from mission.control.controller import StandoffController
-from mission.control.mission_change import describe_change
-from mission.core.events import Announce, MissionChange
+from sidelong.app.assembly import winds_m_s
+from sidelong.app.config import Config, check_flyable, with_values
+from sidelong.app.errors import InputError
+from sidelong.app.planners.registry import planner_by_name
+from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.control.mission_change import describe_change
+from sidelong.mission.core.events import Announce, MissionChange
 
 
 class MissionChanges:

@@ -10,18 +10,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import get_args
 
-from app.flight.loop import Stepped
-from app.flight.vehicle_clock import VehicleClockReader
-from app.link.message import Message
-from app.records.journal import JournalWriter
-from mission.control.controller import StandoffController
-from mission.core.events import Event
-from mission.core.fleet import FleetAdvice, NeighbourPlanned
-from mission.core.plan import HeightProfile, Plan
-from mission.core.requirement import Requirement, Side
-from mission.exchange.mission_controller import InboundEvent, Output
-from mission.fleet.coordinator import FleetCoordinator
-from mission.fleet.events import (
+from sidelong.app.flight.loop import Stepped
+from sidelong.app.flight.vehicle_clock import VehicleClockReader
+from sidelong.app.link.message import Message
+from sidelong.app.records.journal import JournalWriter
+from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.core.events import Event
+from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned
+from sidelong.mission.core.plan import HeightProfile, Plan
+from sidelong.mission.core.requirement import Requirement, Side
+from sidelong.mission.exchange.mission_controller import InboundEvent, Output
+from sidelong.mission.fleet.coordinator import FleetCoordinator
+from sidelong.mission.fleet.events import (
     BatteryReported,
     FleetAnnounce,
     FleetCommand,
@@ -37,7 +37,7 @@ from mission.fleet.events import (
     VehicleLost,
     VehicleReported,
 )
-from mission.fleet.reports import FleetReporter
+from sidelong.mission.fleet.reports import FleetReporter
 
 FLEET_JOURNAL_TYPES: tuple[type, ...] = (*get_args(FleetEvent), *get_args(FleetCommand))
 

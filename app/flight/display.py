@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from app.flight.loop import Display
-from app.link.vehicle_status import VehicleStatus
-from estimators.frames import LocalPlane
-from mission.core.events import MissionChange, OperatorRequest
+from sidelong.app.flight.loop import Display
+from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.events import MissionChange, OperatorRequest
 
 Wish = OperatorRequest | MissionChange
 """What a person asks for."""

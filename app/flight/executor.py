@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 
-from app.link.link import LinkError
-from app.link.vehicle import Vehicle
-from mission.exchange.outbox import SendMessage
+from sidelong.app.link.link import LinkError
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.mission.exchange.outbox import SendMessage
 
 
 class CommandExecutor:

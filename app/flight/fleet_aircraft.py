@@ -5,20 +5,20 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 
-from app.analysis.fleet_summary import FlownTrack
-from app.analysis.summary import Summary
-from app.analysis.truth import Truth
-from app.fleet.fleet_file import Member
-from app.flight.display import FlightDisplay
-from app.flight.flight import Flight, Session
-from app.flight.life import describe_aircraft
-from app.flight.link_log import ClockRate
-from app.flight.recording import Recording
-from app.link.frames import Frame
-from app.link.mavsdk_link import OWN_SYSTEM_ID
-from app.records.run_folder import RunFolder
-from mission.control.controller import StandoffController
-from mission.control.snapshot import Phase
+from sidelong.app.analysis.fleet_summary import FlownTrack
+from sidelong.app.analysis.summary import Summary
+from sidelong.app.analysis.truth import Truth
+from sidelong.app.fleet.fleet_file import Member
+from sidelong.app.flight.display import FlightDisplay
+from sidelong.app.flight.flight import Flight, Session
+from sidelong.app.flight.life import describe_aircraft
+from sidelong.app.flight.link_log import ClockRate
+from sidelong.app.flight.recording import Recording
+from sidelong.app.link.frames import Frame
+from sidelong.app.link.mavsdk_link import OWN_SYSTEM_ID
+from sidelong.app.records.run_folder import RunFolder
+from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.control.snapshot import Phase
 
 
 class FleetAircraft:

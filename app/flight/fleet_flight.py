@@ -20,33 +20,33 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 
-from app.analysis.fleet_summary import FleetSummary, FlownAircraft, summarise_fleet
-from app.analysis.truth import truth_if_whole
-from app.assembly import controller_of
-from app.autopilots.queries import is_flying
-from app.errors import FlightError, InputError, Interrupted
-from app.fleet.assembly import coordinator_of
-from app.fleet.fleet_file import FleetFile
-from app.flight.coordination import Coordination, Participant
-from app.flight.display import FlightDisplay
-from app.flight.fleet_aircraft import FleetAircraft
-from app.flight.flight import Flight, Sharing, connected
-from app.flight.foreign import ForeignAircraft
-from app.flight.life import Life
-from app.flight.link_log import link_log
-from app.flight.recording import beginning
-from app.flight.simulated import SimulatedVehicles
-from app.link.discovery import SETTLING_S
-from app.link.key_file import KeyInUse, key_in_use
-from app.link.message import Message
-from app.link.raw_links import opened_url
-from app.link.shared import sharing_opener
-from app.link.signing import signing_time
-from app.link.transport import Transport
-from app.records.journal import Header, JournalWriter
-from app.records.run_folder import FleetFolder
-from mission.core.requirement import Side
-from mission.exchange.mission_controller import InboundEvent, Output
+from sidelong.app.analysis.fleet_summary import FleetSummary, FlownAircraft, summarise_fleet
+from sidelong.app.analysis.truth import truth_if_whole
+from sidelong.app.assembly import controller_of
+from sidelong.app.autopilots.queries import is_flying
+from sidelong.app.errors import FlightError, InputError, Interrupted
+from sidelong.app.fleet.assembly import coordinator_of
+from sidelong.app.fleet.fleet_file import FleetFile
+from sidelong.app.flight.coordination import Coordination, Participant
+from sidelong.app.flight.display import FlightDisplay
+from sidelong.app.flight.fleet_aircraft import FleetAircraft
+from sidelong.app.flight.flight import Flight, Sharing, connected
+from sidelong.app.flight.foreign import ForeignAircraft
+from sidelong.app.flight.life import Life
+from sidelong.app.flight.link_log import link_log
+from sidelong.app.flight.recording import beginning
+from sidelong.app.flight.simulated import SimulatedVehicles
+from sidelong.app.link.discovery import SETTLING_S
+from sidelong.app.link.key_file import KeyInUse, key_in_use
+from sidelong.app.link.message import Message
+from sidelong.app.link.raw_links import opened_url
+from sidelong.app.link.shared import sharing_opener
+from sidelong.app.link.signing import signing_time
+from sidelong.app.link.transport import Transport
+from sidelong.app.records.journal import Header, JournalWriter
+from sidelong.app.records.run_folder import FleetFolder
+from sidelong.mission.core.requirement import Side
+from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 
 _POLL_S = 0.1
 

@@ -11,46 +11,46 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from app.analysis.score import Moment
-from app.analysis.summary import Summary, SummaryCollector, summarise
-from app.analysis.truth import Truth
-from app.assembly import mission_controller_of, settle, winds_m_s
-from app.autopilots.autopilot import Autopilot
-from app.autopilots.parameters import read_parameters, temporary_parameters
-from app.autopilots.queries import home_of, is_flying, mode_of
-from app.autopilots.required_parameter import RequiredParameter
-from app.config import Config
-from app.errors import FlightError, InputError
-from app.flight.changes import MissionChanges
-from app.flight.display import FlightDisplay, Wish
-from app.flight.loop import ControlLoop, Display, Stepped
-from app.flight.outputs import open_beacon, outputs
-from app.flight.point_gimbal import GimbalPointer
-from app.flight.preflight import autopilot_of, checks
-from app.flight.recording import Recording
-from app.flight.round_trip import RoundTripWatch
-from app.flight.source_rates import SourceRates
-from app.flight.streams import ask_for_streams, is_slow
-from app.flight.terrain_server import TerrainServer
-from app.flight.wind_tables import WindTables
-from app.link.discovery import SETTLING_S
-from app.link.key_file import KeyInUse
-from app.link.mavsdk_link import FrameListener, MavsdkLink
-from app.link.senders import SenderCheck
-from app.link.telemetry import Telemetry
-from app.link.transport import Transport
-from app.link.vehicle import Vehicle
-from app.link.vehicle_status import VehicleStatus, vehicle_status
-from app.planners.registry import planner_by_name
-from app.shutdown import ends_within
-from app.terrain.elevation_data import elevation_data
-from estimators.frames import LocalPlane
-from mission.control.controller import StandoffController
-from mission.control.snapshot import Phase, Snapshot
-from mission.core.events import Announce, ControlAcquired, Event, MissionChange, RoundTripReported
-from mission.exchange.dialect import Home
-from mission.exchange.outbox import TakeoverFailed
-from mission.exchange.reports import TakeoverRequested
+from sidelong.app.analysis.score import Moment
+from sidelong.app.analysis.summary import Summary, SummaryCollector, summarise
+from sidelong.app.analysis.truth import Truth
+from sidelong.app.assembly import mission_controller_of, settle, winds_m_s
+from sidelong.app.autopilots.autopilot import Autopilot
+from sidelong.app.autopilots.parameters import read_parameters, temporary_parameters
+from sidelong.app.autopilots.queries import home_of, is_flying, mode_of
+from sidelong.app.autopilots.required_parameter import RequiredParameter
+from sidelong.app.config import Config
+from sidelong.app.errors import FlightError, InputError
+from sidelong.app.flight.changes import MissionChanges
+from sidelong.app.flight.display import FlightDisplay, Wish
+from sidelong.app.flight.loop import ControlLoop, Display, Stepped
+from sidelong.app.flight.outputs import open_beacon, outputs
+from sidelong.app.flight.point_gimbal import GimbalPointer
+from sidelong.app.flight.preflight import autopilot_of, checks
+from sidelong.app.flight.recording import Recording
+from sidelong.app.flight.round_trip import RoundTripWatch
+from sidelong.app.flight.source_rates import SourceRates
+from sidelong.app.flight.streams import ask_for_streams, is_slow
+from sidelong.app.flight.terrain_server import TerrainServer
+from sidelong.app.flight.wind_tables import WindTables
+from sidelong.app.link.discovery import SETTLING_S
+from sidelong.app.link.key_file import KeyInUse
+from sidelong.app.link.mavsdk_link import FrameListener, MavsdkLink
+from sidelong.app.link.senders import SenderCheck
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.link.transport import Transport
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.link.vehicle_status import VehicleStatus, vehicle_status
+from sidelong.app.planners.registry import planner_by_name
+from sidelong.app.shutdown import ends_within
+from sidelong.app.terrain.elevation_data import elevation_data
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.core.events import Announce, ControlAcquired, Event, MissionChange, RoundTripReported
+from sidelong.mission.exchange.dialect import Home
+from sidelong.mission.exchange.outbox import TakeoverFailed
+from sidelong.mission.exchange.reports import TakeoverRequested
 
 _CLOSE_S = 30.0
 _LISTEN_S = 1.0

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection
 
-from app.link.message import Message
-from app.link.telemetry import AUTOPILOT_COMPONENT, has_fix
-from estimators.frames import LocalPlane
-from mission.fleet.events import ForeignAircraftReported
+from sidelong.app.link.message import Message
+from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, has_fix
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.fleet.events import ForeignAircraftReported
 
 _EVERY_S = 1.0
 _COORDINATES, _ALTITUDE, _HEADING, _VELOCITY = 1, 2, 4, 8  # ADSB_FLAGS_VALID_*

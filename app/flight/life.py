@@ -18,14 +18,14 @@ import contextlib
 import signal
 from collections.abc import Callable, Iterator
 
-from app.autopilots.autopilot import Autopilot
-from app.autopilots.queries import mode_of
-from app.link.message import Message
-from app.link.modes import ARMED_FLAG
-from app.link.telemetry import AUTOPILOT_COMPONENT
-from app.link.vehicle import Vehicle
-from app.shutdown import ends_within
-from mission.control.snapshot import Phase, Snapshot
+from sidelong.app.autopilots.autopilot import Autopilot
+from sidelong.app.autopilots.queries import mode_of
+from sidelong.app.link.message import Message
+from sidelong.app.link.modes import ARMED_FLAG
+from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.shutdown import ends_within
+from sidelong.mission.control.snapshot import Phase, Snapshot
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _WIND_UP_S = 60.0  # the bounds of what is done after an interrupt are together below this

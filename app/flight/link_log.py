@@ -11,9 +11,9 @@ import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from pathlib import Path
 
-from app.flight.recording import beginning
-from app.link.link import Link
-from app.records.appender import Appender
+from sidelong.app.flight.recording import beginning
+from sidelong.app.link.link import Link
+from sidelong.app.records.appender import Appender
 
 _EVERY_S = 1.0
 _RATE_MAX = 200.0  # no simulation is faster

@@ -11,16 +11,24 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from app.flight.executor import CommandExecutor
-from app.link.message import Message
-from app.link.reports import VehicleReports
-from app.link.telemetry import Telemetry
-from app.link.vehicle import Vehicle
-from mission.control.snapshot import Snapshot
-from mission.core.events import Announce, ControlAcquired, DecisionRecord, End, LinkReported, PlanStatus, Yield
-from mission.exchange.mission_controller import DERIVED, InboundEvent, MissionController, Output
-from mission.exchange.outbox import SendMessage, TakeoverFailed
-from mission.exchange.reports import ExchangeEvent, ShutdownRequested, TimerExpired
+from sidelong.app.flight.executor import CommandExecutor
+from sidelong.app.link.message import Message
+from sidelong.app.link.reports import VehicleReports
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.core.events import (
+    Announce,
+    ControlAcquired,
+    DecisionRecord,
+    End,
+    LinkReported,
+    PlanStatus,
+    Yield,
+)
+from sidelong.mission.exchange.mission_controller import DERIVED, InboundEvent, MissionController, Output
+from sidelong.mission.exchange.outbox import SendMessage, TakeoverFailed
+from sidelong.mission.exchange.reports import ExchangeEvent, ShutdownRequested, TimerExpired
 
 _LINK_SILENCE_S = 3.0
 _LINK_CHECK_S = 0.5

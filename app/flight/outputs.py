@@ -6,15 +6,15 @@ import ssl
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
-from app.config import SharingSection
-from app.link.message import Message
-from app.sharing.address import Address
-from app.sharing.beacon import BeaconInput
-from app.sharing.cot import CotNames, CotOutput
-from app.sharing.follow import FollowTargetOutput, NmeaOutput
-from app.sharing.senders import DatagramSender, Sender, StreamSender, tls_context
-from estimators.frames import LocalPlane
-from estimators.readings import TargetFixReading
+from sidelong.app.config import SharingSection
+from sidelong.app.link.message import Message
+from sidelong.app.sharing.address import Address
+from sidelong.app.sharing.beacon import BeaconInput
+from sidelong.app.sharing.cot import CotNames, CotOutput
+from sidelong.app.sharing.follow import FollowTargetOutput, NmeaOutput
+from sidelong.app.sharing.senders import DatagramSender, Sender, StreamSender, tls_context
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import TargetFixReading
 
 _COT, _FOLLOW_TARGET, _NMEA = "sharing.cot", "sharing.follow_target", "sharing.nmea"
 

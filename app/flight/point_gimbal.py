@@ -13,13 +13,13 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from app.link.link import LinkError
-from app.link.vehicle import Vehicle
-from estimators.ellipse import confidence_ellipse
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.frames import LocalPlane
-from mission.control.snapshot import Phase, Snapshot
-from mission.core.events import Announce
+from sidelong.app.link.link import LinkError
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.estimators.ellipse import confidence_ellipse
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.core.events import Announce
 
 _EVERY_S = 1.0  # of the vehicle's time
 _ONE_SIGMA = 1.0 - math.exp(-0.5)

@@ -6,18 +6,18 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.autopilots.autopilot import Autopilot, Limits
-from app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
-from app.autopilots.required_parameter import RequiredParameter
-from app.config import Config
-from app.errors import InputError
-from app.flight.source_rates import SourceRate
-from app.link.modes import TYPE_FIXED_WING
-from app.link.telemetry import has_fix
-from app.link.vehicle import Vehicle
-from app.terrain.elevation_data import elevation_data
-from mission.core.requirement import Aircraft
-from mission.exchange.dialect import Home
+from sidelong.app.autopilots.autopilot import Autopilot, Limits
+from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
+from sidelong.app.autopilots.required_parameter import RequiredParameter
+from sidelong.app.config import Config
+from sidelong.app.errors import InputError
+from sidelong.app.flight.source_rates import SourceRate
+from sidelong.app.link.modes import TYPE_FIXED_WING
+from sidelong.app.link.telemetry import has_fix
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.terrain.elevation_data import elevation_data
+from sidelong.mission.core.requirement import Aircraft
+from sidelong.mission.exchange.dialect import Home
 
 _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5

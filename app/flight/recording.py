@@ -9,17 +9,17 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import get_args
 
-from app.config import Config, config_from
-from app.errors import InputError
-from app.records.journal import Header, JournalReader, JournalWriter
-from app.records.recorder import TlogWriter
-from app.records.run_folder import RunFolder
-from app.records.vehicle_time import VehicleTime
-from estimators.frames import LocalPlane
-from mission.core.events import Command, Event
-from mission.exchange.mission_controller import InboundEvent, Output
-from mission.exchange.outbox import ExternalControl, SendMessage, TakeoverFailed
-from mission.exchange.reports import ExchangeEvent
+from sidelong.app.config import Config, config_from
+from sidelong.app.errors import InputError
+from sidelong.app.records.journal import Header, JournalReader, JournalWriter
+from sidelong.app.records.recorder import TlogWriter
+from sidelong.app.records.run_folder import RunFolder
+from sidelong.app.records.vehicle_time import VehicleTime
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.events import Command, Event
+from sidelong.mission.exchange.mission_controller import InboundEvent, Output
+from sidelong.mission.exchange.outbox import ExternalControl, SendMessage, TakeoverFailed
+from sidelong.mission.exchange.reports import ExchangeEvent
 
 _MARKER_V2, _SETUP_SIGNING = 0xFD, (256).to_bytes(3, "little")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from app.link.quality import LinkReport
+from sidelong.app.link.quality import LinkReport
 
 _CHANGED_S, _CHANGED_SHARE = 0.05, 0.2
 

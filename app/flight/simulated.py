@@ -10,8 +10,8 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from app.config import Config
-from app.errors import FlightError, InputError
+from sidelong.app.config import Config
+from sidelong.app.errors import FlightError, InputError
 
 _READY_S = 30.0
 _STOP_S = 5.0
@@ -67,7 +67,7 @@ class SimulatedVehicles:
     async def __aenter__(self) -> SimulatedVehicles:
         # A session of its own keeps the terminal's Ctrl-C from ending it before the mission has been wound up.
         self._process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "sitl", *self._options),
+            *(sys.executable, "-P", "-m", "sidelong.sitl", *self._options),
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,

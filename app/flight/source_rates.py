@@ -8,13 +8,19 @@ import time
 from collections import Counter
 from dataclasses import dataclass
 
-from app.config import SharingSection
-from app.flight.outputs import open_beacon
-from app.link.message import Message
-from app.link.telemetry import Telemetry
-from app.link.vehicle import Vehicle
-from estimators.frames import LocalPlane
-from estimators.readings import BEACON_MESSAGES, GimbalReading, RangeReading, Source, TargetFixReading
+from sidelong.app.config import SharingSection
+from sidelong.app.flight.outputs import open_beacon
+from sidelong.app.link.message import Message
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import (
+    BEACON_MESSAGES,
+    GimbalReading,
+    RangeReading,
+    Source,
+    TargetFixReading,
+)
 
 _ANYWHERE = LocalPlane(0.0, 0.0)  # before the flight has one, a beacon is only counted
 

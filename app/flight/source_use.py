@@ -1,13 +1,13 @@
-"""Which of the lasers and gimbals heard will be used, and why: the rules of ``estimators.sources`` in words."""
+"""Which of the received lasers and gimbals are used, and why: rules of ``estimators.tracking.sources`` in words."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from app.assembly import tracker_settings
-from app.config import Config
-from estimators.readings import BEACON_MESSAGES, Source
-from estimators.sources import LOOKS_DOWN, Rank, range_rank, sight_rank
+from sidelong.app.assembly import tracker_settings
+from sidelong.app.config import Config
+from sidelong.estimators.sensing.readings import BEACON_MESSAGES, Source
+from sidelong.estimators.tracking.sources import LOOKS_DOWN, Rank, range_rank, sight_rank
 
 _AUTOPILOT_COMPONENT = 1
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from app.link.vehicle import Vehicle
+from sidelong.app.link.vehicle import Vehicle
 
 _SLOW_BAUD = 57_600
 _RATES_HZ = {

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 
-from app.link.link import LinkError
-from app.link.message import Message
-from app.link.vehicle import Vehicle
-from app.terrain.elevation_data import ElevationData
-from app.terrain.terrain_data import answers
+from sidelong.app.link.link import LinkError
+from sidelong.app.link.message import Message
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.terrain.elevation_data import ElevationData
+from sidelong.app.terrain.terrain_data import answers
 
 
 class TerrainServer:

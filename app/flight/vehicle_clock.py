@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from app.link.message import Message
-from app.link.telemetry import AUTOPILOT_COMPONENT
-from mission.fleet.events import ClockReported
+from sidelong.app.link.message import Message
+from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
+from sidelong.mission.fleet.events import ClockReported
 
 _UTC_SINCE_S = 1.5e9  # an earlier time is a clock that has not been set
 _UTC_SIGMA_S = 0.02  # GPS time, stamped by the autopilot's main loop

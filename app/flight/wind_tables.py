@@ -10,10 +10,10 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from app.planners.planner_kind import PlannerKind
-from mission.control.controller import StandoffController
-from mission.control.snapshot import Phase, Snapshot
-from mission.core.events import Announce, WindPrepared
+from sidelong.app.planners.planner_kind import PlannerKind
+from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.core.events import Announce, WindPrepared
 
 # Wind speeds are prepared for in steps of this share of the airspeed, and no more of them than that.
 _STEP, _AT_MOST = 0.05, 5

@@ -9,7 +9,7 @@ from typing import Any
 
 from mavsdk.asyncio import Mavsdk
 
-from app.errors import InputError
+from sidelong.app.errors import InputError
 
 SETTLING_S = 2.2  # two heartbeats: who is there has spoken by then
 _POLL_S = 0.1

@@ -17,8 +17,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.errors import InputError
-from app.link.signing import KEY_BYTES, UNITS_PER_S, SigningKey, SigningTimes, Stream
+from sidelong.app.errors import InputError
+from sidelong.app.link.signing import KEY_BYTES, UNITS_PER_S, SigningKey, SigningTimes, Stream
 
 _SAVE_EVERY_S = 1.0
 _SENT_AHEAD = 5 * UNITS_PER_S

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Mapping
 from typing import Any, Protocol
 
-from app.link.message import Message
-from app.link.quality import LinkReport
+from sidelong.app.link.message import Message
+from sidelong.app.link.quality import LinkReport
 
 
 class Link(Protocol):

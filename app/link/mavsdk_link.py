@@ -7,8 +7,8 @@ the loop's own thread when it is cancelled. Therefore:
 - every blocking call goes through ``_bounded``: own timeout, remembered while it is pending;
 - messages come by the subscription beneath the wrapper's;
 - ``close`` sets a flag first, waits for what is pending, and destroys last, which unsubscribes, all of it in threads
-  and within a bound; if something stays stuck, it leaves the instance alone, and ``app.shutdown`` ends the process in
-  spite of it.
+  and within a bound; if something stays stuck, it leaves the instance alone, and ``sidelong.app.shutdown`` ends the
+  process in spite of it.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkDir
 from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
 from pymavlink.dialects.v20 import common as mavlink
 
-from app.errors import InputError
-from app.link import mavsdk_log
-from app.link.discovery import SETTLING_S, check_alone, the_vehicle
-from app.link.key_file import KeyInUse
-from app.link.link import LinkError
-from app.link.message import Message
-from app.link.meter import LinkMeter
-from app.link.plain_text import plain_fields
-from app.link.quality import LinkReport
-from app.link.raw_links import RawLinks, opened_links
-from app.link.transport import Transport
-from app.link.url import checked_url
+from sidelong.app.errors import InputError
+from sidelong.app.link import mavsdk_log
+from sidelong.app.link.discovery import SETTLING_S, check_alone, the_vehicle
+from sidelong.app.link.key_file import KeyInUse
+from sidelong.app.link.link import LinkError
+from sidelong.app.link.message import Message
+from sidelong.app.link.meter import LinkMeter
+from sidelong.app.link.plain_text import plain_fields
+from sidelong.app.link.quality import LinkReport
+from sidelong.app.link.raw_links import RawLinks, opened_links
+from sidelong.app.link.transport import Transport
+from sidelong.app.link.url import checked_url
 
 _ASK_DELAY_S = 1.0
 _PENDING_AT_CLOSE_S, _STEP_OF_CLOSE_S = 8.0, 5.0

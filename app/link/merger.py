@@ -22,8 +22,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as dialect
 
-from app.link.frames import Frame
-from app.link.quality import Measured
+from sidelong.app.link.frames import Frame
+from sidelong.app.link.quality import Measured
 
 AUTOPILOT_COMPONENT = 1
 _ANSWERS = frozenset(

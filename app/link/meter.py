@@ -7,9 +7,9 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from app.link.frames import Frame
-from app.link.message import Message
-from app.link.quality import LinkQuality, LinkReport, Measured
+from sidelong.app.link.frames import Frame
+from sidelong.app.link.message import Message
+from sidelong.app.link.quality import LinkQuality, LinkReport, Measured
 
 _AUTOPILOT = 1
 _TIMESYNC = "TIMESYNC"

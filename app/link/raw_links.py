@@ -16,14 +16,14 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import all as dialect
 
-from app.errors import InputError
-from app.link.frames import Frame, FrameSplitter
-from app.link.key_file import KeptTimes, KeyInUse, key_in_use
-from app.link.merger import LinkMerger
-from app.link.quality import LinkQuality, LinkReport, Measured
-from app.link.signing import RADIO_STATUS_ID, LinkSigning, Refusal, SigningKey, signing_time
-from app.link.transport import Peer, Transport, opened
-from app.link.url import checked_url
+from sidelong.app.errors import InputError
+from sidelong.app.link.frames import Frame, FrameSplitter
+from sidelong.app.link.key_file import KeptTimes, KeyInUse, key_in_use
+from sidelong.app.link.merger import LinkMerger
+from sidelong.app.link.quality import LinkQuality, LinkReport, Measured
+from sidelong.app.link.signing import RADIO_STATUS_ID, LinkSigning, Refusal, SigningKey, signing_time
+from sidelong.app.link.transport import Peer, Transport, opened
+from sidelong.app.link.url import checked_url
 
 _ASK_DELAY_S = 1.0
 _WATCH_S = 0.1

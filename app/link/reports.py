@@ -7,14 +7,14 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from app.link.message import Message
-from app.link.modes import ARMED_FLAG, mode_name
-from app.link.telemetry import AUTOPILOT_COMPONENT
-from app.link.vehicle import Vehicle
-from mission.core.events import ModeReported
-from mission.exchange.outbox import MISSION
-from mission.exchange.raw_item import RawItem
-from mission.exchange.reports import (
+from sidelong.app.link.message import Message
+from sidelong.app.link.modes import ARMED_FLAG, mode_name
+from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.mission.core.events import ModeReported
+from sidelong.mission.exchange.outbox import MISSION
+from sidelong.mission.exchange.raw_item import RawItem
+from sidelong.mission.exchange.reports import (
     CommandAcknowledged,
     MissionAcknowledged,
     MissionCountReported,

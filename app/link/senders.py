@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections import defaultdict, deque
 
-from app.link.message import Message
-from app.link.modes import AUTOPILOT_INVALID
-from app.link.telemetry import AUTOPILOT_COMPONENT, Telemetry
-from mission.control.plausibility import Plausibility
+from sidelong.app.link.message import Message
+from sidelong.app.link.modes import AUTOPILOT_INVALID
+from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, Telemetry
+from sidelong.mission.control.plausibility import Plausibility
 
 # (first byte, where sequence number, system and component stand) of MAVLink 2 and 1.
 _HEADERS = {0xFD: (4, 5, 6), 0xFE: (2, 3, 4)}

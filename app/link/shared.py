@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 
-from app.link.transport import Peer, Receive, Transport
+from sidelong.app.link.transport import Peer, Receive, Transport
 
 
 class SharedTransport:

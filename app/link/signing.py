@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import NoReturn
 
-from app.link.frames import Frame
+from sidelong.app.link.frames import Frame
 
 KEY_BYTES = 32
 UNITS_PER_S = 100_000

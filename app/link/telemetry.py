@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, Literal
 
-from app.link.message import Message
-from app.link.modes import ARMED_FLAG, AUTOPILOT_INVALID, mode_name
-from estimators.clock import VehicleClock
-from estimators.frames import LocalPlane
-from estimators.readings import (
+from sidelong.app.link.message import Message
+from sidelong.app.link.modes import ARMED_FLAG, AUTOPILOT_INVALID, mode_name
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.clock import VehicleClock
+from sidelong.estimators.sensing.readings import (
     AttitudeReading,
     GimbalReading,
     PositionReading,
@@ -24,7 +24,7 @@ from estimators.readings import (
     Source,
     TargetFixReading,
 )
-from mission.core.events import Event, ModeReported, NavigationReported, WindReported
+from sidelong.mission.core.events import Event, ModeReported, NavigationReported, WindReported
 
 AUTOPILOT_COMPONENT = 1
 _NO_FIX_DEG_E7 = 100_000

@@ -6,7 +6,7 @@ import re
 import socket
 from pathlib import Path
 
-from app.errors import InputError
+from sidelong.app.errors import InputError
 
 _SCHEMES = "udpin://HOST:PORT, udpout://HOST:PORT, tcpout://HOST:PORT, tcpin://HOST:PORT, serial:///dev/NAME:BAUD"
 _NETWORK_URL = re.compile(r"(udpin|udpout|tcpin|tcpout)://([^:/]+):(\d{1,9})")

@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from app.link.link import Link
-from app.link.message import Message
-from app.link.telemetry import AUTOPILOT_COMPONENT
-from mission.exchange.vehicle_command import describe_result
+from sidelong.app.link.link import Link
+from sidelong.app.link.message import Message
+from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
+from sidelong.mission.exchange.vehicle_command import describe_result
 
 _ANSWER_S = 1.0
 _TRIES = 4

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from app.link.message import Message
-from app.link.quality import LinkReport
+from sidelong.app.link.message import Message
+from sidelong.app.link.quality import LinkReport
 
 _FIXES = ("no GPS", "no fix", "2D", "3D", "DGPS", "RTK float", "RTK fixed", "static", "PPP")  # GPS_FIX_TYPE
 _GOOD_FROM, _MIN_SATELLITES = 3, 6

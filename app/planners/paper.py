@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from app.planners.planner_kind import PlannerNeeds
-from mission.core.plan import PlannerFactory
-from mission.core.requirement import Aircraft, Requirement
-from mission.paper.feasibility import Change, feasibility
-from mission.paper.scope import largest_psi_c_rad
+from sidelong.app.planners.planner_kind import PlannerNeeds
+from sidelong.mission.core.feasibility import Change
+from sidelong.mission.core.plan import PlannerFactory
+from sidelong.mission.core.requirement import Aircraft, Requirement
+from sidelong.mission.paper.feasibility import feasibility
+from sidelong.mission.paper.scope import largest_psi_c_rad
 
 
 class Paper:
-    """``PlannerKind`` for :class:`mission.paper.planner.PaperPlanner`."""
+    """``PlannerKind`` for :class:`sidelong.mission.paper.planner.PaperPlanner`."""
 
     name = "paper"
     about = "the published method, once a lap"
@@ -24,7 +25,7 @@ class Paper:
         return True
 
     def factory(self, needs: PlannerNeeds) -> PlannerFactory:
-        from mission.paper.planner import PaperPlanner  # noqa: PLC0415  # see PlannerKind
+        from sidelong.mission.paper.planner import PaperPlanner  # noqa: PLC0415  # see PlannerKind
 
         return lambda aircraft, wanted: PaperPlanner(aircraft, wanted, largest_psi_c_rad(aircraft, wanted))
 

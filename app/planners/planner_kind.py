@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from mission.core.plan import Plan, PlannerFactory
-from mission.core.requirement import Aircraft, Requirement
-from mission.paper.feasibility import Change
+from sidelong.mission.core.feasibility import Change
+from sidelong.mission.core.plan import Plan, PlannerFactory
+from sidelong.mission.core.requirement import Aircraft, Requirement
 
 if TYPE_CHECKING:
-    from mission.predictive._sight_kernel import SightAt
+    from sidelong.mission.core.sight import SightAt
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from app.planners.planner_kind import PlannerNeeds
-from estimators.compiled import is_kept
-from mission.core.plan import Planner, PlannerFactory
-from mission.core.requirement import Aircraft, Requirement
-from mission.paper.feasibility import Change, unflyable
+from sidelong.app.planners.planner_kind import PlannerNeeds
+from sidelong.estimators.compiled import is_kept
+from sidelong.mission.core.feasibility import Change, unflyable
+from sidelong.mission.core.plan import Planner, PlannerFactory
+from sidelong.mission.core.requirement import Aircraft, Requirement
 
 if TYPE_CHECKING:
-    from mission.predictive.value_table import TableConfiguration, ValueTable
+    from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
 
 
 class Predictive:
-    """``PlannerKind`` for :class:`mission.predictive.planner.PredictivePlanner`.
+    """``PlannerKind`` for :class:`sidelong.mission.predictive.planner.PredictivePlanner`.
 
     With a side to watch from, it is that of a fleet, which decides as for one until it is told of others.
     """
@@ -28,14 +28,14 @@ class Predictive:
         return unflyable(aircraft, requirement)
 
     def is_compiled(self) -> bool:
-        from mission.predictive._decision_kernel import look_ahead  # noqa: PLC0415  # see PlannerKind
+        from sidelong.mission.predictive.decision_kernel import look_ahead  # noqa: PLC0415  # see PlannerKind
 
         return is_kept(look_ahead)
 
     def factory(self, needs: PlannerNeeds) -> PlannerFactory:
-        from app.value_cache import value_table  # noqa: PLC0415  # see PlannerKind
-        from mission.fleet.team_planner import TeamPlanner  # noqa: PLC0415
-        from mission.predictive import planner  # noqa: PLC0415
+        from sidelong.app.value_cache import value_table  # noqa: PLC0415  # see PlannerKind
+        from sidelong.mission.fleet.team_planner import TeamPlanner  # noqa: PLC0415
+        from sidelong.mission.predictive import planner  # noqa: PLC0415
 
         settings = planner.PredictiveSettings(lost_after_s=needs.lost_after_s)
         tables: dict[TableConfiguration, ValueTable] = {}  # a change of side needs no other one
@@ -59,7 +59,7 @@ class Predictive:
         return make
 
     async def make_ready(self, aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]) -> None:
-        from app.value_cache import have_at_hand  # noqa: PLC0415  # see PlannerKind
+        from sidelong.app.value_cache import have_at_hand  # noqa: PLC0415  # see PlannerKind
 
         await have_at_hand(_configurations(aircraft, requirement, winds_m_s))
 
@@ -67,6 +67,6 @@ class Predictive:
 def _configurations(
     aircraft: Aircraft, requirement: Requirement, winds_m_s: Sequence[float]
 ) -> list[TableConfiguration]:
-    from mission.predictive.planner import table_configuration  # noqa: PLC0415  # see PlannerKind
+    from sidelong.mission.predictive.planner import table_configuration  # noqa: PLC0415  # see PlannerKind
 
     return [table_configuration(aircraft, requirement, wind_m_s) for wind_m_s in (0.0, *winds_m_s)]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from app.planners.paper import Paper
-from app.planners.planner_kind import PlannerKind
-from app.planners.predictive import Predictive
+from sidelong.app.planners.paper import Paper
+from sidelong.app.planners.planner_kind import PlannerKind
+from sidelong.app.planners.predictive import Predictive
 
 PLANNERS: tuple[PlannerKind, ...] = (
     Predictive(),

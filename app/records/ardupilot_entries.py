@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from app.records.entry import Entry, Made, Translator
-from estimators.rotations import from_roll_pitch_yaw
+from sidelong.app.records.entry import Entry, Made, Translator
+from sidelong.estimators.rotations import from_roll_pitch_yaw
 
 _GPS_EPOCH_S = 315_964_800  # 1980-01-06
 _LEAP_S = 18  # GPS is ahead of UTC by this since 2017

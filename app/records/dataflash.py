@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.records.entry import Entry, in_order
-from app.records.windows import Progress, Window, windows
+from sidelong.app.records.entry import Entry, in_order
+from sidelong.app.records.windows import Progress, Window, windows
 
 _HEADER = b"\xa3\x95"
 _FORMAT_TYPE = 0x80

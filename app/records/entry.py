@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.link.message import Message
+from sidelong.app.link.message import Message
 
 _ABSURD = 1e10
 _JUMP_US = 60_000_000

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
 
-from app.errors import InputError
-from app.records.track import Flight, ring, sigma_m
-from mission.upload.items import FRAME_GLOBAL, NAV_WAYPOINT, Item
-from mission.upload.plan_file import plan_file
+from sidelong.app.errors import InputError
+from sidelong.app.records.track import Flight, ring, sigma_m
+from sidelong.mission.upload.items import FRAME_GLOBAL, NAV_WAYPOINT, Item
+from sidelong.mission.upload.plan_file import plan_file
 
 _GPX = "http://www.topografix.com/GPX/1/1"
 _KML = "http://www.opengis.net/kml/2.2"

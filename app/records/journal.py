@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_args, get_origin, get_type_h
 import msgspec
 import numpy as np
 
-from app.errors import InputError
-from app.records.appender import Appender
-from app.records.old_formats import OLDEST_FORMAT, upgraded
-from app.records.windows import Progress
-from estimators.frames import LocalPlane
+from sidelong.app.errors import InputError
+from sidelong.app.records.appender import Appender
+from sidelong.app.records.old_formats import OLDEST_FORMAT, upgraded
+from sidelong.app.records.windows import Progress
+from sidelong.estimators.frames import LocalPlane
 
 if TYPE_CHECKING:
     import cattrs

@@ -14,16 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from app.errors import InputError
-from app.records.sensing import Sensing
-from estimators.ellipse import confidence_ellipse
-from estimators.estimate import TrackQuality
-from estimators.frames import LocalPlane
-from estimators.readings import AttitudeReading, PositionReading
-from estimators.rotations import from_roll_pitch_yaw, rotate
-from estimators.sighting import Sighting, SightingOutcome
-from estimators.tracker import Tracker
-from mission.core.events import Command, Event
+from sidelong.app.errors import InputError
+from sidelong.app.records.sensing import Sensing
+from sidelong.estimators.ellipse import confidence_ellipse
+from sidelong.estimators.estimate import TrackQuality
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.rotations import from_roll_pitch_yaw, rotate
+from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading
+from sidelong.estimators.sensing.sighting import Sighting, SightingOutcome
+from sidelong.estimators.tracking.tracker import Tracker
+from sidelong.mission.core.events import Command, Event
 
 _EVERY_S = 0.2
 _SEEN_FOR_S = 1.0  # so long a sighting is the sensor's present line of sight

@@ -7,17 +7,17 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.errors import InputError
-from app.link.message import Message
-from app.records.ardupilot_entries import ArdupilotMessages
-from app.records.dataflash import MAGIC as DATAFLASH_MAGIC
-from app.records.dataflash import dataflash_contents, read_dataflash
-from app.records.entry import Entry, Translator
-from app.records.px4_entries import Px4Messages
-from app.records.tlog import is_tlog, read_tlog, summary
-from app.records.ulog import MAGIC as ULOG_MAGIC
-from app.records.ulog import read_ulog, ulog_contents
-from app.records.windows import Progress
+from sidelong.app.errors import InputError
+from sidelong.app.link.message import Message
+from sidelong.app.records.ardupilot_entries import ArdupilotMessages
+from sidelong.app.records.dataflash import MAGIC as DATAFLASH_MAGIC
+from sidelong.app.records.dataflash import dataflash_contents, read_dataflash
+from sidelong.app.records.entry import Entry, Translator
+from sidelong.app.records.px4_entries import Px4Messages
+from sidelong.app.records.tlog import is_tlog, read_tlog, summary
+from sidelong.app.records.ulog import MAGIC as ULOG_MAGIC
+from sidelong.app.records.ulog import read_ulog, ulog_contents
+from sidelong.app.records.windows import Progress
 
 _NAMED_AT_MOST = 20
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from statistics import median
 
-from app.link.message import Message
-from app.link.modes import AUTOPILOT_PX4
-from app.records.log import Log
+from sidelong.app.link.message import Message
+from sidelong.app.link.modes import AUTOPILOT_PX4
+from sidelong.app.records.log import Log
 
 _NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})
 _AUTOPILOT_COMPONENT = 1

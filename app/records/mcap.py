@@ -12,19 +12,19 @@ import math
 from collections.abc import Iterable
 from pathlib import Path
 
-from app.records.mcap_scene import Place, ball, line, scene
-from app.records.mcap_writer import McapWriter
-from app.records.sensing import Sensing
-from app.records.track import ring
-from estimators.estimate import TargetEstimate
-from estimators.frames import LocalPlane, wrap_rad
-from estimators.readings import PositionReading
-from estimators.rotations import from_roll_pitch_yaw
-from estimators.sighting import Sighting, SightingOutcome
-from estimators.tracker import Tracker
-from mission.core.circle import Circle
-from mission.core.events import Announce, Command, ControlAcquired, Event, PlanStatus, UploadPlan
-from mission.core.plan import Plan
+from sidelong.app.records.mcap_scene import Place, ball, line, scene
+from sidelong.app.records.mcap_writer import McapWriter
+from sidelong.app.records.sensing import Sensing
+from sidelong.app.records.track import ring
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.estimators.frames import LocalPlane, wrap_rad
+from sidelong.estimators.rotations import from_roll_pitch_yaw
+from sidelong.estimators.sensing.readings import PositionReading
+from sidelong.estimators.sensing.sighting import Sighting, SightingOutcome
+from sidelong.estimators.tracking.tracker import Tracker
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import Announce, Command, ControlAcquired, Event, PlanStatus, UploadPlan
+from sidelong.mission.core.plan import Plan
 
 LAYOUT = Path(__file__).parent / "foxglove_layout.json"
 

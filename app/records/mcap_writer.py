@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from app.errors import InputError
+from sidelong.app.errors import InputError
 
 _UNSTAMPED = frozenset({"foxglove.GeoJSON", "foxglove.SceneUpdate"})
 _EPOCH = datetime.fromtimestamp(0, UTC)

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from app.records.entry import Entry, Made, Translator
-from estimators.frames import LocalPlane
+from sidelong.app.records.entry import Entry, Made, Translator
+from sidelong.estimators.frames import LocalPlane
 
 _GLOBAL_POSITION_SILENCE_US = 1_000_000
 

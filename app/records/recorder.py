@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from app.records.appender import Appender
+from sidelong.app.records.appender import Appender
 
 _STAMP = struct.Struct(">Q")
 

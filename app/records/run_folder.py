@@ -12,8 +12,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from app.errors import InputError
-from app.text_file import read_text
+from sidelong.app.errors import InputError
+from sidelong.app.text_file import read_text
 
 _SUMMARY_MAX_BYTES = 1 << 20
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from estimators.estimate import TargetEstimate
-from estimators.readings import AttitudeReading, PositionReading, Reading
-from estimators.sighting import SightingOutcome
-from estimators.tracker import Tracker
-from mission.control.plausibility import Plausibility
-from mission.core.events import Event
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading, Reading
+from sidelong.estimators.sensing.sighting import SightingOutcome
+from sidelong.estimators.tracking.tracker import Tracker
+from sidelong.mission.control.plausibility import Plausibility
+from sidelong.mission.core.events import Event
 
 
 class Sensing:

@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 from pymavlink.dialects.v20 import all as dialect
 
-from app.link.message import Message
-from app.records.windows import Progress, Window, windows
+from sidelong.app.link.message import Message
+from sidelong.app.records.windows import Progress, Window, windows
 
 MessageSource = tuple[str, int, int]
 """Message name, system id, component id."""

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
-from estimators.estimate import TargetEstimate
-from estimators.frames import LocalPlane
-from estimators.readings import PositionReading
-from mission.core.circle import Circle
-from mission.upload.fences import Outline
-from mission.upload.items import Item
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import PositionReading
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.upload.fences import Outline
+from sidelong.mission.upload.items import Item
 
 _RING_CORNERS = 72
 

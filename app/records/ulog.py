@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from app.records.entry import Entry, in_order
-from app.records.windows import Progress, Window, windows
+from sidelong.app.records.entry import Entry, in_order
+from sidelong.app.records.windows import Progress, Window, windows
 
 MAGIC = b"ULog\x01\x12\x35"
 

@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.stats import chi2
 
-from app.report import series
-from app.report.history import FloatArray, History
-from app.report.html import Drawing
-from app.report.path_map import flown_path_figure
-from app.report.plot_style import AIRCRAFT, BAD, BAND, ESTIMATE, FAINT, TARGET, figure, legend_above
+from sidelong.app.report import series
+from sidelong.app.report.history import FloatArray, History
+from sidelong.app.report.html import Drawing
+from sidelong.app.report.path_map import flown_path_figure
+from sidelong.app.report.plot_style import AIRCRAFT, BAD, BAND, ESTIMATE, FAINT, TARGET, figure, legend_above
 
 _COURSE_WORDS = (
     "Over the ground, in whole turns counted on clockwise from north: it rises while the aircraft circles to the "

@@ -9,15 +9,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from app.analysis.fleet_summary import judged_by_target, min_separation_m
-from app.analysis.score import Moment
-from app.report import series
-from app.report.fleet_flown import AircraftPart, FleetFlown
-from app.report.history import FloatArray
-from app.report.html import Drawing
-from app.report.plot_style import BAD, BAND, TARGET, WIDTH_IN, figure, legend_above
-from mission.core.fleet import Role
-from mission.geometry.separation import MIN_SEPARATION_M
+from sidelong.app.analysis.fleet_summary import judged_by_target, min_separation_m
+from sidelong.app.analysis.score import Moment
+from sidelong.app.report import series
+from sidelong.app.report.fleet_flown import AircraftPart, FleetFlown
+from sidelong.app.report.history import FloatArray
+from sidelong.app.report.html import Drawing
+from sidelong.app.report.plot_style import BAD, BAND, TARGET, WIDTH_IN, figure, legend_above
+from sidelong.mission.core.fleet import Role
+from sidelong.mission.geometry.separation import MIN_SEPARATION_M
 
 _COLOURS = ("#1f5f9e", "#2c8f5a", "#8a5fa8", "#b08a1e", "#c0527f", "#3f9fb5", "#6b6b6b", "#9a5a2c")
 _ANY = "#7fb98a"

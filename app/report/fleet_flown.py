@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
-from app.analysis.fleet_summary import (
+from sidelong.app.analysis.fleet_summary import (
     AircraftSummary,
     FleetSummary,
     FlownAircraft,
@@ -15,19 +15,19 @@ from app.analysis.fleet_summary import (
     TargetSummary,
     summarise_fleet,
 )
-from app.analysis.score import Asked
-from app.errors import InputError
-from app.fleet.fleet_file import FleetFile
-from app.flight.coordination import FLEET_JOURNAL_TYPES
-from app.records.journal import JournalReader
-from app.records.run_folder import FleetFolder, RunFolder
-from app.records.windows import Progress
-from app.report.results import read_summary
-from app.report.sources import Flown, read_flight
-from app.section import validated
-from mission.core.fleet import FleetAdvice, Role
-from mission.core.requirement import Requirement
-from mission.fleet.events import ClockReported, FleetAnnounce, RequirementChanged, Tell, VehicleReported
+from sidelong.app.analysis.score import Asked
+from sidelong.app.errors import InputError
+from sidelong.app.fleet.fleet_file import FleetFile
+from sidelong.app.flight.coordination import FLEET_JOURNAL_TYPES
+from sidelong.app.records.journal import JournalReader
+from sidelong.app.records.run_folder import FleetFolder, RunFolder
+from sidelong.app.records.windows import Progress
+from sidelong.app.report.results import read_summary
+from sidelong.app.report.sources import Flown, read_flight
+from sidelong.app.section import validated
+from sidelong.mission.core.fleet import FleetAdvice, Role
+from sidelong.mission.core.requirement import Requirement
+from sidelong.mission.fleet.events import ClockReported, FleetAnnounce, RequirementChanged, Tell, VehicleReported
 
 
 @dataclass(frozen=True, slots=True, eq=False)

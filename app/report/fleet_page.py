@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
-from app.analysis.score import Asked
-from app.report import html
-from app.report.fleet_figures import fleet_drawings, start_s
-from app.report.fleet_flown import FleetFlown
-from app.report.plot_style import styled
-from mission.viewpoint.side_policy import side_words
+from sidelong.app.analysis.score import Asked
+from sidelong.app.report import html
+from sidelong.app.report.fleet_figures import fleet_drawings, start_s
+from sidelong.app.report.fleet_flown import FleetFlown
+from sidelong.app.report.plot_style import styled
+from sidelong.mission.viewpoint.side_policy import side_words
 
 
 def fleet_page(flown: FleetFlown, pages: Mapping[str, str]) -> str:

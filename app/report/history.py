@@ -13,24 +13,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from app.analysis.score import Moment, asked_at
-from app.analysis.truth import Truth
-from estimators.estimate import TargetEstimate
-from estimators.frames import LocalPlane
-from estimators.readings import (
+from sidelong.app.analysis.score import Moment, asked_at
+from sidelong.app.analysis.truth import Truth
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import (
     AttitudeReading,
     GimbalReading,
     PositionReading,
     RangeReading,
     TargetFixReading,
 )
-from estimators.sighting import SightingOutcome
-from estimators.terrain.ground import Ground
-from estimators.tracker import Tracker
-from mission.control.mission_change import requirement_after
-from mission.control.plausibility import Plausibility
-from mission.core.circle import Circle
-from mission.core.events import (
+from sidelong.estimators.sensing.sighting import SightingOutcome
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.estimators.tracking.tracker import Tracker
+from sidelong.mission.control.mission_change import requirement_after
+from sidelong.mission.control.plausibility import Plausibility
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import (
     Announce,
     Command,
     ControlAcquired,
@@ -42,9 +42,9 @@ from mission.core.events import (
     UploadPlan,
     Yield,
 )
-from mission.core.fleet import FleetAdvice
-from mission.core.plan import Plan
-from mission.core.requirement import Aircraft, Requirement, Side
+from sidelong.mission.core.fleet import FleetAdvice
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side
 
 FloatArray = npt.NDArray[np.float64]
 Outline = tuple[tuple[float, float], ...]

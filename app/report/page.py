@@ -5,13 +5,13 @@ from __future__ import annotations
 from html import escape
 from pathlib import Path
 
-from app.report import html
-from app.report.figures import drawings
-from app.report.plot_style import styled
-from app.report.results import rows
-from app.report.sources import Flown
-from mission.core.events import Announce
-from mission.viewpoint.side_policy import side_words
+from sidelong.app.report import html
+from sidelong.app.report.figures import drawings
+from sidelong.app.report.plot_style import styled
+from sidelong.app.report.results import rows
+from sidelong.app.report.sources import Flown
+from sidelong.mission.core.events import Announce
+from sidelong.mission.viewpoint.side_policy import side_words
 
 _PNG_DPI = 150
 

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from app.report.history import FloatArray, History
-from app.report.plot_style import AIRCRAFT, BAD, CIRCLE, ESTIMATE, FAINT, TARGET, WIDTH_IN, legend_above
-from estimators.terrain.ground import Ground
-from mission.core.circle import Circle
+from sidelong.app.report.history import FloatArray, History
+from sidelong.app.report.plot_style import AIRCRAFT, BAD, CIRCLE, ESTIMATE, FAINT, TARGET, WIDTH_IN, legend_above
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.mission.core.circle import Circle
 
 TICK_S = 50.0
 _LABELS_MAX = 60

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from app.analysis.score import Moment, score
-from app.analysis.summary import Summary
-from app.errors import InputError
-from app.report.history import History
-from app.report.series import estimate_errors
+from sidelong.app.analysis.score import Moment, score
+from sidelong.app.analysis.summary import Summary
+from sidelong.app.errors import InputError
+from sidelong.app.report.history import History
+from sidelong.app.report.series import estimate_errors
 
 _SUMMARY = TypeAdapter(Summary)
 

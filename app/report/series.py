@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.analysis.score import STANDING_M_S, Moment
-from app.analysis.target_course import TargetCourse
-from app.report.history import AircraftTrack, FloatArray, History
-from estimators.ellipse import confidence_ellipse
-from estimators.frames import wrap_rad
-from mission.core.requirement import Requirement
+from sidelong.app.analysis.score import STANDING_M_S, Moment
+from sidelong.app.analysis.target_course import TargetCourse
+from sidelong.app.report.history import AircraftTrack, FloatArray, History
+from sidelong.estimators.ellipse import confidence_ellipse
+from sidelong.estimators.frames import wrap_rad
+from sidelong.mission.core.requirement import Requirement
 
 _CURVATURE_SPAN_S = 1.0
 

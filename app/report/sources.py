@@ -6,23 +6,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from app.analysis.replay import require_sightings
-from app.analysis.summary import Summary
-from app.analysis.truth import read_truth
-from app.assembly import fence_outlines, ground_of, tracker_of
-from app.config import Config, load_config
-from app.errors import InputError
-from app.flight.recording import JOURNAL_TYPES, journalled_config
-from app.link.telemetry import Telemetry
-from app.records.journal import JournalReader
-from app.records.log import Log, open_log
-from app.records.run_folder import RunFolder, require_recording
-from app.records.windows import Progress
-from app.report.history import FlightRequirements, History, HistoryBuilder
-from app.report.results import read_summary, summary_of
-from estimators.frames import LocalPlane
-from estimators.terrain.ground import Ground
-from mission.core.events import Command, Event
+from sidelong.app.analysis.replay import require_sightings
+from sidelong.app.analysis.summary import Summary
+from sidelong.app.analysis.truth import read_truth
+from sidelong.app.assembly import fence_outlines, ground_of, tracker_of
+from sidelong.app.config import Config, load_config
+from sidelong.app.errors import InputError
+from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.records.journal import JournalReader
+from sidelong.app.records.log import Log, open_log
+from sidelong.app.records.run_folder import RunFolder, require_recording
+from sidelong.app.records.windows import Progress
+from sidelong.app.report.history import FlightRequirements, History, HistoryBuilder
+from sidelong.app.report.results import read_summary, summary_of
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.mission.core.events import Command, Event
 
 
 @dataclass(frozen=True, slots=True, eq=False)

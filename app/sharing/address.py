@@ -6,7 +6,7 @@ import re
 import socket
 from dataclasses import dataclass
 
-from app.errors import InputError
+from sidelong.app.errors import InputError
 
 _FORM = re.compile(r"([a-z]+)://(\[[0-9a-fA-F:]+\]|[^:/\[\]]+):(\d{1,5})")
 

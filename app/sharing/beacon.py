@@ -17,10 +17,10 @@ from xml.etree import ElementTree
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from app.errors import InputError
-from app.sharing.address import Address
-from estimators.frames import LocalPlane
-from estimators.readings import BEACON_MESSAGES, Source, TargetFixReading
+from sidelong.app.errors import InputError
+from sidelong.app.sharing.address import Address
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import BEACON_MESSAGES, Source, TargetFixReading
 
 _FOLLOW_TARGET, _COT = BEACON_MESSAGES
 _UNKNOWN_ERROR_M = 9_999_999.0

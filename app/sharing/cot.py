@@ -14,13 +14,13 @@ from datetime import UTC, datetime, timedelta
 from uuid import uuid4
 from xml.etree import ElementTree
 
-from app.sharing.senders import Sender
-from estimators.ellipse import confidence_ellipse
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.frames import LocalPlane
-from mission.control.snapshot import Snapshot
-from mission.core.events import Announce
-from mission.core.plan import AircraftState
+from sidelong.app.sharing.senders import Sender
+from sidelong.estimators.ellipse import confidence_ellipse
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.core.events import Announce
+from sidelong.mission.core.plan import AircraftState
 
 _MACHINE_FUSED, _MACHINE_GPS = "m-f", "m-g"
 _UNKNOWN = "9999999.0"

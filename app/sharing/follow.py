@@ -11,12 +11,12 @@ from operator import xor
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from app.sharing.senders import Sender
-from estimators.ellipse import confidence_ellipse
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.frames import LocalPlane
-from mission.control.snapshot import Snapshot
-from mission.core.events import Announce
+from sidelong.app.sharing.senders import Sender
+from sidelong.estimators.ellipse import confidence_ellipse
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.core.events import Announce
 
 _FOLLOW_EVERY_S, _HEARTBEAT_EVERY_S, _NMEA_EVERY_S = 0.2, 1.0, 1.0
 _POSITION_AND_VELOCITY = 0b11

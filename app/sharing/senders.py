@@ -10,8 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from app.errors import InputError
-from app.sharing.address import Address
+from sidelong.app.errors import InputError
+from sidelong.app.sharing.address import Address
 
 _CONNECT_TIMEOUT_S, _AGAIN_AFTER_S = 10.0, 5.0
 _BACKLOG_MAX_BYTES = 64 << 10

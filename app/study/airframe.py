@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from app.study._airframe_kernel import Airframe, Body, stepped
-from mission.core.plan import AircraftState
-from mission.core.requirement import GRAVITY_M_S2, Wind
+from sidelong.app.study.airframe_kernel import Airframe, Body, stepped
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.core.requirement import GRAVITY_M_S2, Wind
 
 
 class KinematicAircraft:

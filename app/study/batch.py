@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-from app.study.judging import RunResult
-from app.study.run import run
-from app.study.settings import PlannerName, StudySettings
-from mission.predictive.value_table import ValueTable
+from sidelong.app.study.judging import RunResult
+from sidelong.app.study.run import run
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.mission.predictive.value_table import ValueTable
 
 Designs = tuple[StudySettings, ...]
 
@@ -39,7 +39,7 @@ def one_flown(
     """Fly one run, over flat ground or over hills."""
     if settings.hills is None:
         return run(settings, planner, number, table, keep_track)
-    from app.study.hills import run_over  # noqa: PLC0415  # what is compiled takes a second to load
+    from sidelong.app.study.hills import run_over  # noqa: PLC0415  # what is compiled takes a second to load
 
     assert table is not None
     return run_over(settings, number, table, keep_track)

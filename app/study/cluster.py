@@ -7,10 +7,10 @@ from importlib import import_module
 from itertools import count
 from typing import Any, TypeVar
 
-from app.errors import InputError
-from app.study.batch import Batch, Designs, Executor, Flown, flown
-from app.study.store import code_version
-from mission.predictive.value_table import ValueTable
+from sidelong.app.errors import InputError
+from sidelong.app.study.batch import Batch, Designs, Executor, Flown, flown
+from sidelong.app.study.store import code_version
+from sidelong.mission.predictive.value_table import ValueTable
 
 _AHEAD = 3  # batches for each thread of the workers
 _TRIES = 5  # of a batch whose workers died under it

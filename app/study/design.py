@@ -8,10 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from app.config import Config, with_values
-from app.errors import InputError
-from app.study.settings import StudySettings
-from mission.paper.feasibility import in_words, unflyable
+from sidelong.app.config import Config, with_values
+from sidelong.app.errors import InputError
+from sidelong.app.study.settings import StudySettings
+from sidelong.mission.core.feasibility import in_words, unflyable
 
 Value = float | str
 Overrides = dict[str, dict[str, Any]]

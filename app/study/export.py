@@ -9,9 +9,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from app.errors import InputError
-from app.study.store import MEASURES, run_ids
-from app.study.study import Study
+from sidelong.app.errors import InputError
+from sidelong.app.study.store import MEASURES, run_ids
+from sidelong.app.study.study import Study
 
 SUFFIXES = (".csv", ".parquet")
 _ROWS = 5000  # of Parquet at a time

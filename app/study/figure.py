@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from app.study.judging import Track
-from app.study.settings import PlannerName, StudySettings
-from app.study.study import StudyResult, flown_again
+from sidelong.app.study.judging import Track
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.study import StudyResult, flown_again
 
 _TICK_S = 50.0
 

@@ -1,7 +1,7 @@
 """One run of a study with several aircraft on one target: joint decisions on a joint estimate, or a law with phases.
 
-Roles, plans and the filter are those that fly (:mod:`mission.fleet`, :mod:`estimators.joint`); only the coordinator's
-dealings with links and clocks are left out.
+Roles, plans and the filter are those that fly (:mod:`sidelong.mission.fleet`,
+:mod:`sidelong.estimators.filters.joint`); only the coordinator's dealings with links and clocks are left out.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from functools import partial
 
 import numpy as np
 
-from app.study import _fleet_kernel as kernel
-from app.study._flight_kernel import (
+from sidelong.app.study import fleet_kernel as kernel
+from sidelong.app.study.airframe import KinematicAircraft
+from sidelong.app.study.flight_kernel import (
     CHANGES,
     COMING,
     COMMAND_PER_M,
@@ -28,27 +29,26 @@ from app.study._flight_kernel import (
     plan_of,
     take_plan,
 )
-from app.study.airframe import KinematicAircraft
-from app.study.joint_sight import JointSight
-from app.study.judging import STEP_S, FloatArray, RunResult, judged, shares_of_any
-from app.study.pilots import StopWatch
-from app.study.run import START_RANGE_M, aircraft_on
-from app.study.scene import Scene, scene
-from app.study.settings import StudySettings
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.circle import Circle
-from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
-from mission.core.path import Path
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Side
-from mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_beside
-from mission.fleet.team import TeamSettings
-from mission.fleet.team_planner import TeamPlanner
-from mission.fleet.watched_course import WatchedCourse
-from mission.geometry._line_kernel import Circling
-from mission.geometry.progress import line_of
-from mission.laws.phased import CircularFormation, PhasedField
-from mission.predictive.value_table import ValueTable
+from sidelong.app.study.joint_sight import JointSight
+from sidelong.app.study.judging import STEP_S, FloatArray, RunResult, judged, shares_of_any
+from sidelong.app.study.pilots import StopWatch
+from sidelong.app.study.run import START_RANGE_M, aircraft_on
+from sidelong.app.study.scene import Scene, scene
+from sidelong.app.study.settings import StudySettings
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Side
+from sidelong.mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_beside
+from sidelong.mission.fleet.team import TeamSettings
+from sidelong.mission.fleet.team_planner import TeamPlanner
+from sidelong.mission.fleet.watched_course import WatchedCourse
+from sidelong.mission.geometry.line_kernel import Circling
+from sidelong.mission.geometry.progress import line_of
+from sidelong.mission.laws.phased import CircularFormation, PhasedField
+from sidelong.mission.predictive.value_table import ValueTable
 
 _STEPS = 10  # of a second, after which all decide
 _CHI2_95 = 5.991

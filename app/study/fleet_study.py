@@ -13,11 +13,11 @@ import numpy as np
 from rich import box
 from rich.table import Table
 
-from app.study.fleet import FleetPlannerName, FleetResult, run_fleet
-from app.study.processes import uninterrupted
-from app.study.report import spread, targets_json
-from app.study.settings import StudySettings
-from mission.predictive.value_table import ValueTable
+from sidelong.app.study.fleet import FleetPlannerName, FleetResult, run_fleet
+from sidelong.app.study.processes import uninterrupted
+from sidelong.app.study.report import spread, targets_json
+from sidelong.app.study.settings import StudySettings
+from sidelong.mission.predictive.value_table import ValueTable
 
 # What is told of each aircraft by itself, with the percentile of its tail.
 _OF_EACH = {

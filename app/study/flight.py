@@ -14,8 +14,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from app.study import _flight_kernel as kernel
-from app.study._flight_kernel import (
+from sidelong.app.study import flight_kernel as kernel
+from sidelong.app.study.airframe import KinematicAircraft
+from sidelong.app.study.flight_kernel import (
     COMING_HEIGHT_M,
     COMMAND_PER_M,
     DECIDE,
@@ -37,36 +38,35 @@ from app.study._flight_kernel import (
     Steering,
     Target,
 )
-from app.study.airframe import KinematicAircraft
-from app.study.pilots import DECISION_PERIOD_S, LAW_PERIOD_S, TIMED_EVERY, GuidanceLaw, StopWatch
-from app.study.sensors import PayloadErrors, PayloadSensing
-from app.study.target import TargetTruth
-from estimators._imm_kernel import SIZE
-from estimators._mixture_kernel import MODELS
-from estimators.biases import Biases
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.imm import TargetImm, drift_per_s
-from estimators.motion import DENSITIES
-from estimators.settings import TrackerSettings
-from estimators.sighting import Sighting
-from estimators.target_filter import TargetFilter
-from estimators.terrain.ground import Ground
-from estimators.terrain.standing import GroundedFilter
-from estimators.track import Track
-from mission.core.circle import Circle
-from mission.core.path import Path
-from mission.core.plan import AircraftState, HeightProfile, Plan, Planner
-from mission.core.requirement import Wind
-from mission.geometry._line_kernel import Circling, Craft
-from mission.geometry.progress import line_of
-from mission.predictive._cost_kernel import Table
-from mission.predictive._decision_kernel import Depth, Looker, Prices
-from mission.predictive._future_kernel import Motions, Turns
-from mission.predictive._moves_kernel import nothing_kept
-from mission.predictive._second_moves_kernel import no_seconds
-from mission.predictive.cost import WatchCost
-from mission.predictive.planner import PredictivePlanner, PredictiveSettings
-from mission.viewpoint._viewpoint_kernel import Wish, fresh_memory
+from sidelong.app.study.pilots import DECISION_PERIOD_S, LAW_PERIOD_S, TIMED_EVERY, GuidanceLaw, StopWatch
+from sidelong.app.study.sensors import PayloadErrors, PayloadSensing
+from sidelong.app.study.target import TargetTruth
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.filters.biases import Biases
+from sidelong.estimators.filters.imm import TargetImm, drift_per_s
+from sidelong.estimators.filters.imm_kernel import SIZE
+from sidelong.estimators.filters.mixture_kernel import MODELS
+from sidelong.estimators.filters.motion import DENSITIES
+from sidelong.estimators.filters.target_filter import TargetFilter
+from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.estimators.terrain.standing import GroundedFilter
+from sidelong.estimators.tracking.track import Track
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan, Planner
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.line_kernel import Circling, Craft
+from sidelong.mission.geometry.progress import line_of
+from sidelong.mission.predictive.cost import WatchCost
+from sidelong.mission.predictive.cost_kernel import Table
+from sidelong.mission.predictive.decision_kernel import Depth, Looker, Prices
+from sidelong.mission.predictive.future_kernel import Motions, Turns
+from sidelong.mission.predictive.moves_kernel import nothing_kept
+from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings
+from sidelong.mission.predictive.second_moves_kernel import no_seconds
+from sidelong.mission.viewpoint.viewpoint_kernel import Wish, fresh_memory
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -9,21 +9,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.study._flight_kernel import TARGET_M
-from app.study.flight import CompiledFlight, Flown, OverGround
-from app.study.judging import FloatArray, RunResult, judged
-from app.study.run import aircraft_on, first_circle, sensed_by
-from app.study.scene import scene
-from app.study.settings import Hills, StudySettings
-from estimators.estimate import TargetEstimate
-from estimators.terrain.ground import Ground
-from mission.core.plan import AircraftState, Decision, Plan, settled_m
-from mission.core.requirement import Wind
-from mission.predictive._sight_kernel import Sight
-from mission.predictive.planner import PredictivePlanner
-from mission.predictive.value_table import ValueTable
-from mission.terrain.heights import FlightHeights, HeightRules
-from mission.terrain.sight import SightField
+from sidelong.app.study.flight import CompiledFlight, Flown, OverGround
+from sidelong.app.study.flight_kernel import TARGET_M
+from sidelong.app.study.judging import FloatArray, RunResult, judged
+from sidelong.app.study.run import aircraft_on, first_circle, sensed_by
+from sidelong.app.study.scene import scene
+from sidelong.app.study.settings import Hills, StudySettings
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.mission.core.plan import AircraftState, Decision, Plan, settled_m
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.core.sight import Sight
+from sidelong.mission.predictive.planner import PredictivePlanner
+from sidelong.mission.predictive.value_table import ValueTable
+from sidelong.mission.terrain.heights import FlightHeights, HeightRules
+from sidelong.mission.terrain.sight import SightField
 
 _SPREAD_M = 8_000.0  # targets start so far about home
 _LOOKED_EVERY = 50  # steps: whether any place of the side and the band sees the target
@@ -53,7 +53,7 @@ class HillPlanner:
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
-        """See :class:`mission.core.plan.Planner`."""
+        """See :class:`sidelong.mission.core.plan.Planner`."""
         self._present, self._target = present, (target.east_m, target.north_m)
         decision = self._planner.decide(aircraft, target, present, wind, latency_s)
         if decision.plan is None:

@@ -7,19 +7,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from app.study import _fleet_kernel as kernel
-from app.study._flight_kernel import Target
-from app.study.flight import filtering_in, payload_in
-from app.study.judging import FloatArray
-from app.study.run import payload_of
-from app.study.scene import Scene
-from app.study.settings import StudySettings
-from estimators._joint_kernel import predict as predict_joint
-from estimators._mixture_kernel import combine
-from estimators.biases import Biases
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.joint import JointImm, PayloadSighting, prior_of
-from estimators.target_filter import bias_drift
+from sidelong.app.study import fleet_kernel as kernel
+from sidelong.app.study.flight import filtering_in, payload_in
+from sidelong.app.study.flight_kernel import Target
+from sidelong.app.study.judging import FloatArray
+from sidelong.app.study.run import payload_of
+from sidelong.app.study.scene import Scene
+from sidelong.app.study.settings import StudySettings
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.filters.biases import Biases
+from sidelong.estimators.filters.joint import JointImm, PayloadSighting, prior_of
+from sidelong.estimators.filters.joint_kernel import predict as predict_joint
+from sidelong.estimators.filters.mixture_kernel import combine
+from sidelong.estimators.filters.target_filter import bias_drift
 
 
 class JointSight:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.study.course import LONG, SHORT, course_made_good_rad
-from app.study.settings import StudySettings
+from sidelong.app.study.course import LONG, SHORT, course_made_good_rad
+from sidelong.app.study.settings import StudySettings
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from app.report import html
-from app.report.plot_style import BAD, figure, legend_above, styled
-from app.study.design import Design
-from app.study.figure import draw_paths
-from app.study.report import HEADINGS_EXPLAINED, study_title, summary_headings, summary_row
-from app.study.settings import PlannerName
-from app.study.store import RunId
-from app.study.study import PlannerResult, Study, StudyResult, flown_again
+from sidelong.app.report import html
+from sidelong.app.report.plot_style import BAD, figure, legend_above, styled
+from sidelong.app.study.design import Design
+from sidelong.app.study.figure import draw_paths
+from sidelong.app.study.report import HEADINGS_EXPLAINED, study_title, summary_headings, summary_row
+from sidelong.app.study.settings import PlannerName
+from sidelong.app.study.store import RunId
+from sidelong.app.study.study import PlannerResult, Study, StudyResult, flown_again
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from time import thread_time
 from typing import TypeVar
 
-from estimators.estimate import TargetEstimate
-from mission.core.plan import AircraftState
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.plan import AircraftState
 
 LAW_PERIOD_S = 0.2
 DECISION_PERIOD_S = 1.0

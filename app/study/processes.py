@@ -9,8 +9,8 @@ import signal
 from collections.abc import Iterable, Iterator
 from queue import SimpleQueue
 
-from app.study.batch import Batch, Designs, Executor, Flown, flown
-from mission.predictive.value_table import ValueTable
+from sidelong.app.study.batch import Batch, Designs, Executor, Flown, flown
+from sidelong.mission.predictive.value_table import ValueTable
 
 _AHEAD = 2  # batches for each process: one that is flown, one that waits
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from app.errors import InputError
-from app.study.course import SHORT, course_made_good_rad
-from app.study.target import TargetTruth
-from sitl.track import Track, TrackError, read_track
+from sidelong.app.errors import InputError
+from sidelong.app.study.course import SHORT, course_made_good_rad
+from sidelong.app.study.target import TargetTruth
+from sidelong.sitl.world.track import Track, TrackError, read_track
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -64,7 +64,7 @@ class RecordedTarget:
         return np.stack([east, north, *(v[k] for v in self._velocity_m_s), self._course_rad[k]], axis=1)
 
     def at(self, time_s: float) -> TargetTruth:
-        """See :class:`app.study.target.Target`."""
+        """See :class:`sidelong.app.study.target.Target`."""
         return TargetTruth(*map(float, self.sampled(np.array([time_s]))[0]))
 
 

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from rich import box
 from rich.table import Table
 
-from app.study.settings import StudySettings
-from app.study.study import PlannerResult, Study, StudyResult
+from sidelong.app.study.settings import StudySettings
+from sidelong.app.study.study import PlannerResult, Study, StudyResult
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import math
 
-from app.assembly import tracker_settings
-from app.study.airframe import KinematicAircraft
-from app.study.flight import CompiledFlight, Flown, Sensed
-from app.study.judging import RunResult, judged
-from app.study.pilots import GuidanceLaw
-from app.study.scene import Scene, scene
-from app.study.sensors import PayloadErrors
-from app.study.settings import PlannerName, StudySettings
-from estimators.settings import TrackerSettings
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState
-from mission.geometry.wind import ground_speed_m_s
-from mission.laws.lateral_guidance import LateralGuidance
-from mission.laws.vector_field import VectorField
-from mission.paper.planner import PaperPlanner
-from mission.predictive.planner import PredictivePlanner
-from mission.predictive.value_table import ValueTable
+from sidelong.app.assembly import tracker_settings
+from sidelong.app.study.airframe import KinematicAircraft
+from sidelong.app.study.flight import CompiledFlight, Flown, Sensed
+from sidelong.app.study.judging import RunResult, judged
+from sidelong.app.study.pilots import GuidanceLaw
+from sidelong.app.study.scene import Scene, scene
+from sidelong.app.study.sensors import PayloadErrors
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.geometry.wind import ground_speed_m_s
+from sidelong.mission.laws.lateral_guidance import LateralGuidance
+from sidelong.mission.laws.vector_field import VectorField
+from sidelong.mission.paper.planner import PaperPlanner
+from sidelong.mission.predictive.planner import PredictivePlanner
+from sidelong.mission.predictive.value_table import ValueTable
 
 START_RANGE_M = 300.0
 # Of the curvature limit: what correcting the flown line may ask for beyond the circle itself.

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.study.target import TargetTruth
-from estimators.estimate import TargetEstimate
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
-from estimators.tracker import Tracker, TrackerSettings
-from mission.core.plan import AircraftState
+from sidelong.app.study.target import TargetTruth
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
+from sidelong.mission.core.plan import AircraftState
 
 _LASER = Source("DISTANCE_SENSOR", 154, 1, 100)
 _GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)

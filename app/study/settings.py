@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Literal
 
-from app.config import SensorsSection
-from app.study.recorded import RecordedTarget
-from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
-from mission.viewpoint.side_policy import watching_from
+from sidelong.app.config import SensorsSection
+from sidelong.app.study.recorded import RecordedTarget
+from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
+from sidelong.mission.viewpoint.side_policy import watching_from
 
 if TYPE_CHECKING:
-    from estimators.terrain.ground import Ground
+    from sidelong.estimators.terrain.ground import Ground
 
 
 class PlannerName(StrEnum):

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from app.errors import InputError
-from app.study.judging import RunResult
-from app.study.settings import PlannerName, StudySettings
+from sidelong.app.errors import InputError
+from sidelong.app.study.judging import RunResult
+from sidelong.app.study.settings import PlannerName, StudySettings
 
 MEASURES = (
     *("time_in_band", "time_on_side", "time_on_side_5s", "min_range_m", "max_range_m"),

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from app.study.batch import Batch, Executor, one_flown
-from app.study.design import Design
-from app.study.judging import RunResult, Track
-from app.study.processes import on_processes
-from app.study.settings import PlannerName, StudySettings
-from app.study.store import MEASURES, ResultStore, RunId, run_ids
-from app.value_cache import value_table
-from mission.predictive.planner import table_configuration
-from mission.predictive.value_table import ValueTable
+from sidelong.app.study.batch import Batch, Executor, one_flown
+from sidelong.app.study.design import Design
+from sidelong.app.study.judging import RunResult, Track
+from sidelong.app.study.processes import on_processes
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.store import MEASURES, ResultStore, RunId, run_ids
+from sidelong.app.value_cache import value_table
+from sidelong.mission.predictive.planner import table_configuration
+from sidelong.mission.predictive.value_table import ValueTable
 
 Progress = Callable[[int], None]
 _TableOf = Callable[[StudySettings], ValueTable | None]

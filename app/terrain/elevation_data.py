@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.errors import InputError
-from app.terrain.geotiff import GeoTiff
-from app.terrain.srtm import SrtmTile
-from app.terrain.tile import Bounds, HeightArray, Posts, Tile
-from estimators.frames import LocalPlane
+from sidelong.app.errors import InputError
+from sidelong.app.terrain.geotiff import GeoTiff
+from sidelong.app.terrain.srtm import SrtmTile
+from sidelong.app.terrain.tile import Bounds, HeightArray, Posts, Tile
+from sidelong.estimators.frames import LocalPlane
 
 if TYPE_CHECKING:
-    from estimators.terrain.ground import Ground
+    from sidelong.estimators.terrain.ground import Ground
 
 _READERS: dict[str, type[SrtmTile] | type[GeoTiff]] = {".hgt": SrtmTile, ".tif": GeoTiff, ".tiff": GeoTiff}
 _TILES_MAX = 5_000
@@ -126,7 +126,7 @@ def elevation_data(path: Path) -> ElevationData:
 
 def _in_plane(heights: HeightArray, posts: Posts, plane: LocalPlane, reach_m: float, sigma_m: float) -> Ground:
     """Return heights (rows, columns) at posts as a grid of the plane, twice as fine so that peaks stay."""
-    from estimators.terrain.ground import Ground  # noqa: PLC0415  # what is compiled takes a second to load
+    from sidelong.estimators.terrain.ground import Ground  # noqa: PLC0415  # what is compiled takes a second to load
 
     spacing_m = 0.5 * posts.step_north_deg * _METRES_PER_DEG
     count = 2 * math.floor(min(reach_m / spacing_m, 0.5 * math.sqrt(_POSTS_MAX))) + 1

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from app.errors import InputError
-from app.terrain.tile import HIGHEST_M, LOWEST_M, HeightArray, Posts, at_posts, needed
+from sidelong.app.errors import InputError
+from sidelong.app.terrain.tile import HIGHEST_M, LOWEST_M, HeightArray, Posts, at_posts, needed
 
 _MARGIN = 1e-9
 _METRES = dict.fromkeys(("", "m", "metre", "meter", "metres", "meters"), 1.0)
@@ -19,7 +19,7 @@ _PIXELS_MAX = 400_000_000
 
 
 class GeoTiff:
-    """See :class:`app.terrain.tile.Tile`. Any projection; the first band is the height above sea level."""
+    """See :class:`sidelong.app.terrain.tile.Tile`. Any projection; the first band is the height above sea level."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -74,7 +74,7 @@ class GeoTiff:
             raise InputError(f"{self.path}: tells heights in {_unit(dataset)}; write it in metres or feet.")
 
     def read(self, wanted: Posts) -> HeightArray:
-        """See :class:`app.terrain.tile.Tile`."""
+        """See :class:`sidelong.app.terrain.tile.Tile`."""
         own = self.posts
         south, north, west, east = needed(wanted, own)
         if south == north or west == east:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from estimators.terrain.ground import Ground
+from sidelong.estimators.terrain.ground import Ground
 
 _PIXELS_MAX = 1200  # each way
 _STEEPER = 2.0  # gentle hills would hardly be seen

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from app.errors import InputError
-from app.terrain.tile import HIGHEST_M, LOWEST_M, HeightArray, Posts, at_posts, needed
+from sidelong.app.errors import InputError
+from sidelong.app.terrain.tile import HIGHEST_M, LOWEST_M, HeightArray, Posts, at_posts, needed
 
 _NAME = re.compile(r"([NS])(\d{2})([EW])(\d{3})", re.IGNORECASE)
 _SIDES = (1201, 3601)
 
 
 class SrtmTile:
-    """See :class:`app.terrain.tile.Tile`. The file is mapped, not read."""
+    """See :class:`sidelong.app.terrain.tile.Tile`. The file is mapped, not read."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -53,7 +53,7 @@ class SrtmTile:
         return side
 
     def read(self, wanted: Posts) -> HeightArray:
-        """See :class:`app.terrain.tile.Tile`."""
+        """See :class:`sidelong.app.terrain.tile.Tile`."""
         own, side = self.posts, self.posts.rows
         south, north, west, east = needed(wanted, own)
         if south == north or west == east:

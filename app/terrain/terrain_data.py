@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from app.terrain.elevation_data import ElevationData
-from app.terrain.tile import Posts
+from sidelong.app.terrain.elevation_data import ElevationData
+from sidelong.app.terrain.tile import Posts
 
 _ACROSS, _UP, _POSTS = 8, 7, 4
 # ArduPilot's own conversion, in which both sides have to name the same places.

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import uvicorn
 
-from app.view.access import Access
-from app.view.background import Background
-from app.view.guard import GuardedProtocol
-from app.view.server import Json, Server
+from sidelong.app.view.access import Access
+from sidelong.app.view.background import Background
+from sidelong.app.view.guard import GuardedProtocol
+from sidelong.app.view.server import Json, Server
 
 _LINE_MAX_BYTES = 1 << 22
 

@@ -12,7 +12,7 @@ import secrets
 from collections import OrderedDict
 from dataclasses import dataclass
 
-from app.view.address import LOOPBACK
+from sidelong.app.view.address import LOOPBACK
 
 _SESSIONS_MAX = 100
 

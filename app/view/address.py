@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.errors import InputError
+from sidelong.app.errors import InputError
 
 if TYPE_CHECKING:
-    from app.view.background import Background
+    from sidelong.app.view.background import Background
 
 LOOPBACK = ("127.0.0.1", "localhost")
 DEFAULT_PORT = 8420
@@ -66,6 +66,6 @@ def page_address(
         raise InputError("--map-bounds tells where the picture of --map lies; give both.")
     if map_file is None:
         return Address(host, port, cert, key)
-    from app.view.background import background  # noqa: PLC0415  # SQLite, which few need
+    from sidelong.app.view.background import background  # noqa: PLC0415  # SQLite, which few need
 
     return Address(host, port, cert, key, background(map_file, map_bounds))

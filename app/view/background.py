@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from app.errors import InputError
+from sidelong.app.errors import InputError
 
 _PICTURE_MAX_BYTES, _ZOOM_MAX = 64 << 20, 24
 _FORMATS = ((b"\x89PNG\r\n\x1a\n", "image/png"), (b"\xff\xd8\xff", "image/jpeg"), (b"RIFF", "image/webp"))

@@ -12,18 +12,18 @@ from collections.abc import AsyncIterator, Callable
 from types import TracebackType
 from typing import TypeVar
 
-from app.config import Config
-from app.flight.display import FlightDisplay, Wish
-from app.link.vehicle_status import VehicleStatus
-from app.view.address import Address
-from app.view.feed import Feed
-from app.view.process import page_line, start_page, under_flight
-from app.view.shading import Shading
-from app.view.state import Json, StateEncoder, setting
-from estimators.frames import LocalPlane
-from mission.control.snapshot import Snapshot
-from mission.core.events import Announce, MissionChange, OperatorRequest
-from mission.core.requirement import Side
+from sidelong.app.config import Config
+from sidelong.app.flight.display import FlightDisplay, Wish
+from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.view.address import Address
+from sidelong.app.view.feed import Feed
+from sidelong.app.view.process import page_line, start_page, under_flight
+from sidelong.app.view.shading import Shading
+from sidelong.app.view.state import Json, StateEncoder, setting
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.core.events import Announce, MissionChange, OperatorRequest
+from sidelong.mission.core.requirement import Side
 
 _SEND_EVERY_S = 0.125
 _STATUS_EVERY_S = 1.0

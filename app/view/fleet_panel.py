@@ -12,14 +12,14 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from app.flight.display import Wish
-from app.link.plain_text import plain
-from app.link.vehicle_status import VehicleStatus
-from app.view.clock import clock
-from app.view.panel import REFRESH_HZ, STYLES, target_motion, target_range_m
-from estimators.frames import LocalPlane
-from mission.control.snapshot import Snapshot
-from mission.core.events import Announce
+from sidelong.app.flight.display import Wish
+from sidelong.app.link.plain_text import plain
+from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.view.clock import clock
+from sidelong.app.view.panel import REFRESH_HZ, STYLES, target_motion, target_range_m
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.core.events import Announce
 
 _PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time
 

@@ -6,16 +6,16 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Protocol
 
-from app.config import Config
-from app.flight.display import FlightDisplay, Wish
-from app.view.address import Address
-from app.view.display import ViewDisplay
-from app.view.fleet_panel import AircraftDisplay, FleetPanel
-from app.view.state import Json, other_aircraft, other_target
-from estimators.frames import LocalPlane
-from mission.control.snapshot import Snapshot
-from mission.core.events import MissionChange
-from mission.core.requirement import Side
+from sidelong.app.config import Config
+from sidelong.app.flight.display import FlightDisplay, Wish
+from sidelong.app.view.address import Address
+from sidelong.app.view.display import ViewDisplay
+from sidelong.app.view.fleet_panel import AircraftDisplay, FleetPanel
+from sidelong.app.view.state import Json, other_aircraft, other_target
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.core.events import MissionChange
+from sidelong.mission.core.requirement import Side
 
 
 class FleetRequests(Protocol):

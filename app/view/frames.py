@@ -8,10 +8,10 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from app.analysis.replay import Replayed, announcements
-from app.view.state import Json, StateEncoder
-from estimators.frames import LocalPlane
-from mission.core.events import ControlAcquired, DecisionRecord
+from sidelong.app.analysis.replay import Replayed, announcements
+from sidelong.app.view.state import Json, StateEncoder
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.events import ControlAcquired, DecisionRecord
 
 _STEP_S, _ROUNDING_S, _SAME_S = 0.2, 0.01, 3.0
 _FRAMES_MAX = 50_000  # beyond, only every other one is kept

@@ -13,17 +13,17 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from app.flight.display import Wish
-from app.link.plain_text import plain
-from app.link.vehicle_status import VehicleStatus
-from app.view.clock import clock
-from app.view.prompt import HELP, Keyboard, Prompt
-from estimators.ellipse import confidence_ellipse
-from estimators.estimate import TrackQuality
-from estimators.frames import LocalPlane
-from mission.control.snapshot import Phase, Snapshot
-from mission.core.events import Announce
-from mission.core.requirement import Requirement
+from sidelong.app.flight.display import Wish
+from sidelong.app.link.plain_text import plain
+from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.view.clock import clock
+from sidelong.app.view.prompt import HELP, Keyboard, Prompt
+from sidelong.estimators.ellipse import confidence_ellipse
+from sidelong.estimators.estimate import TrackQuality
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.core.events import Announce
+from sidelong.mission.core.requirement import Requirement
 
 REFRESH_HZ = 4.0
 _PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time

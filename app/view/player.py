@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from app.view.frames import Frames
-from app.view.state import Json
+from sidelong.app.view.frames import Frames
+from sidelong.app.view.state import Json
 
 SPEED_MAX = 1000.0
 

@@ -6,11 +6,11 @@ import json
 import secrets
 import sys
 
-from app.errors import InputError
-from app.view.address import Address
-from app.view.feed import Feed, FeedError
-from app.view.shading import Shading
-from app.view.state import Json
+from sidelong.app.errors import InputError
+from sidelong.app.view.address import Address
+from sidelong.app.view.feed import Feed, FeedError
+from sidelong.app.view.shading import Shading
+from sidelong.app.view.state import Json
 
 _UP_S = 30.0  # a second or two; a machine that is busy takes many times that
 
@@ -22,7 +22,7 @@ def start_page(address: Address, replay: bool = False) -> tuple[Feed, str, str]:
     """
     host, port, under = address.host, address.port, address.map
     token, viewer_token = ("", "") if address.is_local else (secrets.token_urlsafe(16), secrets.token_urlsafe(16))
-    feed = Feed((sys.executable, "-m", "app.view"))
+    feed = Feed((sys.executable, "-P", "-m", "sidelong.app.view"))
     options: Json = {"host": host, "port": port, "operator_token": token, "viewer_token": viewer_token}
     options["map"] = under and {"path": str(under.path.absolute()), "zooms": under.zooms}
     options |= {"cert": address.cert and str(address.cert), "key": address.key and str(address.key), "replay": replay}

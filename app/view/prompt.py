@@ -12,9 +12,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Literal
 
-from app.flight.display import Wish
-from mission.control.mission_change import describe_change
-from mission.core.events import MissionChange, OperatorRequest
+from sidelong.app.flight.display import Wish
+from sidelong.mission.control.mission_change import describe_change
+from sidelong.mission.core.events import MissionChange, OperatorRequest
 
 WHO = "the terminal"
 HELP = "type c to change radius, band, height or side, or to hold, resume or end"

@@ -7,13 +7,13 @@ import json
 import time
 from collections.abc import Callable
 
-from app.config import Config
-from app.view.address import Address
-from app.view.frames import Frames
-from app.view.player import Player
-from app.view.process import page_line, start_page, under_flight
-from app.view.shading import Shading
-from app.view.state import setting
+from sidelong.app.config import Config
+from sidelong.app.view.address import Address
+from sidelong.app.view.frames import Frames
+from sidelong.app.view.player import Player
+from sidelong.app.view.process import page_line, start_page, under_flight
+from sidelong.app.view.shading import Shading
+from sidelong.app.view.state import setting
 
 _EVERY_S = 0.125
 

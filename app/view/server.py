@@ -1,7 +1,8 @@
 """The page's server: static files, a stream of states to each browser, and the buttons back.
 
-Who may see and press is ``app.view.access``'s matter. No foreign page reaches this one: not by a name of its own
-(Host), not from its own origin (Origin, Sec-Fetch-Site), not around it (frames). Every request is small and quick.
+Who may see and press is ``sidelong.app.view.access``'s matter. No foreign page reaches this one: not by a name of its
+own (Host), not from its own origin (Origin, Sec-Fetch-Site), not around it (frames). Every request is small and
+quick.
 
 This module is imported by the server's process alone and must stay quick to load: nothing of mission or estimators.
 """
@@ -23,8 +24,8 @@ from starlette.responses import JSONResponse, PlainTextResponse, RedirectRespons
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.view.access import Access, Allowances
-from app.view.background import Background, is_tile, media_type, readable_tile
+from sidelong.app.view.access import Access, Allowances
+from sidelong.app.view.background import Background, is_tile, media_type, readable_tile
 
 Json = dict[str, Any]
 
@@ -124,7 +125,7 @@ class Server:
         self._pictures = Allowances(burst=2000.0, rate_s=300.0)
         self._guesses = Allowances(burst=10.0, rate_s=0.2)
         self._presses = Allowances(burst=20.0, rate_s=5.0)
-        folder = files("app.view") / "page"
+        folder = files("sidelong.app.view") / "page"
         self._files = {name: (folder / name).read_bytes() for name in _MEDIA}
         routes = [
             Route("/", self._index),

@@ -7,11 +7,11 @@ import tempfile
 import threading
 from pathlib import Path
 
-from app.assembly import ground_of
-from app.config import Config
-from app.errors import InputError
-from app.terrain.hillshade import hillshade
-from estimators.frames import LocalPlane
+from sidelong.app.assembly import ground_of
+from sidelong.app.config import Config
+from sidelong.app.errors import InputError
+from sidelong.app.terrain.hillshade import hillshade
+from sidelong.estimators.frames import LocalPlane
 
 _REACH_M, _END_S = 15_000.0, 5.0
 

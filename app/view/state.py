@@ -9,16 +9,16 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from app.analysis.target_course import TargetCourse
-from app.config import Config
-from app.link.vehicle_status import VehicleStatus
-from estimators.ellipse import confidence_ellipse
-from estimators.frames import LocalPlane, wrap_rad
-from mission.control.snapshot import Snapshot
-from mission.core.path import Path
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Requirement
-from mission.viewpoint.side_policy import side_words
+from sidelong.app.analysis.target_course import TargetCourse
+from sidelong.app.config import Config
+from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.estimators.ellipse import confidence_ellipse
+from sidelong.estimators.frames import LocalPlane, wrap_rad
+from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Requirement
+from sidelong.mission.viewpoint.side_policy import side_words
 
 Json = dict[str, Any]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from estimators.terrain._ground_kernel import (
+from sidelong.estimators.terrain.ground_kernel import (
     FloatArray,
     Grid,
     height_and_slope,

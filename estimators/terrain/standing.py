@@ -16,17 +16,17 @@ from typing import Self
 
 import numpy as np
 
-from estimators.biases import Biases
-from estimators.sighting import AnySighting
-from estimators.target_filter import (
+from sidelong.estimators.filters.biases import Biases
+from sidelong.estimators.filters.target_filter import (
     EAST,
     HEIGHT,
     NORTH,
     FloatArray,
     TargetFilter,
 )
-from estimators.terrain._standing_kernel import kept_offset
-from estimators.terrain.ground import Ground, GroundPatch
+from sidelong.estimators.sensing.sighting import AnySighting
+from sidelong.estimators.terrain.ground import Ground, GroundPatch
+from sidelong.estimators.terrain.standing_kernel import kept_offset
 
 
 class GroundedFilter:
@@ -59,11 +59,11 @@ class GroundedFilter:
         return self._inner.size
 
     def carry(self, transition: FloatArray, shift: FloatArray, height_variance_m2: float) -> None:
-        """Turn the state linearly; see :class:`estimators.target_filter.TargetFilter`."""
+        """Turn the state linearly; see :class:`sidelong.estimators.filters.target_filter.TargetFilter`."""
         self._inner.carry(transition, shift, height_variance_m2)
 
     def measure(self, row: FloatArray, residual: float, variance: float) -> None:
-        """Take in one number; see :class:`estimators.target_filter.TargetFilter`."""
+        """Take in one number; see :class:`sidelong.estimators.filters.target_filter.TargetFilter`."""
         self._inner.measure(row, residual, variance)
 
     @property

@@ -3,8 +3,8 @@
 Rules
 -----
 1. Nothing is commanded before ``ControlAcquired`` and nothing after ``Yield`` or ``End``.
-2. At most one plan is under way to the autopilot (:mod:`mission.control.plan_changes`), and while one is, nothing is
-   decided. One that is dropped or fails is decided anew.
+2. At most one plan is under way to the autopilot (:mod:`sidelong.mission.control.plan_changes`), and while one is,
+   nothing is decided. One that is dropped or fails is decided anew.
 3. A plan that breaks a fence is not sent; the present circle goes on.
 4. When the measured ratio of flown to commanded radius changes, the present circle is sent again.
 5. An aircraft that has left its transition for some seconds (circling a waypoint that it cannot reach, say) is sent
@@ -13,8 +13,8 @@ Rules
 7. A target lost for ``give_up_after_s`` ends the mission.
 8. What a person changes in flight holds from the next decision on: the planner is made anew, and where it stays, the
    present circle is sent again as changed.
-9. Every event passes :mod:`mission.control.plausibility` first. While that doubts the aircraft's own position, the
-   circle is held: nothing is decided, and no plan departs.
+9. Every event passes :mod:`sidelong.mission.control.plausibility` first. While that doubts the aircraft's own
+   position, the circle is held: nothing is decided, and no plan departs.
 10. In a fleet the joint estimate, the target and the side come with ``FleetAdvice`` while that is fresh; without it
     the aircraft goes on by its own. A plan that comes too near to another aircraft counts as one that breaks a fence.
 
@@ -27,8 +27,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.readings import (
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.sensing.readings import (
     AttitudeReading,
     GimbalReading,
     PositionReading,
@@ -36,19 +36,19 @@ from estimators.readings import (
     Reading,
     TargetFixReading,
 )
-from estimators.sighting import SightingOutcome
-from estimators.tracker import Tracker
-from mission.control.mission_change import aircraft_after, describe_change, requirement_after
-from mission.control.plan_changes import PlanChanges
-from mission.control.planning import Planning
-from mission.control.plausibility import Plausibility
-from mission.control.sensor_status import SensorStatus
-from mission.control.snapshot import Phase, Snapshot
-from mission.control.surroundings import Surroundings
-from mission.control.target_news import TargetNews
-from mission.control.upload_latency import UploadLatency
-from mission.core.circle import Circle
-from mission.core.events import (
+from sidelong.estimators.sensing.sighting import SightingOutcome
+from sidelong.estimators.tracking.tracker import Tracker
+from sidelong.mission.control.mission_change import aircraft_after, describe_change, requirement_after
+from sidelong.mission.control.plan_changes import PlanChanges
+from sidelong.mission.control.planning import Planning
+from sidelong.mission.control.plausibility import Plausibility
+from sidelong.mission.control.sensor_status import SensorStatus
+from sidelong.mission.control.snapshot import Phase, Snapshot
+from sidelong.mission.control.surroundings import Surroundings
+from sidelong.mission.control.target_news import TargetNews
+from sidelong.mission.control.upload_latency import UploadLatency
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import (
     Announce,
     Command,
     ControlAcquired,
@@ -67,11 +67,11 @@ from mission.core.events import (
     Yield,
     YieldRequested,
 )
-from mission.core.fleet import FleetAdvice, NeighbourPlanned, Role
-from mission.core.heights import ClimbRates, Heights, OneHeight
-from mission.core.plan import AircraftState, Decision, Plan, PlannerFactory, settled_m
-from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
-from mission.geometry.progress import dead_reckoned, nearest_arc_m
+from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned, Role
+from sidelong.mission.core.heights import ClimbRates, Heights, OneHeight
+from sidelong.mission.core.plan import AircraftState, Decision, Plan, PlannerFactory, settled_m
+from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
+from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
 
 # A stronger wind, as a share of the airspeed, is not flown in: one that is reported all the same is not believed.
 _WIND_MAX_SHARE = 0.9

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState
 
 _MIN_RATIO, _MAX_RATIO = 0.7, 1.5
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mission.core.events import MissionChange
-from mission.core.requirement import Aircraft, Requirement
-from mission.viewpoint.side_policy import watching_from
+from sidelong.mission.core.events import MissionChange
+from sidelong.mission.core.requirement import Aircraft, Requirement
+from sidelong.mission.viewpoint.side_policy import watching_from
 
 
 def requirement_after(change: MissionChange, requirement: Requirement) -> Requirement:

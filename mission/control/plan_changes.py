@@ -14,14 +14,14 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from mission.control.flown_radius import FlownRadius
-from mission.control.plausibility import Plausibility
-from mission.control.upload_latency import UploadLatency
-from mission.core.circle import Circle
-from mission.core.events import ActivatePlan, Announce, Command, PlanStatus, UploadPlan
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Wind
-from mission.geometry.progress import nearest_arc_m, off_track, point_at
+from sidelong.mission.control.flown_radius import FlownRadius
+from sidelong.mission.control.plausibility import Plausibility
+from sidelong.mission.control.upload_latency import UploadLatency
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import ActivatePlan, Announce, Command, PlanStatus, UploadPlan
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.progress import nearest_arc_m, off_track, point_at
 
 # A plan that got ready after its time still departs, up to so much later, while the aircraft is near its line: a
 # transition parts slowly from the line before it. Later than that the aircraft banks the wrong way for it.

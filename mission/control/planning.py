@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned
-from mission.core.plan import AircraftState, Decision, Plan, Planner, PlannerFactory, WindPlanner
-from mission.core.requirement import Aircraft, Requirement, Wind
-from mission.geometry.approach import approach
-from mission.geometry.progress import dead_reckoned
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned
+from sidelong.mission.core.plan import AircraftState, Decision, Plan, Planner, PlannerFactory, WindPlanner
+from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
+from sidelong.mission.geometry.approach import approach
+from sidelong.mission.geometry.progress import dead_reckoned
 
 # What the fleet advised is followed for so long.
 _ADVICE_S = 5.0

@@ -2,14 +2,16 @@
 
 Rules
 -----
-1. The vehicle's clock is the line of its own stamps (:class:`estimators.clock.VehicleClock`). A stamp elsewhere is
-   refused; a line elsewhere is followed once it has proved true. Until then nothing of the payload is taken. One that
-   begins anew is an autopilot that has started anew: Yield; one that did so seconds ago has moved meanwhile.
-2. The aircraft's position is believed as far as flight allows (:mod:`mission.control.position_check`). What lies
-   elsewhere is bridged by dead reckoning; after ``BRIDGED_S`` of that, or of a fault that GPS or EKF report, there is
-   ``doubt``: the circle is held, and nothing is decided. Nothing new is begun from the first complaint on. A place
-   whose clock stood still or was another one is not bridged from: there is doubt at once. After a silence nothing is
-   begun or seen from a place until GPS and EKF have spoken again: it may have drifted, and they tell a second later.
+1. The vehicle's clock is the line of its own stamps (:class:`sidelong.estimators.sensing.clock.VehicleClock`). A
+   stamp elsewhere is refused; a line elsewhere is followed once it has proved true. Until then nothing of the payload
+   is taken. One that begins anew is an autopilot that has started anew: Yield; one that did so seconds ago has moved
+   meanwhile.
+2. The aircraft's position is believed as far as flight allows (:mod:`sidelong.mission.control.position_check`). What
+   lies elsewhere is bridged by dead reckoning; after ``BRIDGED_S`` of that, or of a fault that GPS or EKF report,
+   there is ``doubt``: the circle is held, and nothing is decided. Nothing new is begun from the first complaint on. A
+   place whose clock stood still or was another one is not bridged from: there is doubt at once. After a silence
+   nothing is begun or seen from a place until GPS and EKF have spoken again: it may have drifted, and they tell a
+   second later.
 3. A payload's stamp is compared with the vehicle's clock. A source whose clock is constantly off is corrected, and it
    is told; a single stamp that fits neither clock is refused. A source that is refused falls silent for the tracker,
    so that another may take over. A stamp of 0 is none: the reading is taken as of now.
@@ -26,8 +28,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal
 
-from estimators.clock import BOOTING_S, PROOF_S, SILENCE_MAX_S, SourceClock, Stamp, VehicleClock
-from estimators.readings import (
+from sidelong.estimators.sensing.clock import BOOTING_S, PROOF_S, SILENCE_MAX_S, SourceClock, Stamp, VehicleClock
+from sidelong.estimators.sensing.readings import (
     BEACON_MESSAGES,
     AttitudeReading,
     GimbalReading,
@@ -36,8 +38,8 @@ from estimators.readings import (
     Source,
     TargetFixReading,
 )
-from mission.control.position_check import SILENT_S, PositionCheck
-from mission.core.events import (
+from sidelong.mission.control.position_check import SILENT_S, PositionCheck
+from sidelong.mission.core.events import (
     Announce,
     Event,
     NavigationReported,

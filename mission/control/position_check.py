@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from estimators.readings import PositionReading
-from mission.core.requirement import GRAVITY_M_S2
+from sidelong.estimators.sensing.readings import PositionReading
+from sidelong.mission.core.requirement import GRAVITY_M_S2
 
 _SLACK_M, _ACCELERATION_M_S2 = 15.0, 8.0
 _GUST_M_S = 15.0

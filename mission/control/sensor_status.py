@@ -6,9 +6,15 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Reading
-from estimators.sighting import SightingOutcome
-from estimators.tracker import Tracker
+from sidelong.estimators.sensing.readings import (
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    Reading,
+)
+from sidelong.estimators.sensing.sighting import SightingOutcome
+from sidelong.estimators.tracking.tracker import Tracker
 
 
 @dataclass(slots=True)

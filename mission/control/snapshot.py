@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from estimators.estimate import TargetEstimate
-from mission.control.sensor_status import SensorStatus
-from mission.core.plan import AircraftState, Decision, Plan
-from mission.core.requirement import Requirement, Side, Wind
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.control.sensor_status import SensorStatus
+from sidelong.mission.core.plan import AircraftState, Decision, Plan
+from sidelong.mission.core.requirement import Requirement, Side, Wind
 
 
 class Phase(StrEnum):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from mission.core.heights import Heights
-from mission.core.plan import Plan
-from mission.geometry.separation import Separation
-from mission.predictive._sight_kernel import NOTHING_HIDDEN, Sight, SightAt
+from sidelong.mission.core.heights import Heights
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight, SightAt
+from sidelong.mission.geometry.separation import Separation
 
 FenceCheck = Callable[[Plan], str | None]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.events import Announce
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.events import Announce
 
 # A target unseen for less than this is no news: lasers miss for some seconds all the time.
 _AFTER_S = 8.0

@@ -10,17 +10,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from estimators.readings import (
+from sidelong.estimators.sensing.readings import (
     AttitudeReading,
     GimbalReading,
     PositionReading,
     RangeReading,
     TargetFixReading,
 )
-from mission.core.circle import Circle
-from mission.core.fleet import FleetAdvice, NeighbourPlanned
-from mission.core.plan import Plan
-from mission.core.requirement import Side, Wind
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.core.requirement import Side, Wind
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
-from estimators.estimate import TargetEstimate
-from mission.core.plan import AircraftState, Plan, Planner
-from mission.core.requirement import Side
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.plan import AircraftState, Plan, Planner
+from sidelong.mission.core.requirement import Side
 
 
 class Role(StrEnum):

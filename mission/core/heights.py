@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-from mission.core.plan import HeightProfile, Plan
+from sidelong.mission.core.plan import HeightProfile, Plan
 
 # The share of the rates that is counted on: in a tailwind the ground comes sooner.
 _RATE_RESERVE = 0.7

@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
-from estimators.estimate import TargetEstimate
-from mission.core.circle import Circle
-from mission.core.path import Path
-from mission.core.requirement import Aircraft, Requirement, Wind
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 
 _SAME_HEIGHT_M = 10.0  # an autopilot is seldom farther from what it holds
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 
-from mission.core.plan import AircraftState, Plan
-from mission.exchange.layout import MissionLayout
-from mission.exchange.outbox import CANCELLED, Outbox
-from mission.exchange.raw_item import at_place
-from mission.exchange.reports import MissionCountReported, PositionTargetReported
-from mission.geometry.progress import nearest_arc_m, off_track, point_at
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.exchange.layout import MissionLayout
+from sidelong.mission.exchange.outbox import CANCELLED, Outbox
+from sidelong.mission.exchange.raw_item import at_place
+from sidelong.mission.exchange.reports import MissionCountReported, PositionTargetReported
+from sidelong.mission.geometry.progress import nearest_arc_m, off_track, point_at
 
 _SENDS = 5
 _MIN_AGAIN_S, _AGAIN_ROUND_TRIPS = 0.4, 2.0

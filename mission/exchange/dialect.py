@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from mission.core.requirement import Wind
-from mission.exchange.raw_item import RawItem
-from mission.exchange.reports import VehicleReport
-from mission.exchange.vehicle_command import VehicleCommand
-from mission.upload.items import Item
-from mission.upload.line_tracking import LineTracking
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.exchange.raw_item import RawItem
+from sidelong.mission.exchange.reports import VehicleReport
+from sidelong.mission.exchange.vehicle_command import VehicleCommand
+from sidelong.mission.upload.items import Item
+from sidelong.mission.upload.line_tracking import LineTracking
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from mission.exchange.raw_item import RawItem
+from sidelong.mission.exchange.raw_item import RawItem
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,10 +16,10 @@ from __future__ import annotations
 
 import math
 
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import GRAVITY_M_S2
-from mission.geometry.progress import dead_reckoned, nearest_arc_m, point_at
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import GRAVITY_M_S2
+from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m, point_at
 
 _LOOK_AHEAD_S = 3.5
 _RESPONSE_S = 0.6  # from a command to the bank it asks for

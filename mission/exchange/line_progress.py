@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from estimators.frames import LocalPlane
-from mission.core.path import Path
-from mission.core.plan import AircraftState
-from mission.exchange.layout import MissionLayout
-from mission.exchange.raw_item import RawItem
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.exchange.layout import MissionLayout
+from sidelong.mission.exchange.raw_item import RawItem
 
 SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
 

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import math
 
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
-from mission.control.controller import StandoffController
-from mission.control.snapshot import Snapshot
-from mission.core.events import (
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
+from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.core.events import (
     ActivatePlan,
     Command,
     ControlAcquired,
@@ -25,20 +25,20 @@ from mission.core.events import (
     UploadPlan,
     Yield,
 )
-from mission.exchange.dialect import AutopilotDialect
-from mission.exchange.mission_items import MissionItemBackend
-from mission.exchange.orbit_command import OrbitCommandBackend
-from mission.exchange.outbox import ExternalControl, Outbox, SendMessage, TakeoverFailed
-from mission.exchange.plan_backend import BackendSettings, PlanBackend
-from mission.exchange.reports import (
+from sidelong.mission.exchange.dialect import AutopilotDialect
+from sidelong.mission.exchange.mission_items import MissionItemBackend
+from sidelong.mission.exchange.orbit_command import OrbitCommandBackend
+from sidelong.mission.exchange.outbox import ExternalControl, Outbox, SendMessage, TakeoverFailed
+from sidelong.mission.exchange.plan_backend import BackendSettings, PlanBackend
+from sidelong.mission.exchange.reports import (
     CommandAcknowledged,
     ExchangeEvent,
     ShutdownRequested,
     TakeoverRequested,
     TimerExpired,
 )
-from mission.exchange.takeover import Takeover, TakeoverSettings
-from mission.exchange.vehicle_command import CommandExchange
+from sidelong.mission.exchange.takeover import Takeover, TakeoverSettings
+from sidelong.mission.exchange.vehicle_command import CommandExchange
 
 DERIVED = (ControlAcquired, PlanStatus, ExternalControl)
 _FREQUENT = (AttitudeReading, PositionReading, GimbalReading, RangeReading)  # told apart sooner than by all others

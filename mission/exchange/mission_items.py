@@ -6,30 +6,30 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from mission.core.circle import Circle
-from mission.core.events import ActivatePlan, PlanStatus, UploadPlan
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Wind
-from mission.exchange.activation import Activation, Answer
-from mission.exchange.dialect import AutopilotDialect
-from mission.exchange.layout import MissionLayout
-from mission.exchange.line_progress import first_ahead, flown_after
-from mission.exchange.mission_ownership import MissionOwnership
-from mission.exchange.mission_read import MissionRead
-from mission.exchange.mission_upload import MissionUpload
-from mission.exchange.mission_write import WriteResult
-from mission.exchange.outbox import Outbox
-from mission.exchange.plan_backend import BackendSettings
-from mission.exchange.raw_item import RawItem
-from mission.exchange.reports import (
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import ActivatePlan, PlanStatus, UploadPlan
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.exchange.activation import Activation, Answer
+from sidelong.mission.exchange.dialect import AutopilotDialect
+from sidelong.mission.exchange.layout import MissionLayout
+from sidelong.mission.exchange.line_progress import first_ahead, flown_after
+from sidelong.mission.exchange.mission_ownership import MissionOwnership
+from sidelong.mission.exchange.mission_read import MissionRead
+from sidelong.mission.exchange.mission_upload import MissionUpload
+from sidelong.mission.exchange.mission_write import WriteResult
+from sidelong.mission.exchange.outbox import Outbox
+from sidelong.mission.exchange.plan_backend import BackendSettings
+from sidelong.mission.exchange.raw_item import RawItem
+from sidelong.mission.exchange.reports import (
     MissionCountReported,
     MissionCurrentReported,
     MissionItemReported,
     PositionTargetReported,
     VehicleReport,
 )
-from mission.geometry.wind import STILL_AIR
-from mission.upload.items import NAV_LOITER_UNLIM, NAV_WAYPOINT, UnflyableError, plan_items
+from sidelong.mission.geometry.wind import STILL_AIR
+from sidelong.mission.upload.items import NAV_LOITER_UNLIM, NAV_WAYPOINT, UnflyableError, plan_items
 
 _LATE_MAX_S = 5.0
 _FIRST_UPLOAD_S, _UPLOAD_S, _USELESS_S, _READ_S = 30.0, 8.0, 2.0, 5.0

@@ -6,13 +6,13 @@ import math
 from collections import deque
 from collections.abc import Iterable
 
-from mission.exchange.dialect import ProtocolQuirks
-from mission.exchange.layout import MissionLayout
-from mission.exchange.mission_read import MissionRead
-from mission.exchange.outbox import ExternalControl, Outbox
-from mission.exchange.ownership import MissionIdentity, Suspicion
-from mission.exchange.raw_item import RawItem, same_item, same_items
-from mission.exchange.reports import MissionCurrentReported, MissionItemReported, VehicleReport
+from sidelong.mission.exchange.dialect import ProtocolQuirks
+from sidelong.mission.exchange.layout import MissionLayout
+from sidelong.mission.exchange.mission_read import MissionRead
+from sidelong.mission.exchange.outbox import ExternalControl, Outbox
+from sidelong.mission.exchange.ownership import MissionIdentity, Suspicion
+from sidelong.mission.exchange.raw_item import RawItem, same_item, same_items
+from sidelong.mission.exchange.reports import MissionCurrentReported, MissionItemReported, VehicleReport
 
 _AUDIT_S, _AUDIT_AGAIN_S = 3.0, 0.6  # between two looks at the item that is flown
 _READ_S = 30.0

@@ -10,10 +10,15 @@ from __future__ import annotations
 
 import math
 
-from mission.exchange.dialect import ProtocolQuirks
-from mission.exchange.outbox import DENIED, ERROR, Outbox
-from mission.exchange.raw_item import RawItem
-from mission.exchange.reports import MissionAcknowledged, MissionCountReported, MissionItemReported, VehicleReport
+from sidelong.mission.exchange.dialect import ProtocolQuirks
+from sidelong.mission.exchange.outbox import DENIED, ERROR, Outbox
+from sidelong.mission.exchange.raw_item import RawItem
+from sidelong.mission.exchange.reports import (
+    MissionAcknowledged,
+    MissionCountReported,
+    MissionItemReported,
+    VehicleReport,
+)
 
 _AGAIN_S, _AGAIN_ROUND_TRIPS = 0.25, 2.0
 _SLOWER, _SLOWEST = 1.25, 2.0

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from mission.exchange.dialect import AutopilotDialect, Home
-from mission.exchange.layout import MissionLayout
-from mission.exchange.mission_ownership import MissionOwnership
-from mission.exchange.mission_write import MissionWrite, WriteResult
-from mission.exchange.outbox import Outbox
-from mission.exchange.raw_item import RawItem
-from mission.exchange.reports import VehicleReport
+from sidelong.mission.exchange.dialect import AutopilotDialect, Home
+from sidelong.mission.exchange.layout import MissionLayout
+from sidelong.mission.exchange.mission_ownership import MissionOwnership
+from sidelong.mission.exchange.mission_write import MissionWrite, WriteResult
+from sidelong.mission.exchange.outbox import Outbox
+from sidelong.mission.exchange.raw_item import RawItem
+from sidelong.mission.exchange.reports import VehicleReport
 
 _DURATION_WEIGHT = 0.5
 _LOSES_UPLOADS = 5  # so long a link that lost items is taken to lose more

@@ -12,11 +12,16 @@ import math
 from collections.abc import Callable, Collection, Sequence
 from enum import StrEnum
 
-from mission.exchange.dialect import ProtocolQuirks
-from mission.exchange.mission_read import MissionRead
-from mission.exchange.outbox import ACCEPTED, CANCELLED, DENIED, ERROR, INVALID_SEQUENCE, NO_SPACE, Outbox
-from mission.exchange.raw_item import RawItem, same_item, same_items
-from mission.exchange.reports import MissionAcknowledged, MissionItemReported, MissionItemRequested, VehicleReport
+from sidelong.mission.exchange.dialect import ProtocolQuirks
+from sidelong.mission.exchange.mission_read import MissionRead
+from sidelong.mission.exchange.outbox import ACCEPTED, CANCELLED, DENIED, ERROR, INVALID_SEQUENCE, NO_SPACE, Outbox
+from sidelong.mission.exchange.raw_item import RawItem, same_item, same_items
+from sidelong.mission.exchange.reports import (
+    MissionAcknowledged,
+    MissionItemReported,
+    MissionItemRequested,
+    VehicleReport,
+)
 
 # So long nothing is heard before everything unanswered is sent again; once the round trip is known, so many of them.
 _AGAIN_S, _MIN_AGAIN_S, _AGAIN_ROUND_TRIPS = 0.25, 0.1, 2.0

@@ -6,16 +6,16 @@ import math
 from collections import deque
 from dataclasses import replace
 
-from mission.core.circle import Circle
-from mission.core.events import ActivatePlan, PlanStatus, UploadPlan
-from mission.core.plan import AircraftState, Plan
-from mission.exchange.dialect import AutopilotDialect, CircleOrder
-from mission.exchange.leading_circle import leading_circle
-from mission.exchange.outbox import ExternalControl, Outbox
-from mission.exchange.ownership import Suspicion
-from mission.exchange.plan_backend import BackendSettings
-from mission.exchange.reports import CommandAcknowledged, VehicleReport
-from mission.exchange.vehicle_command import CommandExchange, describe_result
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import ActivatePlan, PlanStatus, UploadPlan
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.exchange.dialect import AutopilotDialect, CircleOrder
+from sidelong.mission.exchange.leading_circle import leading_circle
+from sidelong.mission.exchange.outbox import ExternalControl, Outbox
+from sidelong.mission.exchange.ownership import Suspicion
+from sidelong.mission.exchange.plan_backend import BackendSettings
+from sidelong.mission.exchange.reports import CommandAcknowledged, VehicleReport
+from sidelong.mission.exchange.vehicle_command import CommandExchange, describe_result
 
 _PERIOD_S = 1.0  # of the vehicle's time
 _SAME_E7 = 200  # two metres

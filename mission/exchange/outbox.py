@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from mission.core.events import Announce, ControlAcquired, PlanStatus, YieldRequested
-from mission.exchange.raw_item import RawItem
+from sidelong.mission.core.events import Announce, ControlAcquired, PlanStatus, YieldRequested
+from sidelong.mission.exchange.raw_item import RawItem
 
 MISSION = 0  # MAV_MISSION_TYPE_MISSION
 ACCEPTED, ERROR, DENIED, CANCELLED = 0, 1, 14, 15  # of MAV_MISSION_RESULT

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from estimators.frames import LocalPlane
-from mission.core.circle import Circle
-from mission.core.events import ActivatePlan, UploadPlan
-from mission.core.plan import AircraftState, Plan
-from mission.exchange.dialect import CircleOrder, Home
-from mission.exchange.reports import VehicleReport
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import ActivatePlan, UploadPlan
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.exchange.dialect import CircleOrder, Home
+from sidelong.mission.exchange.reports import VehicleReport
 
 
 @dataclass(frozen=True, slots=True)

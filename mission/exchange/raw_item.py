@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mission.upload.items import Item
+from sidelong.mission.upload.items import Item
 
 _TAKE_OFF = 22  # MAV_CMD_NAV_TAKEOFF
 _COMPARED_METRES_AS_DEGREES_E7 = 3  # stored coordinates may lose the last digit on the way

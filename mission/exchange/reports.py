@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mission.exchange.raw_item import RawItem
+from sidelong.mission.exchange.raw_item import RawItem
 
 
 @dataclass(frozen=True, slots=True)

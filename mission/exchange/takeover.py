@@ -10,18 +10,18 @@ import math
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, replace
 
-from mission.core.circle import Circle
-from mission.core.events import Announce, ControlAcquired
-from mission.core.plan import AircraftState, Plan
-from mission.exchange.dialect import AutopilotDialect, CircleOrder
-from mission.exchange.mission_items import MissionItemBackend
-from mission.exchange.mission_write import WriteResult
-from mission.exchange.orbit_command import OrbitCommandBackend
-from mission.exchange.outbox import Outbox, TakeoverFailed
-from mission.exchange.plan_backend import BackendSettings
-from mission.exchange.raw_item import RawItem
-from mission.exchange.reports import CommandAcknowledged, TakeoverRequested, VehicleReport
-from mission.exchange.vehicle_command import CommandExchange, VehicleCommand, describe_result
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import Announce, ControlAcquired
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.exchange.dialect import AutopilotDialect, CircleOrder
+from sidelong.mission.exchange.mission_items import MissionItemBackend
+from sidelong.mission.exchange.mission_write import WriteResult
+from sidelong.mission.exchange.orbit_command import OrbitCommandBackend
+from sidelong.mission.exchange.outbox import Outbox, TakeoverFailed
+from sidelong.mission.exchange.plan_backend import BackendSettings
+from sidelong.mission.exchange.raw_item import RawItem
+from sidelong.mission.exchange.reports import CommandAcknowledged, TakeoverRequested, VehicleReport
+from sidelong.mission.exchange.vehicle_command import CommandExchange, VehicleCommand, describe_result
 
 _TAKE_OFF, _RELATIVE = 22, 3  # MAV_CMD_NAV_TAKEOFF, MAV_FRAME_GLOBAL_RELATIVE_ALT
 _TAKE_OFF_HEIGHT_M = 50.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from mission.exchange.outbox import Outbox
-from mission.exchange.reports import CommandAcknowledged
+from sidelong.mission.exchange.outbox import Outbox
+from sidelong.mission.exchange.reports import CommandAcknowledged
 
 _ANSWER_S, _TRIES = 1.0, 4
 _ACCEPTED, _NOT_NOW, _IN_PROGRESS, _IN_PROGRESS_S = 0, 1, 5, 10.0

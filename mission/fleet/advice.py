@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from estimators.estimate import TargetEstimate
-from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
-from mission.core.plan import AircraftState
-from mission.core.requirement import Side
-from mission.fleet.clocks import shifted_estimate, shifted_plan, shifted_state
-from mission.fleet.events import ForeignAircraftReported
-from mission.fleet.vehicle import FleetVehicle
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.core.requirement import Side
+from sidelong.mission.fleet.clocks import shifted_estimate, shifted_plan, shifted_state
+from sidelong.mission.fleet.events import ForeignAircraftReported
+from sidelong.mission.fleet.vehicle import FleetVehicle
 
 
 def advice_to(

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from mission.core.path import FloatArray
-from mission.fleet.roles import RoleCosts
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.fleet.roles import RoleCosts
 
 _SHARE_S = 1e6  # more than anything costs: that a target has less than its even share
 _ELSEWHERE_S = 1e9

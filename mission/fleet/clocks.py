@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from estimators.estimate import TargetEstimate
-from mission.core.plan import AircraftState, Plan
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.plan import AircraftState, Plan
 
 # Two crystals drift apart by some tens of microseconds a second.
 _DRIFT_S_PER_S = 5e-5

@@ -11,21 +11,20 @@ How it is used
 
     coordinator = FleetCoordinator(members, targets, make_judge)
     # after each step of a vehicle's core, in the order in which the steps were made:
-    for news in reporters[name].after(core.controller, event, outputs, mission_time_s):  # mission.fleet.reports
-        for command in coordinator.step(news):
-            if isinstance(command, Tell):
-                put(command.name, command.event)  # into that vehicle's queue, and so into its journal
-    # and at least once a second: coordinator.step(Tick(mission_time_s))
+    for news in reporters[name].after(core.controller, event, outputs, mission_time_s):  #
+        sidelong.mission.fleet.reports for command in coordinator.step(news): if isinstance(command, Tell):
+        put(command.name, command.event)  # into that vehicle's queue, and so into its journal # and at least once a
+        second: coordinator.step(Tick(mission_time_s))
 
-Events are :data:`mission.fleet.events.FleetEvent`; a ``ClockReported`` has to come first for each vehicle. All places
-are in one local plane and all heights above one home: the shell gives all vehicles the same. Pure: the same events
-in the same order lead to the same commands, so that a journal of them replays.
+Events are :data:`sidelong.mission.fleet.events.FleetEvent`; a ``ClockReported`` has to come first for each vehicle.
+All places are in one local plane and all heights above one home: the shell gives all vehicles the same. Pure: the
+same events in the same order lead to the same commands, so that a journal of them replays.
 
 Rules
 -----
 1. Only what was reported lately counts: an aircraft silent for ``silent_after_s`` has lost its role to the others.
-2. Roles are given out each second by expected cost; see :mod:`mission.fleet.roles`. The sides are those of one course
-   for all, known since the target was first seen; see :mod:`mission.fleet.watched_course`.
+2. Roles are given out each second by expected cost; see :mod:`sidelong.mission.fleet.roles`. The sides are those of
+   one course for all, known since the target was first seen; see :mod:`sidelong.mission.fleet.watched_course`.
 3. Relief: an aircraft whose battery is below ``relieve_below``, which has watched for its ``endurance_s``, or whose
    relief is asked for gives the wanted side away, but holds it with the other one until that one is there; a reserve
    is asked for. Below ``leave_below`` it leaves whatever happens. A reserve is asked for too when nobody is left.
@@ -45,15 +44,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.joint_track import JointTrack
-from estimators.sighting import AnySighting
-from mission.core.fleet import Role
-from mission.core.requirement import Requirement
-from mission.fleet.advice import advice_to, plans_told
-from mission.fleet.assignment import spread_over
-from mission.fleet.clocks import shifted_state
-from mission.fleet.events import (
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.sensing.sighting import AnySighting
+from sidelong.estimators.tracking.joint_track import JointTrack
+from sidelong.mission.core.fleet import Role
+from sidelong.mission.core.requirement import Requirement
+from sidelong.mission.fleet.advice import advice_to, plans_told
+from sidelong.mission.fleet.assignment import spread_over
+from sidelong.mission.fleet.clocks import shifted_state
+from sidelong.mission.fleet.events import (
     BatteryReported,
     ClockReported,
     FleetAnnounce,
@@ -72,9 +71,9 @@ from mission.fleet.events import (
     VehicleLost,
     VehicleReported,
 )
-from mission.fleet.judges import MakeJudge, RoleJudges
-from mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_beside
-from mission.fleet.vehicle import FleetMember, FleetVehicle
+from sidelong.mission.fleet.judges import MakeJudge, RoleJudges
+from sidelong.mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_beside
+from sidelong.mission.fleet.vehicle import FleetMember, FleetVehicle
 
 _FOREIGN_FORGOTTEN_S = 30.0
 _NEAR_M, _NEARER = 60.0, 0.5  # a sighting of another target is so near to it, and by this share nearer than its own

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from estimators.sighting import AnySighting
-from mission.core.fleet import FleetAdvice, NeighbourPlanned
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Aircraft, Requirement, Side, Wind
+from sidelong.estimators.sensing.sighting import AnySighting
+from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 
 
 @dataclass(frozen=True, slots=True)

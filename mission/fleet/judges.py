@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Aircraft, Requirement, Wind
-from mission.fleet.clocks import shifted_plan
-from mission.fleet.roles import RoleCosts
-from mission.fleet.vehicle import FleetVehicle
-from mission.fleet.watched_course import WatchedCourse
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
+from sidelong.mission.fleet.clocks import shifted_plan
+from sidelong.mission.fleet.roles import RoleCosts
+from sidelong.mission.fleet.vehicle import FleetVehicle
+from sidelong.mission.fleet.watched_course import WatchedCourse
 
 
 class RoleJudge(Protocol):
-    """Tells what the roles cost an aircraft; see :class:`mission.fleet.team_planner.TeamPlanner`."""
+    """Tells what the roles cost an aircraft; see :class:`sidelong.mission.fleet.team_planner.TeamPlanner`."""
 
     def role_costs(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from mission.control.controller import StandoffController
-from mission.control.snapshot import Phase
-from mission.core.events import End, LinkReported, MissionChange, Yield
-from mission.core.plan import Plan
-from mission.fleet.events import (
+from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.core.events import End, LinkReported, MissionChange, Yield
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.fleet.events import (
     FleetEvent,
     PlansReported,
     RequirementReported,

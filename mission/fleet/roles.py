@@ -20,10 +20,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from estimators.estimate import TargetEstimate
-from mission.core.fleet import Role
-from mission.core.plan import AircraftState
-from mission.core.requirement import Requirement
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.fleet import Role
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.core.requirement import Requirement
 
 _STANDING_M_S = 0.3  # a slower target has no course
 _COURSE_SIGMA_RAD = math.radians(30.0)  # one standard deviation of a course that is barely known

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mission.core.requirement import Side
-from mission.fleet._cover_kernel import Team
-from mission.predictive.value_table import ValueTable
+from sidelong.mission.core.requirement import Side
+from sidelong.mission.fleet.cover_kernel import Team
+from sidelong.mission.predictive.value_table import ValueTable
 
 # A circle that takes more of the band swings further about the target: what is foretold of the others is worth less.
 _WIDE, _WIDER_POWER = 1.0 / 7.0, 3

@@ -12,24 +12,24 @@ from functools import partial
 
 import numpy as np
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
-from mission.core.path import FloatArray
-from mission.core.plan import AircraftState, Decision, Plan
-from mission.core.requirement import Aircraft, Requirement, Side, Wind
-from mission.fleet import _team_kernel as kernel
-from mission.fleet._cover_kernel import Team
-from mission.fleet.roles import RoleCosts
-from mission.fleet.team import TeamSettings, beside_standing, team_of
-from mission.geometry.separation import airspeed_of, flown_places
-from mission.predictive._decision_kernel import Looker
-from mission.predictive._moves_kernel import MOVES, STEP_S
-from mission.predictive._sight_kernel import NOTHING_HIDDEN, SightAt
-from mission.predictive.planner import PredictivePlanner, PredictiveSettings, cheapest_allowed
-from mission.predictive.situation import situation
-from mission.predictive.value_table import ValueTable
-from mission.viewpoint._viewpoint_kernel import PRESUMED, SIDE
-from mission.viewpoint.descriptions import describe_new_circle
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.plan import AircraftState, Decision, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
+from sidelong.mission.core.sight import NOTHING_HIDDEN, SightAt
+from sidelong.mission.fleet import team_kernel as kernel
+from sidelong.mission.fleet.cover_kernel import Team
+from sidelong.mission.fleet.roles import RoleCosts
+from sidelong.mission.fleet.team import TeamSettings, beside_standing, team_of
+from sidelong.mission.geometry.separation import airspeed_of, flown_places
+from sidelong.mission.predictive.decision_kernel import Looker
+from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
+from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings, cheapest_allowed
+from sidelong.mission.predictive.situation import situation
+from sidelong.mission.predictive.value_table import ValueTable
+from sidelong.mission.viewpoint.descriptions import describe_new_circle
+from sidelong.mission.viewpoint.viewpoint_kernel import PRESUMED, SIDE
 
 _ADVICE_S = 5.0  # advice is followed for so long
 _STANDING_M_S = 0.5  # a slower target's course is not believed to last
@@ -37,7 +37,7 @@ _FORETOLD = 160  # seconds of the others' lines: longer than any line, and what 
 
 
 class TeamPlanner:
-    """Implements :class:`mission.core.fleet.CooperativePlanner`.
+    """Implements :class:`sidelong.mission.core.fleet.CooperativePlanner`.
 
     requirement: how the target is to be watched; its side is the wanted one until advice tells otherwise. Raises
     ValueError where that has no side, either side or a sector. The rest is as for a single aircraft.
@@ -68,7 +68,7 @@ class TeamPlanner:
         self._plans: dict[str, NeighbourPlanned] = {}
 
     def advise(self, told: FleetAdvice | NeighbourPlanned) -> None:
-        """See :class:`mission.core.fleet.CooperativePlanner`."""
+        """See :class:`sidelong.mission.core.fleet.CooperativePlanner`."""
         if isinstance(told, NeighbourPlanned):
             self._plans[told.name] = told
         else:
@@ -84,7 +84,7 @@ class TeamPlanner:
         self._alone.lookers[0].memory[PRESUMED] = course_rad  # of all lookers
 
     def prepare(self, wind_speed_m_s: float) -> None:
-        """See :class:`mission.core.plan.WindPlanner`."""
+        """See :class:`sidelong.mission.core.plan.WindPlanner`."""
         self._alone.prepare(wind_speed_m_s)
         if self._table_at is not None and len(self._alone.lookers) > len(self._teams):
             self._teams.append(self._team_with(self._table_at(wind_speed_m_s)))
@@ -99,7 +99,7 @@ class TeamPlanner:
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
-        """Decide at ``aircraft.time_s``; see :class:`mission.core.plan.Planner`."""
+        """Decide at ``aircraft.time_s``; see :class:`sidelong.mission.core.plan.Planner`."""
         others = self._others(aircraft.time_s)
         unseen_s = aircraft.time_s - target.last_sighting_s
         lost = target.quality is TrackQuality.LOST or unseen_s > self._settings.lost_after_s

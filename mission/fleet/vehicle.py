@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from estimators.estimate import TargetEstimate
-from estimators.settings import TrackerSettings
-from mission.core.fleet import Role
-from mission.core.requirement import Aircraft
-from mission.fleet.clocks import VehicleTime
-from mission.fleet.events import PlansReported, VehicleReported
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.mission.core.fleet import Role
+from sidelong.mission.core.requirement import Aircraft
+from sidelong.mission.fleet.clocks import VehicleTime
+from sidelong.mission.fleet.events import PlansReported, VehicleReported
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from estimators.estimate import TargetEstimate
-from mission.core.plan import AircraftState
-from mission.core.requirement import Requirement
-from mission.viewpoint._viewpoint_kernel import MADE_GOOD
-from mission.viewpoint.course_hold import CourseHold
-from mission.viewpoint.side_policy import SidePolicy
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.core.requirement import Requirement
+from sidelong.mission.viewpoint.course_hold import CourseHold
+from sidelong.mission.viewpoint.side_policy import SidePolicy
+from sidelong.mission.viewpoint.viewpoint_kernel import MADE_GOOD
 
 
 class WatchedCourse:

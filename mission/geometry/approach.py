@@ -17,11 +17,11 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from estimators.estimate import TargetEstimate
-from mission.core.circle import Circle
-from mission.core.path import Path
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Aircraft, Requirement
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement
 
 # Below this speed a course is noise, and the aircraft's present side serves instead.
 _MIN_SPEED_FOR_COURSE_M_S = 0.5

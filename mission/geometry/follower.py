@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from mission.core.circle import Circle
-from mission.core.path import Path
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Wind
-from mission.geometry.wind import STILL_AIR, LapClock, ground_speed_m_s, path_times_s
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.wind import STILL_AIR, LapClock, ground_speed_m_s, path_times_s
 
 
 class PlanTrack:

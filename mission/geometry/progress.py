@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from mission.core.path import FloatArray
-from mission.core.plan import AircraftState, Plan
-from mission.geometry import _line_kernel
-from mission.geometry._line_kernel import OFF_TRACK_M, OFF_TRACK_RAD, Circling, LinePoint
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.geometry import line_kernel
+from sidelong.mission.geometry.line_kernel import OFF_TRACK_M, OFF_TRACK_RAD, Circling, LinePoint
 
 __all__ = ["LinePoint", "dead_reckoned", "line_at", "line_of", "nearest_arc_m", "off_track", "point_at"]
 
@@ -32,18 +32,18 @@ def nearest_arc_m(plan: Plan, aircraft: AircraftState) -> float:
     Arc 0 is the start of the transition; the circle follows, and there the arc stays within one lap. For a plan
     that is only a circle, arc 0 is the aircraft's own place on it.
     """
-    return _line_kernel.nearest_arc_m(*line_of(plan), aircraft.east_m, aircraft.north_m, aircraft.course_rad)
+    return line_kernel.nearest_arc_m(*line_of(plan), aircraft.east_m, aircraft.north_m, aircraft.course_rad)
 
 
 def point_at(plan: Plan, arc_m: float, aircraft: AircraftState) -> LinePoint:
     """Return the plan's point at an arc counted as :func:`nearest_arc_m` counts it for that aircraft."""
-    return _line_kernel.point_at(*line_of(plan), arc_m, aircraft.east_m, aircraft.north_m)
+    return line_kernel.point_at(*line_of(plan), arc_m, aircraft.east_m, aircraft.north_m)
 
 
 def line_at(plan: Plan, arc_m: FloatArray, aircraft: AircraftState) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return (east, north, course) along the plan at many arcs (k,): :func:`point_at` to some centimetres."""
     found = np.empty((3, arc_m.size))
-    _line_kernel.line_at(*line_of(plan), arc_m, aircraft.east_m, aircraft.north_m, found)
+    line_kernel.line_at(*line_of(plan), arc_m, aircraft.east_m, aircraft.north_m, found)
     return found[0], found[1], found[2]
 
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mission.core.circle import Circle
-from mission.core.fleet import Neighbour, NeighbourPlanned
-from mission.core.path import FloatArray
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Wind
-from mission.geometry import _separation_kernel as kernel
-from mission.geometry.progress import line_of
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.fleet import Neighbour, NeighbourPlanned
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry import separation_kernel as kernel
+from sidelong.mission.geometry.progress import line_of
 
 MIN_SEPARATION_M = 50.0
 _STEP_S = 1.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mission.core.requirement import Requirement
+from sidelong.mission.core.requirement import Requirement
 
 
 def departure_course_rad(move_bearing_rad: float, psi_c_rad: float, clockwise: bool) -> float:

@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from mission.core.circle import Circle
-from mission.core.path import FloatArray, Path
-from mission.geometry.root import root
-from mission.geometry.switching import departure_course_rad
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import FloatArray, Path
+from sidelong.mission.geometry.root import root
+from sidelong.mission.geometry.switching import departure_course_rad
 
 _SETTLING = 3.0  # AB lasts 3 T
 _SETTLED = 30.0  # the turn that remains after 30 T is lost in rounding

@@ -20,16 +20,16 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mission.core.circle import Circle
-from mission.core.path import FloatArray, Path
-from mission.core.requirement import Aircraft
-from mission.geometry import _line_kernel
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import FloatArray, Path
+from sidelong.mission.core.requirement import Aircraft
+from sidelong.mission.geometry import line_kernel
 
 
 def turn_radius_m(aircraft: Aircraft, ground_speed_m_s: float, turn_share: float) -> float:
     """Return the tightest radius of a transition: turn_share of the circle's, with 30 degrees of bank at most."""
-    craft = _line_kernel.craft_of(aircraft, turn_share)
-    return _line_kernel.turn_radius_m(aircraft.radius_m, ground_speed_m_s, craft)
+    craft = line_kernel.craft_of(aircraft, turn_share)
+    return line_kernel.turn_radius_m(aircraft.radius_m, ground_speed_m_s, craft)
 
 
 def sharpnesses_per_m2(aircraft: Aircraft, ground_speed_m_s: FloatArray) -> FloatArray:
@@ -38,18 +38,18 @@ def sharpnesses_per_m2(aircraft: Aircraft, ground_speed_m_s: FloatArray) -> Floa
     tan(bank) = v^2 curvature / g, so the roll rate is greatest at wings level: v^3 ramp / g.
     """
     ramps = np.empty_like(ground_speed_m_s)
-    _line_kernel.sharpnesses_per_m2(ground_speed_m_s, _line_kernel.craft_of(aircraft), ramps)
+    line_kernel.sharpnesses_per_m2(ground_speed_m_s, line_kernel.craft_of(aircraft), ramps)
     return ramps
 
 
 def sharpness_per_m2(aircraft: Aircraft, ground_speed_m_s: float, turn_share: float = 1.0) -> float:
     """Return one of :func:`sharpnesses_per_m2`, for transitions that turn as tightly as that."""
-    return _line_kernel.sharpness_per_m2(ground_speed_m_s, _line_kernel.craft_of(aircraft, turn_share))
+    return line_kernel.sharpness_per_m2(ground_speed_m_s, line_kernel.craft_of(aircraft, turn_share))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trapezoids:
-    """n trapezoids: shapes (n, 6), rows as :mod:`mission.geometry._line_kernel` has them."""
+    """n trapezoids: shapes (n, 6), rows as :mod:`sidelong.mission.geometry.line_kernel` has them."""
 
     shapes: FloatArray
 
@@ -64,7 +64,7 @@ class Trapezoids:
         """Build one trapezoid for each element; hold, hold length and final broadcast against each other."""
         each = np.broadcast(np.asarray(hold_per_m), np.asarray(hold_length_m), np.asarray(final_per_m))
         shapes = [
-            _line_kernel.trapezoid(start_per_m, float(hold), float(length), float(final), ramp)
+            line_kernel.trapezoid(start_per_m, float(hold), float(length), float(final), ramp)
             for hold, length, final in each
         ]
         return Trapezoids(np.array(shapes))
@@ -77,7 +77,7 @@ class Trapezoids:
     def displaced_m(self, arc_m: FloatArray, course_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return (east, north, turned rad) since the start at ascending arcs (n, k), for steps up to about 10 m."""
         found = np.empty((3, *arc_m.shape))
-        _line_kernel.displaced_m(self.shapes, np.ascontiguousarray(arc_m), course_rad, found)
+        line_kernel.displaced_m(self.shapes, np.ascontiguousarray(arc_m), course_rad, found)
         return found[0], found[1], found[2]
 
     def path(self, index: int, east_m: float, north_m: float, course_rad: float) -> Path:
@@ -86,7 +86,7 @@ class Trapezoids:
         It ends where the circle begins; a trapezoid of no length gets one fine step of its circle.
         """
         a, b, c, d, e, f = self.shapes[index].tolist()
-        return Path(*_line_kernel.laid_out((a, b, c, d, e, f), east_m, north_m, course_rad))
+        return Path(*line_kernel.laid_out((a, b, c, d, e, f), east_m, north_m, course_rad))
 
     def mirrored(self) -> Trapezoids:
         """Return the trapezoids with left and right swapped."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from mission.core.circle import Circle
-from mission.core.path import FloatArray, Path
-from mission.core.requirement import GRAVITY_M_S2, Wind
-from mission.geometry import _line_kernel
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import FloatArray, Path
+from sidelong.mission.core.requirement import GRAVITY_M_S2, Wind
+from sidelong.mission.geometry import line_kernel
 
 STILL_AIR = Wind()
 
@@ -29,7 +29,7 @@ def ground_speeds_m_s(course_rad: FloatArray, airspeed_m_s: float, wind: Wind) -
     """
     speed_m_s = np.empty(course_rad.size)
     course = np.ascontiguousarray(course_rad, np.float64).ravel()
-    _line_kernel.ground_speeds_m_s(course, airspeed_m_s, wind.east_m_s, wind.north_m_s, speed_m_s)
+    line_kernel.ground_speeds_m_s(course, airspeed_m_s, wind.east_m_s, wind.north_m_s, speed_m_s)
     if not np.all(speed_m_s > 0.0):
         raise WindError(f"a wind of {wind.speed_m_s:.1f} m/s is too strong for an airspeed of {airspeed_m_s:.1f} m/s")
     return speed_m_s.reshape(course_rad.shape)

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from estimators.estimate import TargetEstimate
-from mission.core.plan import AircraftState
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.plan import AircraftState
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mission.core.circle import Circle
-from mission.core.path import Path
-from mission.core.requirement import Wind
-from mission.geometry.switching import departure_course_rad, range_after_lap_m, turn_to_go_rad
-from mission.geometry.wind import LapClock, path_times_s
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.switching import departure_course_rad, range_after_lap_m, turn_to_go_rad
+from sidelong.mission.geometry.wind import LapClock, path_times_s
 
 Vector = tuple[float, float]
 

@@ -17,12 +17,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mission.core.circle import Circle
-from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement
-from mission.geometry.root import root
-from mission.geometry.transition import abcd, min_move_m
-from mission.paper.placement import fits_band, stand_off_m
-from mission.paper.scope import scope
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.feasibility import fits_band
+from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement
+from sidelong.mission.geometry.root import root
+from sidelong.mission.geometry.transition import abcd, min_move_m
+from sidelong.mission.paper.placement import stand_off_m
+from sidelong.mission.paper.scope import scope
 
 _THRESHOLD_END = 2.0
 _AIRSPEED_STEPS = 60

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import math
 
-from mission.core.circle import Circle
-from mission.core.requirement import Aircraft, Requirement
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.requirement import Aircraft, Requirement
 
 
 def stand_off_m(aircraft: Aircraft, requirement: Requirement) -> float:
     """Return D = Dmin + R, the distance from the target to the circle's centre: the circle just touches Dmin."""
     return requirement.range_min_m + aircraft.radius_m
-
-
-def fits_band(aircraft: Aircraft, requirement: Requirement) -> bool:
-    """Tell whether the whole circle lies in the range band of a standing target (19)."""
-    return requirement.range_min_m + 2.0 * aircraft.radius_m <= requirement.range_max_m
 
 
 def circle_beside(

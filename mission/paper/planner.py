@@ -16,22 +16,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.circle import Circle
-from mission.core.path import Path
-from mission.core.plan import AircraftState, Decision, Plan
-from mission.core.requirement import Aircraft, Requirement, Wind
-from mission.geometry.approach import turn_straight_turn
-from mission.geometry.switching import must_move, range_after_lap_m
-from mission.geometry.transition import abcd, min_move_m
-from mission.geometry.wind import LapClock, WindError, path_times_s
-from mission.paper.departure import Move, Situation, Vector, next_move
-from mission.paper.placement import circle_beside, shifted
-from mission.paper.reference_model import RelativePosition, displacement_m
-from mission.paper.stretched_lap import stretched_lap
-from mission.viewpoint.course_hold import CourseHold
-from mission.viewpoint.descriptions import describe_move
-from mission.viewpoint.side_policy import SidePolicy, Viewpoint
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.plan import AircraftState, Decision, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
+from sidelong.mission.geometry.approach import turn_straight_turn
+from sidelong.mission.geometry.switching import must_move, range_after_lap_m
+from sidelong.mission.geometry.transition import abcd, min_move_m
+from sidelong.mission.geometry.wind import LapClock, WindError, path_times_s
+from sidelong.mission.paper.departure import Move, Situation, Vector, next_move
+from sidelong.mission.paper.placement import circle_beside, shifted
+from sidelong.mission.paper.reference_model import RelativePosition, displacement_m
+from sidelong.mission.paper.stretched_lap import stretched_lap
+from sidelong.mission.viewpoint.course_hold import CourseHold
+from sidelong.mission.viewpoint.descriptions import describe_move
+from sidelong.mission.viewpoint.side_policy import SidePolicy, Viewpoint
 
 _STRETCHES_RAD = (math.radians(60.0), math.radians(90.0), math.radians(120.0))
 _DIP = 0.1  # of Dmin: noise and the flown radius reach below it by that much
@@ -51,10 +51,10 @@ class _Chosen:
 
 
 class PaperPlanner:
-    """Implements :class:`mission.core.plan.Planner`; to be called at least every other second.
+    """Implements :class:`sidelong.mission.core.plan.Planner`; to be called at least every other second.
 
     psi_c_rad is the paper's; where the requirement is not feasible with it, give
-    :func:`mission.paper.scope.largest_psi_c_rad`, which shortens the transition until it fits.
+    :func:`sidelong.mission.paper.scope.largest_psi_c_rad`, which shortens the transition until it fits.
     """
 
     def __init__(self, aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2) -> None:
@@ -73,7 +73,7 @@ class PaperPlanner:
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
-        """Decide at the switching heading of each lap; see :class:`mission.core.plan.Planner`."""
+        """Decide at the switching heading of each lap; see :class:`sidelong.mission.core.plan.Planner`."""
         now_s = aircraft.time_s
         interval_s = min(now_s - self._last.time_s, _LONGEST_INTERVAL_S) if self._last else _LONGEST_INTERVAL_S
         target_m = target.position_m(now_s)

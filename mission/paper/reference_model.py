@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from estimators.frames import bearing_rad
+from sidelong.estimators.frames import bearing_rad
 
 
 @dataclass(frozen=True, slots=True)

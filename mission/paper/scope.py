@@ -12,10 +12,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement
-from mission.geometry.root import root
-from mission.geometry.transition import min_move_m, transition_length_m
-from mission.paper.placement import stand_off_m
+from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement
+from sidelong.mission.geometry.root import root
+from sidelong.mission.geometry.transition import min_move_m, transition_length_m
+from sidelong.mission.paper.placement import stand_off_m
 
 
 @dataclass(frozen=True, slots=True)

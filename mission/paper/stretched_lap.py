@@ -11,10 +11,10 @@ import math
 
 import numpy as np
 
-from mission.core.circle import Circle
-from mission.core.path import FloatArray, Path
-from mission.geometry.switching import departure_course_rad
-from mission.geometry.transition import TransitionError
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import FloatArray, Path
+from sidelong.mission.geometry.switching import departure_course_rad
+from sidelong.mission.geometry.transition import TransitionError
 
 
 def stretched_lap(

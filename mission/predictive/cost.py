@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mission.predictive._cost_kernel import CostTerms, cost_rates
+from sidelong.mission.predictive.cost_kernel import CostTerms, cost_rates
 
 # Outside the band one second costs as much as this many off the side, and more the further out.
 _OUTSIDE, _OUTSIDE_PER_M = 20.0, 0.5

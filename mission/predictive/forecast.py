@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mission.core.path import FloatArray
-from mission.core.requirement import Requirement, Side
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.requirement import Requirement, Side
 
 _OFF_SIDE_MIN_S = 2.0  # shorter visits to the other side are not worth a word
 

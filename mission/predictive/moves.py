@@ -1,14 +1,14 @@
 """The moves a planner chooses among: 70 trapezoids, and going back to the circle at once.
 
-Their holds and lengths stand in :mod:`mission.predictive._moves_kernel`.
+Their holds and lengths stand in :mod:`sidelong.mission.predictive.moves_kernel`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from mission.geometry.trapezoid import Trapezoids
-from mission.predictive._moves_kernel import MOVES, STAY_LENGTHS, move_from
+from sidelong.mission.geometry.trapezoid import Trapezoids
+from sidelong.mission.predictive.moves_kernel import MOVES, STAY_LENGTHS, move_from
 
 
 def moves_from(start_per_m: float, radius_m: float, turn_radius_m: float, sharpness_per_m2: float) -> Trapezoids:

@@ -20,26 +20,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.path import FloatArray, Path
-from mission.core.plan import AircraftState, Decision, Plan
-from mission.core.requirement import Aircraft, Requirement, Side, Wind
-from mission.geometry._line_kernel import craft_of
-from mission.geometry.trapezoid import end_circle, sharpness_per_m2, turn_radius_m
-from mission.predictive import _decision_kernel as kernel
-from mission.predictive._decision_kernel import Depth, Looker, Prices
-from mission.predictive._future_kernel import Turns, winding
-from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
-from mission.predictive._rollout_kernel import Futures
-from mission.predictive._scene_kernel import Scene, Situation, scene_of
-from mission.predictive._second_moves_kernel import no_seconds
-from mission.predictive._sight_kernel import NOTHING_HIDDEN, Sight, SightAt
-from mission.predictive.cost import WatchCost
-from mission.predictive.forecast import Outlook, describe_breach, describe_range
-from mission.predictive.situation import situation
-from mission.predictive.value_table import TableConfiguration, ValueTable
-from mission.viewpoint.descriptions import describe_new_circle
-from mission.viewpoint.side_policy import SidePolicy
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.path import FloatArray, Path
+from sidelong.mission.core.plan import AircraftState, Decision, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
+from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight, SightAt
+from sidelong.mission.geometry.line_kernel import craft_of
+from sidelong.mission.geometry.trapezoid import end_circle, sharpness_per_m2, turn_radius_m
+from sidelong.mission.predictive import decision_kernel as kernel
+from sidelong.mission.predictive.cost import WatchCost
+from sidelong.mission.predictive.decision_kernel import Depth, Looker, Prices
+from sidelong.mission.predictive.forecast import Outlook, describe_breach, describe_range
+from sidelong.mission.predictive.future_kernel import Turns, winding
+from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
+from sidelong.mission.predictive.rollout_kernel import Futures
+from sidelong.mission.predictive.scene_kernel import Scene, Situation, scene_of
+from sidelong.mission.predictive.second_moves_kernel import no_seconds
+from sidelong.mission.predictive.situation import situation
+from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
+from sidelong.mission.viewpoint.descriptions import describe_new_circle
+from sidelong.mission.viewpoint.side_policy import SidePolicy
 
 # So many moves are tried against fences and other aircraft, the cheapest first.
 _MAX_TRIES = 30
@@ -121,7 +121,7 @@ def table_configuration(
 
 
 class PredictivePlanner:
-    """Implements :class:`mission.core.plan.Planner`.
+    """Implements :class:`sidelong.mission.core.plan.Planner`.
 
     table is that of :func:`table_configuration`; windy are more of them, for other winds. The one nearest to the
     present wind is used. check tells which fence a plan would break, or None: the best plan that breaks none is
@@ -181,14 +181,14 @@ class PredictivePlanner:
 
         aircraft, requirement: what is flown and what is asked for, as they are given to every planner.
         """
-        from mission.predictive.value_iteration import compute  # noqa: PLC0415  # what is compiled loads slowly
+        from sidelong.mission.predictive.value_iteration import compute  # noqa: PLC0415  # what is compiled loads slowly
 
         return cls(aircraft, requirement, compute(table_configuration(aircraft, requirement)))
 
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
-        """Decide at ``aircraft.time_s``; see :class:`mission.core.plan.Planner`."""
+        """Decide at ``aircraft.time_s``; see :class:`sidelong.mission.core.plan.Planner`."""
         unseen_s = aircraft.time_s - target.last_sighting_s
         if target.quality is TrackQuality.LOST or unseen_s > self._settings.lost_after_s:
             reason = f"holding the circle: the target has not been seen for {unseen_s:.0f} s"

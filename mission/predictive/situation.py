@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from estimators.estimate import TargetEstimate
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Wind
-from mission.geometry.progress import line_of
-from mission.predictive._scene_kernel import Situation
-from mission.viewpoint.course_hold import known
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.progress import line_of
+from sidelong.mission.predictive.scene_kernel import Situation
+from sidelong.mission.viewpoint.course_hold import known
 
 
 def situation(

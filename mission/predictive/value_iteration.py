@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mission.core.path import FloatArray
-from mission.core.requirement import Wind
-from mission.geometry.trapezoid import Trapezoids
-from mission.geometry.wind import ground_speeds_m_s
-from mission.predictive import _value_kernel as kernel
-from mission.predictive.moves import moves_from, staying_on
-from mission.predictive.value_table import (
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.trapezoid import Trapezoids
+from sidelong.mission.geometry.wind import ground_speeds_m_s
+from sidelong.mission.predictive import value_kernel as kernel
+from sidelong.mission.predictive.moves import moves_from, staying_on
+from sidelong.mission.predictive.value_table import (
     HEADING_STEP_RAD,
     HEADINGS,
     Float32,

@@ -1,10 +1,10 @@
 """The worth of a place and heading beside the target: expected future cost of going on as well as can be.
 
 V(class, heading, x, y) is the discounted cost of flying on from there, from the clockwise circle, by the best moves,
-in the watch frame of :mod:`mission.predictive.cost`. A class is velocities of target and wind in that frame. The
-target keeps its velocity until it turns (a Poisson event); the value after a turn averages over where it may go then.
-One table serves both sides, by mirroring. :mod:`mission.predictive.value_iteration` computes it once per
-configuration; the shell keeps it in a file named by ``configuration.key()``.
+in the watch frame of :mod:`sidelong.mission.predictive.cost`. A class is velocities of target and wind in that frame.
+The target keeps its velocity until it turns (a Poisson event); the value after a turn averages over where it may go
+then. One table serves both sides, by mirroring. :mod:`sidelong.mission.predictive.value_iteration` computes it once
+per configuration; the shell keeps it in a file named by ``configuration.key()``.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from mission.core.path import FloatArray
-from mission.predictive._cost_kernel import Table, table_values
-from mission.predictive._future_kernel import Motions, fill_classes
-from mission.predictive._value_kernel import add_turned
-from mission.predictive.cost import WatchCost
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.predictive.cost import WatchCost
+from sidelong.mission.predictive.cost_kernel import Table, table_values
+from sidelong.mission.predictive.future_kernel import Motions, fill_classes
+from sidelong.mission.predictive.value_kernel import add_turned
 
 Float32 = npt.NDArray[np.float32]
 

@@ -20,13 +20,13 @@ from typing import Literal
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from estimators.terrain._ground_kernel import height_and_slope
-from estimators.terrain.ground import Ground
-from mission.core.circle import Circle
-from mission.core.heights import ClimbRates
-from mission.core.path import FloatArray
-from mission.core.plan import Plan
-from mission.terrain._clearance_kernel import (
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.estimators.terrain.ground_kernel import height_and_slope
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.heights import ClimbRates
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.terrain.clearance_kernel import (
     Raster,
     climbing_clearance_m,
     highest_along,

@@ -11,8 +11,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from estimators.terrain.ground import Ground
-from mission.predictive._sight_kernel import NOTHING_HIDDEN, Sight
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.mission.core.sight import NOTHING_HIDDEN, Sight
 
 _AZIMUTHS, _RING_M = 72, 20.0
 _TARGETS, _STEP_S = 5, 10.0

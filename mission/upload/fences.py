@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from shapely import LineString, Point, Polygon, union_all
 
-from mission.core.circle import Circle
-from mission.core.plan import Plan
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import Plan
 
 Outline = Sequence[tuple[float, float]]
 

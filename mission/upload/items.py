@@ -14,12 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimators.frames import LocalPlane
-from mission.core.circle import Circle
-from mission.core.path import Path
-from mission.core.plan import HeightProfile, Plan
-from mission.upload.line_tracking import LineTracking
-from mission.upload.waypoints import lay_out
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.plan import HeightProfile, Plan
+from sidelong.mission.upload.line_tracking import LineTracking
+from sidelong.mission.upload.waypoints import lay_out
 
 # MAV_CMD and MAV_FRAME of common.xml.
 NAV_WAYPOINT, NAV_LOITER_UNLIM = 16, 17

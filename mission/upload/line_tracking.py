@@ -22,10 +22,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mission.core.circle import Circle
-from mission.core.path import FloatArray
-from mission.core.requirement import GRAVITY_M_S2, Wind
-from mission.geometry.wind import STILL_AIR
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.requirement import GRAVITY_M_S2, Wind
+from sidelong.mission.geometry.wind import STILL_AIR
 
 _STEP_S = 0.25
 _LINE_INTERCEPT = math.sin(math.pi / 4)  # a line is met at 45 degrees at most

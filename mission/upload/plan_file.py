@@ -7,9 +7,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from estimators.frames import LocalPlane
-from mission.upload.fences import Outline
-from mission.upload.items import FRAME_GLOBAL, Item
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.upload.fences import Outline
+from sidelong.mission.upload.items import FRAME_GLOBAL, Item
 
 _ALTITUDE_MODE_RELATIVE, _ALTITUDE_MODE_ABSOLUTE = 1, 2
 _FIXED_WING = 1  # MAV_TYPE

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from shapely import LineString
 
-from mission.core.circle import Circle
-from mission.core.path import FloatArray, Path
-from mission.geometry.wind import path_times_s
-from mission.upload.line_tracking import LineTracking, Point
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import FloatArray, Path
+from sidelong.mission.geometry.wind import path_times_s
+from sidelong.mission.upload.line_tracking import LineTracking, Point
 
 _SIMPLIFICATIONS_M = (60.0, 40.0, 27.0, 18.0, 12.0, 8.0, 5.0, 3.0)
 _HOPEFUL_M = 60.0  # where the model flies farther off, shifting the waypoints does not help

@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
-from estimators.estimate import TargetEstimate
-from mission.viewpoint import _viewpoint_kernel as kernel
-from mission.viewpoint._viewpoint_kernel import COURSE, STANDING, Known
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.viewpoint import viewpoint_kernel as kernel
+from sidelong.mission.viewpoint.viewpoint_kernel import COURSE, STANDING, Known
 
 
 def known(target: TargetEstimate) -> Known:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mission.core.circle import Circle
+from sidelong.mission.core.circle import Circle
 
 _WINDS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 _SAME_PLACE_M = 3.0

@@ -6,10 +6,10 @@ import math
 import re
 from dataclasses import dataclass, replace
 
-from estimators.estimate import TargetEstimate
-from mission.core.requirement import Requirement, Sector, Side
-from mission.viewpoint import _viewpoint_kernel as kernel
-from mission.viewpoint.course_hold import known
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.requirement import Requirement, Sector, Side
+from sidelong.mission.viewpoint import viewpoint_kernel as kernel
+from sidelong.mission.viewpoint.course_hold import known
 
 _SECTOR_WORDS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
 

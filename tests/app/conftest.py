@@ -12,17 +12,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.assembly import controller_of
-from app.config import Config
-from app.flight.recording import Recording
-from app.records.run_folder import RunFolder
-from estimators.frames import LocalPlane
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
-from mission.control.controller import StandoffController
-from mission.core.circle import Circle
-from mission.core.events import ActivatePlan, Command, ControlAcquired, Event, ModeReported, PlanStatus, UploadPlan
-from mission.core.plan import AircraftState, Plan
-from mission.geometry.follower import PlanTrack
+from sidelong.app.assembly import controller_of
+from sidelong.app.config import Config
+from sidelong.app.flight.recording import Recording
+from sidelong.app.records.run_folder import RunFolder
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import (
+    ActivatePlan,
+    Command,
+    ControlAcquired,
+    Event,
+    ModeReported,
+    PlanStatus,
+    UploadPlan,
+)
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.geometry.follower import PlanTrack
 
 LASER, GIMBAL = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
 HEIGHT_M, GRAVITY_M_S2 = 100.0, 9.80665

@@ -10,13 +10,13 @@ from collections import Counter
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from app.autopilots.parameters import read_parameters
-from app.autopilots.registry import AUTOPILOTS
-from app.flight.streams import ask_for_streams, is_slow
-from app.link.message import Message
-from app.link.vehicle import Vehicle
-from sitl.settings import Flavour, Settings
-from sitl.simulation import Simulation
+from sidelong.app.autopilots.parameters import read_parameters
+from sidelong.app.autopilots.registry import AUTOPILOTS
+from sidelong.app.flight.streams import ask_for_streams, is_slow
+from sidelong.app.link.message import Message
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.sitl.settings import Flavour, Settings
+from sidelong.sitl.simulation import Simulation
 
 OURS = (245, 190)
 NAMES = {Flavour(one.name.lower()): list(one.relevant_parameters) for one in AUTOPILOTS}
@@ -88,8 +88,8 @@ def asked(flavour, loss, ask):
 @pytest.mark.parametrize("flavour", list(Flavour))
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 def test_all_parameters_are_read_at_once_and_those_that_are_lost_again(flavour, loss, monkeypatch):
-    monkeypatch.setattr("app.autopilots.parameters._ANSWER_S", 0.01)
-    monkeypatch.setattr("app.autopilots.parameters._IDLE_S", 0.2)
+    monkeypatch.setattr("sidelong.app.autopilots.parameters._ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.autopilots.parameters._IDLE_S", 0.2)
     names = NAMES[flavour]
     values, simulation, link = asked(flavour, loss, lambda vehicle: read_parameters(vehicle, [*names, "NO_SUCH"]))
     assert values == {name: simulation.vehicle.parameters[name] for name in names}
@@ -98,7 +98,7 @@ def test_all_parameters_are_read_at_once_and_those_that_are_lost_again(flavour, 
 
 
 def test_a_whole_number_that_looks_like_no_number_is_read_another_way(monkeypatch):
-    monkeypatch.setattr("app.autopilots.parameters._ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.autopilots.parameters._ANSWER_S", 0.01)
 
     async def ask(vehicle):
         vehicle.link._simulation.vehicle.parameters.set("NAV_DLL_ACT", -1)
@@ -111,7 +111,7 @@ def test_a_whole_number_that_looks_like_no_number_is_read_another_way(monkeypatc
 
 @pytest.mark.parametrize("flavour", list(Flavour))
 def test_few_messages_are_some_two_kilobytes_a_second(flavour, monkeypatch):
-    monkeypatch.setattr("app.link.vehicle._RATE_ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.link.vehicle._RATE_ANSWER_S", 0.01)
 
     def bytes_s(few):
         _, simulation, link = asked(flavour, 0.0, lambda vehicle: ask_for_streams(vehicle, few))
@@ -125,7 +125,7 @@ def test_few_messages_are_some_two_kilobytes_a_second(flavour, monkeypatch):
 
 
 def test_rates_are_asked_for_again_where_answers_are_lost(monkeypatch):
-    monkeypatch.setattr("app.link.vehicle._RATE_ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.link.vehicle._RATE_ANSWER_S", 0.01)
     _, simulation, _ = asked(Flavour.ARDUPLANE, 0.2, ask_for_streams)
     (station,) = simulation.vehicle.radio.stations.values()
     assert station.interval_s[mavlink.MAVLINK_MSG_ID_ATTITUDE] == pytest.approx(0.05)

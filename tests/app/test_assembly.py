@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app import value_cache
-from app.assembly import controller_of, winds_m_s
-from app.config import load_config
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.circle import Circle
-from mission.core.events import ControlAcquired, OperatorRequest
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Side, Wind
-from mission.fleet.team_planner import TeamPlanner
-from mission.predictive import planner
+from sidelong.app import value_cache
+from sidelong.app.assembly import controller_of, winds_m_s
+from sidelong.app.config import load_config
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import ControlAcquired, OperatorRequest
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Side, Wind
+from sidelong.mission.fleet.team_planner import TeamPlanner
+from sidelong.mission.predictive import planner
 
 
 def test_a_change_of_side_computes_and_loads_no_table(monkeypatch, tmp_path):

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from app.errors import InputError
-from app.sharing.address import Address
-from app.sharing.beacon import BeaconInput, decode
-from app.sharing.cot import CotNames, target_event
-from app.sharing.follow import FollowTargetOutput, NmeaOutput
-from app.sharing.senders import DatagramSender
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.frames import LocalPlane
-from estimators.readings import TargetFixReading
+from sidelong.app.errors import InputError
+from sidelong.app.sharing.address import Address
+from sidelong.app.sharing.beacon import BeaconInput, decode
+from sidelong.app.sharing.cot import CotNames, target_event
+from sidelong.app.sharing.follow import FollowTargetOutput, NmeaOutput
+from sidelong.app.sharing.senders import DatagramSender
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import TargetFixReading
 
 PLANE = LocalPlane(47.4, 8.5)
 NOW = datetime(2026, 11, 21, 12, 0, 0, tzinfo=UTC)

@@ -9,18 +9,18 @@ from datetime import UTC, datetime
 
 import pytest
 
-from app import value_cache
-from app.analysis.replay import JournalReplay
-from app.assembly import controller_of, settle
-from app.config import Config
-from app.flight.changes import MissionChanges
-from app.flight.recording import JOURNAL_TYPES
-from app.records.journal import JournalReader
-from app.records.run_folder import RunFolder
-from estimators.frames import LocalPlane
-from mission.core.circle import Circle
-from mission.core.events import ControlAcquired, MissionChange, UploadPlan
-from mission.predictive import planner
+from sidelong.app import value_cache
+from sidelong.app.analysis.replay import JournalReplay
+from sidelong.app.assembly import controller_of, settle
+from sidelong.app.config import Config
+from sidelong.app.flight.changes import MissionChanges
+from sidelong.app.flight.recording import JOURNAL_TYPES
+from sidelong.app.records.journal import JournalReader
+from sidelong.app.records.run_folder import RunFolder
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import ControlAcquired, MissionChange, UploadPlan
+from sidelong.mission.predictive import planner
 from tests.app.conftest import recorded
 
 PLANE, HOME_DEG = LocalPlane(47.4, 8.5), (47.4, 8.5)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from app.config import check_flyable, load_config, room_warning
-from app.errors import InputError
-from mission.core.requirement import Side
+from sidelong.app.config import check_flyable, load_config, room_warning
+from sidelong.app.errors import InputError
+from sidelong.mission.core.requirement import Side
 
 
 def write(tmp_path, content: str | bytes):

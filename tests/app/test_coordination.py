@@ -7,14 +7,14 @@ import time
 
 import pytest
 
-from app.flight.coordination import Coordination, Participant
-from app.flight.vehicle_clock import VehicleClockReader
-from app.link.message import Message
-from mission.core.circle import Circle
-from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
-from mission.core.plan import AircraftState, HeightProfile, Plan
-from mission.core.requirement import Requirement, Side
-from mission.fleet.events import (
+from sidelong.app.flight.coordination import Coordination, Participant
+from sidelong.app.flight.vehicle_clock import VehicleClockReader
+from sidelong.app.link.message import Message
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan
+from sidelong.mission.core.requirement import Requirement, Side
+from sidelong.mission.fleet.events import (
     BatteryReported,
     ClockReported,
     ReliefRequested,
@@ -25,7 +25,7 @@ from mission.fleet.events import (
     VehicleLost,
     VehicleReported,
 )
-from mission.fleet.reports import FleetReporter
+from sidelong.mission.fleet.reports import FleetReporter
 
 UTC_S = 1.8e9
 STATE = AircraftState(10.0, 1.0, 2.0, 0.0, 15.0, 0.02)
@@ -106,8 +106,8 @@ class Wall:
 
     def __init__(self, coordination, monkeypatch):
         self.now_s, self._coordination = 1000.0, coordination
-        monkeypatch.setattr("app.flight.vehicle_clock.time.monotonic", lambda: self.now_s)
-        monkeypatch.setattr("app.flight.vehicle_clock.time.time", lambda: UTC_S + self.now_s)
+        monkeypatch.setattr("sidelong.app.flight.vehicle_clock.time.monotonic", lambda: self.now_s)
+        monkeypatch.setattr("sidelong.app.flight.vehicle_clock.time.time", lambda: UTC_S + self.now_s)
 
     def pass_by(self, seconds, utc_ahead_s, round_trip_s=0.02, rate=1.0):
         """Let each tell UTC and answer once a second; utc_ahead_s: of this computer's clock, by name."""
@@ -150,7 +150,7 @@ def test_of_two_that_tell_another_utc_none_is_believed(pair, monkeypatch, ahead_
 
 def test_without_either_the_positions_tell_the_clock_by_their_arrival(monkeypatch):
     wall = [1000.0]
-    monkeypatch.setattr("app.flight.vehicle_clock.time.monotonic", lambda: wall[0])
+    monkeypatch.setattr("sidelong.app.flight.vehicle_clock.time.monotonic", lambda: wall[0])
     reader = VehicleClockReader("a", lambda: 30.0)
     position = said("GLOBAL_POSITION_INT", time_boot_ms=30_000)
     assert reader.report(position) is None

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.config import load_config
-from app.errors import InputError
-from app.sharing.address import Address
-from app.sharing.cot import CotNames, CotOutput, aircraft_event, target_event
-from app.sharing.senders import DatagramSender, StreamSender, tls_context
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.frames import LocalPlane
+from sidelong.app.config import load_config
+from sidelong.app.errors import InputError
+from sidelong.app.sharing.address import Address
+from sidelong.app.sharing.cot import CotNames, CotOutput, aircraft_event, target_event
+from sidelong.app.sharing.senders import DatagramSender, StreamSender, tls_context
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.frames import LocalPlane
 
 takproto = pytest.importorskip("takproto", reason="takproto is not installed (the dev extra has it)")
 

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
-from app.cli import app
-from app.commands import launch_one, replay
+from sidelong.app.cli import app
+from sidelong.app.commands import launch_one, replay
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ import tomllib
 
 import pytest
 
-from app.cli import load_command
-from app.commands.init import config_text
-from app.errors import InputError
-from app.fleet.fleet_file import LAYER_M, FleetFile, load_fleet
+from sidelong.app.cli import load_command
+from sidelong.app.commands.init import config_text
+from sidelong.app.errors import InputError
+from sidelong.app.fleet.fleet_file import LAYER_M, FleetFile, load_fleet
 
 TWO = '[[aircraft]]\nname = "north"\n[[aircraft]]\nname = "south"\n'
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from app.config import load_config
-from app.errors import InputError
-from app.fleet.fleet_file import load_fleet, names_a_fleet
+from sidelong.app.config import load_config
+from sidelong.app.errors import InputError
+from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 
 TWO = """
 [requirement]

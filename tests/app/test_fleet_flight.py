@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from app.errors import InputError
-from app.flight import fleet_flight
-from app.flight.fleet_flight import FleetFlight
+from sidelong.app.errors import InputError
+from sidelong.app.flight import fleet_flight
+from sidelong.app.flight.fleet_flight import FleetFlight
 
 
 @pytest.fixture

@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from app.analysis.fleet_summary import FlownAircraft, FlownTrack, min_separation_m, summarise_fleet
-from app.analysis.score import Moment
-from app.analysis.summary import Summary
-from mission.core.requirement import Requirement, Side
+from sidelong.app.analysis.fleet_summary import FlownAircraft, FlownTrack, min_separation_m, summarise_fleet
+from sidelong.app.analysis.score import Moment
+from sidelong.app.analysis.summary import Summary
+from sidelong.mission.core.requirement import Requirement, Side
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0)
 ASKED = {"target": [(-math.inf, REQUIREMENT)]}

@@ -8,13 +8,13 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from app.config import Config
-from app.view.address import Address
-from app.view.fleet_panel import FleetPanel
-from app.view.fleet_view import FleetView
-from estimators.frames import LocalPlane
-from mission.core.events import Announce, MissionChange, OperatorRequest
-from mission.core.requirement import Side
+from sidelong.app.config import Config
+from sidelong.app.view.address import Address
+from sidelong.app.view.fleet_panel import FleetPanel
+from sidelong.app.view.fleet_view import FleetView
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.events import Announce, MissionChange, OperatorRequest
+from sidelong.mission.core.requirement import Side
 
 PLANE = LocalPlane(47.4, 8.5)
 NAMES = ("plane", "wing")

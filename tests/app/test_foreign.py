@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from app.flight.foreign import ForeignAircraft
-from app.link.message import Message
-from estimators.frames import LocalPlane
+from sidelong.app.flight.foreign import ForeignAircraft
+from sidelong.app.link.message import Message
+from sidelong.estimators.frames import LocalPlane
 
 PLANE = LocalPlane(47.0, 8.0)
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from app.commands.init import config_text, init
-from app.config import Config, check_flyable, load_config
-from app.errors import InputError
-from app.presets import PRESETS
-from mission.core.requirement import GRAVITY_M_S2
+from sidelong.app.commands.init import config_text, init
+from sidelong.app.config import Config, check_flyable, load_config
+from sidelong.app.errors import InputError
+from sidelong.app.presets import PRESETS
+from sidelong.mission.core.requirement import GRAVITY_M_S2
 
 
 def test_the_file_holds_exactly_the_defaults(tmp_path):

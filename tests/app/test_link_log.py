@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from app.flight.link_log import ClockRate
-from app.link.quality import LinkQuality, LinkReport
+from sidelong.app.flight.link_log import ClockRate
+from sidelong.app.link.quality import LinkQuality, LinkReport
 
 
 def test_bytes_count_by_the_vehicles_seconds_in_a_fast_simulation():

@@ -8,11 +8,11 @@ import random
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from app.link.frames import Frame
-from app.link.merger import LinkMerger, time_of
-from app.link.message import Message
-from app.link.meter import LinkMeter
-from app.link.quality import LinkQuality, Measured
+from sidelong.app.link.frames import Frame
+from sidelong.app.link.merger import LinkMerger, time_of
+from sidelong.app.link.message import Message
+from sidelong.app.link.meter import LinkMeter
+from sidelong.app.link.quality import LinkQuality, Measured
 
 
 class Sender:

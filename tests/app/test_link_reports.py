@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from app.link.message import Message
-from app.link.reports import VehicleReports
-from app.link.vehicle import Vehicle
-from mission.exchange.reports import CommandAcknowledged, MissionAcknowledged
+from sidelong.app.link.message import Message
+from sidelong.app.link.reports import VehicleReports
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.mission.exchange.reports import CommandAcknowledged, MissionAcknowledged
 
 OURS, OTHER = {"target_system": 245, "target_component": 190}, {"target_system": 250, "target_component": 190}
 COMMAND = {"command": 400, "result": 0}

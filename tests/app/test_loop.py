@@ -8,15 +8,15 @@ from types import SimpleNamespace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from app.flight.executor import CommandExecutor
-from app.flight.loop import ControlLoop
-from app.link.link import LinkError
-from app.link.message import Message
-from app.link.telemetry import Telemetry
-from app.link.vehicle import Vehicle
-from mission.core.events import Announce, End, ModeReported, Yield
-from mission.exchange.outbox import SendMessage, TakeoverFailed
-from mission.exchange.reports import CommandAcknowledged, ShutdownRequested, TimerExpired
+from sidelong.app.flight.executor import CommandExecutor
+from sidelong.app.flight.loop import ControlLoop
+from sidelong.app.link.link import LinkError
+from sidelong.app.link.message import Message
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.mission.core.events import Announce, End, ModeReported, Yield
+from sidelong.mission.exchange.outbox import SendMessage, TakeoverFailed
+from sidelong.mission.exchange.reports import CommandAcknowledged, ShutdownRequested, TimerExpired
 
 OURS = (245, 190)
 
@@ -46,7 +46,7 @@ class Wire:
 
 
 def commanded(wire, monkeypatch):
-    monkeypatch.setattr("app.link.vehicle._ANSWER_S", 0.02)
+    monkeypatch.setattr("sidelong.app.link.vehicle._ANSWER_S", 0.02)
 
     async def go():
         vehicle = Vehicle(wire)

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from app.analysis.summary import SummaryCollector
-from app.analysis.truth import Truth
-from app.commands.output import shielded_output, standard
-from app.commands.progress import progress_bar
-from app.config import load_config
-from app.link.plain_text import plain, plain_fields
-from app.view.panel import PanelDisplay
-from estimators.frames import LocalPlane
-from mission.core.events import Announce
+from sidelong.app.analysis.summary import SummaryCollector
+from sidelong.app.analysis.truth import Truth
+from sidelong.app.commands.output import shielded_output, standard
+from sidelong.app.commands.progress import progress_bar
+from sidelong.app.config import load_config
+from sidelong.app.link.plain_text import plain, plain_fields
+from sidelong.app.view.panel import PanelDisplay
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.events import Announce
 
 
 @pytest.mark.parametrize(

@@ -7,14 +7,14 @@ import pytest
 from mavsdk.asyncio import Configuration, Mavsdk
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 
-from app.config import Config
-from app.flight.simulated import SimulatedVehicles
-from estimators.frames import LocalPlane
-from mission.core.circle import Circle
-from mission.core.plan import Plan
-from mission.geometry.transition import abcd
-from mission.upload.items import Item, circle_item, plan_items
-from mission.upload.plan_file import plan_file
+from sidelong.app.config import Config
+from sidelong.app.flight.simulated import SimulatedVehicles
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.geometry.transition import abcd
+from sidelong.mission.upload.items import Item, circle_item, plan_items
+from sidelong.mission.upload.plan_file import plan_file
 
 PLANE = LocalPlane(47.4, 8.5)
 OUTLINE = [(-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.0, 900.0)]

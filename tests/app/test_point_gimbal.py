@@ -8,13 +8,13 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from app.flight.point_gimbal import GimbalPointer
-from app.link.link import LinkError
-from app.link.message import Message
-from app.link.vehicle import Vehicle
-from estimators.estimate import TrackQuality
-from estimators.frames import LocalPlane
-from mission.control.snapshot import Phase
+from sidelong.app.flight.point_gimbal import GimbalPointer
+from sidelong.app.link.link import LinkError
+from sidelong.app.link.message import Message
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.estimators.estimate import TrackQuality
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.snapshot import Phase
 
 PLANE = LocalPlane(47.4, 8.5)
 ALTITUDE_M = 420.0

@@ -2,13 +2,13 @@
 
 import pytest
 
-from app.autopilots.arduplane import ArduPlane
-from app.autopilots.px4 import Px4
-from app.config import Config
-from app.flight.preflight import checks
-from app.flight.source_rates import SourceRate
-from app.link.message import Message
-from estimators.readings import Source
+from sidelong.app.autopilots.arduplane import ArduPlane
+from sidelong.app.autopilots.px4 import Px4
+from sidelong.app.config import Config
+from sidelong.app.flight.preflight import checks
+from sidelong.app.flight.source_rates import SourceRate
+from sidelong.app.link.message import Message
+from sidelong.estimators.sensing.readings import Source
 
 GOOD_ARDUPLANE = {"AIRSPEED_CRUISE": 15.0}
 GOOD_PX4 = {"FW_AIRSPD_TRIM": 15.0, "NAV_DLL_ACT": 0.0, "MIS_TKO_LAND_REQ": 2.0}

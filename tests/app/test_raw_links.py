@@ -12,13 +12,13 @@ from collections import Counter
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from app.link.frames import Frame, FrameSplitter
-from app.link.key_file import kept_times, make_key, read_key
-from app.link.raw_links import RawLinks
-from app.link.signing import Refusal, signing_time
-from sitl.settings import Flavour, Settings
-from sitl.signing import read_key as sitl_key
-from sitl.simulation import Simulation
+from sidelong.app.link.frames import Frame, FrameSplitter
+from sidelong.app.link.key_file import kept_times, make_key, read_key
+from sidelong.app.link.raw_links import RawLinks
+from sidelong.app.link.signing import Refusal, signing_time
+from sidelong.sitl.protocol.signing import read_key as sitl_key
+from sidelong.sitl.settings import Flavour, Settings
+from sidelong.sitl.simulation import Simulation
 
 HOSTILE = int(os.environ.get("HOSTILE_FRAMES", "300"))
 OURS = (245, 190)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.cli import COMMANDS, load_command
+from sidelong.app.cli import COMMANDS, load_command
 
 ROOT = Path(__file__).resolve().parents[2]
 _COMMAND = re.compile(r"\bsidelong ([a-z]+)((?:[ ]+[^\s`|#]+)*)")

@@ -12,16 +12,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.analysis.score import Moment
-from app.assembly import tracker_of
-from app.commands.report import write_report
-from app.errors import InputError
-from app.report import series
-from app.report.history import AircraftTrack, HistoryBuilder
-from app.report.page import report_page
-from app.report.sources import feed, read_flight
-from mission.core.fleet import FleetAdvice, Role
-from mission.core.requirement import Side
+from sidelong.app.analysis.score import Moment
+from sidelong.app.assembly import tracker_of
+from sidelong.app.commands.report import write_report
+from sidelong.app.errors import InputError
+from sidelong.app.report import series
+from sidelong.app.report.history import AircraftTrack, HistoryBuilder
+from sidelong.app.report.page import report_page
+from sidelong.app.report.sources import feed, read_flight
+from sidelong.mission.core.fleet import FleetAdvice, Role
+from sidelong.mission.core.requirement import Side
 
 FIGURES = [
     "path",

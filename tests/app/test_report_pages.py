@@ -6,8 +6,8 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from typer.testing import CliRunner
 
-from app.cli import app
-from app.commands.report import write_report
+from sidelong.app.cli import app
+from sidelong.app.commands.report import write_report
 
 STUDY = (
     *("study", "--planner", "lvfg", "--planner", "park", "--perfect-sensors", "--runs", "2", "--duration", "60"),

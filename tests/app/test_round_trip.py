@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from app.flight.round_trip import RoundTripWatch
-from app.link.quality import LinkReport, Measured
+from sidelong.app.flight.round_trip import RoundTripWatch
+from sidelong.app.link.quality import LinkReport, Measured
 
 
 def measured(round_trip_s: float | None, in_use: bool = True) -> LinkReport:

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from app.analysis.score import Moment, score
-from mission.core.requirement import Requirement, Side
+from sidelong.app.analysis.score import Moment, score
+from sidelong.mission.core.requirement import Requirement, Side
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 LEFT = ((0.0, REQUIREMENT),)

@@ -7,8 +7,8 @@ import itertools
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from app.link.message import Message
-from app.link.senders import SenderCheck
+from sidelong.app.link.message import Message
+from sidelong.app.link.senders import SenderCheck
 
 
 @pytest.fixture

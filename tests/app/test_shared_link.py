@@ -7,14 +7,14 @@ import time
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from app.link.frames import Frame
-from app.link.key_file import key_in_use, make_key
-from app.link.raw_links import RawLinks
-from app.link.shared import sharing_opener
-from app.link.signing import LinkSigning, Refusal, signing_time
-from sitl.settings import Settings
-from sitl.signing import read_key as sitl_key
-from sitl.simulation import Simulation
+from sidelong.app.link.frames import Frame
+from sidelong.app.link.key_file import key_in_use, make_key
+from sidelong.app.link.raw_links import RawLinks
+from sidelong.app.link.shared import sharing_opener
+from sidelong.app.link.signing import LinkSigning, Refusal, signing_time
+from sidelong.sitl.protocol.signing import read_key as sitl_key
+from sidelong.sitl.settings import Settings
+from sidelong.sitl.simulation import Simulation
 
 A, B, C = "udpin://127.0.0.1:1", "udpin://127.0.0.1:2", "udpin://127.0.0.1:3"
 

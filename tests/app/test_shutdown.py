@@ -7,7 +7,7 @@ import pytest
 
 LEFT = """
 import asyncio, threading
-from app import event_loop, shutdown
+from sidelong.app import event_loop, shutdown
 async def main():
     asyncio.get_running_loop().run_in_executor(None, threading.Event().wait)
     await asyncio.sleep(0.01)
@@ -18,14 +18,14 @@ shutdown.exit_process(event_loop.run(main()))
 
 HELD_UP = """
 import threading
-from app import shutdown
+from sidelong.app import shutdown
 with shutdown.ends_within(0.2, "closing"):
     threading.Event().wait()
 """
 
 IN_TIME = """
 import time
-from app import shutdown
+from sidelong.app import shutdown
 with shutdown.ends_within(0.05, "closing"):
     pass
 time.sleep(0.2)
@@ -49,7 +49,7 @@ def test_it_ends(code, exit_code, out, complaint):
 
 LATE_SIGNAL = """
 import atexit, os, signal
-from app import shutdown
+from sidelong.app import shutdown
 signal.signal(signal.SIGTERM, signal.default_int_handler)
 atexit.register(lambda: os.kill(os.getpid(), signal.SIGTERM))
 shutdown.exit_process(3)
@@ -63,7 +63,7 @@ def test_a_signal_at_the_very_end_changes_no_exit_code():
 
 DEAF = """
 import signal, sys, time
-from app import cli
+from sidelong.app import cli
 class Deaf:
     def __del__(self):
         signal.raise_signal(signal.SIGINT)  # where Python drops exceptions, as in a callback of a library

@@ -8,10 +8,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from app.config import SharingSection
-from app.flight.source_rates import SourceRates
-from app.link.message import Message
-from app.link.vehicle import Vehicle
+from sidelong.app.config import SharingSection
+from sidelong.app.flight.source_rates import SourceRates
+from sidelong.app.link.message import Message
+from sidelong.app.link.vehicle import Vehicle
 
 
 def said(name: str, at_s: float, **fields) -> Message:

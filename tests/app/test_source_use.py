@@ -6,10 +6,10 @@ import itertools
 
 import pytest
 
-from app.assembly import tracker_of
-from app.config import Config
-from app.flight.source_use import describe_use
-from estimators.readings import GimbalReading, RangeReading, Source
+from sidelong.app.assembly import tracker_of
+from sidelong.app.config import Config
+from sidelong.app.flight.source_use import describe_use
+from sidelong.estimators.sensing.readings import GimbalReading, RangeReading, Source
 
 PAYLOAD = Source("DISTANCE_SENSOR", 154, 1, 100)
 REPEATED = Source("DISTANCE_SENSOR", 1, 1, 100)

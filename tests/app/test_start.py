@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from app.cli import COMMANDS, load_command
+from sidelong.app.cli import COMMANDS, load_command
 
 SLOW = {"numba", "matplotlib", "filterpy", "scipy", "numpy", "pydantic", "mavsdk", "pymavlink", "shapely"}
 
@@ -18,11 +18,11 @@ def loaded(code: str) -> set[str]:
 
 
 def test_the_list_of_commands_loads_nothing_slow():
-    assert loaded("import app.cli") == set()
+    assert loaded("import sidelong.app.cli") == set()
 
 
 def test_options_of_a_launch_are_refused_before_what_flies_is_loaded():
-    mistaken = "from app.cli import app\napp(['launch', '--side', 'up'], standalone_mode=False)"
+    mistaken = "from sidelong.app.cli import app\napp(['launch', '--side', 'up'], standalone_mode=False)"
     assert loaded(f"try:\n    exec({mistaken!r})\nexcept Exception as error:\n    assert 'side' in str(error)") <= {
         "numpy",
         "pydantic",
@@ -31,7 +31,7 @@ def test_options_of_a_launch_are_refused_before_what_flies_is_loaded():
 
 
 def test_a_check_loads_no_link_and_no_compiler():
-    assert loaded("import app.commands.check") <= {"numpy", "scipy", "pydantic"}
+    assert loaded("import sidelong.app.commands.check") <= {"numpy", "scipy", "pydantic"}
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -10,12 +10,12 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from app.commands.study import study
-from app.errors import InputError
-from app.study.figure import write_figure
-from app.study.report import study_json
-from app.study.settings import PlannerName, StudySettings
-from app.study.study import run_study
+from sidelong.app.commands.study import study
+from sidelong.app.errors import InputError
+from sidelong.app.study.figure import write_figure
+from sidelong.app.study.report import study_json
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.study import run_study
 
 LAWS = (PlannerName.PAPER, PlannerName.LVFG, PlannerName.PARK)
 
@@ -109,7 +109,7 @@ def test_wrong_input_is_one_sentence(command, words, named):
 def test_an_interrupt_ends_all_processes():
     code = (
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
-        "from app.study.study import run_study; from app.study.settings import *;"
+        "from sidelong.app.study.study import run_study; from sidelong.app.study.settings import *;"
         "s = StudySettings((PlannerName.LVFG,), runs=2000, perfect_sensors=True, duration_s=20.0);"
         "run_study(s, None, jobs=2, progress=lambda runs: print(runs, flush=True))"
     )

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.study.fleet import FleetPlannerName, Loss, run_fleet
-from app.study.fleet_study import FleetStudy, fleet_json
-from app.study.settings import PlannerName, StudySettings
-from app.value_cache import value_table
-from mission.predictive.planner import table_configuration
+from sidelong.app.study.fleet import FleetPlannerName, Loss, run_fleet
+from sidelong.app.study.fleet_study import FleetStudy, fleet_json
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.value_cache import value_table
+from sidelong.mission.predictive.planner import table_configuration
 
 
 @pytest.fixture(scope="module")

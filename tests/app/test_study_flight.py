@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.study import flight as compiled_flight
-from app.study import run as study_run
-from app.study.flight import can_fly
-from app.study.run import run
-from app.study.settings import PlannerName, StudySettings
-from app.study.target import TargetTruth
-from estimators.settings import TrackerSettings
-from mission.predictive.planner import table_configuration
-from mission.predictive.value_iteration import compute
+from sidelong.app.study import flight as compiled_flight
+from sidelong.app.study import run as study_run
+from sidelong.app.study.flight import can_fly
+from sidelong.app.study.run import run
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.target import TargetTruth
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.mission.predictive.planner import table_configuration
+from sidelong.mission.predictive.value_iteration import compute
 
 SETTINGS = StudySettings(runs=8, duration_s=400.0)
 

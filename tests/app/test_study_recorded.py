@@ -7,15 +7,15 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from app.commands.study import study
-from app.errors import InputError
-from app.study.course import LONG, SHORT, course_made_good_rad
-from app.study.judging import judged
-from app.study.recorded import prepared, recorded_targets
-from app.study.run import run
-from app.study.scene import scene
-from app.study.settings import PlannerName, StudySettings
-from sitl.track import Track, read_track
+from sidelong.app.commands.study import study
+from sidelong.app.errors import InputError
+from sidelong.app.study.course import LONG, SHORT, course_made_good_rad
+from sidelong.app.study.judging import judged
+from sidelong.app.study.recorded import prepared, recorded_targets
+from sidelong.app.study.run import run
+from sidelong.app.study.scene import scene
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.sitl.world.track import Track, read_track
 
 TARGETS = Path(__file__).parents[1] / "data" / "targets"
 MEASURES = (

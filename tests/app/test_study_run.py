@@ -3,17 +3,17 @@ import math
 import numpy as np
 import pytest
 
-from app.study.airframe import KinematicAircraft
-from app.study.flight import CompiledFlight, Sensed
-from app.study.run import run
-from app.study.sensors import PayloadErrors
-from app.study.settings import PlannerName, StudySettings
-from app.study.target import RandomTarget
-from estimators.settings import TrackerSettings
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState, Decision
-from mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
-from mission.paper.planner import PaperPlanner
+from sidelong.app.study.airframe import KinematicAircraft
+from sidelong.app.study.flight import CompiledFlight, Sensed
+from sidelong.app.study.run import run
+from sidelong.app.study.sensors import PayloadErrors
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.target import RandomTarget
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState, Decision
+from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
+from sidelong.mission.paper.planner import PaperPlanner
 
 PAPER_AIRCRAFT = Aircraft(10.0, 50.0)
 BANK_RAD = math.atan(1.1 * 10.0**2 / (GRAVITY_M_S2 * 50.0))

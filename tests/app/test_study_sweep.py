@@ -13,15 +13,15 @@ import typer
 from pyarrow import parquet
 from typer.testing import CliRunner
 
-from app.commands.study import study
-from app.config import load_config
-from app.errors import InputError
-from app.study.batch import flown as flown_batch
-from app.study.design import Design, configured, designs, parsed_sweep
-from app.study.processes import on_processes
-from app.study.settings import PlannerName, StudySettings
-from app.study.store import MEASURES, ResultStore, run_ids
-from app.study.study import Study, run_study
+from sidelong.app.commands.study import study
+from sidelong.app.config import load_config
+from sidelong.app.errors import InputError
+from sidelong.app.study.batch import flown as flown_batch
+from sidelong.app.study.design import Design, configured, designs, parsed_sweep
+from sidelong.app.study.processes import on_processes
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.store import MEASURES, ResultStore, run_ids
+from sidelong.app.study.study import Study, run_study
 
 SMALL = StudySettings((PlannerName.LVFG,), runs=4, perfect_sensors=True, duration_s=20.0)
 QUICK = ("--planner", "lvfg", "--runs", "3", "--duration", "30", "--perfect-sensors", "--jobs", "1")
@@ -209,14 +209,14 @@ def test_a_study_that_fails_keeps_what_was_flown(tmp_path):
 
 def test_other_code_is_another_result(monkeypatch):
     own = next(run_ids(SMALL, PlannerName.LVFG))
-    monkeypatch.setattr("app.study.store.code_version", lambda: "other")
+    monkeypatch.setattr("sidelong.app.study.store.code_version", lambda: "other")
     assert next(run_ids(SMALL, PlannerName.LVFG)).key != own.key
 
 
 KILLED_AFTER_TWO = """
 import os, signal
-from app.cli import main
-from app.study.store import ResultStore
+from sidelong.app.cli import main
+from sidelong.app.study.store import ResultStore
 add, left = ResultStore.add, [1, 1]
 def add_and_die(*arguments):
     add(*arguments)

@@ -6,10 +6,16 @@ import math
 
 import pytest
 
-from app.link.message import Message
-from app.link.telemetry import Telemetry
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, TargetFixReading
-from mission.core.events import ModeReported, WindReported
+from sidelong.app.link.message import Message
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.estimators.sensing.readings import (
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    TargetFixReading,
+)
+from sidelong.mission.core.events import ModeReported, WindReported
 
 
 def message(name: str, component: int = 1, system: int = 1, **fields) -> Message:

@@ -10,7 +10,7 @@ import tty
 
 import pytest
 
-from app.link.transport import opened
+from sidelong.app.link.transport import opened
 
 PATIENCE_S = 20.0
 

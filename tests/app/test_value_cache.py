@@ -6,9 +6,9 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from app.value_cache import _store, cache_directory, value_table
-from mission.predictive.cost import WatchCost
-from mission.predictive.value_table import TableConfiguration
+from sidelong.app.value_cache import _store, cache_directory, value_table
+from sidelong.mission.predictive.cost import WatchCost
+from sidelong.mission.predictive.value_table import TableConfiguration
 
 # Coarse and hardly improved, so that it takes about a second.
 SMALL = TableConfiguration(

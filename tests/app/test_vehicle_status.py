@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from app.link.message import Message
-from app.link.quality import LinkReport, Measured
-from app.link.vehicle_status import vehicle_status
+from sidelong.app.link.message import Message
+from sidelong.app.link.quality import LinkReport, Measured
+from sidelong.app.link.vehicle_status import vehicle_status
 
 
 def latest(**fields):

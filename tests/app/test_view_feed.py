@@ -7,7 +7,7 @@ from contextlib import closing
 
 import pytest
 
-from app.view.feed import Feed, FeedError
+from sidelong.app.view.feed import Feed, FeedError
 
 # Says that it is up, then reads nothing until it is told to: by a line on its input's place, a file.
 LAZY = """

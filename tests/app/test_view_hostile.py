@@ -19,13 +19,13 @@ from urllib.request import HTTPCookieProcessor, HTTPSHandler, Request, build_ope
 import pytest
 from rich.console import Console
 
-from app.config import Config
-from app.errors import InputError
-from app.view.access import Access, Allowances
-from app.view.address import Address
-from app.view.display import ViewDisplay
-from app.view.panel import PanelDisplay
-from estimators.frames import LocalPlane
+from sidelong.app.config import Config
+from sidelong.app.errors import InputError
+from sidelong.app.view.access import Access, Allowances
+from sidelong.app.view.address import Address
+from sidelong.app.view.display import ViewDisplay
+from sidelong.app.view.panel import PanelDisplay
+from sidelong.estimators.frames import LocalPlane
 
 REQUESTS = int(os.environ.get("HOSTILE_REQUESTS", "240"))
 NOT_LOOPBACK_NAME = "127.0.0.2"  # of this machine, but served as to a network: with tokens

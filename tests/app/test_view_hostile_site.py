@@ -9,11 +9,11 @@ from contextlib import contextmanager
 import pytest
 from rich.console import Console
 
-from app.config import Config
-from app.view.address import Address
-from app.view.display import ViewDisplay
-from app.view.panel import PanelDisplay
-from estimators.frames import LocalPlane
+from sidelong.app.config import Config
+from sidelong.app.view.address import Address
+from sidelong.app.view.display import ViewDisplay
+from sidelong.app.view.panel import PanelDisplay
+from sidelong.estimators.frames import LocalPlane
 
 # Everything that a site may try against a page on this machine; each try says in the title that it is over.
 ATTACK = """<!doctype html><title>0</title>

@@ -15,14 +15,14 @@ from pmtiles.writer import Writer
 from rich.console import Console
 from typer.testing import CliRunner
 
-from app.cli import app
-from app.config import Config
-from app.errors import InputError
-from app.view.address import Address
-from app.view.background import background
-from app.view.display import ViewDisplay
-from app.view.panel import PanelDisplay
-from estimators.frames import LocalPlane
+from sidelong.app.cli import app
+from sidelong.app.config import Config
+from sidelong.app.errors import InputError
+from sidelong.app.view.address import Address
+from sidelong.app.view.background import background
+from sidelong.app.view.display import ViewDisplay
+from sidelong.app.view.panel import PanelDisplay
+from sidelong.estimators.frames import LocalPlane
 
 PLANE = LocalPlane(47.4, 8.5)
 ZOOM, COLUMN, ROW = 12, 2144, 1434  # 47.4, 8.5 lies in it

@@ -11,18 +11,18 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from rich.console import Console
 
-from app.config import Config
-from app.link.vehicle_status import VehicleStatus
-from app.view.address import Address
-from app.view.clock import clock
-from app.view.display import ViewDisplay
-from app.view.fleet_panel import FleetPanel
-from app.view.fleet_view import FleetView
-from app.view.panel import PanelDisplay
-from estimators.frames import LocalPlane
-from mission.control.snapshot import Phase
-from mission.core.events import Announce, MissionChange, OperatorRequest
-from mission.core.requirement import Side
+from sidelong.app.config import Config
+from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.view.address import Address
+from sidelong.app.view.clock import clock
+from sidelong.app.view.display import ViewDisplay
+from sidelong.app.view.fleet_panel import FleetPanel
+from sidelong.app.view.fleet_view import FleetView
+from sidelong.app.view.panel import PanelDisplay
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.core.events import Announce, MissionChange, OperatorRequest
+from sidelong.mission.core.requirement import Side
 
 START_S = 100.0
 PLANE = LocalPlane(47.4, 8.5)

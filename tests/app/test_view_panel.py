@@ -8,10 +8,10 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from app.view.panel import PanelDisplay
-from mission.control.snapshot import Phase
-from mission.core.events import Announce
-from mission.core.requirement import Requirement, Side
+from sidelong.app.view.panel import PanelDisplay
+from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.core.events import Announce
+from sidelong.mission.core.requirement import Requirement, Side
 
 LEFT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 

@@ -6,15 +6,15 @@ from unittest.mock import Mock
 
 import pytest
 
-from app.analysis.replay import Proposals, Replayed
-from app.assembly import controller_of, settle
-from app.config import Config
-from app.view.frames import Frames
-from app.view.player import Player
-from app.view.server import replay_button_of
-from app.view.state import StateEncoder
-from estimators.frames import LocalPlane
-from mission.core.events import ControlAcquired
+from sidelong.app.analysis.replay import Proposals, Replayed
+from sidelong.app.assembly import controller_of, settle
+from sidelong.app.config import Config
+from sidelong.app.view.frames import Frames
+from sidelong.app.view.player import Player
+from sidelong.app.view.server import replay_button_of
+from sidelong.app.view.state import StateEncoder
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.events import ControlAcquired
 
 PLANE = LocalPlane(47.4, 8.5)
 

@@ -9,10 +9,10 @@ import termios
 import pytest
 from rich.console import Console
 
-from app.view.panel import PanelDisplay
-from app.view.prompt import HELP, WHO, Prompt, read_wish
-from estimators.frames import LocalPlane
-from mission.core.events import MissionChange, OperatorRequest
+from sidelong.app.view.panel import PanelDisplay
+from sidelong.app.view.prompt import HELP, WHO, Prompt, read_wish
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.events import MissionChange, OperatorRequest
 
 
 @pytest.mark.parametrize(

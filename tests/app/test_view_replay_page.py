@@ -18,7 +18,7 @@ def serving(run_folder, *options):
     command = (
         sys.executable,
         "-m",
-        "app",
+        "sidelong.app",
         "replay",
         str(run_folder),
         "--view",

@@ -12,15 +12,15 @@ from urllib.request import HTTPCookieProcessor, OpenerDirector, Request, build_o
 import pytest
 from rich.console import Console
 
-from app.config import Config
-from app.errors import InputError
-from app.view.address import Address
-from app.view.display import ViewDisplay
-from app.view.panel import PanelDisplay
-from app.view.server import button_of
-from estimators.frames import LocalPlane
-from mission.core.events import OperatorRequest
-from mission.core.requirement import Side
+from sidelong.app.config import Config
+from sidelong.app.errors import InputError
+from sidelong.app.view.address import Address
+from sidelong.app.view.display import ViewDisplay
+from sidelong.app.view.panel import PanelDisplay
+from sidelong.app.view.server import button_of
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.events import OperatorRequest
+from sidelong.mission.core.requirement import Side
 
 PLANE = LocalPlane(47.4, 8.5)
 OTHER_LOOPBACK = "127.0.0.2"  # of this machine as well, but not the address that goes without a token

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.config import Config
-from app.view.state import StateEncoder, setting
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.frames import LocalPlane
-from mission.control.snapshot import Phase
-from mission.core.requirement import Requirement, Sector, Side
+from sidelong.app.config import Config
+from sidelong.app.view.state import StateEncoder, setting
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.core.requirement import Requirement, Sector, Side
 
 LEFT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 

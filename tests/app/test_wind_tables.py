@@ -8,20 +8,27 @@ from datetime import UTC, datetime
 
 import pytest
 
-from app.analysis.replay import JournalReplay
-from app.assembly import controller_of
-from app.config import Config
-from app.flight.recording import JOURNAL_TYPES
-from app.flight.wind_tables import WindTables
-from app.planners.registry import planner_by_name
-from app.records.journal import JournalReader
-from app.records.run_folder import RunFolder
-from estimators.frames import LocalPlane
-from mission.control.snapshot import Phase
-from mission.core.circle import Circle
-from mission.core.events import Announce, ControlAcquired, DecisionRecord, MissionChange, WindPrepared, WindReported
-from mission.core.requirement import Wind
-from mission.predictive import planner
+from sidelong.app.analysis.replay import JournalReplay
+from sidelong.app.assembly import controller_of
+from sidelong.app.config import Config
+from sidelong.app.flight.recording import JOURNAL_TYPES
+from sidelong.app.flight.wind_tables import WindTables
+from sidelong.app.planners.registry import planner_by_name
+from sidelong.app.records.journal import JournalReader
+from sidelong.app.records.run_folder import RunFolder
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import (
+    Announce,
+    ControlAcquired,
+    DecisionRecord,
+    MissionChange,
+    WindPrepared,
+    WindReported,
+)
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.predictive import planner
 from tests.app.conftest import recorded
 
 PLANE, HOME_DEG = LocalPlane(47.4, 8.5), (47.4, 8.5)

@@ -12,7 +12,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from app.link.frames import Frame
+from sidelong.app.link.frames import Frame
 from tests.autopilot.relay import Relay
 
 STATION = 255

@@ -19,11 +19,11 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.items import Item
-from sitl.link import LinkFaults
-from sitl.server import serve
-from sitl.settings import Flavour, Settings, TargetSettings
-from sitl.simulation import Simulation
+from sidelong.sitl.protocol.items import Item
+from sidelong.sitl.protocol.link import LinkFaults
+from sidelong.sitl.server import serve
+from sidelong.sitl.settings import Flavour, Settings, TargetSettings
+from sidelong.sitl.simulation import Simulation
 
 SIDELONG = Path(sys.executable).with_name("sidelong")
 SPEED = 10.0

@@ -28,7 +28,16 @@ class RealVehicle:
         name = f"SIDELONG_{flavour.upper()}"
         if not os.environ.get(name):
             pytest.skip(f"{name} does not name a SITL program")
-        command = (sys.executable, "-m", "sitl", "--autopilot", flavour, "--binary", os.environ[name], *options)
+        command = (
+            sys.executable,
+            "-m",
+            "sidelong.sitl",
+            "--autopilot",
+            flavour,
+            "--binary",
+            os.environ[name],
+            *options,
+        )
         self._command, self._second_port = list(map(str, command)), _SECOND_PORT[flavour]
 
     def __enter__(self) -> RealVehicle:

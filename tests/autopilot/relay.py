@@ -11,9 +11,9 @@ from typing import Self
 
 import numpy as np
 
-from app.flight.simulated import free_udp_port
-from app.link.frames import Frame, FrameSplitter
-from sitl.link import FaultyLink, LinkFaults
+from sidelong.app.flight.simulated import free_udp_port
+from sidelong.app.link.frames import Frame, FrameSplitter
+from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
 
 GOOD = LinkFaults()
 _CONNECTS_WITHIN_S, _AGAIN_S = 20.0, 0.2

@@ -18,10 +18,10 @@ from contextlib import ExitStack
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from app.flight.recording import JOURNAL_TYPES
-from app.records.journal import JournalReader
-from mission.core.events import ActivatePlan, PlanStatus
-from sitl.link import LinkFaults
+from sidelong.app.flight.recording import JOURNAL_TYPES
+from sidelong.app.records.journal import JournalReader
+from sidelong.mission.core.events import ActivatePlan, PlanStatus
+from sidelong.sitl.protocol.link import LinkFaults
 from tests.autopilot.changing_relay import PAYLOAD, VEHICLE, ChangingRelay, packed, unchanged
 from tests.autopilot.conftest import COMMANDING, PATIENCE_S, Application
 from tests.autopilot.real_vehicle import FLAVOURS, RealVehicle, configured

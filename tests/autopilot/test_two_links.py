@@ -9,7 +9,7 @@ import os
 
 import pytest
 
-from sitl.link import LinkFaults
+from sidelong.sitl.protocol.link import LinkFaults
 
 pytestmark = [pytest.mark.udp, pytest.mark.timeout(3600)]
 

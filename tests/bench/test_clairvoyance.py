@@ -20,18 +20,18 @@ from unittest import mock
 
 import numpy as np
 
-from app.study.course import LONG, course_made_good_rad
-from app.study.flight import CompiledFlight, Flown
-from app.study.judging import RunResult
-from app.study.recorded import recorded_targets
-from app.study.run import run
-from app.study.settings import PlannerName, StudySettings
-from app.value_cache import value_table
-from mission.predictive._decision_kernel import Looker
-from mission.predictive._future_kernel import FORETOLD_S, Turns, fill_classes
-from mission.predictive._rollout_kernel import Futures
-from mission.predictive._scene_kernel import Scene
-from mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
+from sidelong.app.study.course import LONG, course_made_good_rad
+from sidelong.app.study.flight import CompiledFlight, Flown
+from sidelong.app.study.judging import RunResult
+from sidelong.app.study.recorded import recorded_targets
+from sidelong.app.study.run import run
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.value_cache import value_table
+from sidelong.mission.predictive.decision_kernel import Looker
+from sidelong.mission.predictive.future_kernel import FORETOLD_S, Turns, fill_classes
+from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
+from sidelong.mission.predictive.rollout_kernel import Futures
+from sidelong.mission.predictive.scene_kernel import Scene
 
 OWN = Path(__file__).parents[1] / "data" / "targets"
 STEP_S, PER_S, LOOKED_S = 0.1, 10, 30.0

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from app.study.course import LONG, course_made_good_rad
-from app.study.recorded import RecordedTarget, recorded_targets
-from estimators.compiled import compiled
+from sidelong.app.study.course import LONG, course_made_good_rad
+from sidelong.app.study.recorded import RecordedTarget, recorded_targets
+from sidelong.estimators.compiled import compiled
 
 FloatArray = npt.NDArray[np.float64]
 OWN = Path(__file__).parents[1] / "data" / "targets"

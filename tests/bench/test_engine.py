@@ -15,13 +15,13 @@ ROUNDS = 3
 MEASURE = """
 import json, time
 import numpy as np
-from app.study.run import run
-from app.study.settings import PlannerName, StudySettings
-from app.value_cache import value_table
+from sidelong.app.study.run import run
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.value_cache import value_table
 try:
-    from mission.predictive.planner import table_configuration
+    from sidelong.mission.predictive.planner import table_configuration
 except ImportError:
-    from mission.predictive_planner import table_configuration
+    from sidelong.mission.predictive_planner import table_configuration
 settings = StudySettings(runs=20, seed=1)
 table = value_table(table_configuration(settings.aircraft(), settings.requirement()))
 run(settings, PlannerName.PREDICTIVE, 0, table)

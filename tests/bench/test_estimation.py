@@ -25,12 +25,12 @@ import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter, IMMEstimator
 
-from estimators.biases import Biases
-from estimators.motion import DENSITIES
-from estimators.settings import TrackerSettings
-from estimators.sighting import Sighting
-from estimators.target_filter import starting_state
-from estimators.track import Track
+from sidelong.estimators.filters.biases import Biases
+from sidelong.estimators.filters.motion import DENSITIES
+from sidelong.estimators.filters.target_filter import starting_state
+from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.track import Track
 from tests.estimators.plain_motion import MODELS, TURNING, model_noises, model_transitions, switch_probabilities
 
 STEP_S, HEIGHT_M = 0.1, 120.0

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from app.link.telemetry import Telemetry
-from app.records.tlog import read_tlog
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
-from estimators.settings import TrackerSettings
-from estimators.tracker import Tracker
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.records.tlog import read_tlog
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.tracker import Tracker
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 CHI2_95 = 5.991

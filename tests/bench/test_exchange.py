@@ -16,9 +16,9 @@ from pathlib import Path
 
 import pytest
 
-from app.flight.simulated import free_udp_port
-from mission.core.events import ActivatePlan, Announce, PlanStatus, UploadPlan, Yield
-from sitl.link import LinkFaults
+from sidelong.app.flight.simulated import free_udp_port
+from sidelong.mission.core.events import ActivatePlan, Announce, PlanStatus, UploadPlan, Yield
+from sidelong.sitl.protocol.link import LinkFaults
 
 CHANGES, FLIGHTS = int(os.environ.get("CHANGES", "50")), int(os.environ.get("FLIGHTS", "4"))
 OPEN_S = 5.0  # a plan activated so shortly before the end may not have departed yet
@@ -113,7 +113,9 @@ def test_a_flight_over_a_bad_link_is_repeated_to_the_last_bit(tmp_path, seed):
     port = free_udp_port()
     options = ["--autopilot", flavour, "--to", f"127.0.0.1:{port}", "--seed", seed, "--speed", 4, "--target-speed", 4]
     faults = ["--loss", 0.05, "--delay-ms", 100, "--duplicate", 0.05]
-    vehicle = subprocess.Popen([sys.executable, "-m", "sitl", *map(str, options + faults)], stdout=subprocess.DEVNULL)
+    vehicle = subprocess.Popen(
+        [sys.executable, "-m", "sidelong.sitl", *map(str, options + faults)], stdout=subprocess.DEVNULL
+    )
     try:
         command = [SIDELONG, "launch", "--connect", f"udpin://127.0.0.1:{port}", "--duration", "200", "--quiet"]
         command += ["--guidance", guidance, "--out", tmp_path / "runs"]

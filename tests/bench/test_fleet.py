@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.analysis.score import judge
-from app.analysis.truth import Truth, read_truth
-from app.config import load_config
-from app.flight.simulated import free_udp_port
-from estimators.frames import LocalPlane
+from sidelong.app.analysis.score import judge
+from sidelong.app.analysis.truth import Truth, read_truth
+from sidelong.app.config import load_config
+from sidelong.app.flight.simulated import free_udp_port
+from sidelong.estimators.frames import LocalPlane
 from tests.autopilot.real_vehicle import AIRCRAFT, FLAVOURS
 
 PROGRAMS = [os.environ.get(f"SIDELONG_{flavour.upper()}", "") for flavour in FLAVOURS]
@@ -62,7 +62,7 @@ class World:
             options = [f"--binary={program}" for program in PROGRAMS]
         self._process = subprocess.Popen(
             [
-                *(sys.executable, "-m", "sitl", "--autopilot", ",".join(FLAVOURS), "--speed", f"{SPEED:g}"),
+                *(sys.executable, "-m", "sidelong.sitl", "--autopilot", ",".join(FLAVOURS), "--speed", f"{SPEED:g}"),
                 *("--seed", str(SEED), "--while-input", *options),
                 *(f"--truth={truth}" for truth in self.truths),
             ],

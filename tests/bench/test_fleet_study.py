@@ -17,19 +17,19 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from app.study.fleet import FleetPlannerName, FleetResult, Loss, run_fleet
-from app.study.fleet_study import fleet_table, fly_fleets
-from app.study.recorded import recorded_targets
-from app.study.settings import PlannerName, StudySettings
-from app.study.study import run_study, table_of
-from app.value_cache import value_table
-from estimators.settings import TrackerSettings
-from estimators.sighting import Sighting
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Wind
-from mission.fleet.coordinator import FleetCoordinator, FleetTarget
-from mission.fleet.events import (
+from sidelong.app.study.fleet import FleetPlannerName, FleetResult, Loss, run_fleet
+from sidelong.app.study.fleet_study import fleet_table, fly_fleets
+from sidelong.app.study.recorded import recorded_targets
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.study import run_study, table_of
+from sidelong.app.value_cache import value_table
+from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
+from sidelong.mission.fleet.events import (
     ClockReported,
     FleetEvent,
     PlansReported,
@@ -38,10 +38,10 @@ from mission.fleet.events import (
     Tick,
     VehicleReported,
 )
-from mission.fleet.team_planner import TeamPlanner
-from mission.fleet.vehicle import FleetMember
-from mission.predictive.planner import table_configuration
-from mission.predictive.value_table import ValueTable
+from sidelong.mission.fleet.team_planner import TeamPlanner
+from sidelong.mission.fleet.vehicle import FleetMember
+from sidelong.mission.predictive.planner import table_configuration
+from sidelong.mission.predictive.value_table import ValueTable
 
 RUNS = int(os.environ.get("RUNS", "20"))
 TARGETS = Path(os.environ.get("TARGETS", Path(__file__).parents[1] / "data" / "targets"))

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from app.flight.recording import JOURNAL_TYPES
-from app.flight.simulated import free_udp_port
-from app.records.journal import JournalReader
-from mission.core.events import ActivatePlan, PlanStatus, Yield
+from sidelong.app.flight.recording import JOURNAL_TYPES
+from sidelong.app.flight.simulated import free_udp_port
+from sidelong.app.records.journal import JournalReader
+from sidelong.mission.core.events import ActivatePlan, PlanStatus, Yield
 
 CHANGES, SPEED, HOGS = (
     int(os.environ.get(name, most)) for name, most in (("CHANGES", 200), ("SPEED", 4), ("HOGS", 2))
@@ -62,7 +62,7 @@ def flown(flavour, seed, out):
     port = free_udp_port()
     options = ["--autopilot", flavour, "--to", f"127.0.0.1:{port}", "--seed", seed, "--speed", SPEED]
     vehicle = subprocess.Popen(
-        [sys.executable, "-m", "sitl", *map(str, options)], stdout=subprocess.DEVNULL, cwd=ROOT
+        [sys.executable, "-m", "sidelong.sitl", *map(str, options)], stdout=subprocess.DEVNULL, cwd=ROOT
     )
     try:
         launch = ["launch", "--connect", f"udpin://127.0.0.1:{port}", "--planner", "paper", "--quiet"]

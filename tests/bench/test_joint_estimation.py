@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimators.joint_track import JointTrack
-from estimators.settings import TrackerSettings
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.joint_track import JointTrack
 from tests.bench.test_estimation import (
     CHI2_95,
     GROUND_DENSITY,

@@ -20,13 +20,13 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from app.commands.sign import sign
-from app.flight.recording import JOURNAL_TYPES
-from app.flight.simulated import free_udp_port
-from app.link.signing import signing_time
-from app.records.journal import JournalReader
-from estimators.readings import PositionReading
-from mission.core.events import Yield
+from sidelong.app.commands.sign import sign
+from sidelong.app.flight.recording import JOURNAL_TYPES
+from sidelong.app.flight.simulated import free_udp_port
+from sidelong.app.link.signing import signing_time
+from sidelong.app.records.journal import JournalReader
+from sidelong.estimators.sensing.readings import PositionReading
+from sidelong.mission.core.events import Yield
 
 HOSTILE, SEEDS = int(os.environ.get("HOSTILE", "100000")), int(os.environ.get("SEEDS", "3"))
 SIGNED_MAX, RADIO_MAX = 0.01, 0.03  # of the time on the side
@@ -41,11 +41,20 @@ def flown(folder, flavour, sitl=(), launch=(), on_watching=lambda _port: None):
     """Fly the simulated vehicle over a link of its own; return the summary and the journal's file."""
     port, summary = free_udp_port(), folder / "summary.json"
     vehicle = subprocess.Popen(
-        [sys.executable, "-m", "sitl", "--autopilot", flavour, "--to", f"127.0.0.1:{port}", *map(str, sitl)],
+        [sys.executable, "-m", "sidelong.sitl", "--autopilot", flavour, "--to", f"127.0.0.1:{port}", *map(str, sitl)],
         stdout=subprocess.DEVNULL,
         cwd=ROOT,
     )
-    command = [sys.executable, "-u", "-m", "app", "launch", *launch, "--connect", f"udpin://127.0.0.1:{port}"]
+    command = [
+        sys.executable,
+        "-u",
+        "-m",
+        "sidelong.app",
+        "launch",
+        *launch,
+        "--connect",
+        f"udpin://127.0.0.1:{port}",
+    ]
     command += ["--out", folder / "runs", "--json", summary]
     try:
         flight = subprocess.Popen(

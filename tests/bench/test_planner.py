@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.study.airframe import KinematicAircraft
-from app.study.flight import CompiledFlight, Sensed
-from app.study.sensors import PayloadErrors
-from app.study.settings import PlannerName, StudySettings
-from app.study.study import run_study
-from app.study.target import RandomTarget
-from estimators.settings import TrackerSettings
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState
-from mission.core.requirement import Wind
-from mission.predictive.planner import PredictivePlanner, table_configuration
-from mission.predictive.value_iteration import compute
-from mission.viewpoint.side_policy import watching_from
+from sidelong.app.study.airframe import KinematicAircraft
+from sidelong.app.study.flight import CompiledFlight, Sensed
+from sidelong.app.study.sensors import PayloadErrors
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.study import run_study
+from sidelong.app.study.target import RandomTarget
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
+from sidelong.mission.predictive.value_iteration import compute
+from sidelong.mission.viewpoint.side_policy import watching_from
 
 SETTINGS = StudySettings((PlannerName.PREDICTIVE,), runs=4)
 

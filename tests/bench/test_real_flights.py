@@ -25,14 +25,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.analysis.truth import Truth, read_truth
-from app.flight.recording import JOURNAL_TYPES
-from app.records.journal import JournalReader
-from app.study.judging import STEP_S, judged
-from app.study.recorded import recorded_targets
-from app.study.settings import StudySettings
-from estimators.frames import LocalPlane
-from mission.core.events import ControlAcquired, PlanStatus, UploadPlan
+from sidelong.app.analysis.truth import Truth, read_truth
+from sidelong.app.flight.recording import JOURNAL_TYPES
+from sidelong.app.records.journal import JournalReader
+from sidelong.app.study.judging import STEP_S, judged
+from sidelong.app.study.recorded import recorded_targets
+from sidelong.app.study.settings import StudySettings
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.events import ControlAcquired, PlanStatus, UploadPlan
 from tests.autopilot.real_vehicle import FLAVOURS, ROOT, RealVehicle, configured
 
 RATE, DRAWS = float(os.environ.get("RATE", "4")), 5
@@ -112,7 +112,15 @@ def simulated(flavour: str, target: Path, truth: Path) -> list[object]:
 def flown(vehicle: RealVehicle, guidance: str, folder: Path) -> Path:
     """Fly, and return the folder of the run."""
     with vehicle, (folder / "said.txt").open("w") as said:
-        command = [sys.executable, "-m", "app", "launch", folder / "mission.toml", "--connect", vehicle.urls[0]]
+        command = [
+            sys.executable,
+            "-m",
+            "sidelong.app",
+            "launch",
+            folder / "mission.toml",
+            "--connect",
+            vehicle.urls[0],
+        ]
         command += ["--guidance", guidance, "--duration", DURATION_S, "--out", folder / "runs"]
         done = subprocess.run(list(map(str, command)), stdout=said, stderr=said, cwd=ROOT, check=False)
     assert done.returncode == 0, (folder / "said.txt").read_text()[-2000:]
@@ -170,7 +178,16 @@ def studied(flavour: str, folder: Path) -> Watched:
         "--noise-draws",
         DRAWS,
     ]
-    command = [sys.executable, "-m", "app", "study", "mission.toml", "--planner", "predictive", *map(str, words)]
+    command = [
+        sys.executable,
+        "-m",
+        "sidelong.app",
+        "study",
+        "mission.toml",
+        "--planner",
+        "predictive",
+        *map(str, words),
+    ]
     command += ["--json", "study.json"]
     subprocess.run(command, cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True, capture_output=True)
     found = json.loads((folder / "study.json").read_text())["planners"]["predictive"]

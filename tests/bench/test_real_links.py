@@ -19,10 +19,10 @@ from contextlib import ExitStack
 
 import pytest
 
-from app.flight.recording import JOURNAL_TYPES
-from app.records.journal import JournalReader
-from mission.core.events import ActivatePlan, PlanStatus, UploadPlan, Yield
-from sitl.link import LinkFaults
+from sidelong.app.flight.recording import JOURNAL_TYPES
+from sidelong.app.records.journal import JournalReader
+from sidelong.mission.core.events import ActivatePlan, PlanStatus, UploadPlan, Yield
+from sidelong.sitl.protocol.link import LinkFaults
 from tests.autopilot.real_vehicle import FLAVOURS, ROOT, RealVehicle, configured
 from tests.autopilot.relay import GOOD, Relay
 from tests.bench.test_restart import AGAIN_MAX_S, RESTARTS, watching
@@ -70,7 +70,7 @@ def test_signed_as_unsigned(tmp_path, flavour):
 
 def signed_up(key, *arguments):
     """Return what ``sidelong sign`` says."""
-    command = [sys.executable, "-m", "app", "sign", str(key)]
+    command = [sys.executable, "-m", "sidelong.app", "sign", str(key)]
     command += ["--connect", *arguments, "--timeout", "60"] if arguments else []
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     return done.stdout + done.stderr
@@ -79,7 +79,14 @@ def signed_up(key, *arguments):
 def begun(folder, flavour, launch, *, duration_s, more=""):
     """Begin a flight."""
     folder.mkdir()
-    command = [sys.executable, "-m", "app", "launch", configured(folder / "mission.toml", flavour, more), *launch]
+    command = [
+        sys.executable,
+        "-m",
+        "sidelong.app",
+        "launch",
+        configured(folder / "mission.toml", flavour, more),
+        *launch,
+    ]
     command += ["--duration", duration_s, "--out", folder / "runs", "--json", folder / "summary.json"]
     return subprocess.Popen(list(map(str, command)), cwd=ROOT, stdout=subprocess.DEVNULL)
 
@@ -125,7 +132,7 @@ def test_swap_over_a_lossy_link(tmp_path, flavour, loss):
 def test_restart_over_a_slow_radio(tmp_path, flavour):
     config = configured(tmp_path / "mission.toml", flavour, FEW + "heartbeat_timeout_s = 60\n")
     with RealVehicle(flavour) as vehicle, Relay(vehicle.urls[0], RADIO) as relay:
-        launch = [sys.executable, "-u", "-m", "app", "launch", config, "--connect", relay.url]
+        launch = [sys.executable, "-u", "-m", "sidelong.app", "launch", config, "--connect", relay.url]
         _, *again = [watching(launch, tmp_path / str(number)) for number in range(RESTARTS + 1)]
     took_s = [seconds for seconds, _ in again]
     print(f"\n{flavour:9} load {os.getloadavg()[0]:.1f}: watching again after {[round(one, 1) for one in took_s]} s")
@@ -160,7 +167,7 @@ def test_one_of_two_links_is_cut(tmp_path, flavour):
         Relay(vehicle.urls[0]) as first,
         Relay(vehicle.urls[1], seed=2) as second,
     ):
-        command = [sys.executable, "-u", "-m", "app", "launch", config, "--out", out]
+        command = [sys.executable, "-u", "-m", "sidelong.app", "launch", config, "--out", out]
         command += ["--connect", first.url, "--connect", second.url]
         flight = subprocess.Popen(list(map(str, command)), cwd=ROOT, stdout=subprocess.PIPE, text=True)
         said = []

@@ -21,11 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from app.study.recorded import RecordedTarget, recorded_targets
-from estimators.biases import Biases
-from estimators.settings import TrackerSettings
-from estimators.sighting import Sighting
-from estimators.track import Track
+from sidelong.app.study.recorded import RecordedTarget, recorded_targets
+from sidelong.estimators.filters.biases import Biases
+from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.track import Track
 
 OWN = Path(__file__).parents[1] / "data" / "targets"
 STEP_S, SKIPPED_S, HEIGHT_M = 0.1, 5.0, 100.0

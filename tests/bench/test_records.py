@@ -13,11 +13,11 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as dialect
 
-from app.link.message import Message
-from app.link.telemetry import Telemetry
-from app.records.journal import Header, JournalReader, JournalWriter
-from app.records.tlog import read_tlog, summary
-from estimators.readings import GimbalReading, PositionReading, RangeReading, Source
+from sidelong.app.link.message import Message
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.records.journal import Header, JournalReader, JournalWriter
+from sidelong.app.records.tlog import read_tlog, summary
+from sidelong.estimators.sensing.readings import GimbalReading, PositionReading, RangeReading, Source
 
 MESSAGES = 1_000_000
 START_US = 1_700_000_000_000_000

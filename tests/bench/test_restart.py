@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from app.flight.simulated import free_udp_port
+from sidelong.app.flight.simulated import free_udp_port
 
 RESTARTS = int(os.environ.get("RESTARTS", "10"))
 RADIO = ("--baud", "57600", "--loss", "0.05", "--delay-ms", "75")  # each way
@@ -27,8 +27,8 @@ def test_a_restart_in_flight_over_a_slow_radio(tmp_path, flavour):
     port = free_udp_port()
     config = tmp_path / "radio.toml"
     config.write_text("[link]\nfew_messages = true\nheartbeat_timeout_s = 60\n")
-    sitl = [sys.executable, "-m", "sitl", "--autopilot", flavour, "--to", f"127.0.0.1:{port}", *RADIO]
-    launch = [sys.executable, "-u", "-m", "app", "launch", config, "--connect", f"udpin://127.0.0.1:{port}"]
+    sitl = [sys.executable, "-m", "sidelong.sitl", "--autopilot", flavour, "--to", f"127.0.0.1:{port}", *RADIO]
+    launch = [sys.executable, "-u", "-m", "sidelong.app", "launch", config, "--connect", f"udpin://127.0.0.1:{port}"]
     vehicle = subprocess.Popen(sitl, stdout=subprocess.DEVNULL, cwd=ROOT)
     try:
         first, *again = [watching(launch, tmp_path / str(number)) for number in range(RESTARTS + 1)]

@@ -19,11 +19,11 @@ import numpy as np
 import psutil
 import pytest
 
-from app.study.cluster import on_cluster
-from app.study.design import Design
-from app.study.settings import PlannerName, StudySettings
-from app.study.store import MEASURES, ResultStore
-from app.study.study import Study, table_of
+from sidelong.app.study.cluster import on_cluster
+from sidelong.app.study.design import Design
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.store import MEASURES, ResultStore
+from sidelong.app.study.study import Study, table_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PREDICTIVE = StudySettings((PlannerName.PREDICTIVE,))
@@ -60,7 +60,7 @@ class Watched(threading.Thread):
 
 def sidelong(*words: object) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, "-m", "app", *map(str, words)],
+        [sys.executable, "-m", "sidelong.app", *map(str, words)],
         cwd=ROOT,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         stdout=subprocess.DEVNULL,

@@ -27,16 +27,16 @@ import pytest
 from playwright.sync_api import sync_playwright
 from rich.console import Console
 
-from app.assembly import controller_of
-from app.config import Config
-from app.flight.flight import Flight, connected
-from app.flight.recording import Recording
-from app.flight.simulated import SimulatedVehicles
-from app.records.run_folder import RunFolder
-from app.view.address import Address
-from app.view.background import Background, background
-from app.view.display import ViewDisplay
-from app.view.panel import PanelDisplay
+from sidelong.app.assembly import controller_of
+from sidelong.app.config import Config
+from sidelong.app.flight.flight import Flight, connected
+from sidelong.app.flight.recording import Recording
+from sidelong.app.flight.simulated import SimulatedVehicles
+from sidelong.app.records.run_folder import RunFolder
+from sidelong.app.view.address import Address
+from sidelong.app.view.background import Background, background
+from sidelong.app.view.display import ViewDisplay
+from sidelong.app.view.panel import PanelDisplay
 
 CONFIG = Config.model_validate({"planner": {"name": "paper"}, "simulation": {"speed": 5.0}})
 FLOWN_S = 200.0  # of the vehicle's time

@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 
-from app.cli import main
-from app.planners.paper import Paper
+from sidelong.app.cli import main
+from sidelong.app.planners.paper import Paper
 
 HARNESS = Path(__file__).parents[1] / "exchange" / "conftest.py"
 

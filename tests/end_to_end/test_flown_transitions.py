@@ -6,17 +6,17 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mission.core.circle import Circle
-from mission.core.path import Path
-from mission.core.requirement import Wind
-from mission.geometry.transition import abcd
-from mission.paper.stretched_lap import stretched_lap
-from mission.upload.line_tracking import LineTracking, arduplane, px4
-from mission.upload.waypoints import lay_out
-from sitl.airframe import Airframe, AirframeParameters
-from sitl.airframe import Wind as Air
-from sitl.guidance import L1Guidance
-from sitl.pathfollowing import PathFollower
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.transition import abcd
+from sidelong.mission.paper.stretched_lap import stretched_lap
+from sidelong.mission.upload.line_tracking import LineTracking, arduplane, px4
+from sidelong.mission.upload.waypoints import lay_out
+from sidelong.sitl.arduplane.guidance import L1Guidance
+from sidelong.sitl.px4.pathfollowing import PathFollower
+from sidelong.sitl.world.airframe import Airframe, AirframeParameters
+from sidelong.sitl.world.airframe import Wind as Air
 
 _STEP_S = 0.02
 NAV_ACC_RAD_M = 10.0

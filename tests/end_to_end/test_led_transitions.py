@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState, Plan
-from mission.exchange.leading_circle import leading_circle
-from mission.geometry.approach import turn_straight_turn
-from mission.geometry.transition import abcd
-from mission.paper.stretched_lap import stretched_lap
-from sitl.airframe import Airframe, AirframeParameters, Wind
-from sitl.guidance import L1Guidance
-from sitl.pathfollowing import PathFollower
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.exchange.leading_circle import leading_circle
+from sidelong.mission.geometry.approach import turn_straight_turn
+from sidelong.mission.geometry.transition import abcd
+from sidelong.mission.paper.stretched_lap import stretched_lap
+from sidelong.sitl.arduplane.guidance import L1Guidance
+from sidelong.sitl.px4.pathfollowing import PathFollower
+from sidelong.sitl.world.airframe import Airframe, AirframeParameters, Wind
 
 STEP_S, GRAVITY_M_S2, AIRSPEED_M_S, RADIUS_M = 0.02, 9.80665, 15.0, 70.0
 BANK_MAX_RAD = math.radians(45.0)

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from app.commands.sign import sign
-from app.errors import InputError
-from sitl.server import serve
-from sitl.settings import Settings
-from sitl.simulation import Simulation
+from sidelong.app.commands.sign import sign
+from sidelong.app.errors import InputError
+from sidelong.sitl.server import serve
+from sidelong.sitl.settings import Settings
+from sidelong.sitl.simulation import Simulation
 
 pytestmark = pytest.mark.udp
 SIDELONG = Path(sys.executable).parent / "sidelong"

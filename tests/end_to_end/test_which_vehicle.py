@@ -19,7 +19,16 @@ SIDELONG = Path(sys.executable).parent / "sidelong"
 def vehicles(port: int, *options: tuple[object, ...]) -> Iterator[None]:
     with ExitStack() as stack:
         for one in options:
-            command = [sys.executable, "-m", "sitl", "--to", f"127.0.0.1:{port}", "--speed", "10", *map(str, one)]
+            command = [
+                sys.executable,
+                "-m",
+                "sidelong.sitl",
+                "--to",
+                f"127.0.0.1:{port}",
+                "--speed",
+                "10",
+                *map(str, one),
+            ]
             process = stack.enter_context(subprocess.Popen([*command, "--while-input"], stdin=subprocess.PIPE))
             stack.callback(process.terminate)
         yield

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.link.telemetry import Telemetry
-from app.records.tlog import read_tlog
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
-from estimators.sighting import Sighting
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.records.tlog import read_tlog
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.sensing.sighting import Sighting
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 STEP_S = 0.1

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimators._mixture_kernel import (
+from sidelong.estimators.filters.mixture_kernel import (
     CRUISING,
     GENERATOR,
     MANOEUVRING,
@@ -20,8 +20,8 @@ from estimators._mixture_kernel import (
     TURNING,
     Densities,
 )
-from estimators.motion import add_white_acceleration, cruise, cruise_noise
-from estimators.target_filter import EAST, NORTH, VELOCITY_E, VELOCITY_N, FloatArray
+from sidelong.estimators.filters.motion import add_white_acceleration, cruise, cruise_noise
+from sidelong.estimators.filters.target_filter import EAST, NORTH, VELOCITY_E, VELOCITY_N, FloatArray
 
 TURN = -1  # the turn rate is the last of the state
 

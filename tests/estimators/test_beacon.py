@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from estimators.beacon import BeaconErrors
-from estimators.readings import PositionReading, RangeReading, Source, TargetFixReading
-from estimators.tracker import Tracker, TrackerSettings
+from sidelong.estimators.sensing.beacon import BeaconErrors
+from sidelong.estimators.sensing.readings import PositionReading, RangeReading, Source, TargetFixReading
+from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 
 BEACON, CAMERA = Source("FOLLOW_TARGET", 0), Source("CAMERA_TRACKING_GEO_STATUS", 100)
 SIGMA_M, FADE_S = 3.0, 30.0

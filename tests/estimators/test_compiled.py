@@ -6,7 +6,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 CALLEE = """
-from estimators.compiled import compiled
+from sidelong.estimators.compiled import compiled
 
 @compiled
 def inner(x):
@@ -14,7 +14,7 @@ def inner(x):
 """
 CALLER = """
 from callee import inner
-from estimators.compiled import compiled
+from sidelong.estimators.compiled import compiled
 
 @compiled
 def outer(x):
@@ -25,7 +25,7 @@ print(outer(1.0), sum(outer.dispatcher.stats.cache_hits.values()))
 BORROWER = """
 from __future__ import annotations
 import numpy as np
-from estimators.compiled import compiled
+from sidelong.estimators.compiled import compiled
 
 @compiled
 def first(rows: np.ndarray) -> np.ndarray:

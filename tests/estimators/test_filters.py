@@ -7,13 +7,13 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter, IMMEstimator
 from scipy.stats import chi2
 
-from estimators.biases import Biases
-from estimators.ekf import TargetEkf
-from estimators.imm import TargetImm
-from estimators.motion import DENSITIES
-from estimators.settings import TrackerSettings
-from estimators.target_filter import BIASES, EAST, HEIGHT, NORTH, PLACE, starting_state
-from estimators.ukf import TargetUkf
+from sidelong.estimators.filters.biases import Biases
+from sidelong.estimators.filters.ekf import TargetEkf
+from sidelong.estimators.filters.imm import TargetImm
+from sidelong.estimators.filters.motion import DENSITIES
+from sidelong.estimators.filters.target_filter import BIASES, EAST, HEIGHT, NORTH, PLACE, starting_state
+from sidelong.estimators.filters.ukf import TargetUkf
+from sidelong.estimators.settings import TrackerSettings
 from tests.estimators.plain_motion import (
     CRUISING,
     MODELS,

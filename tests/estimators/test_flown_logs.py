@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators.estimate import TrackQuality
-from estimators.readings import GimbalReading, PositionReading, RangeReading, Source
-from estimators.tracker import Tracker, TrackerSettings
+from sidelong.estimators.estimate import TrackQuality
+from sidelong.estimators.sensing.readings import GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 
 PAYLOAD = Source("DISTANCE_SENSOR", 154, 1, 100)
 YAW_BIAS_RAD = math.radians(0.4)

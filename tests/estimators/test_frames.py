@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyproj import Geod
 
-from estimators.frames import LocalPlane
-from sitl.geodesy import HomePlane
+from sidelong.estimators.frames import LocalPlane
+from sidelong.sitl.world.geodesy import HomePlane
 
 GEOD = Geod(ellps="WGS84")
 LATITUDES_DEG = (-80.0, -47.4, 0.0, 30.0, 47.4, 60.0, 70.0, 80.0)

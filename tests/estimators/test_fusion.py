@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.fusion import agreeing
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.tracking.fusion import agreeing
 
 
 def track(east_m: float, sigma_m: float = 2.0) -> TargetEstimate:

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators.estimate import TrackQuality
-from estimators.joint_track import JointTrack
-from estimators.settings import TrackerSettings
-from estimators.sighting import Sighting
+from sidelong.estimators.estimate import TrackQuality
+from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.joint_track import JointTrack
 
 YAW_SIGMA, RANGE_SIGMA = math.radians(0.35), 0.8
 BIAS = {"west": (math.radians(0.6), 0.5), "south": (math.radians(-0.5), -0.4), "east": (0.0, 0.0)}

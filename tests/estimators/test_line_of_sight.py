@@ -2,9 +2,9 @@ import math
 
 import pytest
 
-from estimators.line_of_sight import lever_arm_plane_m, line_of_sight
-from estimators.readings import AttitudeReading, GimbalReading, Source
-from estimators.rotations import from_roll_pitch_yaw
+from sidelong.estimators.rotations import from_roll_pitch_yaw
+from sidelong.estimators.sensing.line_of_sight import lever_arm_plane_m, line_of_sight
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, Source
 
 DEG = math.pi / 180
 GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from estimators.motion import DENSITIES, cruise_noise
+from sidelong.estimators.filters.motion import DENSITIES, cruise_noise
 from tests.estimators.plain_motion import (
     MODELS,
     TURN,

@@ -2,8 +2,8 @@ import math
 
 import pytest
 
-from estimators.pose import PoseHistory
-from estimators.readings import AttitudeReading, PositionReading
+from sidelong.estimators.sensing.pose import PoseHistory
+from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading
 
 
 def on_circle(time_s, radius_m=90.0, speed_m_s=22.0):

@@ -4,7 +4,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimators.rotations import from_roll_pitch_yaw, interpolated, multiply, normalized, rotate, sight_direction
+from sidelong.estimators.rotations import (
+    from_roll_pitch_yaw,
+    interpolated,
+    multiply,
+    normalized,
+    rotate,
+    sight_direction,
+)
 
 DEG = math.pi / 180
 angle = st.floats(-math.pi, math.pi)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimators.sighting import Fix, Sighting
+from sidelong.estimators.sensing.sighting import Fix, Sighting
 
 DEG = math.pi / 180
 

@@ -1,8 +1,8 @@
 import pytest
 
-from estimators.readings import Source
-from estimators.settings import SourceChoice
-from estimators.sources import SourceSelector, range_rank, sight_rank
+from sidelong.estimators.sensing.readings import Source
+from sidelong.estimators.settings import SourceChoice
+from sidelong.estimators.tracking.sources import SourceSelector, range_rank, sight_rank
 
 PAYLOAD = Source("DISTANCE_SENSOR", 154, 1, 100)
 REPEATED = Source("DISTANCE_SENSOR", 1, 1, 100)

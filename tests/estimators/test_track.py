@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators.estimate import TrackQuality
-from estimators.settings import TrackerSettings
-from estimators.sighting import Fix
-from estimators.track import Track
+from sidelong.estimators.estimate import TrackQuality
+from sidelong.estimators.sensing.sighting import Fix
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.track import Track
 
 NO_BIAS = TrackerSettings(yaw_bias_sigma_rad=0.0, pitch_bias_sigma_rad=0.0, range_bias_sigma_m=0.0)
 

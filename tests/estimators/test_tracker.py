@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators.readings import (
+from sidelong.estimators.sensing.readings import (
     AttitudeReading,
     GimbalReading,
     PositionReading,
@@ -14,7 +14,7 @@ from estimators.readings import (
     Source,
     TargetFixReading,
 )
-from estimators.tracker import SourceChoice, Tracker, TrackerSettings
+from sidelong.estimators.tracking.tracker import SourceChoice, Tracker, TrackerSettings
 
 NO_BIAS = TrackerSettings(yaw_bias_sigma_rad=0.0, pitch_bias_sigma_rad=0.0, range_bias_sigma_m=0.0)
 CAMERA = Source("CAMERA_TRACKING_GEO_STATUS", 100)

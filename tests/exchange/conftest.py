@@ -11,30 +11,30 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from app.assembly import mission_controller_of, tracker_of
-from app.autopilots.registry import autopilot_by_mav_autopilot
-from app.config import Config
-from app.link.frames import FrameSplitter
-from app.link.merger import LinkMerger
-from app.link.message import Message
-from app.link.quality import LinkQuality
-from app.link.reports import VehicleReports
-from app.link.telemetry import Telemetry
-from app.link.vehicle import Vehicle
-from mission.control.controller import StandoffController, StandoffSettings
-from mission.core.circle import Circle
-from mission.core.events import ControlAcquired, UploadPlan
-from mission.core.plan import AircraftState, Decision, Plan
-from mission.exchange.dialect import Home
-from mission.exchange.mission_controller import MissionController
-from mission.exchange.outbox import SendMessage
-from mission.exchange.raw_item import RawItem
-from mission.exchange.reports import TakeoverRequested, TimerExpired
-from mission.geometry.approach import turn_straight_turn
-from mission.geometry.progress import nearest_arc_m, point_at
-from sitl.link import FaultyLink, LinkFaults
-from sitl.settings import Flavour, Settings, TargetSettings
-from sitl.simulation import STEP_S, Simulation
+from sidelong.app.assembly import mission_controller_of, tracker_of
+from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
+from sidelong.app.config import Config
+from sidelong.app.link.frames import FrameSplitter
+from sidelong.app.link.merger import LinkMerger
+from sidelong.app.link.message import Message
+from sidelong.app.link.quality import LinkQuality
+from sidelong.app.link.reports import VehicleReports
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.mission.control.controller import StandoffController, StandoffSettings
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import ControlAcquired, UploadPlan
+from sidelong.mission.core.plan import AircraftState, Decision, Plan
+from sidelong.mission.exchange.dialect import Home
+from sidelong.mission.exchange.mission_controller import MissionController
+from sidelong.mission.exchange.outbox import SendMessage
+from sidelong.mission.exchange.raw_item import RawItem
+from sidelong.mission.exchange.reports import TakeoverRequested, TimerExpired
+from sidelong.mission.geometry.approach import turn_straight_turn
+from sidelong.mission.geometry.progress import nearest_arc_m, point_at
+from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
+from sidelong.sitl.settings import Flavour, Settings, TargetSettings
+from sidelong.sitl.simulation import STEP_S, Simulation
 
 NO_FAULTS = LinkFaults()
 OURS, OTHER = (245, 190), (250, 190)

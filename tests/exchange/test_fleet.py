@@ -7,19 +7,19 @@ from collections import deque
 import numpy as np
 import pytest
 
-from app.analysis.fleet_replay import compare_coordination
-from app.assembly import controller_of, mission_controller_of
-from app.fleet.assembly import coordinator_of
-from app.fleet.fleet_file import FleetFile
-from app.flight.coordination import FLEET_JOURNAL_TYPES, Coordination, Participant
-from app.link.message import Message
-from app.records.journal import Header, JournalReader, JournalWriter, encode
-from mission.core.events import End
-from mission.core.fleet import Role
-from mission.exchange.dialect import Home
-from mission.fleet.events import PlansReported, SightingReported
-from sitl.settings import STARTS_M, Flavour, Settings, TargetSettings
-from sitl.world import in_turn
+from sidelong.app.analysis.fleet_replay import compare_coordination
+from sidelong.app.assembly import controller_of, mission_controller_of
+from sidelong.app.fleet.assembly import coordinator_of
+from sidelong.app.fleet.fleet_file import FleetFile
+from sidelong.app.flight.coordination import FLEET_JOURNAL_TYPES, Coordination, Participant
+from sidelong.app.link.message import Message
+from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
+from sidelong.mission.core.events import End
+from sidelong.mission.core.fleet import Role
+from sidelong.mission.exchange.dialect import Home
+from sidelong.mission.fleet.events import PlansReported, SightingReported
+from sidelong.sitl.settings import STARTS_M, Flavour, Settings, TargetSettings
+from sidelong.sitl.several import in_turn
 
 SYSTEM_TIME, DO_SET_ROI_LOCATION = 2, 195
 

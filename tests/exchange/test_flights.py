@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from app.analysis.replay import JournalReplay
-from app.flight.recording import JOURNAL_TYPES
-from app.records.journal import Header, JournalReader, JournalWriter, encode
-from mission.core.events import ActivatePlan, Command, PlanStatus, UploadPlan, Yield
-from mission.exchange.mission_controller import DERIVED
-from mission.exchange.outbox import ExternalControl, SendMessage, TakeoverFailed
-from sitl.link import LinkFaults
+from sidelong.app.analysis.replay import JournalReplay
+from sidelong.app.flight.recording import JOURNAL_TYPES
+from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
+from sidelong.mission.core.events import ActivatePlan, Command, PlanStatus, UploadPlan, Yield
+from sidelong.mission.exchange.mission_controller import DERIVED
+from sidelong.mission.exchange.outbox import ExternalControl, SendMessage, TakeoverFailed
+from sidelong.sitl.protocol.link import LinkFaults
 
 BAD = LinkFaults(loss=0.05, duplicate=0.05, delay_s=0.1)
 SLOW = LinkFaults(loss=0.05, delay_s=1.0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mission.exchange.layout import MissionLayout
-from mission.exchange.raw_item import RawItem
+from sidelong.mission.exchange.layout import MissionLayout
+from sidelong.mission.exchange.raw_item import RawItem
 
 WAYPOINT, LOITER, HOME = 16, 17, 99
 

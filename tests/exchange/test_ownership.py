@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from mission.exchange.ownership import MissionIdentity
-from mission.exchange.raw_item import RawItem, same_item
+from sidelong.mission.exchange.ownership import MissionIdentity
+from sidelong.mission.exchange.raw_item import RawItem, same_item
 
 
 def test_a_list_that_is_being_written_item_by_item_is_ours_at_each_length():

@@ -13,11 +13,11 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 
-from app.records.journal import encode
-from mission.core.events import ActivatePlan, ControlAcquired, End, PlanStatus, UploadPlan, Yield
-from mission.exchange.outbox import SendMessage
-from mission.exchange.raw_item import same_item
-from sitl.link import LinkFaults
+from sidelong.app.records.journal import encode
+from sidelong.mission.core.events import ActivatePlan, ControlAcquired, End, PlanStatus, UploadPlan, Yield
+from sidelong.mission.exchange.outbox import SendMessage
+from sidelong.mission.exchange.raw_item import same_item
+from sidelong.sitl.protocol.link import LinkFaults
 
 EXAMPLES, STEPS = int(os.environ.get("EXAMPLES", "12")), int(os.environ.get("STEPS", "6"))
 MISSION_MODES = {"arduplane": 10, "px4": 0x04040000}

@@ -6,19 +6,19 @@ from dataclasses import replace
 
 import pytest
 
-from app.autopilots.registry import AUTOPILOTS
-from mission.exchange.mission_read import MissionRead
-from mission.exchange.mission_write import MissionWrite, WriteResult
-from mission.exchange.outbox import Outbox
-from mission.exchange.raw_item import RawItem, same_item, same_items
-from mission.exchange.reports import (
+from sidelong.app.autopilots.registry import AUTOPILOTS
+from sidelong.mission.exchange.mission_read import MissionRead
+from sidelong.mission.exchange.mission_write import MissionWrite, WriteResult
+from sidelong.mission.exchange.outbox import Outbox
+from sidelong.mission.exchange.raw_item import RawItem, same_item, same_items
+from sidelong.mission.exchange.reports import (
     MissionAcknowledged,
     MissionCountReported,
     MissionItemReported,
     MissionItemRequested,
     TimerExpired,
 )
-from sitl.link import LinkFaults
+from sidelong.sitl.protocol.link import LinkFaults
 
 ACCEPTED, DENIED, TIMEOUT = WriteResult
 QUIRKS = {one.name.lower(): one.quirks for one in AUTOPILOTS}

@@ -14,17 +14,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from app.assembly import controller_of, settle
-from app.config import Config
-from app.link.message import Message
-from app.link.telemetry import Telemetry
-from app.study.airframe import KinematicAircraft
-from app.study.target import RandomTarget
-from estimators.frames import LocalPlane
-from mission.control.controller import StandoffController
-from mission.control.snapshot import Phase
-from mission.core.circle import Circle
-from mission.core.events import (
+from sidelong.app.assembly import controller_of, settle
+from sidelong.app.config import Config
+from sidelong.app.link.message import Message
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.study.airframe import KinematicAircraft
+from sidelong.app.study.target import RandomTarget
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.controller import StandoffController
+from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import (
     ActivatePlan,
     Announce,
     Command,
@@ -36,10 +36,10 @@ from mission.core.events import (
     UploadPlan,
     Yield,
 )
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Wind
-from mission.geometry.progress import nearest_arc_m, point_at
-from mission.geometry.wind import ground_speed_m_s
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.progress import nearest_arc_m, point_at
+from sidelong.mission.geometry.wind import ground_speed_m_s
 from tests.faults.flight_faults import Fault
 
 STEP_S = 0.1

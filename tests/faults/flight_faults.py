@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from app.link.message import Message
+from sidelong.app.link.message import Message
 
 Arriving = Iterator[tuple[float, Message]]
 Change = Callable[[Message, float, np.random.Generator], Arriving]

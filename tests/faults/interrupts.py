@@ -13,9 +13,9 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.flight.recording import JOURNAL_TYPES
-from app.records.journal import JournalReader
-from app.records.tlog import read_tlog
+from sidelong.app.flight.recording import JOURNAL_TYPES
+from sidelong.app.records.journal import JournalReader
+from sidelong.app.records.tlog import read_tlog
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _NOTHING_BEGUN = re.compile(r"sidelong: interrupted(: nothing was commanded; no records are kept)?\.")
@@ -53,7 +53,7 @@ def left_of(interruption: Interruption, out: Path) -> tuple[str, list[str]]:
             "--default-signal=HUP",
             sys.executable,
             "-m",
-            "app",
+            "sidelong.app",
             *_LAUNCH,
             "--speed",
             str(interruption.speed),

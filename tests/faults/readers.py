@@ -16,28 +16,36 @@ from pmtiles.tile import Compression, TileType, zxy_to_tileid
 from pmtiles.writer import Writer
 from pymavlink.dialects.v20 import common as mavlink
 
-from app.analysis.truth import read_truth
-from app.config import Config, load_config
-from app.errors import InputError
-from app.fleet.fleet_file import load_fleet
-from app.flight.recording import JOURNAL_TYPES, journalled_config
-from app.link.telemetry import Telemetry
-from app.records.journal import Header, JournalReader, encode
-from app.records.log import open_log
-from app.records.run_folder import RunFolder
-from app.report.results import read_summary
-from app.sharing.beacon import decode
-from app.value_cache import stored_table
-from app.view.background import background, readable_tile
-from estimators.frames import LocalPlane
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
-from mission.core.circle import Circle
-from mission.core.events import Announce, ControlAcquired, DecisionRecord, End, ModeReported, PlanStatus, UploadPlan
-from mission.core.plan import Plan
-from mission.core.requirement import Wind
-from mission.predictive.cost import WatchCost
-from mission.predictive.value_table import TableConfiguration
-from sitl.track import TrackError, read_track
+from sidelong.app.analysis.truth import read_truth
+from sidelong.app.config import Config, load_config
+from sidelong.app.errors import InputError
+from sidelong.app.fleet.fleet_file import load_fleet
+from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.records.journal import Header, JournalReader, encode
+from sidelong.app.records.log import open_log
+from sidelong.app.records.run_folder import RunFolder
+from sidelong.app.report.results import read_summary
+from sidelong.app.sharing.beacon import decode
+from sidelong.app.value_cache import stored_table
+from sidelong.app.view.background import background, readable_tile
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import (
+    Announce,
+    ControlAcquired,
+    DecisionRecord,
+    End,
+    ModeReported,
+    PlanStatus,
+    UploadPlan,
+)
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.predictive.cost import WatchCost
+from sidelong.mission.predictive.value_table import TableConfiguration
+from sidelong.sitl.world.track import TrackError, read_track
 from tests.faults.damage import Damage, damaged, resealed
 
 DATA = Path(__file__).resolve().parent.parent / "data"

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from app.sharing.beacon import BeaconInput
-from estimators.readings import TargetFixReading
+from sidelong.app.sharing.beacon import BeaconInput
+from sidelong.estimators.sensing.readings import TargetFixReading
 from tests.app.test_beacon import follow_target
 from tests.faults.flight import FLAVOURS, ClosedLoop, Scenario, watched
 

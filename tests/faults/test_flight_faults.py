@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mission.control.plausibility import Plausibility
+from sidelong.mission.control.plausibility import Plausibility
 from tests.faults import flight_faults
 from tests.faults.flight import ClosedLoop, Scenario
 from tests.faults.flight_campaign import flight

@@ -9,16 +9,16 @@ import zlib
 
 import pytest
 
-from app.errors import InputError
-from app.flight.recording import JOURNAL_TYPES
-from app.link.telemetry import Telemetry
-from app.records.journal import Header, JournalReader, encode
-from app.records.log import open_log
-from app.records.run_folder import RunFolder
-from app.report.results import read_summary
-from estimators.frames import LocalPlane
-from mission.core.events import Announce
-from sitl.track import TrackError, read_track
+from sidelong.app.errors import InputError
+from sidelong.app.flight.recording import JOURNAL_TYPES
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.records.journal import Header, JournalReader, encode
+from sidelong.app.records.log import open_log
+from sidelong.app.records.run_folder import RunFolder
+from sidelong.app.report.results import read_summary
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.events import Announce
+from sidelong.sitl.world.track import TrackError, read_track
 
 
 def ulog(*definitions: str, topic: str = "wind", data: bytes = b"") -> bytes:

@@ -2,10 +2,10 @@ from dataclasses import replace
 
 import pytest
 
-from mission.core.plan import AircraftState
-from mission.core.requirement import Aircraft, Requirement, Side
-from mission.predictive.planner import table_configuration
-from mission.predictive.value_iteration import compute
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side
+from sidelong.mission.predictive.planner import table_configuration
+from sidelong.mission.predictive.value_iteration import compute
 
 
 @pytest.fixture(scope="session")

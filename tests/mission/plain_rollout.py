@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mission.core.requirement import Wind
-from mission.predictive._moves_kernel import HOLD_CURVATURES, HOLD_LENGTHS, STAY_LENGTHS
-from mission.predictive.value_table import HEADING_STEP_RAD, HEADINGS
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.predictive.moves_kernel import HOLD_CURVATURES, HOLD_LENGTHS, STAY_LENGTHS
+from sidelong.mission.predictive.value_table import HEADING_STEP_RAD, HEADINGS
 
 _NODES, _WEIGHTS = 0.5 + np.array([-0.5, 0.5]) / math.sqrt(3.0), np.array([0.5, 0.5])
 _TURN_STRIDE = 3

@@ -7,17 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from estimators.ekf import TargetEkf
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.pairing import Pairing
-from estimators.pose import PoseHistory
-from estimators.readings import AttitudeReading, PositionReading, RangeReading, Source
-from estimators.settings import TrackerSettings
-from estimators.sighting import Fix
-from estimators.track import Track
-from mission.core.plan import AircraftState
-from mission.core.requirement import Aircraft, Requirement, Side
-from mission.geometry.approach import approach
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.filters.ekf import TargetEkf
+from sidelong.estimators.sensing.pose import PoseHistory
+from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading, RangeReading, Source
+from sidelong.estimators.sensing.sighting import Fix
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.pairing import Pairing
+from sidelong.estimators.tracking.track import Track
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side
+from sidelong.mission.geometry.approach import approach
 
 LASER = Source("DISTANCE_SENSOR", 154, 1, 100)
 

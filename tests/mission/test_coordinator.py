@@ -7,19 +7,19 @@ from dataclasses import replace
 
 import pytest
 
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
-from estimators.sighting import Sighting
-from estimators.tracker import Tracker, TrackerSettings
-from mission.control.controller import StandoffController, StandoffSettings
-from mission.control.snapshot import Phase
-from mission.core.circle import Circle
-from mission.core.events import Command, ControlAcquired, End, MissionChange, UploadPlan
-from mission.core.fleet import FleetAdvice, Role
-from mission.core.plan import AircraftState, Decision, Plan
-from mission.core.requirement import Aircraft, Requirement, Side
-from mission.fleet.assignment import spread_over
-from mission.fleet.coordinator import FleetCoordinator, FleetTarget
-from mission.fleet.events import (
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
+from sidelong.mission.control.controller import StandoffController, StandoffSettings
+from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import Command, ControlAcquired, End, MissionChange, UploadPlan
+from sidelong.mission.core.fleet import FleetAdvice, Role
+from sidelong.mission.core.plan import AircraftState, Decision, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side
+from sidelong.mission.fleet.assignment import spread_over
+from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
+from sidelong.mission.fleet.events import (
     BatteryReported,
     ClockReported,
     FleetAnnounce,
@@ -35,9 +35,9 @@ from mission.fleet.events import (
     Tick,
     VehicleReported,
 )
-from mission.fleet.reports import FleetReporter
-from mission.fleet.roles import RoleCosts
-from mission.fleet.vehicle import FleetMember
+from sidelong.mission.fleet.reports import FleetReporter
+from sidelong.mission.fleet.roles import RoleCosts
+from sidelong.mission.fleet.vehicle import FleetMember
 
 RADIUS_M, SPEED_M_S = 50.0, 15.0
 AIRCRAFT = Aircraft(SPEED_M_S, RADIUS_M)

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.viewpoint.course_hold import CourseHold, course_sigma_rad
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.viewpoint.course_hold import CourseHold, course_sigma_rad
 
 
 def estimate(time_s, speed_m_s, course_rad, sigma_m_s=0.1):

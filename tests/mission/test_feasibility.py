@@ -5,8 +5,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from mission.core.requirement import Aircraft, Requirement, Side
-from mission.paper.feasibility import feasibility, in_words
+from sidelong.mission.core.feasibility import in_words
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side
+from sidelong.mission.paper.feasibility import feasibility
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0, 1.0)

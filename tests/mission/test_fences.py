@@ -2,10 +2,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mission.core.circle import Circle
-from mission.core.plan import Plan
-from mission.geometry.transition import abcd
-from mission.upload.fences import FenceError, Fences
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.geometry.transition import abcd
+from sidelong.mission.upload.fences import FenceError, Fences
 
 FIRST, SECOND = Circle(0.0, 0.0, 50.0, True), Circle(400.0, 0.0, 50.0, True)
 MOVE = Plan(SECOND, abcd(FIRST, SECOND))  # bulges to 105 m north between the circles

@@ -9,19 +9,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.value_cache import value_table
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.circle import Circle
-from mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
-from mission.core.plan import AircraftState, Decision, Plan
-from mission.core.requirement import Aircraft, Requirement, Side, Wind
-from mission.fleet import _cover_kernel as kernel
-from mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside
-from mission.fleet.team import team_of
-from mission.fleet.team_planner import TeamPlanner
-from mission.fleet.watched_course import WatchedCourse
-from mission.geometry.separation import flown_places
-from mission.predictive.planner import PredictivePlanner, table_configuration
+from sidelong.app.value_cache import value_table
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
+from sidelong.mission.core.plan import AircraftState, Decision, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
+from sidelong.mission.fleet import cover_kernel as kernel
+from sidelong.mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside
+from sidelong.mission.fleet.team import team_of
+from sidelong.mission.fleet.team_planner import TeamPlanner
+from sidelong.mission.fleet.watched_course import WatchedCourse
+from sidelong.mission.geometry.separation import flown_places
+from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0, course_horizon_s=0.0, fleet_size=2)
 

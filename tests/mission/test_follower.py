@@ -2,11 +2,11 @@ import math
 
 import pytest
 
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Wind
-from mission.geometry.follower import PlanTrack
-from mission.geometry.transition import abcd
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.follower import PlanTrack
+from sidelong.mission.geometry.transition import abcd
 
 
 def state(east_m: float, north_m: float, course_rad: float, time_s: float = 0.0) -> AircraftState:

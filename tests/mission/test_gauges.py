@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
-from estimators.tracker import Tracker, TrackerSettings
-from mission.control.sensor_status import SensorStatus
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
+from sidelong.mission.control.sensor_status import SensorStatus
 
 LASER, DOWNWARD = Source("DISTANCE_SENSOR", 154, 1, 100), Source("DISTANCE_SENSOR", 1, 0, 25)
 GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)

@@ -3,10 +3,10 @@ import math
 import numpy as np
 import pytest
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.plan import AircraftState
-from mission.laws.lateral_guidance import LateralGuidance
-from mission.laws.vector_field import VectorField
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.laws.lateral_guidance import LateralGuidance
+from sidelong.mission.laws.vector_field import VectorField
 
 SPEED_M_S, STEP_S, STAND_OFF_M = 10.0, 0.1, 200.0
 

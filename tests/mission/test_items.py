@@ -2,11 +2,11 @@ import math
 
 import pytest
 
-from estimators.frames import LocalPlane
-from mission.core.circle import Circle
-from mission.core.plan import Plan
-from mission.geometry.transition import abcd
-from mission.upload.items import (
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.geometry.transition import abcd
+from sidelong.mission.upload.items import (
     FRAME_GLOBAL_RELATIVE_ALT,
     NAV_LOITER_UNLIM,
     NAV_WAYPOINT,
@@ -14,7 +14,7 @@ from mission.upload.items import (
     circle_item,
     plan_items,
 )
-from mission.upload.line_tracking import arduplane, px4
+from sidelong.mission.upload.line_tracking import arduplane, px4
 
 PLANE = LocalPlane(47.0, 8.5)
 PRESENT, NEW = Circle(0.0, 100.0, 65.0, True), Circle(430.0, 100.0, 65.0, True)

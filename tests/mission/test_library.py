@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-import estimators
-import mission
-from mission import AircraftState, Circle, Decision, Plan, Planner, Wind
+from sidelong import estimators, mission
+from sidelong.mission import AircraftState, Circle, Decision, Plan, Planner, Wind
 
 LIBRARY = Path(__file__).resolve().parents[2] / "docs" / "library.md"
 

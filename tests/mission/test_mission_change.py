@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from estimators.tracker import Tracker, TrackerSettings
-from mission.control.controller import StandoffController, StandoffSettings
-from mission.control.snapshot import Phase
-from mission.core.events import (
+from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
+from sidelong.mission.control.controller import StandoffController, StandoffSettings
+from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.core.events import (
     ActivatePlan,
     Announce,
     ControlAcquired,
@@ -19,8 +19,8 @@ from mission.core.events import (
     PlanStatus,
     UploadPlan,
 )
-from mission.core.plan import Decision
-from mission.core.requirement import Aircraft, Requirement, Side
+from sidelong.mission.core.plan import Decision
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side
 from tests.mission.test_watch import HERE, RADIUS_M, SPEED_M_S, fly
 
 

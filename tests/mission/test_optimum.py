@@ -4,15 +4,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Aircraft, Requirement, Side
-from mission.geometry.follower import PlanTrack
-from mission.geometry.wind import STILL_AIR
-from mission.paper.optimum import fastest_target_m_s, max_range_m, optimise, threshold_bounds
-from mission.paper.planner import PaperPlanner
-from mission.paper.scope import scope
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side
+from sidelong.mission.geometry.follower import PlanTrack
+from sidelong.mission.geometry.wind import STILL_AIR
+from sidelong.mission.paper.optimum import fastest_target_m_s, max_range_m, optimise, threshold_bounds
+from sidelong.mission.paper.planner import PaperPlanner
+from sidelong.mission.paper.scope import scope
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0, 1.0)

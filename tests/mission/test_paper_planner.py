@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState, Decision, Plan
-from mission.core.requirement import Aircraft, Requirement, Side, Wind
-from mission.geometry.follower import PlanTrack
-from mission.geometry.wind import STILL_AIR
-from mission.paper.planner import PaperPlanner
-from mission.paper.scope import largest_psi_c_rad
-from mission.viewpoint.side_policy import watching_from
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState, Decision, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
+from sidelong.mission.geometry.follower import PlanTrack
+from sidelong.mission.geometry.wind import STILL_AIR
+from sidelong.mission.paper.planner import PaperPlanner
+from sidelong.mission.paper.scope import largest_psi_c_rad
+from sidelong.mission.viewpoint.side_policy import watching_from
 
 Motion = Callable[[float], tuple[float, float, float, float]]  # east, north and their rates at a time
 

@@ -2,9 +2,10 @@ import math
 
 import pytest
 
-from mission.core.circle import Circle
-from mission.core.requirement import Aircraft, Requirement, Side
-from mission.paper.placement import circle_beside, circle_towards, fits_band, shifted, stand_off_m
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.feasibility import fits_band
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side
+from sidelong.mission.paper.placement import circle_beside, circle_towards, shifted, stand_off_m
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 

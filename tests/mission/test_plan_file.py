@@ -8,12 +8,12 @@ import pytest
 from annotated_types import Len
 from pydantic import BaseModel, ConfigDict
 
-from estimators.frames import LocalPlane
-from mission.core.circle import Circle
-from mission.core.plan import Plan
-from mission.geometry.transition import abcd
-from mission.upload.items import circle_item, plan_items
-from mission.upload.plan_file import plan_file
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.geometry.transition import abcd
+from sidelong.mission.upload.items import circle_item, plan_items
+from sidelong.mission.upload.plan_file import plan_file
 
 PLANE = LocalPlane(47.0, 8.5)
 PRESENT, NEW = Circle(0.0, 100.0, 65.0, False), Circle(430.0, 100.0, 65.0, False)

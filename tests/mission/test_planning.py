@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.control.planning import Planning
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Aircraft, Requirement, Side, Wind
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.control.planning import Planning
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 
 AIRCRAFT = Aircraft(22.0, 80.0, math.radians(60.0), math.radians(30.0))
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 9.0)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from estimators.readings import (
+from sidelong.estimators.sensing.readings import (
     AttitudeReading,
     GimbalReading,
     PositionReading,
@@ -16,8 +16,8 @@ from estimators.readings import (
     Source,
     TargetFixReading,
 )
-from mission.control.plausibility import Plausibility
-from mission.core.events import Event, NavigationReported, WindReported, YieldRequested
+from sidelong.mission.control.plausibility import Plausibility
+from sidelong.mission.core.events import Event, NavigationReported, WindReported, YieldRequested
 
 SPEED_M_S, RADIUS_M = 20.0, 80.0
 LASER, GIMBAL = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)

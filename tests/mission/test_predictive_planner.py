@@ -6,19 +6,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Side, Wind
-from mission.geometry.progress import nearest_arc_m, point_at
-from mission.geometry.trapezoid import sharpnesses_per_m2
-from mission.geometry.wind import ground_speed_m_s, ground_speeds_m_s
-from mission.predictive.planner import (
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Side, Wind
+from sidelong.mission.geometry.progress import nearest_arc_m, point_at
+from sidelong.mission.geometry.trapezoid import sharpnesses_per_m2
+from sidelong.mission.geometry.wind import ground_speed_m_s, ground_speeds_m_s
+from sidelong.mission.predictive.planner import (
     PredictivePlanner,
     PredictiveSettings,
     table_configuration,
 )
-from mission.viewpoint.side_policy import watching_from
+from sidelong.mission.viewpoint.side_policy import watching_from
 
 CALM = Wind()
 LATENCY_S = 0.5

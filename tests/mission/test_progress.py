@@ -5,10 +5,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState, Plan
-from mission.geometry.progress import dead_reckoned, line_at, nearest_arc_m, off_track, point_at
-from mission.geometry.trapezoid import Trapezoids, end_circle
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.geometry.progress import dead_reckoned, line_at, nearest_arc_m, off_track, point_at
+from sidelong.mission.geometry.trapezoid import Trapezoids, end_circle
 
 RADIUS_M = 50.0
 

@@ -4,20 +4,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mission.core.circle import Circle
-from mission.core.path import Path
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Wind
-from mission.geometry._line_kernel import circle_after, craft_of
-from mission.geometry.progress import line_at, line_of
-from mission.geometry.trapezoid import sharpness_per_m2, sharpnesses_per_m2
-from mission.geometry.wind import ground_speeds_m_s, min_radius_m
-from mission.predictive import _decision_kernel as kernel
-from mission.predictive._future_kernel import Turns, first_of, winding
-from mission.predictive._moves_kernel import MOVES, move_line, nothing_kept
-from mission.predictive._rollout_kernel import Air, Futures, Pose, lines_costs, single_line, times_s
-from mission.predictive._scene_kernel import Situation, in_frame, scene_of
-from mission.predictive._second_kernel import (
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.core.sight import NOTHING_HIDDEN
+from sidelong.mission.geometry.line_kernel import circle_after, craft_of
+from sidelong.mission.geometry.progress import line_at, line_of
+from sidelong.mission.geometry.trapezoid import sharpness_per_m2, sharpnesses_per_m2
+from sidelong.mission.geometry.wind import ground_speeds_m_s, min_radius_m
+from sidelong.mission.predictive import decision_kernel as kernel
+from sidelong.mission.predictive.future_kernel import Turns, first_of, winding
+from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
+from sidelong.mission.predictive.planner import table_configuration
+from sidelong.mission.predictive.rollout_kernel import Air, Futures, Pose, lines_costs, single_line, times_s
+from sidelong.mission.predictive.scene_kernel import Situation, in_frame, scene_of
+from sidelong.mission.predictive.second_kernel import (
     MOVE_BRANCHES,
     STAY_BRANCHES,
     Second,
@@ -27,7 +29,7 @@ from mission.predictive._second_kernel import (
     room_for,
     staying_ahead,
 )
-from mission.predictive._second_moves_kernel import (
+from sidelong.mission.predictive.second_moves_kernel import (
     LEVELS,
     SECOND_LENGTHS,
     SECONDS,
@@ -38,11 +40,9 @@ from mission.predictive._second_moves_kernel import (
     speeds_over_ground,
     stretch,
 )
-from mission.predictive._sight_kernel import NOTHING_HIDDEN
-from mission.predictive.planner import table_configuration
-from mission.predictive.value_table import completed
-from mission.viewpoint._viewpoint_kernel import STANDING, Known, Wish, fresh_memory, remember_place
-from mission.viewpoint.side_policy import watching_from
+from sidelong.mission.predictive.value_table import completed
+from sidelong.mission.viewpoint.side_policy import watching_from
+from sidelong.mission.viewpoint.viewpoint_kernel import STANDING, Known, Wish, fresh_memory, remember_place
 from tests.mission import plain_rollout
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 

@@ -2,8 +2,8 @@ import math
 
 import pytest
 
-from mission.core.requirement import Aircraft, Requirement, Side
-from mission.paper.scope import scope
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side
+from sidelong.mission.paper.scope import scope
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 

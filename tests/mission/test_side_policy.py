@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.core.requirement import Requirement, Sector, Side
-from mission.viewpoint.side_policy import SidePolicy, watching_from
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.requirement import Requirement, Sector, Side
+from sidelong.mission.viewpoint.side_policy import SidePolicy, watching_from
 
 LEFT = Requirement(100.0, 500.0, Side.LEFT, 5.0)
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mission.core.circle import Circle
-from mission.geometry.transition import TransitionError
-from mission.paper.stretched_lap import stretched_lap
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.geometry.transition import TransitionError
+from sidelong.mission.paper.stretched_lap import stretched_lap
 
 laps = st.fixed_dictionaries(
     {

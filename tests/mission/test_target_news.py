@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from mission.control.target_news import TargetNews
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.control.target_news import TargetNews
 
 
 def told(*seen: tuple[float, float, TrackQuality]) -> list[str]:

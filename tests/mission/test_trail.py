@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mission.viewpoint._trail_kernel import PLACES, TRAIL_SIZE, gone_again, lead, remember
+from sidelong.mission.viewpoint.trail_kernel import PLACES, TRAIL_SIZE, gone_again, lead, remember
 
 SPEED_M_S, FORETOLD_S = 2.0, 60
 

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from mission.core.circle import Circle
-from mission.geometry.transition import (
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.geometry.transition import (
     TransitionError,
     abcd,
     exact_transition_length_m,

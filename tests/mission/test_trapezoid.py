@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import GRAVITY_M_S2, Aircraft
-from mission.geometry.progress import point_at
-from mission.geometry.trapezoid import Trapezoids, end_circle, sharpness_per_m2, turn_radius_m
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft
+from sidelong.mission.geometry.progress import point_at
+from sidelong.mission.geometry.trapezoid import Trapezoids, end_circle, sharpness_per_m2, turn_radius_m
 
 RADIUS_M = 50.0
 RAMP = sharpness_per_m2(Aircraft(10.0, RADIUS_M), 10.0)

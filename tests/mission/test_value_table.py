@@ -4,9 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mission.core.requirement import Wind
-from mission.predictive.cost import WatchCost
-from mission.predictive.value_table import TableConfiguration, TargetHabits, completed, expected_after_turn
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.predictive.cost import WatchCost
+from sidelong.mission.predictive.value_table import TableConfiguration, TargetHabits, completed, expected_after_turn
 from tests.mission.plain_rollout import RollOut, moves_from, staying_on
 
 SMALL = TableConfiguration(10.0, 50.0, 50.0, 0.0008, 5.0, WatchCost.inside(100.0, 500.0), cells=8)

@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
-from estimators.tracker import Tracker, TrackerSettings
-from mission.control.controller import StandoffController, StandoffSettings
-from mission.control.snapshot import Phase
-from mission.control.surroundings import Surroundings
-from mission.core.circle import Circle
-from mission.core.events import (
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
+from sidelong.mission.control.controller import StandoffController, StandoffSettings
+from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.control.surroundings import Surroundings
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import (
     ActivatePlan,
     Announce,
     Command,
@@ -30,9 +30,9 @@ from mission.core.events import (
     Yield,
     YieldRequested,
 )
-from mission.core.path import Path
-from mission.core.plan import Decision, Plan
-from mission.core.requirement import Aircraft, Requirement, Side
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.plan import Decision, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side
 
 RADIUS_M, SPEED_M_S, HEIGHT_M = 60.0, 15.0, 100.0
 TARGET = (300.0, 0.0)

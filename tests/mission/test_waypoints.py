@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mission.core.circle import Circle
-from mission.core.path import Path
-from mission.core.requirement import Wind
-from mission.geometry.transition import abcd
-from mission.paper.stretched_lap import stretched_lap
-from mission.upload.line_tracking import LineTracking, arduplane, px4
-from mission.upload.waypoints import lay_out
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.path import Path
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.transition import abcd
+from sidelong.mission.paper.stretched_lap import stretched_lap
+from sidelong.mission.upload.line_tracking import LineTracking, arduplane, px4
+from sidelong.mission.upload.waypoints import lay_out
 
 CIRCLE, FAR = Circle(0.0, 0.0, 65.0, True), Circle(420.0, 0.0, 65.0, True)
 TRACKINGS = {"arduplane": arduplane, "px4": px4}

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mission.core.circle import Circle
-from mission.core.requirement import Wind
-from mission.geometry.transition import abcd
-from mission.geometry.wind import (
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.geometry.transition import abcd
+from sidelong.mission.geometry.wind import (
     STILL_AIR,
     LapClock,
     WindError,

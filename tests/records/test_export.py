@@ -14,14 +14,14 @@ import pytest
 from pymavlink import mavwp
 from shapely.geometry import shape
 
-from app.errors import InputError
-from app.records.export import Format, export
-from app.records.track import Flight, Mission
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.frames import LocalPlane
-from estimators.readings import PositionReading
-from mission.core.circle import Circle
-from mission.upload.items import circle_item
+from sidelong.app.errors import InputError
+from sidelong.app.records.export import Format, export
+from sidelong.app.records.track import Flight, Mission
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import PositionReading
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.upload.items import circle_item
 
 PLANE = LocalPlane(47.4, 8.5)
 CIRCLES = [(12.0, Circle(100.0, 50.0, 80.0, clockwise=True)), (40.0, Circle(300.0, 50.0, 60.0, clockwise=False))]

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from app.commands.export import write_export
-from app.errors import InputError
-from app.records.export import Format
-from app.report.sources import feed
+from sidelong.app.commands.export import write_export
+from sidelong.app.errors import InputError
+from sidelong.app.records.export import Format
+from sidelong.app.report.sources import feed
 
 DATA = Path(__file__).parents[1] / "data"
 NO_LASER = DATA / "no-laser-vtol.tlog"
@@ -61,7 +61,7 @@ def test_an_export_that_is_broken_off_leaves_the_file_of_before(tmp_path, monkey
         feed(NO_LASER, log)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("app.commands.export.feed", broken_off)
+    monkeypatch.setattr("sidelong.app.commands.export.feed", broken_off)
     with pytest.raises(KeyboardInterrupt):
         write_export(NO_LASER, Format.MCAP, out)
     assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [("out.mcap", b"before")]

@@ -19,16 +19,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.errors import InputError
-from app.flight.coordination import FLEET_JOURNAL_TYPES
-from app.flight.recording import JOURNAL_TYPES
-from app.records import journal
-from app.records.journal import Header, JournalReader, JournalWriter, encode
-from estimators.frames import LocalPlane
-from estimators.sighting import Fix, Sighting
-from mission.core.events import Announce, PlanStatus, UploadPlan
-from mission.core.fleet import NeighbourPlanned
-from mission.fleet.events import SightingReported, Tell
+from sidelong.app.errors import InputError
+from sidelong.app.flight.coordination import FLEET_JOURNAL_TYPES
+from sidelong.app.flight.recording import JOURNAL_TYPES
+from sidelong.app.records import journal
+from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.sighting import Fix, Sighting
+from sidelong.mission.core.events import Announce, PlanStatus, UploadPlan
+from sidelong.mission.core.fleet import NeighbourPlanned
+from sidelong.mission.fleet.events import SightingReported, Tell
 
 HEADER = Header("sidelong 0", {"aircraft": {"radius_m": 80.0}}, LocalPlane(47.4, 8.5), {"target": 3})
 

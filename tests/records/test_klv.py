@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from app.commands.export import write_export
-from app.errors import InputError
-from app.records.export import Format
-from app.records.klv import KlvLog
-from estimators.frames import LocalPlane
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
-from estimators.tracker import Tracker, TrackerSettings
+from sidelong.app.commands.export import write_export
+from sidelong.app.errors import InputError
+from sidelong.app.records.export import Format
+from sidelong.app.records.klv import KlvLog
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 
 klvdata = pytest.importorskip("klvdata", reason="klvdata is not installed (the dev extra has it)")
 pytest.importorskip("stanag4609")

@@ -14,15 +14,15 @@ from pymavlink import DFReader
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 from pyulog import ULog
 
-from app.errors import InputError
-from app.link.telemetry import Telemetry
-from app.records import windows
-from app.records.dataflash import read_dataflash
-from app.records.log import open_log
-from app.records.ulog import read_ulog
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
-from estimators.tracker import Tracker, TrackerSettings
-from mission.core.events import WindReported
+from sidelong.app.errors import InputError
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.records import windows
+from sidelong.app.records.dataflash import read_dataflash
+from sidelong.app.records.log import open_log
+from sidelong.app.records.ulog import read_ulog
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
+from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
+from sidelong.mission.core.events import WindReported
 
 # The flight: one tenth of a second a step, from 10 s after boot.
 STEPS = 300

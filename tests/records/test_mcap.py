@@ -12,17 +12,17 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from app.errors import InputError
-from app.records.mcap import LAYOUT, McapLog
-from app.records.mcap_writer import McapWriter
-from estimators.frames import LocalPlane
-from estimators.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
-from estimators.tracker import Tracker, TrackerSettings
-from mission.core.circle import Circle
-from mission.core.events import Announce, ControlAcquired, PlanStatus, UploadPlan
-from mission.core.path import Path as Line
-from mission.core.plan import Plan
-from mission.core.requirement import Wind
+from sidelong.app.errors import InputError
+from sidelong.app.records.mcap import LAYOUT, McapLog
+from sidelong.app.records.mcap_writer import McapWriter
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import Announce, ControlAcquired, PlanStatus, UploadPlan
+from sidelong.mission.core.path import Path as Line
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.core.requirement import Wind
 
 mcap_reader = pytest.importorskip("mcap.reader")
 

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 from pymavlink import mavutil
 
-from app.records import appender
-from app.records.appender import Appender
-from app.records.journal import JournalReader
-from app.records.recorder import TlogWriter
-from app.records.tlog import read_tlog
-from mission.core.events import Announce
+from sidelong.app.records import appender
+from sidelong.app.records.appender import Appender
+from sidelong.app.records.journal import JournalReader
+from sidelong.app.records.recorder import TlogWriter
+from sidelong.app.records.tlog import read_tlog
+from sidelong.mission.core.events import Announce
 
 ROOT = Path(__file__).parents[2]
 
@@ -66,9 +66,9 @@ def test_a_log_is_never_written_over(tmp_path):
 LIMITED = """
 import resource, signal, sys
 from pathlib import Path
-from app.records import appender
-from app.records.appender import Appender
-from app.records.journal import JournalReader
+from sidelong.app.records import appender
+from sidelong.app.records.appender import Appender
+from sidelong.app.records.journal import JournalReader
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
 appender = Appender(Path(sys.argv[1]), lambda sentence: print(sentence, flush=True))
@@ -105,9 +105,9 @@ def test_a_backlog_that_no_disk_takes_ends_the_recording(tmp_path, monkeypatch):
 FLYING = """
 import sys, time
 from pathlib import Path
-from app.records.journal import Header, JournalWriter
-from app.records.recorder import TlogWriter
-from mission.core.events import Announce
+from sidelong.app.records.journal import Header, JournalWriter
+from sidelong.app.records.recorder import TlogWriter
+from sidelong.mission.core.events import Announce
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 folder, mav = Path(sys.argv[1]), dialect.MAVLink(None, srcSystem=1, srcComponent=1)
 tlog = TlogWriter(folder / "flight.tlog", print)

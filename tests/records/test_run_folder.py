@@ -7,8 +7,8 @@ from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 
-from app.errors import InputError
-from app.records.run_folder import RunFolder
+from sidelong.app.errors import InputError
+from sidelong.app.records.run_folder import RunFolder
 
 NOW = datetime(2026, 11, 21, 9, 35, 12, tzinfo=UTC)
 

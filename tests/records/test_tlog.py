@@ -10,8 +10,8 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as dialect
 
-from app.records import windows
-from app.records.tlog import is_tlog, read_tlog, summary
+from sidelong.app.records import windows
+from sidelong.app.records.tlog import is_tlog, read_tlog, summary
 
 WANTED = ("ATTITUDE", "DISTANCE_SENSOR", "STATUSTEXT")
 

@@ -6,9 +6,9 @@ import random
 
 import pytest
 
-from app.analysis.truth import read_truth
-from app.errors import InputError
-from estimators.frames import LocalPlane
+from sidelong.app.analysis.truth import read_truth
+from sidelong.app.errors import InputError
+from sidelong.estimators.frames import LocalPlane
 
 PLANE = LocalPlane(47.4, 8.5)
 HEADER = (

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from pymavlink import mavutil
 
-from app.records.recorder import TlogWriter
-from app.records.vehicle_time import VehicleTime
+from sidelong.app.records.recorder import TlogWriter
+from sidelong.app.records.vehicle_time import VehicleTime
 
 WALL_S = 1.7e9
 

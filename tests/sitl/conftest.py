@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.settings import Flavour, Settings
-from sitl.simulation import Simulation
+from sidelong.sitl.settings import Flavour, Settings
+from sidelong.sitl.simulation import Simulation
 
 RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sitl.airframe import Airframe, AirframeParameters, Wind, true_over_equivalent_airspeed
-from sitl.geodesy import HomePlane
+from sidelong.sitl.world.airframe import Airframe, AirframeParameters, Wind, true_over_equivalent_airspeed
+from sidelong.sitl.world.geodesy import HomePlane
 
 DT_S = 0.02
 

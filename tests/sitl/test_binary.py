@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from sitl.airframe import Wind
-from sitl.binary import Binary, BinaryError, run_of
-from sitl.settings import Flavour, Home
+from sidelong.sitl.binary import Binary, BinaryError, run_of
+from sidelong.sitl.settings import Flavour, Home
+from sidelong.sitl.world.airframe import Wind
 
 HOME = Home(47.0, 8.0, 400.0)
 
@@ -83,7 +83,11 @@ def test_a_folder_for_logs_that_cannot_be_made_is_told(tmp_path):
 def test_the_command_tells_why_a_program_has_ended(tmp_path):
     binary = program(tmp_path / "arduplane", "echo no such model; exit 3")
     done = subprocess.run(
-        [sys.executable, "-m", "sitl", "--binary", binary], capture_output=True, text=True, timeout=30, check=False
+        [sys.executable, "-m", "sidelong.sitl", "--binary", binary],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
     )
     assert done.returncode == 2
     assert "sidelong launch --connect tcpout://127.0.0.1:" in done.stdout

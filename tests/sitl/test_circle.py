@@ -5,8 +5,8 @@ import math
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.airframe import Wind
-from sitl.settings import Flavour
+from sidelong.sitl.settings import Flavour
+from sidelong.sitl.world.airframe import Wind
 
 CENTRE_M = (500.0, 300.0)
 HEIGHT_M = 120.0

@@ -4,7 +4,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from sitl.cli import run
+from sidelong.sitl.cli import run
 
 
 @pytest.fixture

@@ -11,11 +11,11 @@ from types import SimpleNamespace
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.companion import Companion, CompanionError, _send, accompany
-from sitl.payload import Payload
-from sitl.settings import PayloadSettings, TargetSettings
-from sitl.signing import signing_time
-from sitl.simulation import target_motion
+from sidelong.sitl.payload.companion import Companion, CompanionError, _send, accompany
+from sidelong.sitl.payload.payload import Payload
+from sidelong.sitl.protocol.signing import signing_time
+from sidelong.sitl.settings import PayloadSettings, TargetSettings
+from sidelong.sitl.simulation import target_motion
 
 EXACT = PayloadSettings(0.0, 0.0, 0.0, 0.0, 0.0)
 WALK = target_motion(TargetSettings(), 1)
@@ -163,7 +163,7 @@ def test_its_signatures_follow_the_clock(monkeypatch):
     """They passed for too old a minute after it had begun."""
     mav, begun_s = mavlink.MAVLink(io.BytesIO(), 1, 154), 1.8e9
     mav.signing.secret_key, mav.signing.sign_outgoing, mav.signing.timestamp = bytes(32), True, signing_time(begun_s)
-    monkeypatch.setattr("sitl.companion.time", SimpleNamespace(time=lambda: begun_s + 120.0))
+    monkeypatch.setattr("sidelong.sitl.payload.companion.time", SimpleNamespace(time=lambda: begun_s + 120.0))
     _send(SimpleNamespace(mav=mav), Payload.heartbeat())
     stamp = int.from_bytes(mav.file.getvalue()[-12:-6], "little")
     assert stamp == signing_time(begun_s + 120.0)

@@ -11,15 +11,15 @@ from pathlib import Path
 
 import pytest
 
-from sitl.airframe import Airframe, Wind
-from sitl.arduplane import BUILD as ARDUPLANE_BUILD
-from sitl.arduplane_navigator import ArduPlaneNavigator
-from sitl.arduplane_parameters import arduplane_parameters
-from sitl.place import Place
-from sitl.px4 import Px4
-from sitl.px4_navigator import Px4Navigator
-from sitl.px4_parameters import px4_parameters
-from sitl.settings import Flavour, Settings
+from sidelong.sitl.arduplane.navigator import ArduPlaneNavigator
+from sidelong.sitl.arduplane.parameters import arduplane_parameters
+from sidelong.sitl.arduplane.vehicle import BUILD as ARDUPLANE_BUILD
+from sidelong.sitl.px4.navigator import Px4Navigator
+from sidelong.sitl.px4.parameters import px4_parameters
+from sidelong.sitl.px4.vehicle import Px4
+from sidelong.sitl.settings import Flavour, Settings
+from sidelong.sitl.world.airframe import Airframe, Wind
+from sidelong.sitl.world.place import Place
 
 with Path(__file__).with_name("flown_moves.csv").open(newline="") as file:
     MOVES = [

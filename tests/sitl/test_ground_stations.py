@@ -9,7 +9,7 @@ import zlib
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.settings import Flavour
+from sidelong.sitl.settings import Flavour
 
 REQUEST_MESSAGE, SET_INTERVAL = mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
 PROTOCOL_VERSION, MODES, METADATA, CAMERA, GIMBAL_MANAGER = 300, 435, 397, 259, 280

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sitl.link import FaultyLink, LinkFaults
+from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
 
 
 def through(faults, count=20_000, seed=1):

@@ -77,7 +77,7 @@ class Session:
 @pytest.fixture(params=["arduplane", "px4"])
 def session(request, tmp_path, free_port) -> Iterator[tuple[str, Session]]:
     port = free_port()
-    vehicle = [sys.executable, "-m", "sitl", "--autopilot", request.param, "--to", f"127.0.0.1:{port}"]
+    vehicle = [sys.executable, "-m", "sidelong.sitl", "--autopilot", request.param, "--to", f"127.0.0.1:{port}"]
     station = [sys.executable, "-u", "-m", "MAVProxy.mavproxy", f"--master=udpin:127.0.0.1:{port}", "--nowait"]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     sitl = subprocess.Popen([*vehicle, "--speed", str(SPEED), "--while-input"], **pipes)

@@ -20,7 +20,7 @@ def vehicle(request, tmp_path, free_port):
     port, truth = free_port(), tmp_path / "truth.csv"
     arguments = ["--autopilot", request.param, "--to", f"127.0.0.1:{port}", "--speed", str(SPEED), "--truth", truth]
     process = subprocess.Popen(
-        [sys.executable, "-m", "sitl", *map(str, arguments)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "sidelong.sitl", *map(str, arguments)], stdout=subprocess.PIPE, text=True
     )
     try:
         assert process.stdout.readline().strip() == f"ready system 1 component 1 {request.param} -> 127.0.0.1:{port}"

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sitl.motion import MOTIONS, built_in_motion
-from sitl.track import Track, TrackError, TrackMotion, read_track
+from sidelong.sitl.world.motion import MOTIONS, built_in_motion
+from sidelong.sitl.world.track import Track, TrackError, TrackMotion, read_track
 
 START_M = (250.0, 300.0)
 

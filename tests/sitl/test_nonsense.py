@@ -6,7 +6,7 @@ import random
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.settings import Flavour
+from sidelong.sitl.settings import Flavour
 
 KINDS = [
     mavlink.MAVLink_command_long_message,

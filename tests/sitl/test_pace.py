@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from sitl.pace import Pace
+from sidelong.sitl.pace import Pace
 
 
 def test_it_waits_for_who_is_behind_but_not_for_who_is_silent():
@@ -29,7 +29,7 @@ def test_a_simulation_goes_no_further_than_its_program_has_come(tmp_path):
     command = [
         sys.executable,
         "-m",
-        "sitl",
+        "sidelong.sitl",
         "--to",
         "127.0.0.1:9",
         "--speed",

@@ -5,7 +5,7 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.settings import Flavour
+from sidelong.sitl.settings import Flavour
 
 
 def read(ground, name):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.payload import Payload, Sight
-from sitl.settings import Flavour, GimbalFrame, PayloadSettings, RangeMessage
+from sidelong.sitl.payload.payload import Payload, Sight
+from sidelong.sitl.settings import Flavour, GimbalFrame, PayloadSettings, RangeMessage
 
 LOG_SIGHT = Sight(233.642, math.radians(-132.4020), -math.asin(120.03 / 233.642))
 

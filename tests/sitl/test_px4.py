@@ -5,7 +5,7 @@ import math
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.settings import Flavour
+from sidelong.sitl.settings import Flavour
 
 MISSION, HOLD, RTL, TAKEOFF, POSCTL = 0x04040000, 0x03040000, 0x05040000, 0x02040000, 0x00030000
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED

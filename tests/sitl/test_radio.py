@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.settings import Flavour
+from sidelong.sitl.settings import Flavour
 
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
 

@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import pytest
 
-from sitl.settings import Flavour, Home, TargetSettings
-from sitl.truth import HEADER, TruthFile
+from sidelong.sitl.settings import Flavour, Home, TargetSettings
+from sidelong.sitl.world.truth import HEADER, TruthFile
 
 
 def flight(simulate, station, **changes):

@@ -5,7 +5,7 @@ import random
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sitl.settings import Flavour
+from sidelong.sitl.settings import Flavour
 
 ACCEPTED = mavlink.MAV_MISSION_ACCEPTED
 REQUESTS = {Flavour.ARDUPLANE: "MISSION_REQUEST", Flavour.PX4: "MISSION_REQUEST_INT"}

@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from sitl.geodesy import HomePlane
-from sitl.settings import Flavour, Settings, TargetSettings
-from sitl.simulation import Simulation
-from sitl.world import in_turn
+from sidelong.sitl.settings import Flavour, Settings, TargetSettings
+from sidelong.sitl.several import in_turn
+from sidelong.sitl.simulation import Simulation
+from sidelong.sitl.world.geodesy import HomePlane
 
 
 @pytest.fixture

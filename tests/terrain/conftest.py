@@ -12,12 +12,12 @@ import pytest
 from matplotlib import cbook
 from scipy.ndimage import gaussian_filter
 
-from app.study.target import RandomTarget
-from app.terrain.elevation_data import ElevationData
-from estimators.frames import LocalPlane
-from estimators.readings import GimbalReading, PositionReading, RangeReading, Source
-from estimators.terrain.ground import Ground
-from estimators.tracker import Tracker, TrackerSettings
+from sidelong.app.study.target import RandomTarget
+from sidelong.app.terrain.elevation_data import ElevationData
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.sensing.readings import GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 
 HOME_DEG = (36.59, -84.24)
 SIDE, VOID = 1201, -32768

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from app.cli import app
-from app.errors import InputError
-from app.terrain.elevation_data import ElevationData
-from app.terrain.tile import Bounds, Posts
-from estimators.frames import LocalPlane
-from estimators.terrain.ground import Ground
+from sidelong.app.cli import app
+from sidelong.app.errors import InputError
+from sidelong.app.terrain.elevation_data import ElevationData
+from sidelong.app.terrain.tile import Bounds, Posts
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.terrain.ground import Ground
 
 HOME_DEG = (36.59, -84.24)
 STEP_DEG = 1.0 / 1200.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from estimators.terrain.ground import Ground
+from sidelong.estimators.terrain.ground import Ground
 
 # A tilted plane, which bilinear posts tell exactly, with a wall 300 m long and 80 m high across it.
 STEP_M = 50.0

@@ -7,17 +7,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.assembly import controller_of, settle
-from app.config import load_config
-from app.errors import InputError
-from app.flight.preflight import _ground_check
-from estimators.frames import LocalPlane
-from estimators.terrain.ground import Ground
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState, HeightProfile, Plan, settled_m
-from mission.geometry.approach import turn_straight_turn
-from mission.terrain.heights import FlightHeights, HeightRules
-from mission.upload.items import plan_items
+from sidelong.app.assembly import controller_of, settle
+from sidelong.app.config import load_config
+from sidelong.app.errors import InputError
+from sidelong.app.flight.preflight import _ground_check
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan, settled_m
+from sidelong.mission.geometry.approach import turn_straight_turn
+from sidelong.mission.terrain.heights import FlightHeights, HeightRules
+from sidelong.mission.upload.items import plan_items
 
 CLEARANCE_M, AIRSPEED_M_S = 50.0, 15.0
 RULES = HeightRules(100.0, "ground", CLEARANCE_M, AIRSPEED_M_S)

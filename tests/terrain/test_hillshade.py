@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from app.terrain.hillshade import hillshade
-from estimators.terrain.ground import Ground
+from sidelong.app.terrain.hillshade import hillshade
+from sidelong.estimators.terrain.ground import Ground
 
 
 def pixels(shade):

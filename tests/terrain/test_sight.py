@@ -6,16 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimators.estimate import TargetEstimate, TrackQuality
-from estimators.terrain.ground import Ground
-from mission.core.circle import Circle
-from mission.core.plan import AircraftState, Plan
-from mission.core.requirement import Aircraft, Requirement, Side, Wind
-from mission.predictive._rollout_kernel import Pose, single_line
-from mission.predictive._sight_kernel import NOTHING_HIDDEN, View, add_sight, hidden_rate
-from mission.predictive.planner import PredictivePlanner, table_configuration
-from mission.predictive.value_iteration import compute
-from mission.terrain.sight import SightField
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
+from sidelong.mission.core.sight import NOTHING_HIDDEN
+from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
+from sidelong.mission.predictive.rollout_kernel import Pose, single_line
+from sidelong.mission.predictive.sight_kernel import View, add_sight, hidden_rate
+from sidelong.mission.predictive.value_iteration import compute
+from sidelong.mission.terrain.sight import SightField
 
 HEIGHT_M = 100.0
 

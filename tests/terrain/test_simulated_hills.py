@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from app.analysis.truth import read_truth
-from estimators.frames import LocalPlane
-from estimators.terrain.ground import Ground
-from sitl.companion import Companion
-from sitl.geodesy import HomePlane
-from sitl.hills import Hills, HillsError
-from sitl.settings import Home, PayloadSettings, Settings, TargetSettings
-from sitl.simulation import Simulation, target_motion
-from sitl.truth import TruthFile, TruthRow
+from sidelong.app.analysis.truth import read_truth
+from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.sitl.payload.companion import Companion
+from sidelong.sitl.settings import Home, PayloadSettings, Settings, TargetSettings
+from sidelong.sitl.simulation import Simulation, target_motion
+from sidelong.sitl.world.geodesy import HomePlane
+from sidelong.sitl.world.hills import Hills, HillsError
+from sidelong.sitl.world.truth import TruthFile, TruthRow
 
 HOME_DEG = (36.59, -84.24)
 HIDDEN_M, OPEN_M = (900.0, -2700.0), (250.0, 300.0)

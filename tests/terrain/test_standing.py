@@ -5,19 +5,19 @@ import math
 import numpy as np
 import pytest
 
-from estimators._imm_kernel import COVARIANCE, MEAN
-from estimators.biases import Biases
-from estimators.ekf import TargetEkf
-from estimators.imm import TargetImm, drift_per_s
-from estimators.motion import DENSITIES
-from estimators.settings import TrackerSettings
-from estimators.sighting import Sighting
-from estimators.target_filter import EAST, HEIGHT, NORTH
-from estimators.terrain._standing_kernel import predict_standing
-from estimators.terrain.ground import Ground
-from estimators.terrain.standing import GroundedFilter
-from estimators.tracker import Tracker
-from estimators.ukf import TargetUkf
+from sidelong.estimators.filters.biases import Biases
+from sidelong.estimators.filters.ekf import TargetEkf
+from sidelong.estimators.filters.imm import TargetImm, drift_per_s
+from sidelong.estimators.filters.imm_kernel import COVARIANCE, MEAN
+from sidelong.estimators.filters.motion import DENSITIES
+from sidelong.estimators.filters.target_filter import EAST, HEIGHT, NORTH
+from sidelong.estimators.filters.ukf import TargetUkf
+from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.estimators.terrain.standing import GroundedFilter
+from sidelong.estimators.terrain.standing_kernel import predict_standing
+from sidelong.estimators.tracking.tracker import Tracker
 
 EAST_M, NORTH_M = np.meshgrid(np.arange(81) * 50.0 - 2000.0, np.arange(81) * 50.0 - 2000.0)
 TILTED = Ground((0.1 * EAST_M - 0.05 * NORTH_M).astype(np.float32), -2000.0, -2000.0, 50.0, 50.0, 4.0)

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from app.cli import app
-from app.errors import InputError
-from app.study import flight
-from app.study.hills import hills_of, run_over
-from app.study.settings import PlannerName, StudySettings
-from estimators.terrain.ground import Ground
-from mission.predictive.planner import table_configuration
-from mission.predictive.value_iteration import compute
+from sidelong.app.cli import app
+from sidelong.app.errors import InputError
+from sidelong.app.study import flight
+from sidelong.app.study.hills import hills_of, run_over
+from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.mission.predictive.planner import table_configuration
+from sidelong.mission.predictive.value_iteration import compute
 
 SETTINGS = StudySettings((PlannerName.PREDICTIVE,), runs=2, duration_s=60.0)
 

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from app.autopilots.autopilot import Limits
-from app.config import Config
-from app.flight.preflight import checks
-from app.flight.terrain_server import TerrainServer
-from app.link.message import Message
-from app.link.vehicle import Vehicle
-from app.terrain.elevation_data import ElevationData
-from app.terrain.terrain_data import answers
-from sitl.settings import Home, Settings
-from sitl.simulation import Simulation
+from sidelong.app.autopilots.autopilot import Limits
+from sidelong.app.config import Config
+from sidelong.app.flight.preflight import checks
+from sidelong.app.flight.terrain_server import TerrainServer
+from sidelong.app.link.message import Message
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.terrain.elevation_data import ElevationData
+from sidelong.app.terrain.terrain_data import answers
+from sidelong.sitl.settings import Home, Settings
+from sidelong.sitl.simulation import Simulation
 
 HOME_DEG = 36.59, -84.24
 CORNER_E7 = 365_500_000, -842_800_000

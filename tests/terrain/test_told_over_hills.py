@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from app.analysis.summary import SummaryCollector
-from app.report.path_map import _contours
-from estimators.terrain.ground import Ground
-from mission.core.requirement import Requirement, Side
+from sidelong.app.analysis.summary import SummaryCollector
+from sidelong.app.report.path_map import _contours
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.mission.core.requirement import Requirement, Side
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 

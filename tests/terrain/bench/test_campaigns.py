@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from estimators.terrain.ground import Ground
-from mission.core.circle import Circle
-from mission.core.plan import Plan
-from mission.terrain.heights import FlightHeights, HeightRules
+from sidelong.estimators.terrain.ground import Ground
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.plan import Plan
+from sidelong.mission.terrain.heights import FlightHeights, HeightRules
 
 CLEARANCE_M = 50.0
 

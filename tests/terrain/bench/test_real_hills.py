@@ -16,11 +16,11 @@ import sys
 import pytest
 from pymavlink import mavutil
 
-from app.analysis.truth import read_truth
-from app.flight.recording import JOURNAL_TYPES
-from app.records.journal import JournalReader
-from app.terrain.elevation_data import elevation_data
-from mission.core.events import ControlAcquired
+from sidelong.app.analysis.truth import read_truth
+from sidelong.app.flight.recording import JOURNAL_TYPES
+from sidelong.app.records.journal import JournalReader
+from sidelong.app.terrain.elevation_data import elevation_data
+from sidelong.mission.core.events import ControlAcquired
 from tests.autopilot.real_vehicle import FLAVOURS, ROOT, RealVehicle, configured
 
 HOME_DEG = (36.59, -84.24)
@@ -41,7 +41,7 @@ def test_twenty_minutes_above_the_ground(tmp_path, flavour, hills_folder):
     truth_file, home = tmp_path / "truth.csv", ",".join(map(str, HOME_DEG))
     sitl = ("--speed", SPEED, "--terrain", hills_folder, "--home", home, "--target-speed", 3, "--truth", truth_file)
     with RealVehicle(flavour, *sitl) as vehicle:
-        command = [sys.executable, "-m", "app", "launch", config, "--connect", vehicle.urls[0]]
+        command = [sys.executable, "-m", "sidelong.app", "launch", config, "--connect", vehicle.urls[0]]
         command += ["--duration", DURATION_S, "--out", tmp_path / "runs", "--json", tmp_path / "summary.json"]
         flight = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False, cwd=ROOT)
     assert flight.returncode == 0, flight.stdout + flight.stderr

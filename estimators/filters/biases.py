@@ -1,0 +1,62 @@
+"""The payload's constant errors, which a circling aircraft can tell apart from the target's motion.
+
+Seen from one side all the time, a yaw error looks like a shifted target. From a circle the line of sight swings to
+and fro, the shift turns with it, and a target cannot be in several places at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from sidelong.estimators.settings import TrackerSettings
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What is known of the payload's errors, measured minus true, each with its standard deviation."""
+
+    yaw_bias_rad: float
+    pitch_bias_rad: float
+    range_bias_m: float
+    yaw_sigma_rad: float
+    pitch_sigma_rad: float
+    range_sigma_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Biases:
+    """(yaw rad, pitch rad, range m): mean (3,), covariance (3, 3). A variance of 0 is not estimated."""
+
+    mean: FloatArray
+    covariance: FloatArray
+    estimated: npt.NDArray[np.intp] = field(init=False)  # which of the three are
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "estimated", np.flatnonzero(np.diag(self.covariance) > 0.0))
+
+    @staticmethod
+    def prior(settings: TrackerSettings) -> Biases:
+        """Return what the settings say before anything was measured: zero, with their standard deviations."""
+        sigmas = (
+            settings.yaw_bias_sigma_rad,
+            settings.pitch_bias_sigma_rad,
+            settings.range_bias_sigma_m,
+        )
+        return Biases(np.zeros(3), np.diag(np.square(sigmas)))
+
+    def updated(self, mean: FloatArray, covariance: FloatArray) -> Biases:
+        """Return these with the estimated ones at a new mean (k,) and covariance (k, k)."""
+        whole_mean, whole_covariance = self.mean.copy(), self.covariance.copy()
+        whole_mean[self.estimated] = mean
+        whole_covariance[np.ix_(self.estimated, self.estimated)] = covariance
+        return Biases(whole_mean, whole_covariance)
+
+    @property
+    def calibration(self) -> Calibration:
+        """The same for people: each bias with one standard deviation, rad and m."""
+        return Calibration(*self.mean.tolist(), *np.sqrt(np.diag(self.covariance)).tolist())

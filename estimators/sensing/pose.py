@@ -1,0 +1,155 @@
+"""Where the aircraft was, and how it was turned, at any time of the last seconds."""
+
+from __future__ import annotations
+
+from bisect import bisect_right, insort
+from dataclasses import replace
+from operator import attrgetter
+from typing import Generic, Protocol, TypeVar
+
+from sidelong.estimators.frames import wrap_rad
+from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading
+
+
+class Timed(Protocol):
+    """Anything with a time stamp."""
+
+    @property
+    def time_s(self) -> float:
+        """When it was measured, s on the vehicle's clock."""
+        ...
+
+
+T = TypeVar("T", bound=Timed)
+_time_s = attrgetter("time_s")
+
+
+class History(Generic[T]):
+    """Readings of one kind in the order of their times, those of the last ``span_s`` seconds at least.
+
+    A second reading of the same time is a duplicate and is dropped.
+    """
+
+    def __init__(self, span_s: float) -> None:
+        self._span_s = span_s
+        self._items: list[T] = []
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    @property
+    def newest_s(self) -> float:
+        """Time of the newest reading, minus infinity while there is none."""
+        return self._items[-1].time_s if self._items else float("-inf")
+
+    def add(self, item: T) -> bool:
+        """Keep the reading. Returns False for a duplicate."""
+        items = self._items
+        if not items or item.time_s > items[-1].time_s:
+            items.append(item)
+        else:
+            at = bisect_right(items, item.time_s, key=_time_s)
+            if at > 0 and items[at - 1].time_s == item.time_s:
+                return False
+            insort(items, item, key=_time_s)
+        # Cut rarely and much: the cost of a cut is spread over many readings.
+        if len(items) > 64 and items[0].time_s < items[-1].time_s - 2 * self._span_s:
+            del items[: bisect_right(items, items[-1].time_s - self._span_s, key=_time_s)]
+        return True
+
+    def around(self, time_s: float) -> tuple[T, T] | None:
+        """Return the readings before (or at) and after ``time_s``; one twice when it is exact; None at the ends."""
+        at = bisect_right(self._items, time_s, key=_time_s)
+        if at == 0:
+            return None
+        before = self._items[at - 1]
+        if before.time_s == time_s:
+            return before, before
+        return None if at == len(self._items) else (before, self._items[at])
+
+    def newest(self) -> T | None:
+        """Return the latest item, None while there is none."""
+        return self._items[-1] if self._items else None
+
+
+class PoseHistory:
+    """Positions and attitudes as they come; interpolated ones at the times that are asked for."""
+
+    _SPAN_S = 12.0
+    _EXTRAPOLATION_MAX_S = 0.3
+    _GAP_MAX_S = 3.0  # between two readings: across more, nothing tells what the aircraft did
+
+    def __init__(self) -> None:
+        self.positions: History[PositionReading] = History(self._SPAN_S)
+        self.attitudes: History[AttitudeReading] = History(self._SPAN_S)
+
+    def add(self, reading: PositionReading | AttitudeReading) -> None:
+        """Take a reading; those that come late are put in their place."""
+        if isinstance(reading, PositionReading):
+            self.positions.add(reading)
+        else:
+            self.attitudes.add(reading)
+
+    def position_at(self, time_s: float) -> PositionReading | None:
+        """Return where the aircraft was; None before the first, well after the last reading, and in a long gap.
+
+        Follows the cubic through two positions and their velocities: at 1 Hz and 0.5 g of turn it stays within
+        0.1 m where a straight line errs by 0.6 m. Past the last reading, its velocity is held for 0.3 s.
+        """
+        pair = self.positions.around(time_s)
+        if pair is None:
+            return self._position_after_the_last(time_s)
+        a, b = pair
+        step_s = b.time_s - a.time_s
+        if step_s <= 0.0:
+            return a
+        if step_s > self._GAP_MAX_S:
+            return None
+        u = (time_s - a.time_s) / step_s
+        # Hermite's cubic: weights of the two positions, then of the two velocities.
+        weight_b = u * u * (3 - 2 * u)
+        weight_a = 1 - weight_b
+        slope_a, slope_b = u * (1 - u) * (1 - u) * step_s, u * u * (u - 1) * step_s
+        return PositionReading(
+            time_s,
+            weight_a * a.east_m + weight_b * b.east_m + slope_a * a.velocity_east_m_s + slope_b * b.velocity_east_m_s,
+            weight_a * a.north_m
+            + weight_b * b.north_m
+            + slope_a * a.velocity_north_m_s
+            + slope_b * b.velocity_north_m_s,
+            weight_a * a.height_m + weight_b * b.height_m + slope_a * a.velocity_up_m_s + slope_b * b.velocity_up_m_s,
+            a.velocity_east_m_s + u * (b.velocity_east_m_s - a.velocity_east_m_s),
+            a.velocity_north_m_s + u * (b.velocity_north_m_s - a.velocity_north_m_s),
+            a.velocity_up_m_s + u * (b.velocity_up_m_s - a.velocity_up_m_s),
+        )
+
+    def _position_after_the_last(self, time_s: float) -> PositionReading | None:
+        last = self.positions.newest()
+        if last is None or not 0.0 <= time_s - last.time_s <= self._EXTRAPOLATION_MAX_S:
+            return None
+        ahead_s = time_s - last.time_s
+        return replace(
+            last,
+            time_s=time_s,
+            east_m=last.east_m + last.velocity_east_m_s * ahead_s,
+            north_m=last.north_m + last.velocity_north_m_s * ahead_s,
+            height_m=last.height_m + last.velocity_up_m_s * ahead_s,
+        )
+
+    def attitude_at(self, time_s: float) -> AttitudeReading | None:
+        """Return how the aircraft was turned, angles interpolated linearly; None outside them and in a long gap."""
+        pair = self.attitudes.around(time_s)
+        if pair is None:
+            return None
+        a, b = pair
+        if b.time_s <= a.time_s:
+            return a
+        if b.time_s - a.time_s > self._GAP_MAX_S:
+            return None
+        u = (time_s - a.time_s) / (b.time_s - a.time_s)
+        return AttitudeReading(
+            time_s,
+            a.roll_rad + u * wrap_rad(b.roll_rad - a.roll_rad),
+            a.pitch_rad + u * (b.pitch_rad - a.pitch_rad),
+            wrap_rad(a.yaw_rad + u * wrap_rad(b.yaw_rad - a.yaw_rad)),
+        )

@@ -1,0 +1,1 @@
+"""From readings to a target track: source choice, pairing, gating, track quality, fusion."""

@@ -1,0 +1,135 @@
+"""One track of a target from the sightings of several payloads, and who of them is not to be believed.
+
+All payloads feed one filter that knows each one's errors. Beside it each has a track of its own, by which they are
+held against one another: a payload that sees the target elsewhere than the largest group that agrees is left out,
+with the reason in words, and taken in again when it has agreed for some seconds. Of two that contradict each other
+the surer one is believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.filters.biases import Biases, Calibration
+from sidelong.estimators.filters.joint import JointImm, PayloadFix, PayloadSighting, prior_of
+from sidelong.estimators.filters.joint_kernel import BLOCK
+from sidelong.estimators.sensing.sighting import AnySighting, Sighting, SightingOutcome
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.fusion import agreeing, apart_m, squared_distance
+from sidelong.estimators.tracking.track import Track
+
+_COMPARED_EVERY_S = 1.0
+# A payload is left out, and taken in again, only after it has contradicted or agreed for so long.
+_REFUSED_AFTER_S, _BELIEVED_AFTER_S = 3.0, 10.0
+# Squared distance from the surest believed payload at which the filter is begun anew: it went with a bad one.
+_ASTRAY = 50.0
+
+
+class JointTrack:
+    """Of one target. settings: what is known of each payload; sightings come on one time for all.
+
+    The first one's settings hold for the track itself: gates, losses, kind of target. Raises ValueError for none.
+    """
+
+    def __init__(self, settings: Mapping[str, TrackerSettings]) -> None:
+        if not settings:
+            raise ValueError("a joint track needs a payload")
+        self._names = tuple(settings)
+        self._settings = tuple(replace(one, filter="imm") for one in settings.values())
+        self._own = [Track(one) for one in self._settings]
+        self._clock_sigmas_s = [0.0] * len(self._names)
+        self._track = self._new()
+        self._wrong_s: dict[int, float] = {}  # since when a payload contradicts the others
+        self._right_s: dict[int, float] = {}  # since when one that was left out agrees again
+        self._refused: dict[int, str] = {}
+        self._fed: set[int] = set()
+        self._latest: dict[int, AnySighting] = {}
+        self._compared_s = -float("inf")
+
+    def _new(self) -> Track:
+        def start(settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> JointImm:
+            known = biases.mean.size == BLOCK * len(self._names)
+            return JointImm(settings, sighting, biases if known else prior_of(self._settings, self._clock_sigmas_s))
+
+        return Track(self._settings[0], start)
+
+    def add(self, name: str, sighting: AnySighting, clock_sigma_s: float = 0.0) -> SightingOutcome:
+        """Take a payload's sighting in. clock_sigma_s: how well its time is known; that of its first one counts."""
+        payload = self._names.index(name)
+        self._own[payload].add(sighting)
+        if payload in self._refused:
+            return SightingOutcome(sighting, False, float("nan"), self._refused[payload])
+        if payload not in self._fed:
+            self._fed.add(payload)
+            self._clock_sigmas_s[payload] = clock_sigma_s
+            last, _ = self._track.last
+            if isinstance(last, JointImm):
+                last.widen_clock(payload, clock_sigma_s)
+        self._latest[payload] = _of_payload(sighting, payload)
+        return self._track.add(self._latest[payload])
+
+    def estimate(self, time_s: float) -> TargetEstimate | None:
+        """Return the estimate at a time; None before the first sighting."""
+        if time_s - self._compared_s >= _COMPARED_EVERY_S:
+            self._compared_s = time_s
+            self._compare(time_s)
+        return self._track.estimate(time_s)
+
+    @property
+    def refused(self) -> Mapping[str, str]:
+        """Payloads that are left out, each with the reason in words."""
+        return {self._names[payload]: reason for payload, reason in self._refused.items()}
+
+    def calibration(self, name: str) -> Calibration:
+        """Return what is known of a payload's errors."""
+        last, _ = self._track.last
+        biases = last.biases() if last is not None else prior_of(self._settings, self._clock_sigmas_s)
+        first = BLOCK * self._names.index(name)
+        own = slice(first, first + 3)
+        return Biases(biases.mean[own], biases.covariance[own, own]).calibration
+
+    # -- who is believed --------------------------------------------------------------------------------------
+
+    def _compare(self, time_s: float) -> None:
+        """Hold the payloads' own tracks against one another."""
+        alive = {
+            payload: estimate
+            for payload, track in enumerate(self._own)
+            if (estimate := track.estimate(time_s)) is not None and estimate.quality is TrackQuality.GOOD
+        }
+        if len(alive) < 2:
+            self._refused.clear()
+            self._wrong_s.clear()
+            return
+        group = agreeing(alive, [payload for payload in alive if payload not in self._refused])
+        for payload, estimate in alive.items():
+            if payload in group:
+                self._wrong_s.pop(payload, None)
+                since_s = self._right_s.setdefault(payload, time_s)
+                if payload in self._refused and time_s - since_s >= _BELIEVED_AFTER_S:
+                    del self._refused[payload]
+                continue
+            self._right_s.pop(payload, None)
+            since_s = self._wrong_s.setdefault(payload, time_s)
+            if payload not in self._refused and time_s - since_s >= _REFUSED_AFTER_S:
+                off_m = min(apart_m(estimate, alive[other]) for other in group)
+                self._refused[payload] = f"it sees the target {off_m:.0f} m from where the others do"
+        self._follow(group, alive, time_s)
+
+    def _follow(self, group: Sequence[int], alive: Mapping[int, TargetEstimate], time_s: float) -> None:
+        """Begin anew where the filter has gone with a payload that is left out now."""
+        joint = self._track.estimate(time_s)
+        trusted = [payload for payload in group if payload not in self._refused]
+        if joint is None or not trusted or not self._refused:
+            return
+        surest = alive[trusted[0]]
+        if squared_distance(joint, surest) > _ASTRAY:
+            self._track, self._fed = self._new(), {trusted[0]}
+            self._track.add(self._latest[trusted[0]])
+
+
+def _of_payload(sighting: AnySighting, payload: int) -> AnySighting:
+    kind = PayloadSighting if isinstance(sighting, Sighting) else PayloadFix
+    return kind(**asdict(sighting), payload=payload)

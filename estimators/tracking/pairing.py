@@ -1,0 +1,169 @@
+"""Ranges, lines of sight and poses of different times become sightings.
+
+A range waits until gimbal and aircraft are known on both sides of its time, and takes what lies between. It gives
+up after ``_WAIT_S``. Over known ground, while the laser is silent, a line of sight becomes a sighting by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import insort
+from operator import attrgetter
+from typing import TYPE_CHECKING
+
+from sidelong.estimators.rotations import from_roll_pitch_yaw, interpolated
+from sidelong.estimators.sensing.line_of_sight import LineOfSight, lever_arm_plane_m, line_of_sight
+from sidelong.estimators.sensing.pose import History, PoseHistory
+from sidelong.estimators.sensing.readings import GimbalReading, RangeReading
+from sidelong.estimators.sensing.sighting import Sighting
+from sidelong.estimators.settings import TrackerSettings
+
+if TYPE_CHECKING:
+    from sidelong.estimators.terrain.ground import Ground
+
+_SPAN_S = 12.0
+_WAIT_S = 1.5
+_GIMBAL_GAP_MAX_S = 1.0
+_WAITING_MAX = 32  # so that what has waited is never long to take in
+# The laser is silent after so long; then a line of sight in so much time counts, with a range that says nothing.
+_SILENT_S, _ALONE_EVERY_S = 1.0, 0.2
+_UNKNOWN_M, _REACH_M = 2e3, 5_000.0
+_time_s = attrgetter("time_s")
+
+
+class Pairing:
+    """Collects what belongs together."""
+
+    def __init__(self, settings: TrackerSettings, poses: PoseHistory) -> None:
+        self._settings = settings
+        self._poses = poses
+        self._gimbals: History[GimbalReading] = History(_SPAN_S)
+        self._ranges: History[RangeReading] = History(_SPAN_S)
+        self._has_arm = any(settings.lever_arm_body_m)
+        self._parent_from_mount = from_roll_pitch_yaw(*settings.mount_roll_pitch_yaw_rad)
+        self._paired_s = -math.inf
+        self._alone: list[float] = []  # times of lines of sight that go without a range
+        self.ground: Ground | None = None
+        self.waiting: list[RangeReading] = []
+        self.unpaired = 0
+
+    def add_gimbal(self, gimbal: GimbalReading) -> None:
+        """Keep a line of sight; one whose quaternion is no rotation is dropped."""
+        length_2 = sum(part * part for part in gimbal.quaternion_wxyz)
+        if abs(length_2 - 1.0) >= 0.1 or not self._gimbals.add(gimbal) or self.ground is None:
+            return
+        last_s = self._alone[-1] if self._alone else self._paired_s
+        if gimbal.time_s - self._ranges.newest_s > _SILENT_S and gimbal.time_s - last_s >= _ALONE_EVERY_S:
+            self._alone.append(gimbal.time_s)
+            del self._alone[:-_WAITING_MAX]
+
+    def add_range(self, reading: RangeReading) -> None:
+        """Keep a range until it can be paired."""
+        if self._ranges.add(reading):
+            insort(self.waiting, reading, key=_time_s)
+            if len(self.waiting) > _WAITING_MAX:
+                del self.waiting[0]
+                self.unpaired += 1
+
+    def completed(self) -> list[Sighting]:
+        """Return the sightings that can be made now, oldest first."""
+        made: list[Sighting] = []
+        newest_s = max(self._poses.positions.newest_s, self._gimbals.newest_s, self._ranges.newest_s)
+        known_s = min(self._poses.positions.newest_s, self._gimbals.newest_s)
+        if self._needs_attitude:
+            known_s = min(known_s, self._poses.attitudes.newest_s)
+        while self.waiting and (known_s >= self.waiting[0].time_s or newest_s - self.waiting[0].time_s > _WAIT_S):
+            sighting = self._sighting(self.waiting.pop(0))
+            if sighting is None:
+                self.unpaired += 1
+            else:
+                made.append(sighting)
+        while self._alone and known_s >= self._alone[0]:
+            sighting = self._seen(self._alone.pop(0), None)
+            if sighting is not None:
+                made.append(sighting)
+        return made
+
+    @property
+    def due(self) -> bool:
+        """Whether anything waits to be completed."""
+        return bool(self.waiting or self._alone)
+
+    @property
+    def _needs_attitude(self) -> bool:
+        newest = self._gimbals.newest()
+        return self._has_arm or (newest is not None and newest.frame != "earth")
+
+    def _sighting(self, reading: RangeReading) -> Sighting | None:
+        sigma_m = reading.sigma_m or self._settings.range_sigma_m
+        return self._seen(reading.time_s, (reading.slant_range_m, sigma_m), reading.quality)
+
+    def _seen(
+        self, time_s: float, told_m: tuple[float, float] | None, quality: float | None = None
+    ) -> Sighting | None:
+        """Return the sighting at a time, with a range and its sigma, or where the line of sight meets the ground."""
+        settings = self._settings
+        position = self._poses.position_at(time_s)
+        found = self._gimbal_at(time_s)
+        if position is None or found is None:
+            return None
+        gimbal, gap_s = found
+        needs_attitude = self._needs_attitude or gimbal.frame != "earth"  # the newest may be of another frame
+        attitude = self._poses.attitude_at(time_s) if needs_attitude else None
+        if attitude is None and needs_attitude:
+            return None
+        sight = line_of_sight(gimbal, attitude, self._parent_from_mount)
+        arm_m = (0.0, 0.0, 0.0) if attitude is None else lever_arm_plane_m(settings.lever_arm_body_m, attitude)
+        aircraft_m = position.east_m + arm_m[0], position.north_m + arm_m[1], position.height_m + arm_m[2]
+        range_m, range_sigma_m = told_m or (self._to_ground_m(aircraft_m, sight), _UNKNOWN_M)
+        if range_m is None:
+            return None
+        # Without a range, what the ground is off its data is as good as an error of the sight.
+        uneven_m = self.ground.sigma_m if told_m is None and self.ground is not None else 0.0
+        attitude_sigma_rad = 0.0 if gimbal.frame == "earth" else settings.attitude_sigma_rad
+        # Several ranges between two lines of sight share the noise of these: none may count it as its own.
+        shared = math.sqrt(max(1.0, gap_s / max(abs(time_s - self._paired_s), 1e-3)))
+        self._paired_s = max(self._paired_s, time_s)
+        return Sighting(
+            time_s=time_s,
+            slant_range_m=range_m,
+            bearing_rad=sight.bearing_rad,
+            depression_rad=sight.depression_rad,
+            # The same position error in all three axes adds to each measured number by itself.
+            range_sigma_m=math.hypot(range_sigma_m, settings.position_sigma_m),
+            bearing_sigma_rad=math.hypot(
+                shared * settings.yaw_sigma_rad,
+                attitude_sigma_rad,
+                settings.position_sigma_m / (range_m * max(math.cos(sight.depression_rad), 0.01)),
+            ),
+            depression_sigma_rad=math.hypot(
+                shared * settings.pitch_sigma_rad,
+                attitude_sigma_rad,
+                math.hypot(settings.position_sigma_m, uneven_m) / range_m,
+            ),
+            aircraft_east_m=aircraft_m[0],
+            aircraft_north_m=aircraft_m[1],
+            aircraft_height_m=aircraft_m[2],
+            quality=quality,
+        )
+
+    def _to_ground_m(self, aircraft_m: tuple[float, float, float], sight: LineOfSight) -> float | None:
+        """Return the slant range at which a line of sight meets the ground."""
+        if self.ground is None:
+            return None
+        level_m = self.ground.cut_m(*aircraft_m, sight.bearing_rad, sight.depression_rad, _REACH_M)
+        return None if level_m is None else level_m / math.cos(sight.depression_rad)
+
+    def _gimbal_at(self, time_s: float) -> tuple[GimbalReading, float] | None:
+        """Return where the gimbal pointed, and the gap between the readings that tell it."""
+        pair = self._gimbals.around(time_s)
+        if pair is None:
+            return None
+        a, b = pair
+        gap_s = b.time_s - a.time_s
+        if gap_s == 0.0:
+            return a, 0.0
+        if gap_s > _GIMBAL_GAP_MAX_S or a.source != b.source or a.frame != b.frame:
+            return None
+        quaternion = interpolated(a.quaternion_wxyz, b.quaternion_wxyz, (time_s - a.time_s) / gap_s)
+        return GimbalReading(time_s, quaternion, a.frame, a.source), gap_s

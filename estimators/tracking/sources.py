@@ -1,0 +1,76 @@
+"""Which of the devices on the link is the laser, and which the gimbal.
+
+A vehicle speaks with many tongues: its own downward range sensor, the payload's range, and the same range once
+more as the autopilot forwards it. Of each kind exactly one source is listened to at a time:
+
+- a range that looks down (orientation 25), and the autopilot's RANGEFINDER, are never the laser of a gimbal;
+- a payload component comes before the autopilot (component 1), which may only repeat it;
+- a range of custom orientation (100), being on a gimbal, comes before one of a fixed orientation;
+- a gimbal comes before the quaternion that a range sensor may carry;
+- when the source in use falls silent for ``silent_after_s``, the next that speaks takes its place until it returns.
+
+An explicit choice replaces all of these but the last.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from sidelong.estimators.sensing.readings import Source
+from sidelong.estimators.settings import SourceChoice
+
+_AUTOPILOT_COMPONENT = 1
+LOOKS_DOWN = 25
+_CUSTOM_ORIENTATION = 100
+
+Rank = Callable[[Source], int | None]
+
+
+def range_rank(source: Source) -> int | None:
+    """Return the preference for a range, lower is better; None for one that cannot be the payload's."""
+    from_autopilot = source.component_id == _AUTOPILOT_COMPONENT
+    if source.orientation == LOOKS_DOWN or (from_autopilot and source.message == "RANGEFINDER"):
+        return None
+    fixed = source.message == "DISTANCE_SENSOR" and source.orientation != _CUSTOM_ORIENTATION
+    return 2 * from_autopilot + fixed
+
+
+def sight_rank(source: Source) -> int | None:
+    """Return the preference for a line of sight."""
+    return 2 * (source.message == "DISTANCE_SENSOR") + (source.component_id == _AUTOPILOT_COMPONENT)
+
+
+@dataclass(slots=True)
+class SourceSelector:
+    """Picks one source of a kind as they come in."""
+
+    rank: Rank
+    choice: SourceChoice | None = None
+    silent_after_s: float = 10.0
+    chosen: Source | None = None
+    heard_s: float = -math.inf  # when the chosen one last spoke
+    _ranks: dict[Source, int | None] = field(default_factory=dict)
+
+    def accepts(self, source: Source, time_s: float) -> bool:
+        """Tell whether to use a reading of this source."""
+        if source is not self.chosen and source != self.chosen:
+            rank = self._rank_of(source)
+            if rank is None:
+                return False
+            present = self._rank_of(self.chosen) if self.chosen else None
+            better = present is None or rank < present
+            if not better and time_s - self.heard_s < self.silent_after_s:
+                return False
+            self.chosen = source
+        self.heard_s = max(self.heard_s, time_s)
+        return True
+
+    def _rank_of(self, source: Source) -> int | None:
+        if source not in self._ranks:
+            if self.choice is None:
+                self._ranks[source] = self.rank(source)
+            else:
+                self._ranks[source] = 0 if self.choice.matches(source) else None
+        return self._ranks[source]

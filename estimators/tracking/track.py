@@ -1,0 +1,229 @@
+"""From sightings to an estimate: gate, restart, late sightings, quality.
+
+Each accepted sighting leaves the filter as it was before it; a late one is taken in by going back to the filter
+before its time and repeating what came after.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.filters.biases import Biases, Calibration
+from sidelong.estimators.filters.target_filter import FloatArray, TargetFilter
+from sidelong.estimators.sensing.sighting import AnySighting, SightingOutcome
+from sidelong.estimators.settings import TrackerSettings
+
+if TYPE_CHECKING:
+    from sidelong.estimators.terrain.ground import Ground
+
+_HISTORY_S, _REPEATED_MAX = 5.0, 60
+# Longer predictions go by steps, so that the motion models can mix on the way; the longest by so many larger ones.
+_STEP_MAX_S, _STEPS_MAX = 1.0, 60
+
+FilterStart = Callable[[TrackerSettings, AnySighting, Biases], TargetFilter]
+
+
+def _filter_start(name: str) -> FilterStart:
+    # filterpy, which two of them stand on, takes a second to load: only who wants it waits for it.
+    if name == "imm":
+        from sidelong.estimators.filters.imm import TargetImm  # noqa: PLC0415
+
+        return TargetImm
+    if name == "ekf":
+        from sidelong.estimators.filters.ekf import TargetEkf  # noqa: PLC0415
+
+        return TargetEkf
+    from sidelong.estimators.filters.ukf import TargetUkf  # noqa: PLC0415
+
+    return TargetUkf
+
+
+class _Step(NamedTuple):
+    sighting: AnySighting
+    before: TargetFilter
+
+
+class Track:
+    """The target's track, from its first sighting on."""
+
+    def __init__(self, settings: TrackerSettings, start: FilterStart | None = None) -> None:
+        """start: makes the filter, in place of the one that the settings name."""
+        self._settings = settings
+        self._start = start or _filter_start(settings.filter)
+        self._filter: TargetFilter | None = None
+        self._coasted: TargetFilter | None = None  # moved on from the last sighting by whole steps
+        self._steps: list[_Step] = []
+        self._astray: list[AnySighting] = []  # beyond the gate, since the last one within
+        self._last_rejection = ""
+        self._last_sighting_s = -math.inf
+
+    def stand_on(self, ground: Ground) -> None:
+        """Take the target to stand on a ground from now on."""
+        # What is compiled takes a second to load: only who has elevation data waits for it.
+        from sidelong.estimators.terrain.standing import GroundedFilter  # noqa: PLC0415
+
+        start = self._start
+        self._start = lambda *first: GroundedFilter(start(*first), ground)
+
+    def resume(self, last: TargetFilter, last_sighting_s: float, astray: list[AnySighting]) -> None:
+        """Go on from a filter as of the last sighting; astray: those beyond the gate since then.
+
+        Nothing can be gone back to before that time.
+        """
+        self._filter, self._coasted = last, None
+        self._steps.clear()
+        self._last_sighting_s, self._astray = last_sighting_s, astray
+
+    @property
+    def last(self) -> tuple[TargetFilter | None, float]:
+        """The filter as of the last sighting, and the time of that."""
+        return self._filter, self._last_sighting_s
+
+    def add(self, sighting: AnySighting) -> SightingOutcome:
+        """Take a sighting in, or reject it with a reason."""
+        settings = self._settings
+        if sighting.quality is not None and sighting.quality < settings.quality_min:
+            reason = f"signal quality {sighting.quality:.2f} is below {settings.quality_min:.2f}"
+            return self._rejected(sighting, math.nan, reason)
+        if self._filter is None:
+            self._restart([sighting], Biases.prior(settings))
+            return SightingOutcome(sighting, True, math.nan, "first sighting")
+        if sighting.time_s - self._last_sighting_s > settings.lost_after_s:
+            self._restart([sighting], self._filter.biases())
+            return SightingOutcome(sighting, True, math.nan, "first sighting after the track was lost")
+        if sighting.time_s < self._filter.time_s:
+            return self._add_late(sighting)
+        before = self._filter
+        ahead = _predicted(before, sighting.time_s)
+        nis = ahead.update(sighting, settings.gate_nis)
+        if nis <= settings.gate_nis:
+            self._accept(sighting, before, ahead)
+            return SightingOutcome(sighting, True, nis)
+        agreeing = self._astray = [*self._astray, sighting][-settings.reacquire_after :]
+        if len(agreeing) == settings.reacquire_after and self._one_target_explains(agreeing):
+            self._restart(agreeing, ahead.biases())
+            return SightingOutcome(sighting, True, nis, "restarted where the rejected sightings agree")
+        reason = f"innovation squared {nis:.0f} is beyond the gate of {settings.gate_nis:.0f}"
+        return self._rejected(sighting, nis, reason)
+
+    def _add_late(self, sighting: AnySighting) -> SightingOutcome:
+        at = len(self._steps)
+        while at > 0 and self._steps[at - 1].sighting.time_s > sighting.time_s:
+            at -= 1
+        later = self._steps[at:]
+        if not later or later[0].before.time_s > sighting.time_s or len(later) > _REPEATED_MAX:
+            return self._rejected(sighting, math.nan, f"older than the {_HISTORY_S:.0f} s that can be gone back")
+        before = later[0].before
+        ahead = _predicted(before, sighting.time_s)
+        nis = ahead.update(sighting, self._settings.gate_nis)
+        if nis > self._settings.gate_nis:
+            return self._rejected(sighting, nis, f"late, and innovation squared {nis:.0f} is beyond the gate")
+        del self._steps[at:]
+        self._accept(sighting, before, ahead)
+        for step in later:
+            before = ahead
+            ahead = _predicted(before, step.sighting.time_s)
+            ahead.update(step.sighting, math.inf)
+            self._accept(step.sighting, before, ahead)
+        return SightingOutcome(sighting, True, nis, "late")
+
+    def _accept(self, sighting: AnySighting, before: TargetFilter, after: TargetFilter) -> None:
+        self._filter, self._coasted = after, None
+        self._steps.append(_Step(sighting, before))
+        self._astray.clear()
+        self._last_rejection = ""
+        self._last_sighting_s = max(self._last_sighting_s, sighting.time_s)
+        if self._steps[0].sighting.time_s < self._last_sighting_s - 2 * _HISTORY_S:
+            keep_s = self._last_sighting_s - _HISTORY_S
+            self._steps = [step for step in self._steps if step.sighting.time_s >= keep_s]
+
+    def _rejected(self, sighting: AnySighting, nis: float, reason: str) -> SightingOutcome:
+        self._last_rejection = reason
+        return SightingOutcome(sighting, False, nis, reason)
+
+    def _restart(self, sightings: list[AnySighting], biases: Biases) -> None:
+        """Forget place and motion, not the payload's errors, and begin with these sightings."""
+        self._steps.clear()
+        after = self._start(self._settings, sightings[0], biases)
+        self._accept(sightings[0], after, after)
+        self._steps.clear()
+        for sighting in sightings[1:]:
+            before, after = after, _predicted(after, sighting.time_s)
+            after.update(sighting, math.inf)
+            self._accept(sighting, before, after)
+
+    def _one_target_explains(self, sightings: list[AnySighting]) -> bool:
+        """Tell whether these lie as near one another as one target's would: outliers scatter, a jump does not."""
+        last = sightings[-1]
+        # Three sigma of a difference of two, along the longer axis.
+        reach_m = 3.0 * math.sqrt(2.0 * float(last.covariance.trace()))
+        speed_m_s = 2.0 * self._settings.target_speed_sigma_m_s
+        return all(
+            math.hypot(one.east_m - last.east_m, one.north_m - last.north_m)
+            < reach_m + speed_m_s * abs(last.time_s - one.time_s)
+            for one in sightings
+        )
+
+    def estimate(self, now_s: float) -> TargetEstimate | None:
+        """Return the target predicted to ``now_s``, or as of the last sighting if that is later.
+
+        None before the first sighting.
+        """
+        if self._filter is None:
+            return None
+        ahead = self._filter if now_s <= self._filter.time_s else self._coasted_to(self._filter, now_s)
+        mean, covariance = ahead.moments()
+        east_m, north_m, velocity_east_m_s, velocity_north_m_s = mean.tolist()
+        quality, reason = self._quality(ahead.time_s, covariance)
+        return TargetEstimate(
+            ahead.time_s,
+            east_m,
+            north_m,
+            velocity_east_m_s,
+            velocity_north_m_s,
+            covariance,
+            quality,
+            self._last_sighting_s,
+            reason,
+        )
+
+    def _coasted_to(self, last: TargetFilter, now_s: float) -> TargetFilter:
+        """Return the filter moved on to ``now_s``, the same whenever it was asked for before."""
+        start = self._coasted if self._coasted and self._coasted.time_s <= now_s else last
+        steps = math.floor((now_s - start.time_s) / _STEP_MAX_S)
+        if steps > 0:
+            start = self._coasted = _predicted(start, start.time_s + steps * _STEP_MAX_S)
+        return _predicted(start, now_s)
+
+    def _quality(self, time_s: float, covariance: FloatArray) -> tuple[TrackQuality, str]:
+        settings = self._settings
+        age_s = time_s - self._last_sighting_s
+        sigma_m = math.sqrt(float(covariance[0, 0] + covariance[1, 1]))
+        why = f"; the last one was rejected: {self._last_rejection}" if self._last_rejection else ""
+        if age_s > settings.lost_after_s:
+            return TrackQuality.LOST, f"no sighting for {age_s:.0f} s{why}"
+        if sigma_m > settings.lost_sigma_m:
+            return TrackQuality.LOST, f"position known to {sigma_m:.0f} m only{why}"
+        if age_s > settings.coasting_after_s:
+            return TrackQuality.COASTING, f"no sighting for {age_s:.1f} s{why}"
+        return TrackQuality.GOOD, ""
+
+    @property
+    def calibration(self) -> Calibration:
+        """What is known of the payload's errors."""
+        return (self._filter.biases() if self._filter else Biases.prior(self._settings)).calibration
+
+
+def _predicted(start: TargetFilter, time_s: float) -> TargetFilter:
+    """Return a copy of the filter, moved on to ``time_s``."""
+    ahead = start.copy()
+    step_s = max(_STEP_MAX_S, (time_s - start.time_s) / _STEPS_MAX)
+    for _ in range(_STEPS_MAX):
+        if time_s - ahead.time_s <= step_s:
+            break
+        ahead.predict(ahead.time_s + step_s)
+    ahead.predict(time_s)
+    return ahead

@@ -1,0 +1,138 @@
+"""Readings in, estimate out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeVar
+
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.estimators.filters.biases import Calibration
+from sidelong.estimators.sensing.beacon import BeaconErrors
+from sidelong.estimators.sensing.pose import PoseHistory
+from sidelong.estimators.sensing.readings import (
+    BEACON_MESSAGES,
+    AttitudeReading,
+    GimbalReading,
+    PositionReading,
+    RangeReading,
+    Reading,
+    Source,
+    TargetFixReading,
+)
+from sidelong.estimators.sensing.sighting import AnySighting, Fix, SightingOutcome
+from sidelong.estimators.settings import SourceChoice, TrackerSettings
+from sidelong.estimators.tracking.pairing import Pairing
+from sidelong.estimators.tracking.sources import SourceSelector, range_rank, sight_rank
+from sidelong.estimators.tracking.track import Track
+
+if TYPE_CHECKING:
+    from sidelong.estimators.terrain.ground import Ground
+
+__all__ = ["SourceChoice", "Tracker", "TrackerSettings"]
+
+_Stamped = TypeVar("_Stamped", GimbalReading, RangeReading)
+
+
+class Tracker:
+    """Pose history, source selection, pairing and track behind one door. Time comes from the readings.
+
+    A reading may come late or out of order by a few seconds.
+    """
+
+    def __init__(self, settings: TrackerSettings) -> None:
+        self._settings = settings
+        self._poses = PoseHistory()
+        self._pairing = Pairing(settings, self._poses)
+        self._ranges = SourceSelector(range_rank, settings.range_source)
+        self._gimbals = SourceSelector(sight_rank, settings.gimbal_source)
+        self._fixes = SourceSelector(sight_rank, settings.fix_source)
+        self._beacon = BeaconErrors()
+        self._track = Track(settings)
+        self.sightings = 0
+        self.rejected = 0
+
+    def add(self, reading: Reading) -> tuple[SightingOutcome, ...]:
+        """Take a reading in. Returns the sightings that it completed, each with what became of it."""
+        match reading:
+            case PositionReading() | AttitudeReading():
+                self._poses.add(reading)
+            case GimbalReading():
+                self._add_gimbal(reading)
+            case RangeReading():
+                self._add_range(reading)
+            case TargetFixReading():
+                return self._add_fix(reading)
+        if not self._pairing.due:
+            return ()
+        return tuple(map(self._take, self._pairing.completed()))
+
+    def _add_gimbal(self, reading: GimbalReading) -> None:
+        if self._gimbals.accepts(reading.source, reading.time_s):
+            self._pairing.add_gimbal(self._measured(reading))
+
+    def _measured(self, reading: _Stamped) -> _Stamped:
+        """Return the reading at the time it was really measured."""
+        latency_s = self._settings.latency_s
+        return replace(reading, time_s=reading.time_s - latency_s) if latency_s else reading
+
+    def _add_range(self, reading: RangeReading) -> None:
+        if not self._ranges.accepts(reading.source, reading.time_s):
+            return
+        pointing = reading.sensor_quaternion_wxyz
+        # The null rotation is what senders put there who know no better.
+        if pointing is not None and pointing != (1.0, 0.0, 0.0, 0.0):
+            self._add_gimbal(GimbalReading(reading.time_s, pointing, "body", reading.source))
+        self._pairing.add_range(self._measured(reading))
+
+    def _add_fix(self, reading: TargetFixReading) -> tuple[SightingOutcome, ...]:
+        """Use a beacon's fix; a camera's where asked for, or while there is no laser that it may be made from."""
+        if reading.source.message in BEACON_MESSAGES:
+            sigma_m = self._beacon.sigma_m(reading.time_s, reading.sigma_m)
+            return (self._take(Fix(reading.time_s, reading.east_m, reading.north_m, sigma_m)),)
+        laser_speaks = reading.time_s - self._ranges.heard_s < self._ranges.silent_after_s
+        if laser_speaks and self._settings.fix_source is None:
+            return ()
+        if not self._fixes.accepts(reading.source, reading.time_s):
+            return ()
+        time_s = reading.time_s - self._settings.latency_s
+        return (self._take(Fix(time_s, reading.east_m, reading.north_m, reading.sigma_m)),)
+
+    def _take(self, sighting: AnySighting) -> SightingOutcome:
+        outcome = self._track.add(sighting)
+        self.sightings += 1
+        self.rejected += not outcome.accepted
+        return outcome
+
+    def stand_on(self, ground: Ground, angles_alone: bool = True) -> None:
+        """Take the target to stand on a ground, before the first sighting.
+
+        angles_alone: while the laser is silent, the line of sight alone counts. It must not where the gimbal follows
+        the estimate: that would confirm itself.
+        """
+        self._track.stand_on(ground)
+        if angles_alone:
+            self._pairing.ground = ground
+
+    def estimate(self, now_s: float) -> TargetEstimate | None:
+        """Return the target predicted to ``now_s``; None before the first sighting."""
+        return self._track.estimate(now_s)
+
+    @property
+    def range_source(self) -> Source | None:
+        """The laser in use, None before the first."""
+        return self._ranges.chosen
+
+    @property
+    def gimbal_source(self) -> Source | None:
+        """The gimbal in use, None before the first."""
+        return self._gimbals.chosen
+
+    @property
+    def unpaired(self) -> int:
+        """How many ranges found no line of sight or no position to go with them."""
+        return self._pairing.unpaired
+
+    @property
+    def calibration(self) -> Calibration:
+        """What has been learnt of the payload's errors."""
+        return self._track.calibration

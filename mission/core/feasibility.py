@@ -1,0 +1,86 @@
+"""What no planner can help: a requirement that the aircraft cannot meet, and which number to change."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import groupby
+
+from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One number to change, alone, and the nearest value that works. ``field`` is its name in the value types."""
+
+    field: str
+    value: float
+    nearest: float
+    because: str
+
+    def __str__(self) -> str:
+        return f"{self.because}: {self.remedy}"
+
+    @property
+    def remedy(self) -> str:
+        """What to change, and to what."""
+        bound = "at least" if self.nearest > self.value else "at most"
+        return f"{self.field} must be {bound} {self.nearest_rounded:g}, not {self.value:.4g}"
+
+    @property
+    def nearest_rounded(self) -> float:
+        """``nearest`` to four digits, rounded to the side that works."""
+        step = 10.0 ** (math.floor(math.log10(self.nearest)) - 3)
+        away = math.ceil if self.nearest > self.value else math.floor
+        return float(f"{away(self.nearest / step) * step:.4g}")
+
+
+def in_words(changes: Iterable[Change]) -> str:
+    """Return each reason once, with all the changes of which one would do."""
+    reasons = groupby(changes, key=lambda change: change.because)
+    return "; ".join(f"{because}: {', or '.join(each.remedy for each in those)}" for because, those in reasons)
+
+
+def unflyable(aircraft: Aircraft, requirement: Requirement) -> tuple[Change, ...]:
+    """Return what no planner can help: a circle too tight, a target too fast, a band too narrow for the circle."""
+    return (
+        *_circle_too_tight(aircraft),
+        *_target_too_fast(aircraft, requirement),
+        *_band_too_narrow(aircraft, requirement),
+    )
+
+
+def _circle_too_tight(aircraft: Aircraft) -> Iterator[Change]:
+    if aircraft.radius_m >= aircraft.min_radius_m:
+        return
+    because = f"the circle is tighter than a bank of {math.degrees(aircraft.bank_max_rad):.0f} degrees allows"
+    airspeed_m_s = math.sqrt(aircraft.radius_m * GRAVITY_M_S2 * math.tan(aircraft.bank_max_rad))
+    yield Change("radius_m", aircraft.radius_m, aircraft.min_radius_m, because)
+    yield Change("airspeed_m_s", aircraft.airspeed_m_s, airspeed_m_s, because)
+
+
+def _target_too_fast(aircraft: Aircraft, requirement: Requirement) -> Iterator[Change]:
+    if requirement.target_speed_max_m_s < aircraft.airspeed_m_s:
+        return
+    because = "the target is as fast as the aircraft"
+    yield Change("target_speed_max_m_s", requirement.target_speed_max_m_s, 0.99 * aircraft.airspeed_m_s, because)
+    yield Change("airspeed_m_s", aircraft.airspeed_m_s, 1.01 * requirement.target_speed_max_m_s, because)
+
+
+def _band_too_narrow(aircraft: Aircraft, requirement: Requirement) -> Iterator[Change]:
+    if fits_band(aircraft, requirement):
+        return
+    diameter_m = 2.0 * aircraft.radius_m
+    because = "the circle does not fit between the least and the greatest range"
+    yield Change("range_max_m", requirement.range_max_m, requirement.range_min_m + diameter_m, because)
+    if requirement.range_max_m > diameter_m:
+        yield Change("range_min_m", requirement.range_min_m, requirement.range_max_m - diameter_m, because)
+    if requirement.range_max_m > requirement.range_min_m:
+        half_band_m = (requirement.range_max_m - requirement.range_min_m) / 2.0
+        yield Change("radius_m", aircraft.radius_m, half_band_m, because)
+
+
+def fits_band(aircraft: Aircraft, requirement: Requirement) -> bool:
+    """Tell whether the whole circle lies in the range band of a standing target (19)."""
+    return requirement.range_min_m + 2.0 * aircraft.radius_m <= requirement.range_max_m

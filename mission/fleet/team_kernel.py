@@ -1,0 +1,309 @@
+"""The inner loops of :mod:`sidelong.mission.fleet.team`: what a move is worth when others watch the same target.
+
+Each line of an aircraft costs, beside the walls of the band:
+
+- the time in which nobody watches from the wanted side: the chances of all to be off it, multiplied;
+- the same after each turn that the target may make on the way, and while the aircraft circles after it: of all
+  aircraft the one that would be off the wanted side for the shortest time counts. So two aircraft stand opposite each
+  other, and not on the line in which a likely turn would put both ahead and astern;
+- the courses of the target for which nobody would be on the wanted side: none while the aircraft stand opposite;
+- a share of what the line would cost the aircraft alone on the side of its role, so that it stays near to that;
+- for who holds the wanted side what the move costs it more than staying where it looks two moves ahead, alone: what
+  the others see is foretold along the lines that they have, and a target that winds leaves those behind.
+
+The two that follow a line's end, turns and courses, are averaged over the lap on the circle after it: two circles in
+step cover each other's swings, two that are not open a gap with every lap.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sidelong.estimators.compiled import compiled
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.sight import Sight
+from sidelong.mission.fleet.cover_kernel import (
+    BACK_SHARE,
+    FORESEEN,
+    IN_BAND_M,
+    Cover,
+    Team,
+    asking_room,
+    blurred_m,
+    cover_of,
+    off_after_turns,
+    off_side,
+    uncovered,
+    wanted_value,
+)
+from sidelong.mission.predictive.cost_kernel import IntArray, cost_rate, least, table_value
+from sidelong.mission.predictive.decision_kernel import Looker, add_prices, alternatives, commitment, look_deeper
+from sidelong.mission.predictive.future_kernel import first_of, winding
+from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
+from sidelong.mission.predictive.rollout_kernel import (
+    Futures,
+    Lines,
+    Pose,
+    add_up,
+    from_target,
+    placed,
+    turn_samples,
+)
+from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame, scene_of
+from sidelong.mission.viewpoint.viewpoint_kernel import SIDE
+
+_TAIL_S = 30.0  # how they stand at the end of a line lasts for so long
+_CIRCLING_S = 60.0  # and the circle that it ends in
+_LAP = 4  # places of a lap
+_WORSE_MAX_S = 20.0  # a move that alone is worse by more, or was not looked at again, is out of the question
+_QUICK_S = 1.0  # an upload that takes no longer is over by the end of any line
+
+
+@compiled
+def _team_rate(
+    scene: Scene,
+    f: Futures,
+    cover: Cover,
+    looker: Looker,
+    team: Team,
+    x_m: float,
+    y_m: float,
+    time_s: float,
+) -> float:
+    """Return the running cost at a place of the departure's frame, over all futures, without discount."""
+    c, d, s = looker.terms, scene.doubt, scene.mirror * team.wanted
+    k = min(int(time_s / STEP_S), FORESEEN - 1)
+    total = 0.0
+    for one in range(len(f.weight)):
+        p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
+        sin_t, cos_t = f.facing[one, p, 0], f.facing[one, p, 1]
+        across_m, along_m = off_x * cos_t - off_y * sin_t, off_x * sin_t + off_y * cos_t
+        blur_m = blurred_m(scene, f.facing[one, p, 2], along_m, time_s)
+        widened_m = math.hypot(d.position_m, d.velocity_m_s * time_s)
+        alone = off_side(across_m, blur_m)
+        walls = cost_rate(across_m, along_m, widened_m, blur_m, c) - alone
+        missing = off_side(s * across_m, blur_m) * cover.off[one, k]
+        gap = uncovered(math.atan2(off_x, off_y), cover.bearings[one, k])
+        total += f.weight[one] * (walls + team.alone_running * alone + team.together * missing + team.opposite * gap)
+    return total
+
+
+@compiled
+def _turn_cost(
+    scene: Scene,
+    f: Futures,
+    cover: Cover,
+    team: Team,
+    x_m: float,
+    y_m: float,
+    time_s: float,
+    found: FloatArray,
+) -> float:
+    """Return for how long the target's turning now would leave all off the side, over all futures and turns."""
+    s = scene.mirror * team.wanted
+    k = min(int(time_s / STEP_S), FORESEEN - 1)
+    total = 0.0
+    for one in range(len(f.weight)):
+        p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
+        off_after_turns(team, scene, s * off_x, off_y, s * f.course[one, p, 2], found)
+        for t in range(len(team.turns_rad)):
+            total += f.weight[one] * team.chances[t] * min(found[t], cover.after[one, k, t])
+    return team.turn * total
+
+
+@compiled
+def _role_value(f: Futures, looker: Looker, x_m: float, y_m: float, heading_rad: float, time_s: float) -> float:
+    """Return what an aircraft alone would pay from a place of the departure's frame on, on the side of its role."""
+    table, total = looker.table, 0.0
+    for one in range(len(f.weight)):
+        p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
+        sin_t, cos_t = f.course[one, p, 0], f.course[one, p, 1]
+        across_m, along_m = off_x * cos_t - off_y * sin_t, off_x * sin_t + off_y * cos_t
+        heading = heading_rad - f.course[one, p, 2]
+        value = table_value(table.values, table.cell_m, across_m, along_m, heading, f.classes, f.share, one, p)
+        total += f.weight[one] * value
+    return total
+
+
+@compiled
+def _way_back(scene: Scene, looker: Looker, range_m: float) -> float:
+    """Return what the way back into the band costs.
+
+    What the others see bounds what an end costs together: without this the shortest line would be the cheapest one
+    outside the band, and an aircraft that got there would stay.
+    """
+    c = looker.terms
+    outside_m = max(c.near_m - range_m, range_m - c.far_m) - IN_BAND_M
+    if outside_m <= 0.0:
+        return 0.0
+    return outside_m / (BACK_SHARE * scene.air.airspeed_m_s) * (c.outside + 0.5 * c.outside_per_m * outside_m)
+
+
+@compiled
+def _end_value(
+    scene: Scene,
+    f: Futures,
+    cover: Cover,
+    looker: Looker,
+    team: Team,
+    end: Pose,
+    time_s: float,
+    curvature_per_m: float,
+    classes: IntArray,
+    share: FloatArray,
+    found: FloatArray,
+) -> float:
+    """Return what is to be paid from the end of a line on: its share alone, and together.
+
+    There it circles with that curvature.
+    """
+    x_m, y_m, heading_rad = end
+    k, s, total, back = min(int(time_s / STEP_S), FORESEEN - 1), scene.mirror * team.wanted, 0.0, 0.0
+    for one in range(len(f.weight)):
+        p, off_x, off_y = from_target(f.place, f.step_s, one, x_m, y_m, time_s)
+        value = wanted_value(scene, f, looker, s, one, p, off_x, off_y, heading_rad, classes, share)
+        total += f.weight[one] * min(value, cover.now[one, k])
+        back += f.weight[one] * _way_back(scene, looker, math.hypot(off_x, off_y))
+    turn, gap = _circling_cost(scene, f, cover, team, end, time_s, curvature_per_m, found)
+    return (
+        team.together * total
+        + _TAIL_S * team.opposite * gap
+        + team.alone_end * _role_value(f, looker, x_m, y_m, heading_rad, time_s)
+        + _CIRCLING_S / looker.table.mean_leg_s * turn
+        + back
+    )
+
+
+@compiled
+def _circling_cost(
+    scene: Scene,
+    f: Futures,
+    cover: Cover,
+    team: Team,
+    end: Pose,
+    time_s: float,
+    curvature_per_m: float,
+    found: FloatArray,
+) -> tuple[float, float]:
+    """Return what turns of the target cost, and the share of its courses that nobody covers, over a lap."""
+    x_m, y_m, heading_rad = end
+    middle_x = x_m + math.cos(heading_rad) / curvature_per_m
+    middle_y = y_m - math.sin(heading_rad) / curvature_per_m
+    lap_s = 2.0 * math.pi / (abs(curvature_per_m) * scene.air.airspeed_m_s)
+    turn, gap = 0.0, 0.0
+    for q in range(_LAP):
+        at_s = time_s + lap_s * q / _LAP
+        at_rad = heading_rad + math.copysign(2.0 * math.pi * q / _LAP, curvature_per_m)
+        at_x = middle_x - math.cos(at_rad) / curvature_per_m
+        at_y = middle_y + math.sin(at_rad) / curvature_per_m
+        turn += _turn_cost(scene, f, cover, team, at_x, at_y, at_s, found)
+        k = min(int(at_s / STEP_S), FORESEEN - 1)
+        for one in range(len(f.weight)):
+            _, off_x, off_y = from_target(f.place, f.step_s, one, at_x, at_y, at_s)
+            gap += f.weight[one] * uncovered(math.atan2(off_x, off_y), cover.bearings[one, k])
+    return turn / _LAP, gap / _LAP
+
+
+@compiled
+def team_lines_costs(
+    lines: Lines,
+    start: Pose,
+    scene: Scene,
+    f: Futures,
+    cover: Cover,
+    looker: Looker,
+    team: Team,
+    end_per_m: float,
+    costs: FloatArray,
+) -> None:
+    """Fill in what each line costs all together, as :func:`mission.predictive.rollout_kernel.lines_costs` does.
+
+    end_per_m: the curvature of the circles that they end in.
+    """
+    time_s, weight, hazard_per_s = lines.time_s, lines.weight, 1.0 / looker.table.mean_leg_s
+    n, lines_count = len(time_s), len(lines.trunk)
+    x, y = placed(lines, start)
+    heading_rad = start.heading_rad + lines.turned_rad
+    classes, share = asking_room()
+    found = np.empty(len(team.turns_rad))
+    rates, turn_rates, ends = np.empty(n), np.empty(n), np.empty(lines_count)
+    for s in range(n):
+        rates[s] = weight[s] * _team_rate(scene, f, cover, looker, team, x[s], y[s], time_s[s])
+    for s in turn_samples(lines):
+        turn = _turn_cost(scene, f, cover, team, x[s], y[s], time_s[s], found)
+        turn_rates[s] = hazard_per_s * weight[s] * turn
+    for i in range(lines_count):
+        s = lines.own_first[i + 1] - 1
+        end = Pose(x[s], y[s], heading_rad[s])
+        ends[i] = weight[s] * _end_value(
+            scene, f, cover, looker, team, end, time_s[s], end_per_m, classes, share, found
+        )
+    costs[:lines_count] = 0.0
+    add_up(lines, rates, turn_rates, ends, 1.0, costs)
+
+
+@compiled
+def team_look_ahead(
+    scene: Scene, now: Situation, f: Futures, cover: Cover, looker: Looker, team: Team, costs: FloatArray
+) -> float:
+    """Fill in what each move costs (MOVES,), its price included, and return what going on as planned costs."""
+    # No other plan departs before it was uploaded: until then the circle is flown that a line ends in. Whole seconds,
+    # because lines of the same length are kept.
+    beyond_m = scene.air.airspeed_m_s * math.ceil(max(now.latency_s - _QUICK_S, 0.0))
+    among, prices = alternatives(scene, now, looker, beyond_m), looker.prices
+    stay_costs = np.empty(len(among.stays.trunk))
+    stay_per_m = scene.mirror / now.circle.radius_m
+    team_lines_costs(among.moves, among.start, scene, f, cover, looker, team, 1.0 / scene.radius_m, costs)
+    team_lines_costs(among.stays, among.stays_start, scene, f, cover, looker, team, stay_per_m, stay_costs)
+    add_prices(among, scene.radius_m, team.price * prices.leave, team.price * prices.change, costs)
+    return least(stay_costs)
+
+
+@compiled
+def role_values(now: Situation, looker: Looker, team: Team) -> tuple[float, float]:
+    """Return what an aircraft would pay alone, from its next departure on: on the wanted side, and opposite."""
+    held = looker.memory[SIDE]
+    looker.memory[SIDE] = team.wanted
+    wanted = _value_at(now, looker)
+    looker.memory[SIDE] = -team.wanted
+    opposite = _value_at(now, looker)
+    looker.memory[SIDE] = held
+    return wanted, opposite
+
+
+@compiled
+def _value_at(now: Situation, looker: Looker) -> float:
+    scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
+    f = first_of(winding(scene, looker.motions, looker.wish, looker.memory, looker.turns), 1)
+    x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
+    heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
+    return _role_value(f, looker, x_m, y_m, heading_rad, 0.0)
+
+
+@compiled
+def team_decide(
+    scene: Scene,
+    now: Situation,
+    others: FloatArray,
+    first_s: FloatArray,
+    looker: Looker,
+    team: Team,
+    sight: Sight,
+    costs: FloatArray,
+) -> tuple[float, float]:
+    """Fill in what each move costs (MOVES,); return what staying costs, and what a move has to beat.
+
+    others, first_s: see :func:`cover_of`.
+    """
+    every = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+    f = first_of(every, 1) if team.futures < 2 else every
+    cover = cover_of(scene, f, others, first_s, looker, team)
+    stay_cost = team_look_ahead(scene, now, f, cover, looker, team, costs)
+    if scene.mirror == team.wanted:
+        alone = np.empty(MOVES)
+        alone_stay = look_deeper(scene, now, every, looker, sight, 0.0, alone)
+        for i in range(MOVES):
+            costs[i] += team.own * min(alone[i] - alone_stay, _WORSE_MAX_S)
+    return stay_cost, stay_cost - team.price * commitment(scene, now, f, looker)

@@ -1,0 +1,364 @@
+"""The inner loops of flown lines: trapezoids, where an aircraft is along its plan, and how it is steered back to it.
+
+A trapezoid is the tuple (start curvature, first rate, first end, last rate, last start, last end) of
+:class:`sidelong.mission.geometry.trapezoid.Trapezoids`. A line is an array (5, n) with the rows ARC .. CURVATURE, n =
+0 for a plan that is only its circle; the circle's radius is signed, positive for a clockwise one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sidelong.estimators.compiled import compiled, inlined
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft
+
+ARC, EAST, NORTH, COURSE, CURVATURE = range(5)
+_TWO_PI = 2.0 * math.pi
+
+# Metres that count as much as one radian of course when the fitting point of a line that crosses itself is sought.
+_COURSE_WEIGHT_M = 50.0
+FINE_STEP_M = 2.0
+# Gauss-Legendre on [0, 1]: three nodes make steps of 2 m exact to 1e-12 m, two make steps of 10 m exact to 1 mm.
+_NODE_3 = math.sqrt(0.15)
+_NODE_2 = 0.5 / math.sqrt(3.0)
+# Following a line: curvature for each metre beside it and each radian off its course, critically damped.
+_BESIDE_GAIN_1_M2, _COURSE_GAIN_1_M = 1.0 / 20.0**2, 2.0 / 20.0
+
+# Planned lines roll from one turn into the opposite one in this time, with at least and at most these shares of the
+# aircraft's roll rate: the rest is left to the autopilot for gusts and corrections.
+_REVERSAL_S = 3.0
+_MIN_SHARE, _MAX_SHARE = 1.0 / 6.0, 1.0 / 2.0
+
+# Turns of a transition that are tighter than the circle bank no more than this.
+_TURN_BANK_RAD = math.radians(30.0)
+
+# Further off its line than this, or on another course, an aircraft is not following its plan.
+OFF_TRACK_M, OFF_TRACK_RAD = 40.0, math.radians(40.0)
+
+Trapezoid = tuple[float, float, float, float, float, float]
+
+
+class Craft(NamedTuple):
+    """The aircraft: see :class:`sidelong.mission.core.requirement.Aircraft`.
+
+    turn_share: the tightest turn of a transition, in radii of the circle, if the bank allows.
+    """
+
+    airspeed_m_s: float
+    radius_m: float
+    bank_max_rad: float
+    roll_rate_max_rad_s: float
+    turn_share: float
+
+
+def craft_of(aircraft: Aircraft, turn_share: float = 1.0) -> Craft:
+    """Return the aircraft as the loops see it."""
+    limits = aircraft.bank_max_rad, aircraft.roll_rate_max_rad_s
+    return Craft(aircraft.airspeed_m_s, aircraft.radius_m, *limits, turn_share)
+
+
+class LinePoint(NamedTuple):
+    """A point of a flown line: place, course and curvature there."""
+
+    east_m: float
+    north_m: float
+    course_rad: float
+    curvature_per_m: float
+
+
+class Circling(NamedTuple):
+    """A circle as the loops see it: radius_m is negative for a counter-clockwise one."""
+
+    east_m: float
+    north_m: float
+    radius_m: float
+
+
+@compiled
+def remainder(angle_rad: float) -> float:
+    """Return the same angle within half a turn of zero."""
+    return angle_rad - _TWO_PI * round(angle_rad / _TWO_PI)
+
+
+@compiled
+def ground_speed_m_s(heading_rad: float, airspeed_m_s: float, wind_east_m_s: float, wind_north_m_s: float) -> float:
+    """Return the speed over the ground on a heading over the ground: the long side of the wind triangle.
+
+    NaN where the heading cannot be held.
+    """
+    if wind_east_m_s == 0.0 and wind_north_m_s == 0.0:
+        return airspeed_m_s
+    sin_h, cos_h = math.sin(heading_rad), math.cos(heading_rad)
+    along_m_s = wind_east_m_s * sin_h + wind_north_m_s * cos_h
+    across_m_s = wind_east_m_s * cos_h - wind_north_m_s * sin_h
+    return along_m_s + math.sqrt(airspeed_m_s * airspeed_m_s - across_m_s * across_m_s)
+
+
+@compiled
+def ground_speeds_m_s(
+    heading_rad: FloatArray, airspeed_m_s: float, wind_east_m_s: float, wind_north_m_s: float, found: FloatArray
+) -> None:
+    """Fill in :func:`ground_speed_m_s` for many headings (n,)."""
+    for i in range(len(heading_rad)):
+        found[i] = ground_speed_m_s(heading_rad[i], airspeed_m_s, wind_east_m_s, wind_north_m_s)
+
+
+# -- trapezoids ------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def turn_radius_m(radius_m: float, speed_m_s: float, craft: Craft) -> float:
+    """Return the radius of the tightest turn on the way to a circle."""
+    banked_m = speed_m_s * speed_m_s / (GRAVITY_M_S2 * math.tan(min(_TURN_BANK_RAD, craft.bank_max_rad)))
+    return min(radius_m, max(craft.turn_share * radius_m, banked_m))
+
+
+@compiled
+def sharpness_per_m2(speed_m_s: float, craft: Craft) -> float:
+    """See :func:`sidelong.mission.geometry.trapezoid.sharpnesses_per_m2`."""
+    bank_rad = math.atan(speed_m_s * speed_m_s / (GRAVITY_M_S2 * turn_radius_m(craft.radius_m, speed_m_s, craft)))
+    max_rad_s = craft.roll_rate_max_rad_s
+    roll_rad_s = min(max(2.0 * bank_rad / _REVERSAL_S, _MIN_SHARE * max_rad_s), _MAX_SHARE * max_rad_s)
+    return roll_rad_s * GRAVITY_M_S2 / (speed_m_s * speed_m_s * speed_m_s)
+
+
+@compiled
+def sharpnesses_per_m2(speed_m_s: FloatArray, craft: Craft, found: FloatArray) -> None:
+    """Fill in the ramps for many speeds (n,)."""
+    for i in range(len(speed_m_s)):
+        found[i] = sharpness_per_m2(speed_m_s[i], craft)
+
+
+@compiled
+def trapezoid(start_per_m: float, hold_per_m: float, length_m: float, final_per_m: float, ramp: float) -> Trapezoid:
+    """Return the trapezoid that ramps from start to hold, holds that for a length, and ramps on to final."""
+    first_end_m = abs(hold_per_m - start_per_m) / ramp
+    last_start_m = first_end_m + length_m
+    return (
+        start_per_m,
+        math.copysign(ramp, hold_per_m - start_per_m),
+        first_end_m,
+        math.copysign(ramp, final_per_m - hold_per_m),
+        last_start_m,
+        last_start_m + abs(final_per_m - hold_per_m) / ramp,
+    )
+
+
+@compiled
+def with_last_ramp(one: Trapezoid, ramp: float) -> Trapezoid:
+    """Return the trapezoid with another last ramp that begins where the old one did."""
+    change_per_m = abs(one[3]) * (one[5] - one[4])
+    return one[0], one[1], one[2], math.copysign(ramp, one[3]), one[4], one[4] + change_per_m / ramp
+
+
+@compiled
+def turned_rad(one: Trapezoid, arc_m: float) -> float:
+    """Return the change of course since the start, exactly."""
+    first = min(arc_m, one[2])
+    last_length = one[5] - one[4]
+    last = min(max(arc_m - one[4], 0.0), last_length)
+    after = max(arc_m - one[5], 0.0)
+    return (
+        one[0] * arc_m + one[1] * first * (arc_m - 0.5 * first) + one[3] * (0.5 * last * last + last_length * after)
+    )
+
+
+@compiled
+def curvature_per_m(one: Trapezoid, arc_m: float) -> float:
+    """Return the curvature at an arc."""
+    return one[0] + one[1] * min(arc_m, one[2]) + one[3] * min(max(arc_m - one[4], 0.0), one[5] - one[4])
+
+
+@compiled
+def moved_m(one: Trapezoid, course_rad: float, from_m: float, to_m: float) -> tuple[float, float]:
+    """Return (east, north) from one arc to another, up to about 10 m on."""
+    step = to_m - from_m
+    a = course_rad + turned_rad(one, from_m + (0.5 - _NODE_2) * step)
+    b = course_rad + turned_rad(one, from_m + (0.5 + _NODE_2) * step)
+    return 0.5 * step * (math.sin(a) + math.sin(b)), 0.5 * step * (math.cos(a) + math.cos(b))
+
+
+@compiled
+def displaced_m(ones: FloatArray, arc_m: FloatArray, course_rad: float, found: FloatArray) -> None:
+    """Fill in (east, north, turned) (3, n, k) of trapezoids (n, 6) from their start at ascending arcs (n, k)."""
+    for i in range(len(ones)):
+        one = (ones[i, 0], ones[i, 1], ones[i, 2], ones[i, 3], ones[i, 4], ones[i, 5])
+        found[0, i, 0] = found[1, i, 0] = 0.0
+        for k in range(arc_m.shape[1]):
+            found[2, i, k] = turned_rad(one, arc_m[i, k])
+            if k > 0:
+                east_m, north_m = moved_m(one, course_rad, arc_m[i, k - 1], arc_m[i, k])
+                found[0, i, k], found[1, i, k] = found[0, i, k - 1] + east_m, found[1, i, k - 1] + north_m
+
+
+@compiled
+def laid_out(one: Trapezoid, east_m: float, north_m: float, course_rad: float) -> FloatArray:
+    """Return the line (5, n) of a trapezoid from that place, with samples at every corner of curvature.
+
+    It ends where the circle begins; a trapezoid of no length gets one fine step of its circle.
+    """
+    end_m = one[5] if one[5] >= 1e-6 else FINE_STEP_M
+    corners = (0.0, one[2], one[4], end_m)
+    steps = [0, 0, 0]
+    for k in range(3):
+        length_m = corners[k + 1] - corners[k]
+        if length_m > 1e-9:
+            steps[k] = max(1, math.ceil(length_m / FINE_STEP_M))
+    line = np.empty((5, steps[0] + steps[1] + steps[2] + 1))
+    i = 0
+    for k in range(3):
+        for step in range(steps[k]):
+            line[ARC, i] = corners[k] + step * ((corners[k + 1] - corners[k]) / steps[k])
+            i += 1
+    line[ARC, i] = end_m
+    line[EAST, 0], line[NORTH, 0] = east_m, north_m
+    for i in range(line.shape[1]):
+        arc_m = line[ARC, i]
+        line[COURSE, i] = course_rad + turned_rad(one, arc_m)
+        line[CURVATURE, i] = curvature_per_m(one, arc_m)
+        if i > 0:
+            before_m, step_m = line[ARC, i - 1], arc_m - line[ARC, i - 1]
+            a = course_rad + turned_rad(one, before_m + (0.5 - _NODE_3) * step_m)
+            b = course_rad + turned_rad(one, before_m + 0.5 * step_m)
+            c = course_rad + turned_rad(one, before_m + (0.5 + _NODE_3) * step_m)
+            line[EAST, i] = line[EAST, i - 1] + step_m / 18.0 * (
+                5.0 * math.sin(a) + 8.0 * math.sin(b) + 5.0 * math.sin(c)
+            )
+            line[NORTH, i] = line[NORTH, i - 1] + step_m / 18.0 * (
+                5.0 * math.cos(a) + 8.0 * math.cos(b) + 5.0 * math.cos(c)
+            )
+    return line
+
+
+@compiled
+def circle_after(line: FloatArray, radius_m: float) -> Circling:
+    """Return the circle that continues a line with the sign of its last curvature."""
+    signed_m = radius_m if line[CURVATURE, -1] > 0.0 else -radius_m
+    course_rad = line[COURSE, -1]
+    return Circling(
+        line[EAST, -1] + signed_m * math.cos(course_rad), line[NORTH, -1] - signed_m * math.sin(course_rad), signed_m
+    )
+
+
+# -- along a plan ----------------------------------------------------------------------------------------------------
+
+
+@compiled
+def course_on_circle(circle: Circling, east_m: float, north_m: float) -> float:
+    """Return the course flown at the point of the circle nearest to a place."""
+    outward_rad = math.atan2(east_m - circle.east_m, north_m - circle.north_m)
+    return outward_rad + math.copysign(0.5 * math.pi, circle.radius_m)
+
+
+@compiled
+def nearest_arc_m(line: FloatArray, circle: Circling, east_m: float, north_m: float, course_rad: float) -> float:
+    """See :func:`sidelong.mission.geometry.progress.nearest_arc_m`."""
+    n = line.shape[1]
+    if n == 0:
+        return 0.0
+    # A coarse pass first: what it finds lets the full one pass over most samples by their distance alone.
+    best, misfit_m = 0, np.inf
+    for stride in (16, 1):
+        for i in range(0, n, stride):
+            off_east_m, off_north_m = line[EAST, i] - east_m, line[NORTH, i] - north_m
+            off_m2 = off_east_m * off_east_m + off_north_m * off_north_m
+            if off_m2 < misfit_m * misfit_m:
+                here_m = math.sqrt(off_m2) + _COURSE_WEIGHT_M * abs(remainder(line[COURSE, i] - course_rad))
+                if here_m < misfit_m:
+                    best, misfit_m = i, here_m
+    lap_rad = course_on_circle(circle, east_m, north_m)
+    off_circle_m = math.hypot(east_m - circle.east_m, north_m - circle.north_m) - abs(circle.radius_m)
+    off_circle_rad = remainder(lap_rad - course_rad)
+    length_m = line[ARC, n - 1]
+    if best == n - 1 or abs(off_circle_m) + _COURSE_WEIGHT_M * abs(off_circle_rad) < misfit_m:
+        past_rad = math.copysign(1.0, circle.radius_m) * (lap_rad - line[COURSE, n - 1])
+        past_rad -= _TWO_PI * math.floor(past_rad / _TWO_PI)
+        return float(length_m + abs(circle.radius_m) * past_rad)
+    line_rad = line[COURSE, best]
+    ahead_m = (east_m - line[EAST, best]) * math.sin(line_rad) + (north_m - line[NORTH, best]) * math.cos(line_rad)
+    return float(min(max(line[ARC, best] + ahead_m, 0.0), length_m))
+
+
+@compiled
+def arc_point(start: LinePoint, sharpness_per_m2: float, flown_m: float) -> LinePoint:
+    """Return the point further on where curvature changes linearly: exact in course, Simpson's rule in place."""
+    middle_rad = start.course_rad + (start.curvature_per_m + 0.25 * sharpness_per_m2 * flown_m) * 0.5 * flown_m
+    end_rad = start.course_rad + (start.curvature_per_m + 0.5 * sharpness_per_m2 * flown_m) * flown_m
+    sixth_m = flown_m / 6.0
+    return LinePoint(
+        start.east_m + sixth_m * (math.sin(start.course_rad) + 4.0 * math.sin(middle_rad) + math.sin(end_rad)),
+        start.north_m + sixth_m * (math.cos(start.course_rad) + 4.0 * math.cos(middle_rad) + math.cos(end_rad)),
+        end_rad,
+        start.curvature_per_m + sharpness_per_m2 * flown_m,
+    )
+
+
+@inlined
+def _before(line: FloatArray, arc_m: float) -> int:
+    """Return the last sample at or before an arc, of those that have one after them."""
+    low, high = 0, line.shape[1] - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if line[ARC, middle] <= arc_m:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@inlined
+def point_at(line: FloatArray, circle: Circling, arc_m: float, east_m: float, north_m: float) -> LinePoint:
+    """See :func:`sidelong.mission.geometry.progress.point_at`: the aircraft is at (east, north)."""
+    n = line.shape[1]
+    if n > 0 and arc_m <= line[ARC, n - 1]:
+        i = _before(line, arc_m)
+        start = LinePoint(line[EAST, i], line[NORTH, i], line[COURSE, i], line[CURVATURE, i])
+        sharpness_per_m2 = (line[CURVATURE, i + 1] - line[CURVATURE, i]) / (line[ARC, i + 1] - line[ARC, i])
+        return arc_point(start, sharpness_per_m2, arc_m - line[ARC, i])
+    if n == 0:
+        start_rad, flown_m = course_on_circle(circle, east_m, north_m), arc_m
+    else:
+        start_rad, flown_m = line[COURSE, n - 1], arc_m - line[ARC, n - 1]
+    course_rad = start_rad + flown_m / circle.radius_m
+    return LinePoint(
+        circle.east_m - circle.radius_m * math.cos(course_rad),
+        circle.north_m + circle.radius_m * math.sin(course_rad),
+        course_rad,
+        1.0 / circle.radius_m,
+    )
+
+
+@compiled
+def line_at(
+    line: FloatArray, circle: Circling, arc_m: FloatArray, east_m: float, north_m: float, found: FloatArray
+) -> None:
+    """Fill in (east, north, course) (3, k) at many arcs: see :func:`sidelong.mission.geometry.progress.line_at`."""
+    n = line.shape[1]
+    start_rad, length_m = (
+        (course_on_circle(circle, east_m, north_m), 0.0) if n == 0 else (line[COURSE, n - 1], line[ARC, n - 1])
+    )
+    for k in range(len(arc_m)):
+        if n > 0 and arc_m[k] < length_m:
+            i = _before(line, arc_m[k])
+            share = (arc_m[k] - line[ARC, i]) / (line[ARC, i + 1] - line[ARC, i])
+            for row in range(3):
+                found[row, k] = line[EAST + row, i] + share * (line[EAST + row, i + 1] - line[EAST + row, i])
+        else:
+            course_rad = start_rad + (arc_m[k] - length_m) / circle.radius_m
+            found[0, k] = circle.east_m - circle.radius_m * math.cos(course_rad)
+            found[1, k] = circle.north_m + circle.radius_m * math.sin(course_rad)
+            found[2, k] = course_rad
+
+
+@compiled
+def following_per_m(line: FloatArray, circle: Circling, east_m: float, north_m: float, course_rad: float) -> float:
+    """Return the curvature that brings an aircraft back to its line and along it."""
+    point = point_at(line, circle, nearest_arc_m(line, circle, east_m, north_m, course_rad), east_m, north_m)
+    off_rad = remainder(point.course_rad - course_rad)
+    sin_c, cos_c = math.sin(point.course_rad), math.cos(point.course_rad)
+    cross_track_m = (east_m - point.east_m) * cos_c - (north_m - point.north_m) * sin_c
+    return point.curvature_per_m + _COURSE_GAIN_1_M * off_rad - _BESIDE_GAIN_1_M2 * cross_track_m

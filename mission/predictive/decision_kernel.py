@@ -1,0 +1,287 @@
+"""The inner loops of :mod:`mission.predictive.planner`: a look ahead from a scene, and the move that comes of it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sidelong.estimators.compiled import compiled
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.core.sight import Sight
+from sidelong.mission.geometry.line_kernel import ARC, Craft, line_at, sharpness_per_m2, turn_radius_m
+from sidelong.mission.predictive.cost_kernel import CostTerms, Table, fading_per_s, least
+from sidelong.mission.predictive.future_kernel import Motions, Turns, first_of, winding
+from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S, Kept, lines_from, move_line, ramp_on
+from sidelong.mission.predictive.rollout_kernel import Futures, Lines, Pose, lines_costs, single_line, times_s
+from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame, scene_of
+from sidelong.mission.predictive.second_kernel import (
+    MOVE_BRANCHES,
+    STAY_BRANCHES,
+    Second,
+    deep_cost,
+    foretold_of,
+    moving_ahead,
+    room_for,
+    staying_ahead,
+)
+from sidelong.mission.predictive.second_moves_kernel import Seconds, lay_out_seconds
+from sidelong.mission.predictive.sight_kernel import View, add_sight
+from sidelong.mission.viewpoint.viewpoint_kernel import Wish
+
+UNCERTAIN_M = 10.0
+_WIND_STEP_M_S = 0.5  # second moves are laid out anew when the wind grows by so much
+OTHER_WIND = 0.15  # of the airspeed
+MIN_MOVE = 0.4  # of the radius: the length of a transition
+# A transition within this of its end counts as flown.
+NEARLY_FLOWN_S = 0.2
+
+
+class Prices(NamedTuple):
+    """In seconds off side: of leaving the circle, of changing a plan under way, and of one younger than commit_s.
+
+    A plan that leads out of the cost's band within threat_s binds nobody.
+    """
+
+    leave: float
+    change: float
+    commit: float = 0.0
+    commit_s: float = 0.0
+    threat_s: float = 0.0
+
+
+class Depth(NamedTuple):
+    """How deep to look: so many of the best moves, 0 for none, over horizon_s at least.
+
+    min_values (classes,), min_after_turn: the least that the table says, by which lines are passed over.
+    """
+
+    beam: int
+    horizon_s: float
+    min_values: FloatArray
+    min_after_turn: float
+
+
+class Looker(NamedTuple):
+    """What a planner knows beforehand, and the memory that it looks with: arrays that change."""
+
+    craft: Craft
+    target_speed_max_m_s: float
+    wish: Wish
+    terms: CostTerms
+    table: Table
+    motions: Motions
+    prices: Prices
+    memory: FloatArray
+    kept: Kept
+    turns: Turns
+    depth: Depth
+    seconds: Seconds
+
+
+class Alternatives(NamedTuple):
+    """What a decision chooses among: all moves, or going on as planned, each set of lines from a start.
+
+    stays: the rest of a line that is under way, else stretches of the circle before it is left.
+    """
+
+    moves: Lines
+    start: Pose
+    stays: Lines
+    stays_start: Pose
+    under_way: bool
+
+
+@compiled
+def target_velocity(scene: Scene) -> tuple[float, float]:
+    """Return the target's velocity towards east and north."""
+    sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)
+    across_m_s, along_m_s = scene.mirror * scene.velocity_x_m_s, scene.velocity_y_m_s
+    return across_m_s * cos_c + along_m_s * sin_c, along_m_s * cos_c - across_m_s * sin_c
+
+
+@compiled
+def flown_on(scene: Scene, now: Situation, length_m: float) -> tuple[FloatArray, FloatArray]:
+    """Return (x, y, heading) (3, k) in the frame and the times (k,) of flying on along the present plan."""
+    size = max(2, math.ceil(length_m / (scene.air.airspeed_m_s * STEP_S)) + 1)
+    arc = np.empty(size)
+    for k in range(size):
+        arc[k] = scene.arc_m + k * (length_m / (size - 1))
+    found = np.empty((3, size))
+    line_at(now.line, now.circle, arc, now.east_m, now.north_m, found)
+    for k in range(size):
+        found[0, k], found[1, k] = in_frame(scene, found[0, k], found[1, k])
+        found[2, k] = scene.mirror * (found[2, k] - scene.course_rad)
+    return found, times_s(found[2], arc, scene.air)
+
+
+@compiled
+def doubtful(scene: Scene, motions: Motions) -> bool:
+    """Tell whether there is much of what the table does not know: uncertainty, or another wind than its own."""
+    wind_m_s = math.hypot(scene.air.wind_x_m_s, scene.air.wind_y_m_s)
+    other_wind = abs(wind_m_s - motions.wind_speed_m_s) > OTHER_WIND * scene.air.airspeed_m_s
+    return other_wind or scene.doubt.position_m > UNCERTAIN_M
+
+
+@compiled
+def left_m(scene: Scene, now: Situation) -> float:
+    """Return how much of the present plan's line is left at the departure, 0 where it is nearly flown."""
+    line = now.line
+    ahead_m = line[ARC, line.shape[1] - 1] - scene.arc_m if line.shape[1] > 0 else 0.0
+    return ahead_m if ahead_m > NEARLY_FLOWN_S * scene.air.airspeed_m_s else 0.0
+
+
+@compiled
+def alternatives(scene: Scene, now: Situation, looker: Looker, beyond_m: float) -> Alternatives:
+    """Return what to choose among; each line is followed beyond_m further than its end."""
+    kept, craft, air = looker.kept, looker.craft, scene.air
+    rate_per_s = fading_per_s(looker.table)
+    x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
+    heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
+    start, start_per_m = Pose(x_m, y_m, heading_rad), scene.mirror * scene.start.curvature_per_m
+    ramp = ramp_on(heading_rad, air, craft)
+    moves = lines_from(0.0, scene, start_per_m, ramp, beyond_m, craft, heading_rad, rate_per_s, kept)
+    rest_m = left_m(scene, now)
+    if rest_m > 0.0:
+        ahead, time_s = flown_on(scene, now, rest_m + beyond_m)
+        rest = single_line(ahead[0], ahead[1], ahead[2], time_s, rate_per_s)
+        return Alternatives(moves, start, rest, Pose(0.0, 0.0, 0.0), True)
+    circle_per_m = scene.mirror / now.circle.radius_m
+    stays = lines_from(1.0, scene, circle_per_m, ramp, beyond_m, craft, heading_rad, rate_per_s, kept)
+    return Alternatives(moves, start, stays, start, False)
+
+
+@compiled
+def add_prices(among: Alternatives, radius_m: float, leave: float, change: float, costs: FloatArray) -> None:
+    """Add what moves cost by themselves. One that hardly leaves the circle is infinitely dear.
+
+    "Back to the circle" is staying, and so is hardly leaving it: the table is not that fine.
+    """
+    if among.under_way:
+        costs += change
+        return
+    for i in range(MOVES):
+        costs[i] = np.inf if among.moves.end_m[i] < MIN_MOVE * radius_m else costs[i] + leave
+
+
+@compiled
+def look_ahead(
+    scene: Scene, now: Situation, futures: Futures, looker: Looker, sight: Sight, costs: FloatArray
+) -> float:
+    """Fill in what each move costs (MOVES,), its price included, and return what going on as planned costs."""
+    table, prices, radius_m = looker.table, looker.prices, scene.radius_m
+    # In doubt all lines are followed for a lap more: else moves seem cheaper later than they ever turn out.
+    beyond_m = 2.0 * math.pi * radius_m if doubtful(scene, looker.motions) else 0.0
+    among = alternatives(scene, now, looker, beyond_m)
+    stay_costs = np.empty(len(among.stays.trunk))
+    view = View(scene.course_rad, scene.mirror, scene.velocity_x_m_s, scene.velocity_y_m_s)
+    lap_s, rate_per_s = 2.0 * math.pi * radius_m / scene.air.airspeed_m_s, fading_per_s(table)
+    lines_costs(among.moves, among.start, futures, scene.doubt, looker.terms, table, costs)
+    add_sight(among.moves, among.start, sight, view, radius_m, lap_s, rate_per_s, costs)
+    lines_costs(among.stays, among.stays_start, futures, scene.doubt, looker.terms, table, stay_costs)
+    add_sight(among.stays, among.stays_start, sight, view, radius_m, lap_s, rate_per_s, stay_costs)
+    add_prices(among, radius_m, prices.leave, prices.change, costs)
+    return least(stay_costs)
+
+
+@compiled
+def lay_out(looker: Looker, radius_m: float, airspeed_m_s: float, wind_m_s: float) -> None:
+    """Have the second moves at hand for a circle, an airspeed and a wind: the first time takes half a millisecond."""
+    # A wind of a whole step stays of that step, however its direction was rounded.
+    steps = math.ceil(wind_m_s / _WIND_STEP_M_S - 1e-6)
+    fastest_m_s = airspeed_m_s + steps * _WIND_STEP_M_S
+    ramp = sharpness_per_m2(fastest_m_s, looker.craft)
+    turn_m = turn_radius_m(radius_m, fastest_m_s, looker.craft)
+    lay_out_seconds(looker.seconds, radius_m, turn_m, ramp, airspeed_m_s * STEP_S)
+
+
+@compiled
+def look_deeper(
+    scene: Scene,
+    now: Situation,
+    futures: Futures,
+    looker: Looker,
+    sight: Sight,
+    min_gain: float,
+    costs: FloatArray,
+) -> float:
+    """Do as :func:`look_ahead`, then look at the best moves again, two moves deep over several futures.
+
+    All other moves become infinitely dear. That look is spared where staying would be cheaper than every move even
+    if moves were free, and where the ground hides something: second moves know nothing of it. What gains less than
+    min_gain may be given any cost above that.
+    """
+    # The turns that it may begin need the second move to tell; that it goes its old way again matters from the first.
+    likely = first_of(futures, max(1, 1 + len(futures.weight) - len(looker.turns.rate_rad_s)))
+    stay_cost = look_ahead(scene, now, likely, looker, sight, costs)
+    depth, prices, air = looker.depth, looker.prices, scene.air
+    if depth.beam == 0 or len(sight.needed_m) > 0 or doubtful(scene, looker.motions):
+        return stay_cost
+    under_way = left_m(scene, now) > 0.0
+    price = prices.change if under_way else prices.leave
+    if least(costs) - price > stay_cost:
+        return stay_cost
+    second = Second(
+        foretold_of(futures, scene.doubt, looker.table, depth.min_values, depth.min_after_turn),
+        looker.terms,
+        looker.table,
+        looker.seconds,
+        prices.leave,
+        prices.change,
+        depth.horizon_s,
+        room_for(futures, air),
+    )
+    lay_out(looker, scene.radius_m, air.airspeed_m_s, math.hypot(air.wind_x_m_s, air.wind_y_m_s))
+    ahead, end = staying_ahead(scene, now, under_way)
+    stay_cost = deep_cost(ahead, end, STAY_BRANCHES, scene, second, np.inf)
+    order = np.argsort(costs, kind="mergesort")
+    for i in range(MOVES):
+        move = order[i]
+        if i >= depth.beam:
+            costs[move] = np.inf
+        elif costs[move] < np.inf:
+            ahead, end = moving_ahead(scene, looker.craft, move)
+            costs[move] = price + deep_cost(ahead, end, MOVE_BRANCHES, scene, second, stay_cost - price - min_gain)
+    return stay_cost
+
+
+@compiled
+def commitment(scene: Scene, now: Situation, futures: Futures, looker: Looker) -> float:
+    """Return what a new plan must gain beyond its price because the present one departed only just now."""
+    prices, terms, place = looker.prices, looker.terms, futures.place
+    if now.line.shape[1] == 0 or now.age_s >= prices.commit_s:
+        return 0.0
+    ahead, time_s = flown_on(scene, now, prices.threat_s * scene.air.airspeed_m_s)
+    for k in range(len(time_s)):
+        i = min(int(time_s[k] / STEP_S + 0.5), place.shape[1] - 1)
+        for one in range(len(place)):
+            range_m = math.hypot(ahead[0, k] - place[one, i, 0], ahead[1, k] - place[one, i, 1])
+            if range_m < terms.near_m or range_m > terms.far_m:
+                return 0.0
+    return prices.commit
+
+
+@compiled
+def decide(now: Situation, looker: Looker) -> tuple[float, float, FloatArray]:
+    """Return (departure, radius, line (5, n)) of the best move where it is cheaper than staying, else n = 0.
+
+    The ground hides nothing.
+    """
+    scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
+    costs = np.empty(MOVES)
+    flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
+    futures = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+    min_gain = commitment(scene, now, futures, looker)
+    stay_cost = look_deeper(scene, now, futures, looker, flat, min_gain, costs)
+    line = best_line(scene, looker, costs, stay_cost - min_gain)
+    return scene.departure_s, scene.radius_m, line
+
+
+@compiled
+def best_line(scene: Scene, looker: Looker, costs: FloatArray, bar: float) -> FloatArray:
+    """Return the line (5, n) of the cheapest move where it is below the bar, else n = 0."""
+    best = int(np.argmin(costs))
+    if costs[best] < bar:
+        return move_line(scene, looker.craft, best)
+    return np.empty((5, 0))

@@ -1,0 +1,245 @@
+"""What is foretold of the target: that it goes on, turns, or goes along its trail again, and what is watched then."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sidelong.estimators.compiled import compiled, inlined
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.predictive.cost_kernel import IntArray
+from sidelong.mission.predictive.moves_kernel import STEP_S
+from sidelong.mission.predictive.rollout_kernel import Futures
+from sidelong.mission.predictive.scene_kernel import Scene, in_frame
+from sidelong.mission.viewpoint.trail_kernel import gone_again, lead, no_part
+from sidelong.mission.viewpoint.viewpoint_kernel import (
+    MIN_WAY_M,
+    STANDING,
+    TRAIL,
+    Wish,
+    made_good_sigma_rad,
+    place_at,
+)
+
+FORETOLD_S = 110  # longer than any line: after it the watch course is the target's
+_SLOW_M_S = 0.5  # the course of so slow a target tells nothing
+_SPEED_RINGS = 3  # of the table's classes: standing, half and full speed
+
+
+class Motions(NamedTuple):
+    """How the table's classes are arranged: see :meth:`mission.predictive.value_table.TableConfiguration.classes`."""
+
+    follows_course: bool
+    wind_speed_m_s: float
+    target_speed_max_m_s: float
+    wind_directions: int
+    target_directions: int
+
+
+class Turns(NamedTuple):
+    """Rates at which the target may begin to turn (f,), the first 0; they fade with this time constant."""
+
+    rate_rad_s: FloatArray
+    fades_s: float
+
+
+@inlined
+def fill_classes(
+    motions: Motions,
+    velocity_x_m_s: float,
+    velocity_y_m_s: float,
+    wind_x_m_s: float,
+    wind_y_m_s: float,
+    classes: IntArray,
+    share: FloatArray,
+    turn_share: FloatArray,
+) -> None:
+    """Fill in the table's classes (4,) about velocities of target and wind, and their shares in V and after a turn.
+
+    Of the wind only the direction counts: its speed is the table's. After a turn the speed before it is forgotten,
+    but for that of a target that stood in a sector's table: it has no direction to turn from.
+    """
+    speed_m_s = math.sqrt(velocity_x_m_s * velocity_x_m_s + velocity_y_m_s * velocity_y_m_s)
+    speed = min(speed_m_s / motions.target_speed_max_m_s, 1.0) * (_SPEED_RINGS - 1)
+    ring = min(int(speed), _SPEED_RINGS - 2)
+    outer = speed - ring
+    classes[:], share[:], turn_share[:] = 0, 0.0, 0.0
+    if motions.follows_course and motions.wind_speed_m_s == 0.0:
+        classes[0], classes[1] = ring, ring + 1
+        share[0], share[1], turn_share[0] = 1.0 - outer, outer, 1.0
+        return
+    if motions.follows_course:
+        directions, angle_rad = motions.wind_directions, math.atan2(wind_x_m_s, wind_y_m_s)
+    else:
+        directions, angle_rad = motions.target_directions, math.atan2(velocity_x_m_s, velocity_y_m_s)
+    direction = angle_rad / (2.0 * math.pi) * directions
+    direction -= directions * math.floor(direction / directions)
+    first = int(direction)
+    past = direction - first
+    for i in range(4):
+        a, b = ring + i // 2, (first + i % 2) % directions
+        ring_share, part = outer if i // 2 else 1.0 - outer, past if i % 2 else 1.0 - past
+        share[i] = ring_share * part
+        if motions.follows_course:
+            classes[i] = a * directions + b
+            turn_share[i] = 0.0 if i // 2 else part
+        else:
+            classes[i] = 1 + (a - 1) * directions + b if a else 0
+            turn_share[i] = share[i] if ring == 0 else 0.0 if i // 2 else part
+
+
+@compiled
+def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turns: Turns) -> Futures:
+    """Return futures in which the target keeps its speed and turns, and the course that is watched turns after it.
+
+    There is one for each turn, the first straight on. Where the target goes along a part of its trail again, that it
+    goes on so is the second and one more. The running cost is that of the course made good, of the present one, or of
+    a fixed one; the table is asked in the frame of the velocity, in which it was computed, or of the fixed course.
+    """
+    k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 25)
+    speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
+    moving = memory[STANDING] == 0.0 and speed_m_s > _SLOW_M_S
+    again, trail = no_part(), memory[TRAIL:]
+    if moving and len(turns.rate_rad_s) > 1:
+        again = gone_again(trail, scene.frame_east_m, scene.frame_north_m, speed_m_s)
+    more = 1 if again.chance > 0.0 else 0
+    f = len(turns.rate_rad_s) + more
+    place, weight = np.zeros((f, k, 4)), np.full(f, (1.0 - again.chance) / (f - more))
+    faded_s = np.empty(k)
+    for i in range(k):
+        faded_s[i] = turns.fades_s * (1.0 - math.exp(-(i + 0.5) * STEP_S / turns.fades_s))
+    for one in range(f):
+        _turning(scene, turns.rate_rad_s[max(one - more, 0)], faded_s, place[one])
+    if more > 0:
+        weight[1], x_m, y_m = again.chance, np.empty(k + 1), np.empty(k + 1)
+        lead(trail, again, scene.frame_east_m, scene.frame_north_m, speed_m_s * STEP_S, x_m, y_m)
+        for i in range(k + 1):
+            x_m[i], y_m[i] = in_frame(scene, x_m[i], y_m[i])
+        place[1, :, 0], place[1, :, 1] = x_m[:k], y_m[:k]
+        place[1, :, 2], place[1, :, 3] = (x_m[1:] - x_m[:k]) / STEP_S, (y_m[1:] - y_m[:k]) / STEP_S
+    return _watched(scene, motions, wish, memory, moving, weight, place)
+
+
+@compiled
+def _turning(scene: Scene, rate_rad_s: float, faded_s: FloatArray, place: FloatArray) -> None:
+    """Fill in the places and velocities (k, 4) of a target that begins to turn: by the rate for faded_s (k,)."""
+    speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
+    course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
+    x_m = y_m = 0.0
+    vx, vy = speed_m_s * math.sin(course_rad), speed_m_s * math.cos(course_rad)
+    for i in range(len(place)):
+        if rate_rad_s != 0.0:
+            heading_rad = course_rad + rate_rad_s * faded_s[i]
+            vx, vy = speed_m_s * math.sin(heading_rad), speed_m_s * math.cos(heading_rad)
+        place[i, 0], place[i, 1], place[i, 2], place[i, 3] = x_m, y_m, vx, vy
+        x_m, y_m = x_m + vx * STEP_S, y_m + vy * STEP_S
+
+
+@compiled
+def _watched(
+    scene: Scene,
+    motions: Motions,
+    wish: Wish,
+    memory: FloatArray,
+    moving: bool,
+    weight: FloatArray,
+    place: FloatArray,
+) -> Futures:
+    """Return futures of these weights (f,), places and velocities (f, k, 4), with the courses to watch from."""
+    horizon_s, fixed = wish.course_horizon_s, not math.isnan(wish.fixed_course_rad)
+    f, k = place.shape[:2]
+    found = Futures(
+        weight,
+        STEP_S,
+        place,
+        np.empty((f, k, 3)),
+        np.empty((f, k, 3)),
+        np.empty((f, k, 4), np.int64),
+        np.empty((f, k, 4)),
+        np.empty((f, k, 4)),
+    )
+    past = np.empty((math.ceil(horizon_s / STEP_S) + 1 if horizon_s > 0.0 and not fixed else 0, 2))
+    _watch(scene, motions, wish, memory, moving, past, found)
+    return found
+
+
+@compiled
+def _watch(
+    scene: Scene,
+    motions: Motions,
+    wish: Wish,
+    memory: FloatArray,
+    moving: bool,
+    past: FloatArray,
+    found: Futures,
+) -> None:
+    """Fill in the courses to watch from, and the classes. past (n, 2): room for where it was before."""
+    horizon_s, place, facing, course = wish.course_horizon_s, found.place, found.facing, found.course
+    air, doubt, fixed = scene.air, scene.doubt, not math.isnan(wish.fixed_course_rad)
+    course_rad = math.atan2(scene.velocity_x_m_s, scene.velocity_y_m_s)
+    # Where it was so long before each of the first steps.
+    for i in range(len(past)):
+        east_m, north_m = place_at(memory, scene.departure_s + min(i * STEP_S - horizon_s, 0.0))
+        past[i, 0], past[i, 1] = in_frame(scene, east_m, north_m)
+    # No sine is taken where a way or a velocity has it: this is done for hundreds of places in each decision.
+    position2, velocity2 = doubt.position_m * doubt.position_m, doubt.velocity_m_s * doubt.velocity_m_s
+    for one in range(len(place)):
+        sin_f, cos_f, facing_rad = 0.0, 1.0, 0.0
+        sin_t, cos_t, table_rad = 0.0, 1.0, 0.0
+        before_x = before_y = np.nan
+        for i in range(place.shape[1]):
+            since_s = i * STEP_S
+            x_m, y_m, vx, vy = place[one, i, 0], place[one, i, 1], place[one, i, 2], place[one, i, 3]
+            sigma_rad = doubt.course_rad
+            turns = not fixed and (vx != before_x or vy != before_y)
+            before_x, before_y = vx, vy
+            if turns and horizon_s > 0.0 and moving:
+                table_rad, speed_m_s = math.atan2(vx, vy), math.sqrt(vx * vx + vy * vy)
+                sin_t, cos_t = (vx / speed_m_s, vy / speed_m_s) if speed_m_s > 0.0 else (0.0, 1.0)
+            elif turns and horizon_s <= 0.0:
+                facing_rad = table_rad = math.atan2(vx, vy) - course_rad
+                sin_f, cos_f = math.sin(facing_rad), math.cos(facing_rad)
+                sin_t, cos_t = sin_f, cos_f
+            if horizon_s > 0.0 and not fixed:
+                back_s = since_s - horizon_s
+                if back_s > 0.0:
+                    j = int(back_s / STEP_S)
+                    rest_s = back_s - j * STEP_S
+                    way_x_m = x_m - place[one, j, 0] - place[one, j, 2] * rest_s
+                    way_y_m = y_m - place[one, j, 1] - place[one, j, 3] * rest_s
+                else:
+                    way_x_m, way_y_m = x_m - past[i, 0], y_m - past[i, 1]
+                way_m = math.sqrt(way_x_m * way_x_m + way_y_m * way_y_m)
+                if way_m > MIN_WAY_M:
+                    sin_f, cos_f = way_x_m / way_m, way_y_m / way_m
+                    if not moving:
+                        sin_t, cos_t, table_rad = sin_f, cos_f, math.atan2(way_x_m, way_y_m)
+                sigma_rad = made_good_sigma_rad(math.sqrt(position2 + velocity2 * since_s * since_s), way_m)
+            facing[one, i, 0], facing[one, i, 1], facing[one, i, 2] = sin_f, cos_f, sigma_rad
+            course[one, i, 0], course[one, i, 1], course[one, i, 2] = sin_t, cos_t, table_rad
+            fill_classes(
+                motions,
+                vx * cos_t - vy * sin_t,
+                vx * sin_t + vy * cos_t,
+                air.wind_x_m_s * cos_t - air.wind_y_m_s * sin_t,
+                air.wind_x_m_s * sin_t + air.wind_y_m_s * cos_t,
+                found.classes[one, i],
+                found.share[one, i],
+                found.turn_share[one, i],
+            )
+
+
+@compiled
+def first_of(f: Futures, n: int) -> Futures:
+    """Return the first n futures alone: the second as likely as it is, the first otherwise."""
+    weight = np.ones(n)
+    weight[1:] = f.weight[1:n]
+    others = 0.0
+    for one in range(1, n):
+        others += weight[one]
+    weight[0] -= others
+    return Futures(
+        weight, f.step_s, f.place[:n], f.facing[:n], f.course[:n], f.classes[:n], f.share[:n], f.turn_share[:n]
+    )

@@ -1,0 +1,244 @@
+"""The inner loops of :mod:`sidelong.mission.predictive.moves`: what can be flown from a scene."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sidelong.estimators.compiled import compiled
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.geometry.line_kernel import (
+    Craft,
+    Trapezoid,
+    ground_speed_m_s,
+    laid_out,
+    sharpness_per_m2,
+    trapezoid,
+    turned_rad,
+    with_last_ramp,
+)
+from sidelong.mission.predictive.cost_kernel import IntArray
+from sidelong.mission.predictive.rollout_kernel import Air, Lines, spread
+from sidelong.mission.predictive.scene_kernel import Scene
+
+STEP_S = 1.0
+# A ramp turns the aircraft by less than this either way.
+RAMP_TURNS_RAD = (-0.5, -0.25, 0.0, 0.25, 0.5)
+
+# The moves, in units of the circle's radius, for a circle flown clockwise; mirrored for the other way round. Holds of
+# curvature -1 turn the other way: that is how the aircraft gets round a target that turned back. They are as tight as
+# a transition may be, in units of that turn's radius. "Back to the circle at once" is the last.
+HOLD_CURVATURES = np.array([-1.0, -0.5, 0.0, 0.33, 0.66])
+HOLD_LENGTHS = np.array([0.0, 0.2, 0.4, 0.6, 0.9, 1.2, 1.6, 2.1, 2.7, 3.4, 4.2, 5.2, 6.4, 8.0])
+# How long the circle may be flown on before the next move.
+STAY_LENGTHS = np.array([0.2, 0.6, 1.2, 2.0, 3.2, 4.8, 2.0 * math.pi])
+MOVES = HOLD_CURVATURES.size * HOLD_LENGTHS.size + 1
+
+_SLOTS, _SAMPLES_MAX = 12, 4096
+
+
+class Kept(NamedTuple):
+    """Sets of lines for still air, as many as there are slots, by what they depend on.
+
+    used (slots + 1,): when each was asked for last, then the clock. Arrays (slots, ...) of the fields of Lines.
+    """
+
+    key: FloatArray
+    used: IntArray
+    size: IntArray
+    samples: FloatArray
+    trunk_first: IntArray
+    own_first: IntArray
+    trunk: IntArray
+    on_trunk: IntArray
+    end_m: FloatArray
+
+
+def nothing_kept() -> Kept:
+    """Return empty slots."""
+    return Kept(
+        np.zeros((_SLOTS, 7)),
+        np.zeros(_SLOTS + 1, np.int64),
+        np.zeros(_SLOTS, np.int64),
+        np.zeros((_SLOTS, 5, _SAMPLES_MAX)),
+        np.zeros((_SLOTS, HOLD_CURVATURES.size + 2), np.int64),
+        np.zeros((_SLOTS, MOVES + 1), np.int64),
+        np.zeros((_SLOTS, MOVES), np.int64),
+        np.zeros((_SLOTS, MOVES), np.int64),
+        np.zeros((_SLOTS, MOVES)),
+    )
+
+
+@compiled
+def ramp_on(heading_rad: float, air: Air, craft: Craft) -> float:
+    """Return the ramp for the greatest ground speed met on one that begins on a heading."""
+    if air.wind_x_m_s == 0.0 and air.wind_y_m_s == 0.0:
+        return sharpness_per_m2(air.airspeed_m_s, craft)
+    fastest_m_s = 0.0
+    for turn_rad in RAMP_TURNS_RAD:
+        fastest_m_s = max(
+            fastest_m_s,
+            ground_speed_m_s(heading_rad + turn_rad, air.airspeed_m_s, air.wind_x_m_s, air.wind_y_m_s),
+        )
+    return sharpness_per_m2(fastest_m_s, craft)
+
+
+@compiled
+def unit_m(hold: int, radius_m: float, turn_radius_m: float) -> float:
+    """Return the radius that a hold's curvature and lengths are told in."""
+    return turn_radius_m if hold == 0 else radius_m
+
+
+@compiled
+def move_from(start_per_m: float, move: int, radius_m: float, turn_radius_m: float, ramp: float) -> Trapezoid:
+    """Return one of the moves from a curvature, ending on the clockwise circle."""
+    if move == MOVES - 1:
+        return trapezoid(start_per_m, start_per_m, 0.0, 1.0 / radius_m, ramp)
+    hold, length = move // HOLD_LENGTHS.size, HOLD_LENGTHS[move % HOLD_LENGTHS.size]
+    unit = unit_m(hold, radius_m, turn_radius_m)
+    return trapezoid(start_per_m, HOLD_CURVATURES[hold] / unit, length * unit, 1.0 / radius_m, ramp)
+
+
+@compiled
+def _moves(
+    scene: Scene,
+    start_per_m: float,
+    ramp: float,
+    beyond_m: float,
+    craft: Craft,
+    heading_rad: float,
+    rate_per_s: float,
+) -> Lines:
+    """Return the lines of all moves."""
+    holds_per_m = np.empty(HOLD_CURVATURES.size + 1)
+    for k in range(HOLD_CURVATURES.size):
+        holds_per_m[k] = HOLD_CURVATURES[k] / unit_m(k, scene.radius_m, scene.turn_radius_m)
+    holds_per_m[-1] = start_per_m
+    hold, lengths_m, last_ramps = np.empty(MOVES, np.int64), np.empty(MOVES), np.empty(MOVES)
+    for move in range(MOVES):
+        hold[move] = move // HOLD_LENGTHS.size
+        one = move_from(start_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
+        unit = unit_m(hold[move], scene.radius_m, scene.turn_radius_m)
+        lengths_m[move] = HOLD_LENGTHS[move % HOLD_LENGTHS.size] * unit
+        last_ramps[move] = ramp_on(heading_rad + turned_rad(one, one[4]), scene.air, craft)
+    lengths_m[MOVES - 1] = 0.0
+    return spread(
+        start_per_m,
+        holds_per_m,
+        hold,
+        lengths_m,
+        1.0 / scene.radius_m,
+        ramp,
+        last_ramps,
+        scene.air.airspeed_m_s * STEP_S,
+        beyond_m,
+        heading_rad,
+        scene.air,
+        rate_per_s,
+    )
+
+
+@compiled
+def _stays(
+    scene: Scene, start_per_m: float, ramp: float, beyond_m: float, heading_rad: float, rate_per_s: float
+) -> Lines:
+    """Return stretches of a present circle, in the form of moves: each ends on the clockwise circle.
+
+    They are plain arcs where the present circle is that circle; from another one they ramp over at their end.
+    """
+    return spread(
+        start_per_m,
+        np.full(1, start_per_m),
+        np.zeros(STAY_LENGTHS.size, np.int64),
+        STAY_LENGTHS * scene.radius_m,
+        1.0 / scene.radius_m,
+        ramp,
+        np.full(STAY_LENGTHS.size, ramp),
+        scene.air.airspeed_m_s * STEP_S,
+        beyond_m,
+        heading_rad,
+        scene.air,
+        rate_per_s,
+    )
+
+
+@compiled
+def _slot(kept: Kept, wanted: tuple[float, float, float, float, float, float, float]) -> tuple[int, int]:
+    """Return the slot with the lines of a key, -1 for none, and the one asked for longest ago."""
+    slots, oldest = len(kept.size), 0
+    kept.used[slots] += 1
+    for i in range(slots):
+        same = kept.used[i] > 0
+        for k in range(len(wanted)):
+            same &= kept.key[i, k] == wanted[k]
+        if same:
+            kept.used[i] = kept.used[slots]
+            return i, oldest
+        if kept.used[i] < kept.used[oldest]:
+            oldest = i
+    return -1, oldest
+
+
+@compiled
+def lines_from(
+    family: float,
+    scene: Scene,
+    start_per_m: float,
+    ramp: float,
+    beyond_m: float,
+    craft: Craft,
+    heading_rad: float,
+    rate_per_s: float,
+    kept: Kept,
+) -> Lines:
+    """Return the moves (family 0) or the stays (1) from a curvature, from those kept where they can be."""
+    calm = scene.air.wind_x_m_s == 0.0 and scene.air.wind_y_m_s == 0.0
+    wanted = (family, start_per_m, scene.radius_m, ramp, beyond_m, rate_per_s, scene.air.airspeed_m_s)
+    i, oldest = _slot(kept, wanted) if calm else (-1, 0)
+    if i >= 0:
+        n, lines, trunks, samples = kept.size[i], MOVES, HOLD_CURVATURES.size + 1, kept.samples[i]
+        if family > 0.0:
+            lines, trunks = STAY_LENGTHS.size, 1
+        return Lines(
+            samples[0, :n],
+            samples[1, :n],
+            samples[2, :n],
+            samples[3, :n],
+            samples[4, :n],
+            kept.trunk_first[i, : trunks + 1],
+            kept.own_first[i, : lines + 1],
+            kept.trunk[i, :lines],
+            kept.on_trunk[i, :lines],
+            kept.end_m[i, :lines],
+        )
+    if family > 0.0:
+        made = _stays(scene, start_per_m, ramp, beyond_m, heading_rad, rate_per_s)
+    else:
+        made = _moves(scene, start_per_m, ramp, beyond_m, craft, heading_rad, rate_per_s)
+    n = len(made.x_m)
+    if calm and n <= kept.samples.shape[2]:
+        for k in range(len(wanted)):
+            kept.key[oldest, k] = wanted[k]
+        kept.used[oldest], kept.size[oldest] = kept.used[-1], n
+        for row, values in enumerate((made.x_m, made.y_m, made.turned_rad, made.time_s, made.weight)):
+            kept.samples[oldest, row, :n] = values
+        kept.trunk_first[oldest, : len(made.trunk_first)] = made.trunk_first
+        kept.own_first[oldest, : len(made.own_first)] = made.own_first
+        lines = len(made.trunk)
+        kept.trunk[oldest, :lines], kept.on_trunk[oldest, :lines] = made.trunk, made.on_trunk
+        kept.end_m[oldest, :lines] = made.end_m
+    return made
+
+
+@compiled
+def move_line(scene: Scene, craft: Craft, move: int) -> FloatArray:
+    """Return the line (5, n) of a move, in the plane."""
+    heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
+    ramp = ramp_on(heading_rad, scene.air, craft)
+    one = move_from(scene.mirror * scene.start.curvature_per_m, move, scene.radius_m, scene.turn_radius_m, ramp)
+    one = with_last_ramp(one, ramp_on(heading_rad + turned_rad(one, one[4]), scene.air, craft))
+    m = scene.mirror
+    one = (m * one[0], m * one[1], one[2], m * one[3], one[4], one[5])
+    return laid_out(one, scene.start.east_m, scene.start.north_m, scene.start.course_rad)

@@ -1,0 +1,1 @@
+"""A simulated ArduPlane: modes, mission, navigation, parameters and telemetry."""

@@ -1,0 +1,383 @@
+"""ArduPlane 4.7 as a ground program meets it: modes, mission, commands, failsafe."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from sidelong.sitl.arduplane.mission import ArduPlaneMission, MissionState
+from sidelong.sitl.arduplane.modes import SELF_FLYING, Mode
+from sidelong.sitl.arduplane.navigator import ArduPlaneNavigator
+from sidelong.sitl.arduplane.parameters import arduplane_parameters
+from sidelong.sitl.arduplane.telemetry import DATA_STREAMS, DEFAULT_INTERVAL_S, ArduPlaneTelemetry
+from sidelong.sitl.arduplane.terrain import TerrainDatabase
+from sidelong.sitl.autopilot import Autopilot
+from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
+from sidelong.sitl.protocol.fence import PointStore
+from sidelong.sitl.protocol.file_server import FileErrors, FileServer
+from sidelong.sitl.protocol.items import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item
+from sidelong.sitl.protocol.radio import Station
+from sidelong.sitl.protocol.transfer import ProtocolQuirks, Store
+from sidelong.sitl.settings import Settings
+from sidelong.sitl.world.airframe import AirframeParameters
+from sidelong.sitl.world.place import Place
+
+# The stock simulator's airframe turns less than its bank would in a coordinated turn. With L1, which has no
+# integral on circles, that is why it flies 116 m for 100, 69 for 50 and 167 for 150 at 22 m/s.
+BUILD = AirframeParameters(turn_efficiency=0.78)
+_INITIAL_HEADING_RAD = math.radians(353.0)
+_TAKEOFF_OVERSHOOT_M = 10.0  # the climb is kept up until the height is passed
+_DEFAULT_AIRSPEED = -2.0
+_MANNERS = ProtocolQuirks(
+    asks_with_int=False,
+    retry_s=1.0,
+    timeout_s=8.0,
+    max_items=724,
+    partial_writes=True,
+    reads_in_order=False,
+    busy_result=mavlink.MAV_MISSION_DENIED,
+    restarts=True,
+    wrong_sequence_result=mavlink.MAV_MISSION_INVALID_SEQUENCE,
+    repeats_final_ack=False,
+    timeout_result=mavlink.MAV_MISSION_OPERATION_CANCELLED,
+    timeout_severity=mavlink.MAV_SEVERITY_WARNING,
+    timeout_text="Mission upload timeout",
+)
+_ITEM_NAMES = {
+    mavlink.MAV_CMD_NAV_WAYPOINT: "WP",
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: "LoitUnlim",
+    mavlink.MAV_CMD_NAV_LOITER_TURNS: "LoitTurns",
+    mavlink.MAV_CMD_NAV_LOITER_TIME: "LoitTime",
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: "RTL",
+    mavlink.MAV_CMD_NAV_LAND: "Land",
+    mavlink.MAV_CMD_NAV_TAKEOFF: "Takeoff",
+    mavlink.MAV_CMD_NAV_LOITER_TO_ALT: "LoitAltitude",
+}
+
+
+class ArduPlane(Autopilot):
+    autopilot_id = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    first_mode = Mode.MANUAL
+    taken_over_mode = Mode.FBWA
+    navigation_period_s = 0.1
+    hears_once_a_loop = True
+    home_known_s = 21.7
+    ready_s = 22.9
+    unknown_interval_result = DENIED
+    unknown_request_result = FAILED
+    arming_refusal = (FAILED, "Arm: AHRS: waiting for home")
+    quirks = _MANNERS
+    default_interval_s = DEFAULT_INTERVAL_S
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings, BUILD, _INITIAL_HEADING_RAD, arduplane_parameters(settings))
+        home = self.home
+        home_item = Item(
+            mavlink.MAV_CMD_NAV_WAYPOINT,
+            mavlink.MAV_FRAME_GLOBAL,
+            (0.0, 0.0, 0.0, 0.0),
+            round(home.latitude_deg * 1e7),
+            round(home.longitude_deg * 1e7),
+            home.altitude_m,
+        )
+        self.mission = ArduPlaneMission(home_item, self.say, self._start_item, lambda: self.armed)
+        self.navigator = ArduPlaneNavigator(self.craft, self.parameters, home.altitude_m)
+        self._guided_radius_m = 0.0
+        self._ordered_airspeed_m_s: float | None = None
+        self._min_ground_speed_m_s = 0.0
+        self._failsafe = False
+        self._handlers |= {
+            mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: self._on_set_current,
+            mavlink.MAV_CMD_MISSION_START: self._on_mission_start,
+            mavlink.MAV_CMD_DO_REPOSITION: self._on_reposition,
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _: ACCEPTED if self.set_mode(Mode.RTL) else FAILED,
+            mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda _: ACCEPTED if self.set_mode(Mode.LOITER) else FAILED,
+            mavlink.MAV_CMD_NAV_TAKEOFF: lambda _: FAILED,  # only for quadplanes
+            mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
+        }
+        self.files = FileServer({"@PARAM/param.pck": self.parameters.packed}, FileErrors.FAILED, FileErrors.NOT_FOUND)
+        # One that has no heights asks for them; here only where there are hills to ask about.
+        self.terrain = TerrainDatabase(home.latitude_deg, home.longitude_deg) if settings.terrain else None
+        stores: tuple[Store, ...] = (self.mission, PointStore(False), PointStore(False))
+        self.attach(stores, ArduPlaneTelemetry(self).builders())
+
+    @property
+    def roll_limit_rad(self) -> float:
+        return math.radians(self.parameters.within("ROLL_LIMIT_DEG", 5.0, 80.0))
+
+    @property
+    def base_mode(self) -> int:
+        flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+        flags |= mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+        if self.mode in SELF_FLYING:
+            flags |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
+        return int(flags | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0))
+
+    # Modes.
+
+    def mode_of_command(self, base_mode: int, main: int, sub: int) -> int | None:
+        del sub  # PX4's
+        return main if base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED and main in list(Mode) else None
+
+    def set_mode(self, mode: int) -> bool:
+        if mode not in list(Mode):
+            return False
+        if mode == self.mode:
+            return True
+        self.mission.stop()
+        self.mode = Mode(mode)
+        self.lifting_off = False
+        self.navigator.start_over()
+        match mode:
+            case Mode.AUTO:
+                self.mission.resume()
+            case Mode.TAKEOFF:
+                self._begin_takeoff(self.parameters["TKOFF_ALT"])
+            case Mode.RTL:
+                radius_m = self.parameters["RTL_RADIUS"] or self.parameters["WP_LOITER_RAD"]
+                self._circle_at(Place(0.0, 0.0, self.parameters["RTL_ALTITUDE"]), radius_m >= 0)
+            case _:
+                self._guided_radius_m = 0.0
+                self._circle_at(self.here, self.parameters["WP_LOITER_RAD"] >= 0)
+        return True
+
+    def on_armed(self) -> None:
+        self.say(mavlink.MAV_SEVERITY_INFO, "Throttle armed")
+        self.broadcast_now(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
+
+    def on_landed(self) -> None:
+        self.disarm()
+        self.say(mavlink.MAV_SEVERITY_INFO, "Throttle disarmed")
+
+    def handle_own(self, station: Station, message: Any, kind: str) -> None:
+        if kind == "REQUEST_DATA_STREAM":
+            interval_s = 1.0 / message.req_message_rate if message.start_stop and message.req_message_rate else 0.0
+            for message_id in DATA_STREAMS.get(message.req_stream_id, ()):
+                station.stream(message_id, interval_s, self.now_s)
+        elif kind == "TERRAIN_DATA" and self.terrain is not None:
+            self.terrain.take(message)
+        else:
+            super().handle_own(station, message, kind)
+
+    def is_ground_station(self, heartbeat: Any) -> bool:
+        return bool(heartbeat.get_srcSystem() == self.parameters["MAV_GCS_SYSID"])
+
+    def watch_links(self) -> None:
+        enabled = self.parameters["FS_GCS_ENABL"]
+        if not enabled or (enabled == 3 and self.mode != Mode.AUTO) or not self.craft.flying:
+            return
+        silent_s = self.ground_silent_s
+        if silent_s < self.parameters["FS_LONG_TIMEOUT"]:
+            self._failsafe = False
+        elif not self._failsafe:
+            self._failsafe = True
+            self.say(mavlink.MAV_SEVERITY_WARNING, "GCS Failsafe On")
+            action = self.parameters["FS_LONG_ACTN"]
+            if action == 1 or (action == 0 and self.mode not in (Mode.AUTO, Mode.GUIDED)):
+                self.set_mode(Mode.RTL)
+
+    # Navigation.
+
+    @property
+    def airspeed_goal_m_s(self) -> float:
+        ordered_m_s = self._ordered_airspeed_m_s if self.mode in (Mode.AUTO, Mode.GUIDED) else None
+        cruise_m_s = self.parameters.within("AIRSPEED_CRUISE", 5.0, 60.0) if ordered_m_s is None else ordered_m_s
+        if self._min_ground_speed_m_s <= 0.0:
+            return cruise_m_s
+        missing_m_s = max(0.0, self._min_ground_speed_m_s - self.craft.ground_speed_m_s)
+        return min(cruise_m_s + missing_m_s, max(cruise_m_s, self.parameters["AIRSPEED_MAX"]))
+
+    def navigate(self, dt_s: float) -> float:
+        match self.mode:
+            case Mode.AUTO:
+                return self._navigate_mission(dt_s)
+            case Mode.GUIDED:
+                return self._fly_circle(self._guided_radius_m, dt_s, by_line=False)
+            case Mode.LOITER:
+                return self._fly_circle(0.0, dt_s, by_line=False)
+            case Mode.RTL:
+                return self._fly_circle(abs(self.parameters["RTL_RADIUS"]), dt_s, by_line=False)
+            case Mode.TAKEOFF:
+                if self._climbed_out():
+                    self.set_mode(Mode.LOITER)
+                return 0.0
+            case _:  # sticks in the middle
+                return 0.0
+
+    def _navigate_mission(self, dt_s: float) -> float:
+        item = self.mission.item
+        if item is None:
+            complete = self.mission.state is MissionState.COMPLETE and len(self.mission.items()) > 1
+            self.say(
+                mavlink.MAV_SEVERITY_INFO,
+                "Mission complete, changing mode to RTL"
+                if complete
+                else "Aircraft in auto without a running mission",
+            )
+            self.set_mode(Mode.RTL)
+            return 0.0
+        index = self.mission.index
+        done, lateral_m_s2 = self._fly_item(item, dt_s)
+        if done:
+            self.radio.broadcast(mavlink.MAVLink_mission_item_reached_message(index))
+            self.mission.advance()
+        return lateral_m_s2
+
+    def _fly_item(self, item: Item, dt_s: float) -> tuple[bool, float]:
+        """Return whether the item is done, and the lateral acceleration."""
+        loiter = self.navigator.loiter
+        match item.command:
+            case mavlink.MAV_CMD_NAV_TAKEOFF:
+                return self._climbed_out(), 0.0
+            case mavlink.MAV_CMD_NAV_WAYPOINT:
+                return self._fly_leg(item.params[1], dt_s)
+            case mavlink.MAV_CMD_NAV_LAND:
+                return False, self._descend(dt_s)
+            case mavlink.MAV_CMD_NAV_LOITER_UNLIM:
+                return False, self._fly_circle(abs(item.params[2]), dt_s)
+            case mavlink.MAV_CMD_NAV_LOITER_TURNS:
+                lateral_m_s2 = self._fly_circle(abs(item.params[2]), dt_s)
+                return loiter.turned_rad > item.params[0] * math.tau, lateral_m_s2
+            case mavlink.MAV_CMD_NAV_LOITER_TIME:
+                lateral_m_s2 = self._fly_circle(0.0, dt_s)  # this item has no room for a radius
+                return loiter.reached_s is not None and self.now_s - loiter.reached_s > item.params[0], lateral_m_s2
+            case mavlink.MAV_CMD_NAV_LOITER_TO_ALT:
+                lateral_m_s2 = self._fly_circle(abs(item.params[1]), dt_s)
+                at_height = abs(self.craft.height_m - self.navigator.goal.height_m) < 5.0
+                return at_height and loiter.turned_rad > 0.0, lateral_m_s2
+            case _:
+                return False, 0.0
+
+    def _start_item(self, index: int, item: Item) -> None:
+        if item.command == mavlink.MAV_CMD_DO_CHANGE_SPEED:
+            self._change_speed(item.params[0], item.params[1])
+        if item.command not in _ITEM_NAMES:
+            return
+        self.say(mavlink.MAV_SEVERITY_INFO, f"Mission: {index} {_ITEM_NAMES[item.command]}")
+        if item.command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+            self.set_mode(Mode.RTL)
+        elif item.command == mavlink.MAV_CMD_NAV_TAKEOFF:
+            self._begin_takeoff(self.place_of(item).height_m)
+        else:
+            following = self.mission.following()
+            radius = item.params[1 if item.command == mavlink.MAV_CMD_NAV_LOITER_TO_ALT else 2]
+            then = self.place_of(following) if following is not None and following.latitude_e7 else None
+            goal = self.place_of(item)
+            self.height_goal_m = goal.height_m
+            self.navigator.go_to(goal, then, clockwise=math.copysign(1.0, radius) > 0)
+
+    def _begin_takeoff(self, height_m: float) -> None:
+        self.navigator.circle(Place(self.craft.east_m, self.craft.north_m, height_m), clockwise=True)
+        self.height_goal_m = height_m + _TAKEOFF_OVERSHOOT_M
+
+    def _climbed_out(self) -> bool:
+        """Climb straight ahead; True when the height of the takeoff is passed."""
+        if not self.craft.flying:
+            self.lifting_off = self.armed
+            return False
+        if self.craft.height_m < self.navigator.goal.height_m:
+            return False
+        self.say(mavlink.MAV_SEVERITY_INFO, f"Takeoff complete at {self.craft.height_m:.2f}m")
+        self.navigator.start_over()
+        return True
+
+    def _fly_leg(self, acceptance_m: float, dt_s: float) -> tuple[bool, float]:
+        verb, lateral_m_s2 = self.navigator.fly_leg(acceptance_m, dt_s)
+        if verb is None:
+            return False, lateral_m_s2
+        distance_m = self.navigator.goal.distance_m(self.craft)
+        self.say(mavlink.MAV_SEVERITY_INFO, f"{verb} waypoint #{self.mission.index} dist {distance_m:.0f}m")
+        return True, lateral_m_s2
+
+    def _descend(self, dt_s: float) -> float:
+        self.height_goal_m = self.landing_height_m(self.navigator.goal)
+        return self.navigator.fly_line(dt_s)
+
+    def _circle_at(self, centre: Place, clockwise: bool) -> None:
+        self.height_goal_m = centre.height_m
+        self.navigator.circle(centre, clockwise)
+
+    def _fly_circle(self, radius_m: float, dt_s: float, by_line: bool = True) -> float:
+        """radius_m 0 or 1: that of the parameter."""
+        loiter = self.navigator.loiter
+        if radius_m <= 1.0:
+            default_m = self.parameters["WP_LOITER_RAD"]
+            radius_m = abs(default_m)
+            loiter.clockwise = loiter.clockwise and default_m >= 0
+        was_reached = loiter.reached_s is not None
+        lateral_m_s2 = self.navigator.fly_circle(radius_m, self.now_s, dt_s, by_line)
+        if self.mode == Mode.GUIDED and loiter.reached_s is not None and not was_reached:
+            self.radio.broadcast(mavlink.MAVLink_mission_item_reached_message(0))
+        return lateral_m_s2
+
+    # Commands.
+
+    def set_current_item(self, index: int) -> bool:
+        # By MISSION_SET_CURRENT the leg begins here. The command forgets the old leg only once the new one has begun,
+        # which then leads from the goal before, and the leg after it begins where the aircraft is by then.
+        self.navigator.start_over()
+        return self.mission.set_current(index)
+
+    def _on_set_current(self, command: Command) -> int:
+        index = int(command.number(1))
+        if not 0 <= index < len(self.mission.items()):
+            return DENIED
+        if not self.mission.set_current(index):
+            return FAILED
+        self.navigator.start_over()
+        self.broadcast_now(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
+        return ACCEPTED
+
+    def _on_mission_start(self, command: Command) -> int:
+        if command.number(1) or command.number(2):
+            return DENIED
+        self.set_mode(Mode.AUTO)
+        return ACCEPTED
+
+    def _on_reposition(self, command: Command) -> int:
+        if command.frame is None:
+            return UNSUPPORTED
+        if command.frame not in ABSOLUTE_FRAMES and command.frame not in RELATIVE_FRAMES:
+            return DENIED
+        latitude_deg, longitude_deg, altitude_m = command.params[4:7]
+        if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0 and math.isfinite(altitude_m)):  # NaN too
+            return DENIED
+        change_mode = int(command.number(2)) & mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+        if not change_mode and self.mode != Mode.GUIDED:
+            return FAILED
+        height_m = altitude_m if command.frame in RELATIVE_FRAMES else altitude_m - self.home.altitude_m
+        if latitude_deg == 0.0 and longitude_deg == 0.0:
+            east_m, north_m = self.craft.east_m, self.craft.north_m
+        else:
+            east_m, north_m = self.plane.east_north_m(latitude_deg, longitude_deg)
+        self.set_mode(Mode.GUIDED)
+        # The sign of the radius says nothing; param 4 turns the flight round. Without a usable radius the last stays.
+        clockwise = command.number(4) == 0.0
+        radius_m = command.number(3)
+        if radius_m > 0.0:
+            self._guided_radius_m = float(math.floor(radius_m))
+        else:
+            clockwise = clockwise and self.parameters["WP_LOITER_RAD"] >= 0
+        self._circle_at(Place(east_m, north_m, height_m), clockwise)
+        return ACCEPTED
+
+    def _on_change_speed(self, command: Command) -> int:
+        return ACCEPTED if self._change_speed(command.param(1), command.param(2)) else FAILED
+
+    def _change_speed(self, kind: float, speed_m_s: float) -> bool:
+        if kind == mavlink.SPEED_TYPE_GROUNDSPEED:
+            self._min_ground_speed_m_s = speed_m_s
+            self.say(mavlink.MAV_SEVERITY_INFO, f"Set groundspeed {speed_m_s:.0f}")
+            return True
+        if kind != mavlink.SPEED_TYPE_AIRSPEED:
+            return False
+        if speed_m_s == _DEFAULT_AIRSPEED:
+            self._ordered_airspeed_m_s = None
+            return True
+        if not self.parameters["AIRSPEED_MIN"] <= speed_m_s <= self.parameters["AIRSPEED_MAX"]:
+            return False
+        self._ordered_airspeed_m_s = speed_m_s
+        self.say(mavlink.MAV_SEVERITY_INFO, f"Set airspeed {speed_m_s:.0f} m/s")
+        return True

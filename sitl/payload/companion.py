@@ -1,0 +1,252 @@
+"""Laser and gimbal for someone else's vehicle: a companion component that looks at a simulated target from there."""
+
+from __future__ import annotations
+
+import math
+import os
+import socket
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, closing, suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import all as mavlink
+
+from sidelong.sitl.payload.payload import PERIOD_S, Payload, Sight
+from sidelong.sitl.protocol.signing import signing_time
+from sidelong.sitl.settings import PayloadSettings
+from sidelong.sitl.world.geodesy import HomePlane
+from sidelong.sitl.world.hills import Hills
+from sidelong.sitl.world.motion import Motion
+from sidelong.sitl.world.truth import TruthRow
+
+_ASK_AGAIN_S = 2.0
+_SETTLING_S = 2.2  # two heartbeats: what other vehicle is there has spoken by then
+_HEARTBEAT_S = 1.0
+_WAIT_S = 0.05
+_RETRY_S = 0.5
+_SCHEMES = ("tcpout", "udpin", "udpout")
+_ON_GROUND_M = 5.0  # so near to the height of home
+_STEP_BACK_S = 1.0  # a vehicle's clock that goes back further than this has been started anew
+
+
+class CompanionError(Exception):
+    """The vehicle cannot be reached; the message says why."""
+
+
+class Companion:
+    """Measures at each position the vehicle reports, stamped with that position's time.
+
+    Pure: give it the vehicle's messages, send what it returns. motion: of the target, in a plane with its origin at
+    the vehicle's home, from the first measurement on; nothing is measured before home is known, and the target goes
+    on from where it is when the vehicle reboots. vehicle_id None: of the first autopilot heard. Raises HillsError
+    the ground at home is not known.
+    """
+
+    def __init__(
+        self,
+        payload: PayloadSettings,
+        motion: Motion,
+        seed: int,
+        terrain: Path | None = None,
+        vehicle_id: int | None = None,
+    ) -> None:
+        _, sensor_seed = np.random.SeedSequence(seed).spawn(2)
+        self._payload = Payload(payload, sensor_seed)
+        self._motion = motion
+        self._terrain = terrain
+        self._hills: Hills | None = None
+        self._plane: HomePlane | None = None
+        self._begin_s: float | None = None
+        self._latest_s = 0.0
+        self._heading_rad = 0.0
+        self.vehicle_id = vehicle_id
+        self.on_truth: Callable[[TruthRow], None] = lambda _row: None
+
+    @property
+    def wants_home(self) -> bool:
+        return self._plane is None
+
+    def handle(self, message: Any) -> list[Any]:
+        """Take one message from the link and return the measurements it leads to."""
+        kind = message.get_type()
+        if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1:
+            return []
+        if self.vehicle_id is None and kind == "HEARTBEAT" and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
+            self.vehicle_id = message.get_srcSystem()
+        if message.get_srcSystem() != self.vehicle_id:
+            return []
+        if kind == "HOME_POSITION" and self._plane is None:
+            self._plane = HomePlane(message.latitude / 1e7, message.longitude / 1e7)
+            self._hills = Hills(self._terrain, self._plane)
+        elif kind == "ATTITUDE":
+            self._heading_rad = message.yaw
+        elif kind == "GLOBAL_POSITION_INT" and self._plane is not None:
+            return self._measure(message, self._plane)
+        return []
+
+    def _measure(self, position: Any, plane: HomePlane) -> list[Any]:
+        time_s = position.time_boot_ms / 1000.0
+        if self._begin_s is None:
+            self._begin_s = time_s
+        elif time_s < self._latest_s - _STEP_BACK_S:
+            self._begin_s += time_s - self._latest_s
+        self._latest_s = time_s
+        since_s = max(0.0, time_s - self._begin_s)
+        aircraft_deg = (position.lat / 1e7, position.lon / 1e7)
+        aircraft_m = (*plane.east_north_m(*aircraft_deg), position.relative_alt / 1000.0)
+        hills = self._hills
+        assert hills is not None  # home is known
+        target_m = hills.standing(self._motion.at(since_s))
+        in_sight = hills.sees_target(aircraft_m, target_m)
+        # On the ground the payload is tried out on what is about, as in the simulation of our own.
+        sight = Sight.between(aircraft_m, target_m, in_sight or aircraft_m[2] < _ON_GROUND_M)
+        measured = self._payload.measure(since_s, position.time_boot_ms, sight, self._heading_rad)
+        row = TruthRow(
+            time_s,
+            target_m,
+            plane.latitude_longitude_deg(*target_m[:2]),
+            aircraft_m,
+            aircraft_deg,
+            sight.slant_range_m,
+            sight.bearing_rad,
+            measured.laser_valid,
+            measured.laser_outlier,
+            *hills.told(aircraft_m, in_sight),
+        )
+        self.on_truth(row)
+        return measured.messages
+
+
+def accompany(
+    companion: Companion,
+    url: str,
+    *,
+    key: bytes | None = None,
+    straight_to: tuple[str, int] | None = None,
+    on_ready: Callable[[int], None] = lambda _vehicle_id: None,
+    on_wait: Callable[[str], None] = lambda _reason: None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> None:
+    """Join the vehicle at ``url`` as component 154 of its system until ``stopped``.
+
+    url: tcpout://HOST:PORT, udpin://HOST:PORT or udpout://HOST:PORT. key: of the vehicle's signing, if it demands
+    that. straight_to: a UDP address that every frame is sent to as well. A vehicle that is not there yet, or goes, is
+    waited for: on_wait then hears once why, on_ready whenever it has been joined. Raises CompanionError for a URL
+    that can never be reached, and where several vehicles are heard and none is named.
+    """
+    scheme, _, address = url.partition("://")
+    port = address.rpartition(":")[2]
+    if scheme not in _SCHEMES or not (port.isdigit() and 0 < int(port) < 65536):
+        raise CompanionError(f"must look like {', '.join(f'{s}://HOST:PORT' for s in _SCHEMES)}, not {url!r}")
+    told = False
+    while not stopped():
+        try:
+            with ExitStack() as stack:
+                link = stack.enter_context(closing(_connected(scheme, address)))
+                told = False
+                if key is not None:
+                    link.setup_signing(key, allow_unsigned_callback=lambda _mav, _message_id: False, link_id=1)
+                if straight_to is not None:
+                    straight = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+                    link.mav.set_send_callback(partial(_send_straight, straight, straight_to))
+                _converse(companion, link, on_ready, stopped)
+        except (ConnectionError, TimeoutError) as error:
+            if not told:
+                on_wait(f"waiting for a vehicle at {url}: {error.strerror or error}")
+            told = True
+            time.sleep(_RETRY_S)
+        except OSError as error:
+            raise CompanionError(f"cannot reach {url}: {error.strerror or error}") from error
+
+
+class _TcpLink(mavutil.mavtcp):  # type: ignore[misc]  # pymavlink tells no types
+    """pymavlink's, but an end of the connection is an error instead of a line on the console."""
+
+    def handle_eof(self) -> None:
+        raise ConnectionResetError("the vehicle closed the connection")
+
+    handle_disconnect = handle_eof
+
+
+def _connected(scheme: str, address: str) -> Any:
+    # Otherwise pymavlink begins a new parser at the first frame of version 2, and that one has lost the signing key.
+    os.environ["MAVLINK20"] = "1"
+    if scheme == "tcpout":
+        mavutil.set_dialect("all")
+        return _TcpLink(address, source_component=mavlink.MAV_COMP_ID_GIMBAL, retries=1)
+    return mavutil.mavlink_connection(
+        f"{scheme}:{address}", source_component=mavlink.MAV_COMP_ID_GIMBAL, dialect="all"
+    )
+
+
+def _converse(companion: Companion, link: Any, on_ready: Callable[[int], None], stopped: Callable[[], bool]) -> None:
+    joined = False
+    if companion.vehicle_id is None:
+        companion.vehicle_id = _only_vehicle(link, stopped)
+    ask_s = heartbeat_s = -math.inf
+    while not stopped():
+        message = link.recv_match(blocking=True, timeout=_WAIT_S)
+        if message is not None and message.get_type() != "BAD_DATA":
+            for measurement in companion.handle(message):
+                _send(link, measurement)
+        now_s = time.monotonic()
+        if companion.vehicle_id is not None and not joined:
+            joined = True
+            link.mav.srcSystem = companion.vehicle_id
+            on_ready(companion.vehicle_id)
+        if now_s >= heartbeat_s and (joined or link.mav.srcSystem != 0):
+            heartbeat_s = now_s + _HEARTBEAT_S
+            _send(link, Payload.heartbeat())
+        if joined and now_s >= ask_s:
+            ask_s = now_s + _ASK_AGAIN_S
+            _ask(companion, link)
+
+
+def _send(link: Any, message: Any) -> None:
+    signing = link.mav.signing
+    if signing.sign_outgoing:  # pymavlink counts frames only: a minute behind the clock, they would be too old
+        signing.timestamp = max(signing.timestamp, signing_time(time.time()))
+    link.mav.send(message)
+
+
+def _send_straight(udp: socket.socket, address: tuple[str, int], message: Any) -> None:
+    with suppress(ConnectionError):  # nobody listens there yet, or any more
+        udp.sendto(message.get_msgbuf(), address)
+
+
+def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
+    """Return the system id of the vehicle on the link, once others would have spoken; None when stopped before."""
+    heard: set[int] = set()
+    settled_s, heartbeat_s = math.inf, -math.inf
+    while not stopped():
+        message = link.recv_match(type="HEARTBEAT", blocking=True, timeout=_WAIT_S)
+        now_s = time.monotonic()
+        if now_s >= heartbeat_s:  # a vehicle met by udpout answers whom it has heard
+            heartbeat_s = now_s + _HEARTBEAT_S
+            _send(link, Payload.heartbeat())
+        if message is not None and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
+            settled_s = min(settled_s, now_s + _SETTLING_S)
+            heard.add(message.get_srcSystem())
+        if len(heard) > 1:
+            names = " and ".join(map(str, sorted(heard)))
+            raise CompanionError(f"leads to several vehicles, systems {names}; name one by --system-id")
+        if now_s >= settled_s:
+            return heard.pop()
+    return None
+
+
+def _ask(companion: Companion, link: Any) -> None:
+    """Ask for positions and attitudes as often as the payload measures, and for home until it is known."""
+    vehicle_id = companion.vehicle_id
+    for message_id in (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_ATTITUDE):
+        link.mav.command_long_send(
+            vehicle_id, 1, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 0, message_id, PERIOD_S * 1e6, 0, 0, 0, 0, 0
+        )
+    if companion.wants_home:
+        home_id = mavlink.MAVLINK_MSG_ID_HOME_POSITION
+        link.mav.command_long_send(vehicle_id, 1, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, home_id, 0, 0, 0, 0, 0, 0)

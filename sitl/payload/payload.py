@@ -1,0 +1,145 @@
+"""Laser and gimbal of the simulated vehicle: they look at the true target, the noise comes on top."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import all as mavlink
+
+from sidelong.sitl.protocol.telemetry import NAN, quaternion
+from sidelong.sitl.settings import GimbalFrame, PayloadSettings, RangeMessage
+
+PERIOD_S = 0.1
+PAYLOAD_MESSAGES = ("DISTANCE_SENSOR", "RANGEFINDER", "GIMBAL_DEVICE_ATTITUDE_STATUS", "HEARTBEAT")
+_RANGE_MIN_M = 1.0
+_RANGE_MAX_M = 655.0  # DISTANCE_SENSOR counts centimetres in 16 bits
+_OUTLIER_M = (15.0, 90.0)
+_DROPOUT_S = (0.5, 8.0)
+_SENSOR_ID = 1
+_GOOD_QUALITY, _OUTLIER_QUALITY = 90, 35
+_LOCKED = mavlink.GIMBAL_DEVICE_FLAGS_ROLL_LOCK | mavlink.GIMBAL_DEVICE_FLAGS_PITCH_LOCK
+_FLAGS = {
+    GimbalFrame.EARTH: _LOCKED
+    | mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK
+    | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME,
+    GimbalFrame.VEHICLE: _LOCKED | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """The true line from the laser to the target: bearing and elevation (negative looks down).
+
+    clear: no hill stands in between.
+    """
+
+    slant_range_m: float
+    bearing_rad: float
+    elevation_rad: float
+    clear: bool = True
+
+    @staticmethod
+    def between(
+        craft_m: tuple[float, float, float], target_m: tuple[float, float, float], clear: bool = True
+    ) -> Sight:
+        east_m, north_m, up_m = (target - craft for target, craft in zip(target_m, craft_m, strict=True))
+        level_m = math.hypot(east_m, north_m)
+        return Sight(math.hypot(level_m, up_m), math.atan2(east_m, north_m), math.atan2(up_m, level_m), clear)
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """What the payload says of one moment: nothing while a hill hides the target.
+
+    laser_valid: it says a range; laser_outlier: a wrong one.
+    """
+
+    messages: list[Any]
+    laser_valid: bool
+    laser_outlier: bool
+
+
+class Payload:
+    """Measures at the times it is asked. Each kind of noise has its own random stream."""
+
+    def __init__(self, settings: PayloadSettings, seed: np.random.SeedSequence) -> None:
+        self._settings = settings
+        self._range_rng, self._outlier_rng, self._gimbal_rng, self._dropout_rng = (
+            np.random.default_rng(child) for child in seed.spawn(4)
+        )
+        self._dropout_begin_s, self._dropout_end_s = self._next_dropout(0.0)
+
+    def measure(self, time_s: float, boot_ms: int, sight: Sight, heading_rad: float) -> Measurement:
+        """heading_rad is the aircraft's, for gimbals that report their yaw relative to it."""
+        settings = self._settings
+        while time_s >= self._dropout_end_s:
+            self._dropout_begin_s, self._dropout_end_s = self._next_dropout(self._dropout_end_s)
+        dropped = time_s >= self._dropout_begin_s
+        range_m = sight.slant_range_m + settings.range_sigma_m * float(self._range_rng.standard_normal())
+        chance, size, sign = self._outlier_rng.random(3)
+        outlier = chance < settings.outlier_fraction
+        if outlier:
+            size_m = _OUTLIER_M[0] + size * (_OUTLIER_M[1] - _OUTLIER_M[0])
+            range_m = max(_RANGE_MIN_M, range_m + math.copysign(size_m, sign - 0.5))
+        valid = not dropped and _RANGE_MIN_M <= range_m <= _RANGE_MAX_M
+        messages = [self._gimbal_message(boot_ms, sight, heading_rad)]
+        if not sight.clear:
+            return Measurement([], False, False)
+        if valid:
+            messages.insert(0, self._range_message(boot_ms, range_m, outlier))
+        return Measurement(messages, valid, valid and outlier)
+
+    def _next_dropout(self, after_s: float) -> tuple[float, float]:
+        fraction = self._settings.dropout_fraction
+        length_s = float(self._dropout_rng.uniform(*_DROPOUT_S))
+        if fraction <= 0.0:
+            return math.inf, math.inf
+        mean_gap_s = 0.5 * sum(_DROPOUT_S) * (1.0 - fraction) / fraction
+        begin_s = after_s + float(self._dropout_rng.exponential(mean_gap_s))
+        return begin_s, begin_s + length_s
+
+    def _range_message(self, boot_ms: int, range_m: float, outlier: bool) -> Any:
+        if self._settings.range_message == RangeMessage.RANGEFINDER:
+            return mavlink.MAVLink_rangefinder_message(range_m, 0.0)
+        return mavlink.MAVLink_distance_sensor_message(
+            boot_ms,
+            round(_RANGE_MIN_M * 100.0),
+            round(_RANGE_MAX_M * 100.0),
+            round(range_m * 100.0),
+            mavlink.MAV_DISTANCE_SENSOR_LASER,
+            _SENSOR_ID,
+            mavlink.MAV_SENSOR_ROTATION_CUSTOM,
+            255,
+            0.02,
+            0.02,
+            [1.0, 0.0, 0.0, 0.0],
+            _OUTLIER_QUALITY if outlier else _GOOD_QUALITY,
+        )
+
+    def _gimbal_message(self, boot_ms: int, sight: Sight, heading_rad: float) -> Any:
+        settings = self._settings
+        yaw_noise, pitch_noise = self._gimbal_rng.standard_normal(2)
+        yaw_rad = sight.bearing_rad + settings.gimbal_yaw_bias_rad + settings.gimbal_sigma_rad * float(yaw_noise)
+        pitch_rad = sight.elevation_rad + settings.gimbal_sigma_rad * float(pitch_noise)
+        if settings.gimbal_frame == GimbalFrame.VEHICLE:
+            yaw_rad -= heading_rad
+        return mavlink.MAVLink_gimbal_device_attitude_status_message(
+            0,
+            0,
+            boot_ms,
+            _FLAGS[settings.gimbal_frame],
+            list(quaternion(0.0, pitch_rad, yaw_rad)),
+            NAN,
+            NAN,
+            NAN,
+            0,
+        )
+
+    @staticmethod
+    def heartbeat() -> Any:
+        return mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_GIMBAL, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+        )

@@ -1,0 +1,1 @@
+"""MAVLink on the side of the vehicle: messages, transfers, parameters, signing and link faults."""

@@ -1,0 +1,108 @@
+"""The parameter protocol, with each autopilot's way of packing integers."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from sidelong.sitl.protocol.radio import Radio, Station
+
+INT8 = mavlink.MAV_PARAM_TYPE_INT8
+INT16 = mavlink.MAV_PARAM_TYPE_INT16
+INT32 = mavlink.MAV_PARAM_TYPE_INT32
+REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
+_NO_INDEX = 65535
+_PACKED_MAGIC = 0x671B
+_TYPE_MISMATCH = 7  # MAV_PARAM_ERROR
+
+
+class Parameters:
+    """Values by name, each with the MAVLink type the real autopilot gives it.
+
+    bytewise: PX4 sends an integer's bytes in the float field, ArduPilot its value as a float. PX4 also tells by
+    PARAM_ERROR what is wrong with a request; ArduPilot says nothing.
+    """
+
+    def __init__(self, table: dict[str, tuple[int, float]], bytewise: bool) -> None:
+        self._kinds = {name: kind for name, (kind, _) in table.items()}
+        self._values = {name: value for name, (_, value) in table.items()}
+        self._names = sorted(table)
+        self._bytewise = bytewise
+        self.on_change: Callable[[str, float], None] = lambda _name, _value: None
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[name]
+
+    def within(self, name: str, least: float, greatest: float) -> float:
+        """Return a value as the airframe can bear it, whatever a station has set."""
+        return max(least, min(greatest, self._values[name]))
+
+    def set(self, name: str, value: float) -> None:
+        """Set a known parameter; KeyError if there is none of that name."""
+        if name not in self._values:
+            raise KeyError(name)
+        self._values[name] = value if self._kinds[name] == REAL32 else float(round(value))
+        self.on_change(name, self._values[name])
+
+    def handle(self, station: Station, message: Any, radio: Radio) -> None:
+        match message.get_type():
+            case "PARAM_REQUEST_LIST":
+                for index in range(len(self._names)):
+                    radio.send(station, self._value_message(self._names[index], index))
+            case "PARAM_REQUEST_READ":
+                index, name = message.param_index, message.param_id
+                if 0 <= index < len(self._names):
+                    radio.send(station, self._value_message(self._names[index], index))
+                elif index < 0 and name in self._values:
+                    radio.send(station, self._value_message(name, self._index(name)))
+                else:
+                    self._refuse(station, message, radio, index, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST)
+            case "PARAM_SET":
+                name = message.param_id
+                if name not in self._values:
+                    self._refuse(station, message, radio, -1, mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST)
+                    return
+                if self._bytewise and message.param_type != self._kinds[name]:
+                    self._refuse(station, message, radio, -1, _TYPE_MISMATCH)
+                    return
+                value = self._decode(message.param_value, message.param_type)
+                if math.isfinite(value):
+                    self.set(name, value)
+                if math.isfinite(value) or self._bytewise:  # PX4 tells the value that it keeps
+                    radio.broadcast(self._value_message(name, self._index(name)))
+
+    def _refuse(self, station: Station, message: Any, radio: Radio, index: int, error: int) -> None:
+        if self._bytewise:
+            asker = (message.get_srcSystem(), message.get_srcComponent())
+            radio.send(station, mavlink.MAVLink_param_error_message(*asker, message.param_id.encode(), index, error))
+
+    def packed(self) -> bytes:
+        """Return all of them as ArduPilot's file @PARAM/param.pck has them."""
+        kinds = {INT8: (1, "b"), INT16: (2, "h"), INT32: (3, "i"), REAL32: (4, "f")}
+        packed, before = struct.pack("<HHH", _PACKED_MAGIC, len(self._names), len(self._names)), ""
+        for name in self._names:
+            kind, code = kinds[self._kinds[name]]
+            value = self._values[name] if code == "f" else int(self._values[name])
+            common = next(i for i, letter in enumerate(name) if not before[i:].startswith(letter))
+            own = name[common:].encode("ascii")
+            packed += bytes([kind, common | (len(own) - 1) << 4]) + own + struct.pack("<" + code, value)
+            before = name
+        return packed
+
+    def _index(self, name: str) -> int:
+        return self._names.index(name) if self._bytewise else _NO_INDEX
+
+    def _value_message(self, name: str, index: int) -> Any:
+        kind, value = self._kinds[name], self._values[name]
+        if self._bytewise and kind != REAL32:
+            value = struct.unpack("<f", struct.pack("<i", int(value)))[0]
+        return mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self._names), index)
+
+    def _decode(self, value: float, kind: int) -> float:
+        if self._bytewise and kind != REAL32:
+            return float(struct.unpack("<i", struct.pack("<f", value))[0])
+        return float(value)

@@ -1,0 +1,319 @@
+"""Telemetry that both autopilots send alike, made from the vehicle's state."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from enum import IntEnum
+from typing import Any, ClassVar, Protocol
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from sidelong.sitl.settings import Home, Settings
+from sidelong.sitl.world.airframe import GRAVITY_M_S2, Airframe
+from sidelong.sitl.world.geodesy import HomePlane
+
+NAN = math.nan
+_IMU_WITHOUT_MAGNETOMETER = 0x1A3F  # accelerations, rates, pressure, its altitude, temperature
+
+Builder = Callable[[], Any]  # a message, a list of messages, or None when there is nothing to tell
+
+
+def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[float, float, float, float]:
+    """Return (w, x, y, z) of yaw, then pitch, then roll."""
+    cr, sr = math.cos(roll_rad / 2), math.sin(roll_rad / 2)
+    cp, sp = math.cos(pitch_rad / 2), math.sin(pitch_rad / 2)
+    cy, sy = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+class Reported(Protocol):
+    """What telemetry reads of a vehicle."""
+
+    @property
+    def craft(self) -> Airframe: ...
+    @property
+    def settings(self) -> Settings: ...
+    @property
+    def home(self) -> Home: ...
+    @property
+    def plane(self) -> HomePlane: ...
+    @property
+    def system_id(self) -> int: ...
+    @property
+    def autopilot_id(self) -> int: ...
+    @property
+    def mode(self) -> int: ...
+    @property
+    def base_mode(self) -> int: ...
+    @property
+    def armed(self) -> bool: ...
+    @property
+    def ready(self) -> bool: ...
+    @property
+    def home_known(self) -> bool: ...
+    @property
+    def lifting_off(self) -> bool: ...
+    @property
+    def landed_state(self) -> int: ...
+    @property
+    def now_s(self) -> float: ...
+    @property
+    def boot_ms(self) -> int: ...
+    @property
+    def boot_us(self) -> int: ...
+    @property
+    def true_airspeed_ratio(self) -> float: ...
+
+
+class Telemetry:
+    """Makes messages; ``builders`` tells which, by message id."""
+
+    gps_fix: ClassVar[int]
+    gps_dilution: ClassVar[tuple[int, int]]  # horizontal, vertical, times 100
+    gps_accuracy_mm: ClassVar[tuple[int, int, int]]  # horizontal, vertical, speed
+    home_quaternion: ClassVar[tuple[float, float, float, float]]
+    software: ClassVar[tuple[int, int]]
+    parameter_capability: ClassVar[int]
+    modes: ClassVar[type[IntEnum]]
+    standard_modes: ClassVar[Mapping[int, int]] = {}  # MAV_STANDARD_MODE, where it is one
+
+    def __init__(self, vehicle: Reported) -> None:
+        self._vehicle = vehicle
+        self._craft = vehicle.craft
+
+    def builders(self) -> dict[int, Builder]:
+        return {
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: self._heartbeat,
+            mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: self._system_time,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
+            mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._attitude_quaternion,
+            mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
+            mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
+            mavlink.MAVLINK_MSG_ID_VFR_HUD: self._vfr_hud,
+            mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_raw,
+            mavlink.MAVLINK_MSG_ID_HOME_POSITION: self._home_position,
+            mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
+            mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self._battery,
+            mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._version,
+            mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES: self._available_modes,
+            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._origin,
+            mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: self._highres_imu,
+            mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE: self._scaled_pressure,
+        }
+
+    @property
+    def battery_percent(self) -> int:
+        return max(5, 100 - int(100.0 * self._vehicle.now_s / self._vehicle.settings.endurance_s))
+
+    def _heartbeat(self) -> Any:
+        vehicle = self._vehicle
+        return mavlink.MAVLink_heartbeat_message(
+            mavlink.MAV_TYPE_FIXED_WING,
+            vehicle.autopilot_id,
+            vehicle.base_mode,
+            vehicle.mode,
+            mavlink.MAV_STATE_ACTIVE if self._craft.flying else mavlink.MAV_STATE_STANDBY,
+            3,
+        )
+
+    def _system_time(self) -> Any:
+        vehicle = self._vehicle
+        unix_us = int((vehicle.settings.boot_unix_s + vehicle.now_s) * 1e6)
+        return mavlink.MAVLink_system_time_message(unix_us, vehicle.boot_ms)
+
+    def _attitude(self) -> Any:
+        craft = self._craft
+        return mavlink.MAVLink_attitude_message(
+            self._vehicle.boot_ms,
+            craft.roll_rad,
+            craft.pitch_rad,
+            math.remainder(craft.heading_rad, math.tau),
+            *self._body_rates_rad_s(),
+        )
+
+    def _attitude_quaternion(self) -> Any:
+        craft = self._craft
+        return mavlink.MAVLink_attitude_quaternion_message(
+            self._vehicle.boot_ms,
+            *quaternion(craft.roll_rad, craft.pitch_rad, craft.heading_rad),
+            *self._body_rates_rad_s(),
+            [0.0, 0.0, 0.0, 0.0],
+        )
+
+    def _body_rates_rad_s(self) -> tuple[float, float, float]:
+        craft = self._craft
+        return (
+            craft.roll_rate_rad_s,
+            craft.yaw_rate_rad_s * math.sin(craft.roll_rad),
+            craft.yaw_rate_rad_s * math.cos(craft.roll_rad),
+        )
+
+    def _position_e7(self) -> tuple[int, int]:
+        return self.place_e7(self._craft.east_m, self._craft.north_m)
+
+    def place_e7(self, east_m: float, north_m: float) -> tuple[int, int]:
+        latitude_deg, longitude_deg = self._vehicle.plane.latitude_longitude_deg(east_m, north_m)
+        return round(latitude_deg * 1e7), round(longitude_deg * 1e7)
+
+    def altitude_m(self, height_m: float) -> float:
+        return self._vehicle.home.altitude_m + height_m
+
+    def _global_position(self) -> Any:
+        craft = self._craft
+        return mavlink.MAVLink_global_position_int_message(
+            self._vehicle.boot_ms,
+            *self._position_e7(),
+            round(self.altitude_m(craft.height_m) * 1000.0),
+            round(craft.height_m * 1000.0),
+            round(craft.velocity_north_m_s * 100.0),
+            round(craft.velocity_east_m_s * 100.0),
+            round(-craft.climb_m_s * 100.0),
+            round(math.degrees(craft.heading_rad) * 100.0) % 36000,
+        )
+
+    def _local_position(self) -> Any:
+        craft = self._craft
+        return mavlink.MAVLink_local_position_ned_message(
+            self._vehicle.boot_ms,
+            craft.north_m,
+            craft.east_m,
+            -craft.height_m,
+            craft.velocity_north_m_s,
+            craft.velocity_east_m_s,
+            -craft.climb_m_s,
+        )
+
+    def _vfr_hud(self) -> Any:
+        vehicle, craft = self._vehicle, self._craft
+        return mavlink.MAVLink_vfr_hud_message(
+            craft.airspeed_m_s / vehicle.true_airspeed_ratio,
+            craft.ground_speed_m_s,
+            round(math.degrees(craft.heading_rad)) % 360,
+            45 if craft.flying else 100 if vehicle.lifting_off else 0,
+            self.altitude_m(craft.height_m),
+            craft.climb_m_s,
+        )
+
+    def _gps_raw(self) -> Any:
+        craft = self._craft
+        altitude_mm = round(self.altitude_m(craft.height_m) * 1000.0)
+        return mavlink.MAVLink_gps_raw_int_message(
+            self._vehicle.boot_us,
+            self.gps_fix,
+            *self._position_e7(),
+            altitude_mm,
+            *self.gps_dilution,
+            round(craft.ground_speed_m_s * 100.0),
+            round(math.degrees(craft.course_rad) * 100.0) % 36000,
+            10,
+            altitude_mm,
+            *self.gps_accuracy_mm,
+        )
+
+    def _home_position(self) -> Any:
+        vehicle = self._vehicle
+        if not vehicle.home_known:
+            return None
+        return mavlink.MAVLink_home_position_message(
+            *self.place_e7(0.0, 0.0),
+            round(vehicle.home.altitude_m * 1000.0),
+            0.0,
+            0.0,
+            0.0,
+            list(self.home_quaternion),
+            0.0,
+            0.0,
+            0.0,
+            vehicle.boot_us,
+        )
+
+    def _origin(self) -> Any:
+        vehicle = self._vehicle
+        if not vehicle.home_known:
+            return None
+        return mavlink.MAVLink_gps_global_origin_message(
+            *self.place_e7(0.0, 0.0), round(vehicle.home.altitude_m * 1000.0), vehicle.boot_us
+        )
+
+    def _available_modes(self) -> list[Any]:
+        return [
+            mavlink.MAVLink_available_modes_message(
+                len(self.modes),
+                number,
+                self.standard_modes.get(mode, mavlink.MAV_STANDARD_MODE_NON_STANDARD),
+                mode,
+                0,
+                mode.name.encode(),
+            )
+            for number, mode in enumerate(self.modes, 1)
+        ]
+
+    def _highres_imu(self) -> Any:
+        """Tell the specific force of a coordinated turn; there is no magnetometer, as ``fields_updated`` says."""
+        craft = self._craft
+        pressure_hpa, temperature_c = self._air()
+        return mavlink.MAVLink_highres_imu_message(
+            self._vehicle.boot_us,
+            GRAVITY_M_S2 * math.sin(craft.pitch_rad),
+            0.0,
+            -GRAVITY_M_S2 * math.cos(craft.pitch_rad) / math.cos(craft.roll_rad),
+            *self._body_rates_rad_s(),
+            *(0.0, 0.0, 0.0),
+            pressure_hpa,
+            0.0,
+            self.altitude_m(craft.height_m),
+            temperature_c,
+            _IMU_WITHOUT_MAGNETOMETER,
+        )
+
+    def _scaled_pressure(self) -> Any:
+        pressure_hpa, temperature_c = self._air()
+        return mavlink.MAVLink_scaled_pressure_message(
+            self._vehicle.boot_ms, pressure_hpa, 0.0, round(temperature_c * 100.0), 0
+        )
+
+    def _air(self) -> tuple[float, float]:
+        """Return pressure, hPa, and temperature, degrees Celsius, of the standard atmosphere."""
+        altitude_m = self.altitude_m(self._craft.height_m)
+        return 1013.25 * (1.0 - 2.25577e-5 * altitude_m) ** 5.25588, 15.0 - 0.0065 * altitude_m
+
+    def _extended_sys_state(self) -> Any:
+        return mavlink.MAVLink_extended_sys_state_message(
+            mavlink.MAV_VTOL_STATE_UNDEFINED, self._vehicle.landed_state
+        )
+
+    def _battery(self) -> Any:
+        return mavlink.MAVLink_battery_status_message(
+            0,
+            mavlink.MAV_BATTERY_FUNCTION_ALL,
+            mavlink.MAV_BATTERY_TYPE_LIPO,
+            32767,
+            [16200] + [65535] * 9,
+            1000,
+            0,
+            -1,
+            self.battery_percent,
+        )
+
+    def _version(self) -> Any:
+        capabilities = (
+            self.parameter_capability
+            | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
+            | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+            | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+            | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+            | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
+            | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+            | mavlink.MAV_PROTOCOL_CAPABILITY_FTP
+        )
+        major, minor = self.software
+        unnamed = [0] * 8
+        return mavlink.MAVLink_autopilot_version_message(
+            capabilities, major << 24 | minor << 16, 0, 0, 0, unnamed, unnamed, unnamed, 0, 0, self._vehicle.system_id
+        )

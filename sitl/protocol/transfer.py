@@ -1,0 +1,315 @@
+"""The mission protocol, as the vehicle's side of it: upload, download, clear, set current.
+
+One upload at a time for each mission type. The vehicle asks for one item after the other and asks again when
+nothing comes; an upload without a word from its sender is given up. What a vehicle does with the items (keep each
+as it arrives, or swap the whole list at the end) is its :class:`Store`'s business.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from sidelong.sitl.protocol.items import Item, ItemRefused
+from sidelong.sitl.protocol.radio import Radio, Station
+from sidelong.sitl.protocol.wire import mission_ack, mission_count
+
+
+class Store(Protocol):
+    """Keeps the items of one mission type. All results are MAV_MISSION_RESULT."""
+
+    def items(self) -> list[Item]: ...
+
+    def current_index(self) -> int: ...
+
+    def opaque_id(self) -> int | None:
+        """Return a checksum of the items, None where the autopilot has none."""
+        ...
+
+    def begin(self, count: int) -> int:
+        """Prepare for an upload of ``count`` items."""
+        ...
+
+    def put(self, index: int, item: Item, current: bool) -> None:
+        """Take an item. Raises ItemRefused."""
+        ...
+
+    def finish(self) -> int:
+        """Take over the upload: all items have come."""
+        ...
+
+    def abandon(self) -> int | None:
+        """Forget the upload: it was cut. Return the checksum of what had come."""
+        ...
+
+    def clear(self) -> int: ...
+
+
+@dataclass(frozen=True, slots=True)
+class ProtocolQuirks:
+    """How this autopilot behaves in the protocol; times in seconds of the stations' clock."""
+
+    asks_with_int: bool  # MISSION_REQUEST_INT, or the older MISSION_REQUEST
+    retry_s: float
+    timeout_s: float
+    max_items: int
+    partial_writes: bool
+    reads_in_order: bool  # a list is read from its first item on until it is acknowledged, and meanwhile it is busy
+    busy_result: int  # the answer to anyone else while an upload runs
+    restarts: bool  # a new count from the sender starts over at any time, or only while item 0 is awaited
+    wrong_sequence_result: int | None  # None: the item is ignored
+    repeats_final_ack: bool  # a second copy of the item that came last is acknowledged, also where not all have come
+    timeout_result: int | None
+    timeout_severity: int
+    timeout_text: str
+
+
+@dataclass(slots=True)
+class _Upload:
+    station: Station
+    sender: tuple[int, int]
+    next_index: int
+    last_index: int
+    asked_s: float
+    heard_s: float
+
+
+@dataclass(slots=True)
+class _Download:
+    sender: tuple[int, int]
+    count: int
+    next_index: int
+    heard_s: float
+
+
+class Transfer:
+    """Serves one mission type. beside: those of the same vehicle, this one too: read in order, it is busy in all."""
+
+    def __init__(
+        self,
+        mission_type: int,
+        store: Store,
+        radio: Radio,
+        quirks: ProtocolQuirks,
+        link_rate: float,
+        tell: Callable[[int, str], None],
+        beside: Mapping[int, Transfer],
+    ) -> None:
+        self.mission_type = mission_type
+        self.store = store
+        self._radio = radio
+        self._quirks = quirks
+        self._retry_s = quirks.retry_s * link_rate
+        self._timeout_s = quirks.timeout_s * link_rate
+        self._tell, self._beside = tell, beside
+        self._upload: _Upload | None = None
+        self._latest: tuple[tuple[int, int], int, int | None] | None = None  # sender, index and checksum
+        self._downloads: dict[Station, _Download] = {}  # of those who read in order
+
+    def is_busy_with(self, station: Station) -> bool:
+        """Tell whether it heeds nothing but the list that this station reads or writes."""
+        return self._quirks.reads_in_order and (self._is_written_by(station) or self._read_by(station) is not None)
+
+    def _is_written_by(self, station: Station) -> bool:
+        uploads = (one._upload for one in self._beside.values())
+        return any(upload is not None and upload.station is station for upload in uploads)
+
+    def _read_by(self, station: Station) -> Transfer | None:
+        return next((one for one in self._beside.values() if station in one._downloads), None)
+
+    def step(self, now_s: float) -> None:
+        for station, download in list(self._downloads.items()):
+            if now_s - download.heard_s > self._timeout_s:
+                del self._downloads[station]
+                self._tell(self._quirks.timeout_severity, self._quirks.timeout_text)
+        upload = self._upload
+        if upload is None:
+            return
+        if now_s - upload.heard_s > self._timeout_s:
+            self._abandon(upload)
+            self._tell(self._quirks.timeout_severity, self._quirks.timeout_text)
+            if self._quirks.timeout_result is not None:
+                self._acknowledge(upload.station, upload.sender, self._quirks.timeout_result)
+        elif now_s - upload.asked_s > self._retry_s:
+            self._ask(upload, now_s)
+
+    def handle(self, station: Station, message: Any, now_s: float) -> None:
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        match message.get_type():
+            case "MISSION_COUNT":
+                self._on_count(station, sender, message, now_s)
+            case "MISSION_WRITE_PARTIAL_LIST":
+                self._on_partial(station, sender, message, now_s)
+            case "MISSION_ITEM_INT" | "MISSION_ITEM":
+                self._on_item(station, sender, message, now_s)
+            case "MISSION_REQUEST_LIST" if self._quirks.reads_in_order:
+                self._on_list_in_order(station, sender, now_s)
+            case "MISSION_REQUEST_LIST":
+                if self._upload is not None:
+                    self._acknowledge(station, sender, self._quirks.busy_result)
+                else:
+                    self._send_count(station, sender, now_s)
+            case "MISSION_REQUEST_INT" | "MISSION_REQUEST" if self._quirks.reads_in_order and self._upload is None:
+                self._on_request_in_order(station, sender, message, now_s)
+            case "MISSION_REQUEST_INT" | "MISSION_REQUEST":
+                self._on_request(station, sender, message)
+            case "MISSION_CLEAR_ALL":
+                self._on_clear(station, sender)
+            case "MISSION_ACK":
+                self._downloads.pop(station, None)
+                upload = self._upload
+                breaks_off = message.type == mavlink.MAV_MISSION_OPERATION_CANCELLED
+                if upload is not None and upload.sender == sender and breaks_off:
+                    self._abandon(upload)
+
+    def _on_count(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
+        if not self._may_start(station, sender):
+            return
+        if message.count > self._quirks.max_items:
+            self._acknowledge(station, sender, mavlink.MAV_MISSION_NO_SPACE)
+            return
+        result = self.store.begin(message.count)
+        if result != mavlink.MAV_MISSION_ACCEPTED or message.count == 0:
+            self._acknowledge(station, sender, result)
+            return
+        self._start(_Upload(station, sender, 0, message.count - 1, now_s, now_s), now_s)
+
+    def _on_partial(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
+        if not self._quirks.partial_writes:
+            return
+        if self._upload is not None:
+            self._acknowledge(station, sender, self._quirks.busy_result)
+            return
+        first, last, count = message.start_index, message.end_index, len(self.store.items())
+        if not 0 <= first <= last <= count:
+            self._acknowledge(station, sender, mavlink.MAV_MISSION_ERROR)
+            return
+        self._start(_Upload(station, sender, first, last, now_s, now_s), now_s)
+
+    def _may_start(self, station: Station, sender: tuple[int, int]) -> bool:
+        upload = self._upload
+        if self._read_by(station) is not None:
+            self._tell(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN MISSION_COUNT: Busy\t")
+            self._acknowledge(station, sender, self._quirks.busy_result)
+            return False
+        if upload is None:
+            return True
+        if upload.sender != sender or not (self._quirks.restarts or upload.next_index == 0):
+            self._acknowledge(station, sender, self._quirks.busy_result)
+            return False
+        self._abandon(upload)
+        return True
+
+    def _start(self, upload: _Upload, now_s: float) -> None:
+        self._upload = upload
+        self._ask(upload, now_s)
+
+    def _ask(self, upload: _Upload, now_s: float) -> None:
+        kind = (
+            mavlink.MAVLink_mission_request_int_message
+            if self._quirks.asks_with_int
+            else mavlink.MAVLink_mission_request_message
+        )
+        self._radio.send(upload.station, kind(*upload.sender, upload.next_index, self.mission_type))
+        upload.asked_s = now_s
+
+    def _on_item(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
+        upload, quirks = self._upload, self._quirks
+        if upload is None:
+            latest = self._latest if quirks.repeats_final_ack and station not in self._downloads else None
+            if latest is not None and latest[:2] == (sender, message.seq):
+                self._acknowledge(station, sender, mavlink.MAV_MISSION_ACCEPTED, latest[2])
+            else:
+                self._acknowledge(station, sender, mavlink.MAV_MISSION_ERROR)
+            return
+        if message.seq != upload.next_index:
+            if quirks.wrong_sequence_result is not None:
+                self._acknowledge(station, sender, quirks.wrong_sequence_result)
+            return
+        if upload.sender != sender:
+            self._acknowledge(station, sender, quirks.busy_result)
+            return
+        upload.heard_s = now_s
+        try:
+            self.store.put(message.seq, Item.from_message(message), bool(message.current))
+        except ItemRefused as refusal:
+            self._abandon(upload)
+            self._acknowledge(station, sender, refusal.result)
+            return
+        upload.next_index += 1
+        if upload.next_index <= upload.last_index:
+            self._ask(upload, now_s)
+            return
+        self._upload = None
+        result = self.store.finish()
+        self._latest = (sender, upload.last_index, self.store.opaque_id())
+        self._acknowledge(station, sender, result)
+
+    def _abandon(self, upload: _Upload) -> None:
+        self._upload = None
+        self._latest = (upload.sender, upload.next_index - 1, self.store.abandon())
+
+    def _send_count(self, station: Station, sender: tuple[int, int], now_s: float) -> None:
+        count = len(self.store.items())
+        if self._quirks.reads_in_order:
+            self._downloads[station] = _Download(sender, count, 0, now_s)
+        self._radio.send(station, mission_count(sender, count, self.mission_type, self.store.opaque_id() or 0))
+
+    def _on_request(self, station: Station, sender: tuple[int, int], message: Any) -> None:
+        if self._upload is not None:
+            self._acknowledge(station, sender, self._quirks.busy_result)
+            return
+        items = self.store.items()
+        if not 0 <= message.seq < len(items):
+            self._acknowledge(station, sender, mavlink.MAV_MISSION_INVALID_SEQUENCE)
+            return
+        current = message.seq == self.store.current_index()
+        as_int = message.get_type() == "MISSION_REQUEST_INT"
+        item = items[message.seq].message(message.seq, self.mission_type, current, sender, as_int)
+        self._radio.send(station, item)
+
+    def _on_request_in_order(self, station: Station, sender: tuple[int, int], message: Any, now_s: float) -> None:
+        """Send the next item, or the one before again; any other ends the reading."""
+        download = self._downloads.get(station)
+        if download is None or download.sender != sender:
+            return
+        download.heard_s = now_s
+        if message.seq == download.next_index and download.next_index < download.count:
+            download.next_index += 1
+        elif message.seq != download.next_index - 1:
+            del self._downloads[station]
+            self._acknowledge(station, sender, mavlink.MAV_MISSION_ERROR)
+            self._tell(mavlink.MAV_SEVERITY_CRITICAL, "WPM: REJ. CMD: Req. WP was unexpected\t")
+            return
+        self._on_request(station, sender, message)
+
+    def _on_list_in_order(self, station: Station, sender: tuple[int, int], now_s: float) -> None:
+        """Begin to be read, unless another list is; one whose last item was sent is taken for read."""
+        reading = self._read_by(station)
+        if reading is not None:
+            download = reading._downloads[station]
+            if download.next_index == download.count:
+                del reading._downloads[station]
+            elif reading is not self or download.sender != sender:
+                self._tell(mavlink.MAV_SEVERITY_INFO, "Mission download request ignored, already active\t")
+                return
+        if self._is_written_by(station):
+            self._tell(mavlink.MAV_SEVERITY_INFO, "Mission download request ignored, already active\t")
+            return
+        self._send_count(station, sender, now_s)
+
+    def _on_clear(self, station: Station, sender: tuple[int, int]) -> None:
+        if self.is_busy_with(station):  # told in words only
+            self._tell(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN CLEAR CMD: Busy\t")
+        elif self._may_start(station, sender):
+            self._acknowledge(station, sender, self.store.clear())
+
+    def _acknowledge(
+        self, station: Station, sender: tuple[int, int], result: int, opaque_id: int | None = None
+    ) -> None:
+        if opaque_id is None:
+            opaque_id = self.store.opaque_id()
+        self._radio.send(station, mission_ack(sender, result, self.mission_type, opaque_id or 0))

@@ -1,0 +1,109 @@
+"""How PX4 flies legs and circles with a fixed wing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sidelong.sitl.protocol.parameters import Parameters
+from sidelong.sitl.px4.pathfollowing import PathFollower
+from sidelong.sitl.world.airframe import GRAVITY_M_S2, Airframe
+from sidelong.sitl.world.place import Place
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    centre: Place
+    radius_m: float
+    clockwise: bool
+
+
+class Px4Navigator:
+    """Where to, from where, and the lateral acceleration that leads there."""
+
+    def __init__(self, craft: Airframe, parameters: Parameters) -> None:
+        self._craft = craft
+        self._parameters = parameters
+        self.follower = PathFollower()
+        self.goal = Place(0.0, 0.0, 0.0)
+        self._origin: Place | None = None  # of the leg; None: it is flown to straight from wherever the aircraft is
+        self.circle: Circle | None = None
+        self._inside_since_s: float | None = None
+
+    @property
+    def _here(self) -> Place:
+        return Place(self._craft.east_m, self._craft.north_m, self._craft.height_m)
+
+    def go_to(self, goal: Place, *, from_here: bool) -> None:
+        """Make ``goal`` the end of the leg that begins where the last one ended, or of no leg at all."""
+        self._origin = None if from_here else self.goal
+        self.goal, self.circle, self._inside_since_s = goal, None, None
+
+    def fly_around(self, centre: Place, signed_radius_m: float = math.nan) -> None:
+        """Circle: positive clockwise; 0 or no number for the parameter's radius."""
+        if not math.isfinite(signed_radius_m) or signed_radius_m == 0.0:
+            signed_radius_m = self._parameters["NAV_LOITER_RAD"]
+        self.goal, self._inside_since_s = centre, None
+        self.circle = Circle(centre, abs(signed_radius_m), signed_radius_m > 0.0)
+
+    def stop(self) -> None:
+        self.circle = None
+
+    def at_height(self) -> bool:
+        return abs(self._craft.height_m - self.goal.height_m) < self._parameters["NAV_FW_ALT_RAD"]
+
+    def fly_leg(self) -> tuple[bool, float]:
+        """Return whether the waypoint is reached, and the lateral acceleration; waits there for its height.
+
+        An item's own acceptance radius is not heeded. One that no leg leads to is not passed but orbited.
+        """
+        if self.circle is not None:
+            return self.at_height(), self.fly_circle()
+        lateral_m_s2 = self.fly_line()
+        if self.goal.distance_m(self._craft) > self._parameters["NAV_ACC_RAD"] and not self._beyond_goal():
+            return False, lateral_m_s2
+        if not self.at_height():
+            self.fly_around(self.goal)
+            return False, lateral_m_s2
+        return True, lateral_m_s2
+
+    def fly_line(self) -> float:
+        if not self._craft.flying:
+            return 0.0
+        self._tune()
+        origin = self._origin or self._here
+        return self.follower.towards_line(self._craft, origin.ground_m, self.goal.ground_m)
+
+    def fly_circle(self) -> float:
+        """Return the lateral acceleration, 0 on the ground and without a circle."""
+        circle = self.circle
+        if circle is None or not self._craft.flying:
+            return 0.0
+        self._tune()
+        # A circle tighter than the roll limit allows is silently flown wider.
+        limit_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(self._parameters.within("FW_R_LIM", 5.0, 80.0)))
+        radius_m = max(circle.radius_m, self._craft.airspeed_m_s**2 / limit_m_s2)
+        return self.follower.towards_circle(self._craft, circle.centre.ground_m, radius_m, circle.clockwise)
+
+    def inside_for_s(self, now_s: float) -> float | None:
+        """Return how long the circle has been flown, None while it is not yet reached."""
+        circle = self.circle
+        if circle is None:
+            return None
+        if self._inside_since_s is None:
+            if circle.centre.distance_m(self._craft) > circle.radius_m + self._parameters["NAV_ACC_RAD"]:
+                return None
+            self._inside_since_s = now_s
+        return now_s - self._inside_since_s
+
+    def _beyond_goal(self) -> bool:
+        """Whether the line through the goal, square to the leg, is passed."""
+        if self._origin is None:
+            return False
+        course_rad = self._origin.bearing_rad(self.goal)
+        east_m, north_m = self._craft.east_m - self.goal.east_m, self._craft.north_m - self.goal.north_m
+        return east_m * math.sin(course_rad) + north_m * math.cos(course_rad) > 0.0
+
+    def _tune(self) -> None:
+        self.follower.period_s = self._parameters.within("NPFG_PERIOD", 1.0, 100.0)
+        self.follower.damping = self._parameters.within("NPFG_DAMPING", 0.1, 2.0)

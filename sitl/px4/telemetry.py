@@ -1,0 +1,218 @@
+"""What PX4 tells of itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from sidelong.sitl.protocol.telemetry import NAN, Builder, Reported, Telemetry, quaternion
+from sidelong.sitl.protocol.transfer import Transfer
+from sidelong.sitl.protocol.wire import mission_current
+from sidelong.sitl.px4.mission import Px4Mission
+from sidelong.sitl.px4.modes import BY_PILOT, Mode
+from sidelong.sitl.px4.navigator import Px4Navigator
+from sidelong.sitl.px4.relayed_range import RelayedRange
+
+# MAV_SYS_STATUS bits as the stock simulator sends them.
+_PRESENT = 0x300403F
+_ENABLED = 0x301403F
+_HEALTHY = 0x1320C83F
+_HEALTHY_BEFORE_READY = 0x0320C83F
+
+_STANDARD_MODES: dict[int, int] = {
+    Mode.MISSION: mavlink.MAV_STANDARD_MODE_MISSION,
+    Mode.RTL: mavlink.MAV_STANDARD_MODE_SAFE_RECOVERY,
+    Mode.LAND: mavlink.MAV_STANDARD_MODE_LAND,
+    Mode.TAKEOFF: mavlink.MAV_STANDARD_MODE_TAKEOFF,
+}
+_DOWNWARD_MAX_M = 100.0
+_DOWNWARD_BEYOND_CM = 65534
+
+# A ground station's link; ranges as on a companion's.
+DEFAULT_INTERVAL_S = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 1.0 / 15.0,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 0.1,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.2,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 1.0,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: 0.25,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 0.2,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 2.0,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 1.0,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
+    mavlink.MAVLINK_MSG_ID_ORBIT_EXECUTION_STATUS: 0.5,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: 1.0,
+    mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: 0.1,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 2.0,
+    mavlink.MAVLINK_MSG_ID_CURRENT_MODE: 2.0,
+    mavlink.MAVLINK_MSG_ID_WIND_COV: 2.0,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 2.0,
+    mavlink.MAVLINK_MSG_ID_PING: 10.0,
+}
+
+
+class ReportedPx4(Reported, Protocol):
+    """What PX4's telemetry reads besides."""
+
+    @property
+    def mission(self) -> Px4Mission: ...
+    @property
+    def navigator(self) -> Px4Navigator: ...
+    @property
+    def mission_state(self) -> int: ...
+    @property
+    def transfers(self) -> Mapping[int, Transfer]: ...
+    @property
+    def mission_types(self) -> tuple[int, ...]: ...
+    @property
+    def relayed_range(self) -> RelayedRange: ...
+
+
+class Px4Telemetry(Telemetry):
+    gps_fix = mavlink.GPS_FIX_TYPE_3D_FIX
+    gps_dilution = (70, 110)
+    gps_accuracy_mm = (900, 1780, 400)
+    home_quaternion = (1.0, 0.0, 0.0, 0.0)
+    software = (1, 17)
+    modes = Mode
+    standard_modes = _STANDARD_MODES
+    parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+
+    def __init__(self, vehicle: ReportedPx4) -> None:
+        super().__init__(vehicle)
+        self._px4 = vehicle
+        self._pings = 0
+
+    def builders(self) -> dict[int, Builder]:
+        return super().builders() | {
+            mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
+            mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission_current,
+            mavlink.MAVLINK_MSG_ID_ORBIT_EXECUTION_STATUS: self._orbit_status,
+            mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT: self._position_target,
+            mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: self._ranges,
+            mavlink.MAVLINK_MSG_ID_CURRENT_MODE: self._current_mode,
+            mavlink.MAVLINK_MSG_ID_WIND_COV: self._wind,
+            mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._estimator_status,
+            mavlink.MAVLINK_MSG_ID_PING: self._ping,
+            mavlink.MAVLINK_MSG_ID_ALTITUDE: self._altitude,
+            mavlink.MAVLINK_MSG_ID_ODOMETRY: self._odometry,
+        }
+
+    def _sys_status(self) -> Any:
+        healthy = _HEALTHY if self._px4.ready else _HEALTHY_BEFORE_READY
+        return mavlink.MAVLink_sys_status_message(
+            _PRESENT, _ENABLED, healthy, 454, 16200, -1, self.battery_percent, *(0,) * 6
+        )
+
+    def _mission_current(self) -> Any:
+        px4 = self._px4
+        fence_id, rally_id = (px4.transfers[kind].store.opaque_id() or 0 for kind in px4.mission_types[1:])
+        base = mavlink.MAVLink_mission_current_message(
+            px4.mission.index,
+            len(px4.mission.items()) or 65535,
+            px4.mission_state,
+            1 if px4.mode == Mode.MISSION else 2,
+        )
+        return mission_current(base, px4.mission.mission_id, fence_id, rally_id)
+
+    def _orbit_status(self) -> Any:
+        circle = self._px4.navigator.circle
+        if circle is None or not self._craft.flying:
+            return None
+        return mavlink.MAVLink_orbit_execution_status_message(
+            self._px4.boot_us,
+            circle.radius_m if circle.clockwise else -circle.radius_m,
+            mavlink.MAV_FRAME_GLOBAL,
+            *self.place_e7(*circle.centre.ground_m),
+            self.altitude_m(circle.centre.height_m),
+        )
+
+    def _position_target(self) -> Any:
+        px4 = self._px4
+        if not self._craft.flying or px4.mode in BY_PILOT:
+            return None
+        goal = px4.navigator.goal
+        return mavlink.MAVLink_position_target_global_int_message(
+            px4.boot_ms,
+            mavlink.MAV_FRAME_GLOBAL_INT,
+            0,
+            *self.place_e7(*goal.ground_m),
+            self.altitude_m(goal.height_m),
+            *(NAN,) * 8,
+        )
+
+    def _ranges(self) -> list[Any]:
+        """Return its own downward sensor, and what another component last reported."""
+        height_m = self._craft.height_m
+        height_cm = round(height_m * 100.0) if height_m < _DOWNWARD_MAX_M else _DOWNWARD_BEYOND_CM
+        downward = mavlink.MAVLink_distance_sensor_message(
+            self._px4.boot_ms,
+            0,
+            round(_DOWNWARD_MAX_M * 100.0),
+            height_cm,
+            mavlink.MAV_DISTANCE_SENSOR_LASER,
+            0,
+            mavlink.MAV_SENSOR_ROTATION_PITCH_270,
+            0,
+            0.0,
+            0.0,
+            [0.0] * 4,
+            0,
+        )
+        relayed = self._px4.relayed_range.take()
+        return [downward] if relayed is None else [downward, relayed]
+
+    def _current_mode(self) -> Any:
+        standard = _STANDARD_MODES.get(self._px4.mode, mavlink.MAV_STANDARD_MODE_NON_STANDARD)
+        return mavlink.MAVLink_current_mode_message(standard, self._px4.mode, self._px4.mode)
+
+    def _wind(self) -> Any:
+        wind = self._craft.wind
+        return mavlink.MAVLink_wind_cov_message(
+            self._px4.boot_us,
+            wind.north_m_s,
+            wind.east_m_s,
+            0.0,
+            1.0,
+            0.0,
+            self.altitude_m(self._craft.height_m),
+            0.0,
+            0.0,
+        )
+
+    def _estimator_status(self) -> Any:
+        flags = 831 if self._px4.ready else 167  # position known absolutely, or only attitude
+        if self._px4.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND:
+            flags |= mavlink.ESTIMATOR_CONST_POS_MODE  # at rest it is held
+        return mavlink.MAVLink_estimator_status_message(self._px4.boot_us, flags, *(0.01,) * 6, 0.5, 0.8)
+
+    def _altitude(self) -> Any:
+        height_m = self._craft.height_m
+        altitude_m = self.altitude_m(height_m)
+        return mavlink.MAVLink_altitude_message(
+            self._px4.boot_us, altitude_m, altitude_m, height_m, height_m, NAN, NAN
+        )
+
+    def _odometry(self) -> Any:
+        craft = self._craft
+        return mavlink.MAVLink_odometry_message(
+            self._px4.boot_us,
+            mavlink.MAV_FRAME_LOCAL_NED,
+            mavlink.MAV_FRAME_LOCAL_NED,
+            *(craft.north_m, craft.east_m, -craft.height_m),
+            list(quaternion(craft.roll_rad, craft.pitch_rad, craft.heading_rad)),
+            *(craft.velocity_north_m_s, craft.velocity_east_m_s, -craft.climb_m_s),
+            *self._body_rates_rad_s(),
+            [NAN] * 21,
+            [NAN] * 21,
+            0,
+            mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
+        )
+
+    def _ping(self) -> Any:
+        self._pings += 1
+        return mavlink.MAVLink_ping_message(self._px4.boot_us, self._pings, 0, 0)

@@ -1,0 +1,400 @@
+"""PX4 as a ground program meets it, flying a fixed wing: modes, mission, commands, failsafe."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pymavlink.dialects.v20 import all as mavlink
+
+from sidelong.sitl.autopilot import Autopilot
+from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, REJECTED, UNSUPPORTED, Command
+from sidelong.sitl.protocol.fence import PointStore
+from sidelong.sitl.protocol.items import Item
+from sidelong.sitl.protocol.radio import Station
+from sidelong.sitl.protocol.transfer import ProtocolQuirks, Store
+from sidelong.sitl.px4.mission import Px4Mission, refusal
+from sidelong.sitl.px4.modes import BY_PILOT, Mode, custom_mode
+from sidelong.sitl.px4.navigator import Px4Navigator
+from sidelong.sitl.px4.parameters import px4_parameters
+from sidelong.sitl.px4.relayed_range import RelayedRange
+from sidelong.sitl.px4.telemetry import DEFAULT_INTERVAL_S, Px4Telemetry
+from sidelong.sitl.settings import Settings
+from sidelong.sitl.world.airframe import AirframeParameters
+from sidelong.sitl.world.place import Place
+
+_MANNERS = ProtocolQuirks(
+    asks_with_int=True,
+    retry_s=0.25,
+    timeout_s=5.0,
+    max_items=2000,
+    partial_writes=False,
+    reads_in_order=True,
+    busy_result=mavlink.MAV_MISSION_ERROR,
+    restarts=False,
+    wrong_sequence_result=None,
+    repeats_final_ack=True,
+    timeout_result=None,
+    timeout_severity=mavlink.MAV_SEVERITY_CRITICAL,
+    timeout_text="Operation timeout\t",
+)
+_RECHECK_S = 0.8  # an infeasible mission keeps its successor from starting for so long
+_REACHED_REPEATS = 10
+_CLIMB_OVER_M = 10.0  # a takeoff is flown above its height
+_SIGNED_RADIUS_PARAM = {
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: 2,
+    mavlink.MAV_CMD_NAV_LOITER_TIME: 2,
+    mavlink.MAV_CMD_NAV_LOITER_TO_ALT: 1,
+}
+
+
+class Px4(Autopilot):
+    autopilot_id = mavlink.MAV_AUTOPILOT_PX4
+    first_mode = Mode.HOLD
+    taken_over_mode = Mode.POSCTL
+    navigation_period_s = 0.04
+    hears_once_a_loop = False
+    home_known_s = 3.0
+    ready_s = 8.0
+    unknown_interval_result = FAILED
+    unknown_request_result = DENIED
+    arming_refusal = (REJECTED, "Arming denied: Resolve system health failures first\t")
+    quirks = _MANNERS
+    default_interval_s = DEFAULT_INTERVAL_S
+    unsigned_messages = Autopilot.unsigned_messages | {
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_ADSB_VEHICLE,
+        mavlink.MAVLINK_MSG_ID_COLLISION,
+    }
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings, AirframeParameters(), 0.0, px4_parameters(settings))
+        self.mission = Px4Mission(self._on_swap)
+        self.navigator = Px4Navigator(self.craft, self.parameters)
+        self._item: Item | None = None  # being flown
+        self._finished = False
+        self._interrupted = False
+        self._refusal: str | None = refusal([], self.home, 0)
+        self._valid_from_s = 0.0
+        self._reached: tuple[int, int, float] | None = None  # index, repeats left, next time
+        self.relayed_range = RelayedRange()
+        self._ordered_airspeed_m_s: float | None = None
+        self._link_lost = False
+        self.parameters.on_change = self._on_parameter
+        self._handlers |= {
+            mavlink.MAV_CMD_MISSION_START: self._on_mission_start,
+            mavlink.MAV_CMD_DO_REPOSITION: self._on_reposition,
+            mavlink.MAV_CMD_DO_ORBIT: self._on_orbit,
+            mavlink.MAV_CMD_NAV_TAKEOFF: self._on_takeoff,
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda _: ACCEPTED if self.set_mode(Mode.RTL) else REJECTED,
+            mavlink.MAV_CMD_NAV_LAND: lambda _: ACCEPTED if self.set_mode(Mode.LAND) else REJECTED,
+            mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
+        }
+        stores: tuple[Store, ...] = (self.mission, PointStore(True), PointStore(True))
+        self.attach(stores, Px4Telemetry(self).builders())
+
+    @property
+    def roll_limit_rad(self) -> float:
+        return math.radians(self.parameters.within("FW_R_LIM", 5.0, 80.0))
+
+    @property
+    def base_mode(self) -> int:
+        flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
+        if self.mode in BY_PILOT:
+            flags |= mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+        else:
+            flags |= mavlink.MAV_MODE_FLAG_AUTO_ENABLED | mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
+        return int(flags | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0))
+
+    # Modes.
+
+    def mode_of_command(self, base_mode: int, main: int, sub: int) -> int | None:
+        mode = custom_mode(main, sub)
+        return mode if base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED and mode in list(Mode) else None
+
+    def set_mode(self, mode: int) -> bool:
+        if mode not in list(Mode):
+            return False
+        if mode == Mode.MISSION and not self._mission_valid:
+            # The change is acknowledged all the same; only what is flown tells.
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, "No valid mission available, loitering\t")
+            mode = Mode.HOLD
+        if mode == self.mode:
+            return True
+        self._interrupted = self._interrupted or self.mode == Mode.MISSION
+        self.mode = Mode(mode)
+        self.lifting_off = False
+        self._item = None
+        self._ordered_airspeed_m_s = None
+        self.navigator.stop()
+        match mode:
+            case Mode.MISSION:
+                self._begin_mission()
+            case Mode.RTL:
+                home = Place(0.0, 0.0, self.parameters["RTL_RETURN_ALT"])
+                self._circle_at(home, self.parameters["RTL_LOITER_RAD"])
+            case Mode.LAND:
+                self.navigator.go_to(Place(self.craft.east_m, self.craft.north_m, 0.0), from_here=True)
+            case Mode.TAKEOFF:
+                self._begin_takeoff(self.parameters["MIS_TAKEOFF_ALT"])
+            case _:
+                self.height_goal_m = self.craft.height_m
+                if self.craft.flying:
+                    self._circle_at(self.here)
+        return True
+
+    def _on_set_mode(self, command: Command) -> int:
+        wanted = self.mode_of_command(int(command.number(1)), int(command.number(2)), int(command.number(3)))
+        if wanted == Mode.MISSION and not self._mission_valid:
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, "Switching to Mission is currently not available\t")
+            return REJECTED
+        return super()._on_set_mode(command)
+
+    def on_armed(self) -> None:
+        self.say(mavlink.MAV_SEVERITY_INFO, "Armed by external command\t")
+
+    def on_landed(self) -> None:
+        self.disarm()
+        self.say(mavlink.MAV_SEVERITY_INFO, "Landing detected\t")
+
+    def watch_links(self) -> None:
+        action = self.parameters["NAV_DLL_ACT"]
+        if not action or not self.craft.flying:
+            return
+        lost_for_s = self.ground_silent_s - self.parameters["COM_DL_LOSS_T"]
+        if lost_for_s < 0.0:
+            self._link_lost = False
+        elif not self._link_lost:
+            self._link_lost = True
+            self.say(mavlink.MAV_SEVERITY_WARNING, "Connection to ground station lost\t")
+            self.set_mode(Mode.HOLD)
+        elif action == 2 and lost_for_s > self.parameters["COM_FAIL_ACT_T"]:
+            self.set_mode(Mode.RTL)
+
+    # Navigation.
+
+    @property
+    def airspeed_goal_m_s(self) -> float:
+        ordered_m_s = self._ordered_airspeed_m_s
+        return self.parameters.within("FW_AIRSPD_TRIM", 5.0, 60.0) if ordered_m_s is None else ordered_m_s
+
+    def navigate(self, dt_s: float) -> float:
+        del dt_s  # the follower has no integral
+        self._repeat_reached()
+        match self.mode:
+            case Mode.MISSION:
+                return self._navigate_mission()
+            case Mode.TAKEOFF:
+                if self._climbed_out():
+                    goal = self.navigator.goal
+                    self.set_mode(Mode.HOLD)
+                    self._circle_at(goal)
+                return 0.0
+            case Mode.LAND:
+                return self._descend()
+            case Mode.HOLD | Mode.RTL:
+                return self.navigator.fly_circle()
+            case _:  # sticks in the middle
+                return 0.0
+
+    def _circle_at(self, centre: Place, signed_radius_m: float = math.nan) -> None:
+        self.height_goal_m = centre.height_m
+        self.navigator.fly_around(centre, signed_radius_m)
+
+    def _navigate_mission(self) -> float:
+        item = self._item
+        if item is None or not self.armed:
+            return 0.0
+        if not self.craft.flying:
+            self.lifting_off = True
+            return 0.0
+        done, lateral_m_s2 = self._fly_item(item)
+        if done:
+            self._reached = (self.mission.index, _REACHED_REPEATS, self.now_s)
+            self._start_item(self.mission.index + 1, from_here=item.command == mavlink.MAV_CMD_NAV_TAKEOFF)
+        return lateral_m_s2
+
+    def _fly_item(self, item: Item) -> tuple[bool, float]:
+        """Return whether the item is done, and the lateral acceleration."""
+        match item.command:
+            case mavlink.MAV_CMD_NAV_TAKEOFF:
+                return self._climbed_out(), 0.0
+            case mavlink.MAV_CMD_NAV_WAYPOINT:
+                return self.navigator.fly_leg()
+            case mavlink.MAV_CMD_NAV_LAND:
+                return False, self._descend()
+            case _:
+                inside_s = self.navigator.inside_for_s(self.now_s)
+                arrived = inside_s is not None and self.navigator.at_height()
+                done = arrived and (
+                    item.command == mavlink.MAV_CMD_NAV_LOITER_TO_ALT
+                    or (item.command == mavlink.MAV_CMD_NAV_LOITER_TIME and (inside_s or 0.0) >= item.params[0])
+                )
+                return done, self.navigator.fly_circle()
+
+    def _begin_takeoff(self, height_m: float) -> None:
+        self.navigator.go_to(Place(self.craft.east_m, self.craft.north_m, height_m), from_here=True)
+        self.height_goal_m = height_m + _CLIMB_OVER_M
+
+    def _climbed_out(self) -> bool:
+        if not self.craft.flying:
+            self.lifting_off = self.armed
+            return False
+        return self.craft.height_m >= self.navigator.goal.height_m + 0.5
+
+    def _descend(self) -> float:
+        self.height_goal_m = self.landing_height_m(self.navigator.goal)
+        return self.navigator.fly_line()
+
+    # Mission.
+
+    @property
+    def _mission_valid(self) -> bool:
+        return self._refusal is None and self.now_s >= self._valid_from_s
+
+    @property
+    def mission_state(self) -> int:
+        if not self.mission.items():
+            return int(mavlink.MISSION_STATE_NO_MISSION)
+        if self._finished:
+            return int(mavlink.MISSION_STATE_COMPLETE)
+        if self.mode == Mode.MISSION:
+            return int(mavlink.MISSION_STATE_ACTIVE)
+        return int(mavlink.MISSION_STATE_PAUSED if self._interrupted else mavlink.MISSION_STATE_NOT_STARTED)
+
+    def _on_swap(self) -> None:
+        """Check the items that have come, and fly them at once when in MISSION."""
+        was_rejected = self._refusal is not None and self._refusal.startswith("Mission rejected")
+        self._finished = self._interrupted = False
+        self._check_mission(was_rejected)
+        if self.mode != Mode.MISSION:
+            return
+        if self._refusal is None:
+            self._start_item(self.mission.index, from_here=True)
+        else:
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, "No valid mission available, loitering\t")
+            self.set_mode(Mode.HOLD)
+
+    def _check_mission(self, was_rejected: bool) -> None:
+        self._refusal = refusal(
+            self.mission.items(), self.home, int(self.parameters["MIS_TKO_LAND_REQ"]), self.parameters["FW_LND_ANG"]
+        )
+        if self._refusal is not None and self.mission.items():
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, f"{self._refusal}\t")
+        elif was_rejected:
+            self._valid_from_s = self.now_s + _RECHECK_S
+
+    def _on_parameter(self, name: str, _value: float) -> None:
+        if name in ("MIS_TKO_LAND_REQ", "FW_LND_ANG"):
+            self._check_mission(was_rejected=False)
+
+    def _begin_mission(self) -> None:
+        if self._finished:
+            self.mission.index, self._finished = 0, False
+        self.say(mavlink.MAV_SEVERITY_INFO, "Executing Mission\t")
+        self._start_item(self.mission.index, from_here=True)
+
+    def _start_item(self, index: int, *, from_here: bool) -> None:
+        items = self.mission.items()
+        flown = self.mission.navigation_from(index)
+        for item in items[index:flown]:
+            if item.command == mavlink.MAV_CMD_DO_CHANGE_SPEED:
+                self._order_airspeed(item.params[1])
+        if flown is not None and items[flown].command == mavlink.MAV_CMD_NAV_TAKEOFF and self.craft.flying:
+            self._start_item(flown + 1, from_here=from_here)  # no takeoff in the air
+            return
+        if flown is None:
+            self._finished = True
+            self.say(mavlink.MAV_SEVERITY_INFO, "Mission finished, loitering\t")
+            self.set_mode(Mode.HOLD)
+            return
+        item = items[flown]
+        self.mission.index, self._item = flown, item
+        self.broadcast_now(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
+        place = self.place_of(item)
+        self.height_goal_m = place.height_m
+        if item.command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+            self.set_mode(Mode.RTL)
+        elif item.command == mavlink.MAV_CMD_NAV_TAKEOFF:
+            self._begin_takeoff(place.height_m)
+        elif item.command in _SIGNED_RADIUS_PARAM:
+            self._circle_at(place, item.params[_SIGNED_RADIUS_PARAM[item.command]])
+        else:
+            self.navigator.go_to(place, from_here=from_here)
+
+    def _repeat_reached(self) -> None:
+        if self._reached is None or self.now_s < self._reached[2]:
+            return
+        index, left, due_s = self._reached
+        self.radio.broadcast(mavlink.MAVLink_mission_item_reached_message(index))
+        self._reached = (index, left - 1, due_s + 1.0) if left > 0 else None
+
+    def take_range(self, message: Any) -> None:
+        self.relayed_range.put(message, self.boot_ms)
+
+    # Commands.
+
+    def handle_own(self, station: Station, message: Any, kind: str) -> None:
+        if kind == "DISTANCE_SENSOR":
+            self.take_range(message)
+        else:
+            super().handle_own(station, message, kind)
+
+    def set_current_item(self, index: int) -> bool:
+        if not 0 <= index < len(self.mission.items()):
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, "WPM: WP CURR CMD: Not in list\t")
+            return False
+        if index != self.mission.index:
+            self.mission.index, self._finished = index, False
+            if self.mode == Mode.MISSION:
+                self._start_item(index, from_here=True)
+        return True
+
+    def _on_mission_start(self, command: Command) -> int:
+        if not self._mission_valid:
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, "Mission start denied! No valid mission\t")
+            return DENIED
+        if not -1 <= command.param(1) < len(self.mission.items()):
+            return DENIED
+        if not self.armed and self.arm() != ACCEPTED:
+            return REJECTED
+        return ACCEPTED if self.set_mode(Mode.MISSION) else REJECTED
+
+    def _on_reposition(self, command: Command) -> int:
+        if int(command.number(2)) != mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
+            return UNSUPPORTED
+        return self._hold_around(command, math.nan)
+
+    def _on_orbit(self, command: Command) -> int:
+        return self._hold_around(command, command.param(1))
+
+    def _hold_around(self, command: Command, signed_radius_m: float) -> int:
+        """Hold around the place in params 5 to 7, altitude above sea level in any frame; what is NaN is here."""
+        latitude_deg, longitude_deg, altitude_m = command.params[4:7]
+        here = self.here
+        east_m, north_m = here.ground_m
+        if math.isfinite(latitude_deg) and math.isfinite(longitude_deg):
+            east_m, north_m = self.plane.east_north_m(latitude_deg, longitude_deg)
+        height_m = altitude_m - self.home.altitude_m if math.isfinite(altitude_m) else here.height_m
+        self.set_mode(Mode.HOLD)
+        if self.craft.flying:
+            self._circle_at(Place(east_m, north_m, height_m), signed_radius_m)
+        return ACCEPTED
+
+    def _on_takeoff(self, command: Command) -> int:
+        if self.craft.flying:
+            return REJECTED
+        self.set_mode(Mode.TAKEOFF)
+        altitude_m = command.param(7)
+        if math.isfinite(altitude_m):
+            self._begin_takeoff(altitude_m - self.home.altitude_m)
+        return ACCEPTED
+
+    def _on_change_speed(self, command: Command) -> int:
+        self._order_airspeed(command.number(2))
+        return ACCEPTED
+
+    def _order_airspeed(self, speed_m_s: float) -> None:
+        if speed_m_s > 0.0:
+            min_m_s, max_m_s = self.parameters["FW_AIRSPD_MIN"], self.parameters["FW_AIRSPD_MAX"]
+            self._ordered_airspeed_m_s = max(min_m_s, min(max_m_s, speed_m_s))

@@ -1,0 +1,265 @@
+"""A recorded track as a target motion: without GPS spikes, and never faster than a ground vehicle could be."""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+from sidelong.sitl.world.geodesy import HomePlane
+
+_FILE_MAX_BYTES = 8 << 20
+_TARGET_TRACK = "target"
+_TIME_PIECES = 64  # of the text of a time
+_SPIKE_SPEED_M_S = 15.0
+_SPIKE_DETOUR = 3.0  # by way of a spike, over the direct way past it
+_LIVELY_SPEED_M_S = 2.5
+_LIVELY_WINDOW_S = 60.0
+
+
+_Point = tuple[float, float, float]  # time, then east and north or latitude and longitude
+# What the columns of a CSV may be called: time and two of place; whether these are degrees.
+_COLUMNS = (
+    ((("t_s", "time_s", "time", "t"), ("east_m",), ("north_m",)), False),
+    ((("time", "t_s", "time_s", "t"), ("lat", "latitude", "lat_deg"), ("lon", "longitude", "lon_deg")), True),
+)
+
+
+class TrackError(ValueError):
+    """The file cannot be used as a track; the message names it and says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Points with strictly rising times, relative to the first; at least two."""
+
+    time_s: Sequence[float]
+    east_m: Sequence[float]
+    north_m: Sequence[float]
+
+    def first_motion_s(self) -> float:
+        """Return when the first minute begins that covers ground at a jog; 0 if there is none."""
+        length_m = [0.0]
+        for i in range(1, len(self.time_s)):
+            step_m = math.hypot(self.east_m[i] - self.east_m[i - 1], self.north_m[i] - self.north_m[i - 1])
+            length_m.append(length_m[-1] + step_m)
+        for i, begin_s in enumerate(self.time_s):
+            j = bisect_right(self.time_s, begin_s + _LIVELY_WINDOW_S) - 1
+            if length_m[j] - length_m[i] >= _LIVELY_SPEED_M_S * _LIVELY_WINDOW_S:
+                return begin_s
+        return 0.0
+
+
+class TrackMotion:
+    """Moves along the track, in step with it, but never faster than ``speed_max_m_s``: jumps are walked."""
+
+    __slots__ = ("_arc_m", "_progress_m", "_skip_s", "_speed_max_m_s", "_start_m", "_time_s", "_track")
+
+    def __init__(self, track: Track, start_m: tuple[float, float], speed_max_m_s: float, skip_s: float) -> None:
+        self._track = track
+        self._skip_s = skip_s
+        self._speed_max_m_s = speed_max_m_s
+        self._arc_m = [0.0]
+        for i in range(1, len(track.time_s)):
+            step_m = math.hypot(
+                track.east_m[i] - track.east_m[i - 1],
+                track.north_m[i] - track.north_m[i - 1],
+            )
+            self._arc_m.append(self._arc_m[-1] + step_m)
+        self._time_s = 0.0
+        self._progress_m = self._recorded_arc_m(skip_s)
+        first_m = self._position_m(self._progress_m)
+        self._start_m = (start_m[0] - first_m[0], start_m[1] - first_m[1])
+
+    def at(self, time_s: float) -> tuple[float, float]:
+        reach_m = self._progress_m + self._speed_max_m_s * (time_s - self._time_s)
+        self._progress_m = max(self._progress_m, min(reach_m, self._recorded_arc_m(self._skip_s + time_s)))
+        self._time_s = time_s
+        east_m, north_m = self._position_m(self._progress_m)
+        return east_m + self._start_m[0], north_m + self._start_m[1]
+
+    def _recorded_arc_m(self, time_s: float) -> float:
+        return _interpolate(time_s, self._track.time_s, self._arc_m)
+
+    def _position_m(self, arc_m: float) -> tuple[float, float]:
+        return (
+            _interpolate(arc_m, self._arc_m, self._track.east_m),
+            _interpolate(arc_m, self._arc_m, self._track.north_m),
+        )
+
+
+def read_track(path: Path) -> Track:
+    """Read a .gpx track, or a .csv whose header names t_s, east_m, north_m or time, lat, lon among its columns.
+
+    Points come in the order of time, relative to the first; spikes of the receiver are left out.
+    Raises TrackError when the file cannot be read, is too long, or holds fewer than two usable points.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise TrackError(f"{path} cannot be read: it is no file")
+        if path.stat().st_size > _FILE_MAX_BYTES:
+            raise TrackError(f"{path} is longer than {_FILE_MAX_BYTES >> 20} MiB; cut the track")
+        rows = _read_gpx(path) if path.suffix.lower() == ".gpx" else _read_csv(path)
+    except OSError as error:
+        raise TrackError(f"{path} cannot be read: {error.strerror}") from error
+    except (ElementTree.ParseError, csv.Error, LookupError, ArithmeticError, ValueError) as error:
+        if isinstance(error, TrackError):
+            raise
+        raise TrackError(f"{path} is no readable track: {error!s:.160}") from error
+    points = _without_spikes(_rising([row for row in rows if all(map(math.isfinite, row))]))
+    if len(points) < 2:
+        raise TrackError(f"{path} holds {len(points)} usable points with times; a track needs two")
+    first_s = points[0][0]
+    time_s, east_m, north_m = zip(*points, strict=True)
+    return Track([t - first_s for t in time_s], east_m, north_m)
+
+
+class _Points:
+    """A target of the XML parser: it keeps the points of tracks and nothing else of the file.
+
+    Of a flight's own export only the target's track is kept, not the aircraft's.
+    """
+
+    def __init__(self) -> None:
+        self.rows: list[_Point] = []
+        self.of_target: list[_Point] = []
+        self._track_begun = 0  # how many points there were before the present track
+        self._name: str | None = None  # of which the text is being read
+        self._is_target = False
+        self._place: tuple[float, float] | None = None
+        self._time: list[str] | None = None  # pieces of the text of the time that is being read
+        self._time_s: float | None = None
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        name = tag.rpartition("}")[2]
+        if name == "trk":
+            self._track_begun = len(self.rows)
+        elif name == "name":
+            self._name = ""
+        elif name == "trkpt":
+            place = attributes.get("lat"), attributes.get("lon")
+            self._place = (float(place[0]), float(place[1])) if place[0] and place[1] else None
+            self._time_s = None
+        elif name == "time" and self._place is not None:
+            self._time = []
+
+    def data(self, text: str) -> None:
+        if self._time is not None and len(self._time) < _TIME_PIECES:
+            self._time.append(text)
+        elif self._name is not None and len(self._name) < len(_TARGET_TRACK):
+            self._name += text
+
+    def end(self, tag: str) -> None:
+        name = tag.rpartition("}")[2]
+        if name == "trk" and self._is_target:
+            self.of_target += self.rows[self._track_begun :]
+            self._is_target = False
+        elif name == "name" and self._name is not None:
+            self._is_target, self._name = self._is_target or self._name == _TARGET_TRACK, None
+        elif name == "time" and self._time is not None:
+            stamp, self._time = "".join(self._time).strip(), None
+            self._time_s = _seconds(stamp) if stamp else None
+        elif name == "trkpt" and self._place is not None:
+            if self._time_s is not None:
+                self.rows.append((self._time_s, *self._place))
+            self._place = None
+
+    def close(self) -> None:
+        pass
+
+
+def _read_gpx(path: Path) -> list[_Point]:
+    points = _Points()
+    parser = ElementTree.XMLParser(target=points)
+    with path.open("rb") as file:
+        while piece := file.read(1 << 16):
+            parser.feed(piece)
+    parser.close()
+    return _from_geodetic(points.of_target or points.rows)
+
+
+def _read_csv(path: Path) -> list[_Point]:
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        header = file.readline()
+        columns = [name.strip().lower() for name in next(csv.reader([header], delimiter=_delimiter(header)), [])]
+        rows = csv.reader(file, delimiter=_delimiter(header))
+        for names, geodetic in _COLUMNS:
+            places = [next((columns.index(n) for n in alike if n in columns), None) for alike in names]
+            if None not in places:
+                points = [_point([row[k] for k in places if k is not None and k < len(row)]) for row in rows]
+                found = [point for point in points if point is not None]
+                return _from_geodetic(found) if geodetic else found
+    raise ValueError("the header names neither t_s, east_m, north_m nor time, lat, lon")
+
+
+def _delimiter(header: str) -> str:
+    return max(",;\t", key=header.count)
+
+
+def _point(cells: list[str]) -> _Point | None:
+    """Return a row's time and place, None where a cell is empty. Raises ValueError for one that is no number."""
+    if len(cells) < 3 or not all(cell.strip() for cell in cells):
+        return None
+    return _seconds(cells[0]), float(cells[1]), float(cells[2])
+
+
+def _seconds(stamp: str) -> float:
+    try:
+        return float(stamp)
+    except ValueError:
+        return datetime.datetime.fromisoformat(stamp.strip()).timestamp()
+
+
+def _from_geodetic(rows: list[_Point]) -> list[_Point]:
+    rows = [row for row in rows if abs(row[1]) <= 90.0 and abs(row[2]) <= 180.0]
+    if not rows:
+        return []
+    plane = HomePlane(rows[0][1], rows[0][2])
+    return [
+        (time_s, *plane.east_north_m(latitude_deg, longitude_deg)) for time_s, latitude_deg, longitude_deg in rows
+    ]
+
+
+def _rising(rows: list[_Point]) -> list[_Point]:
+    """Return the points in the order of time, the first of each time."""
+    return [row for k, row in enumerate(rows) if k == 0 or row[0] > rows[k - 1][0]] if (rows := sorted(rows)) else []
+
+
+def _without_spikes(points: list[_Point]) -> list[_Point]:
+    """Drop single points that lie far off the way between their neighbours, faster there and back than is possible.
+
+    The last point has no neighbour behind it: it is dropped when it cannot be reached at the speed of the others.
+    """
+    kept: list[_Point] = []
+    for k, point in enumerate(points):
+        if kept:
+            there_m_s, there_m = _speed_m_s(kept[-1], point), math.dist(kept[-1][1:], point[1:])
+            if k + 1 == len(points):
+                before_m_s = _speed_m_s(kept[-2], kept[-1]) if len(kept) > 1 else 0.0
+                if there_m_s > _SPIKE_SPEED_M_S and there_m_s > before_m_s + _SPIKE_SPEED_M_S:
+                    continue
+            else:
+                back_m, direct_m = (math.dist(points[k + 1][1:], p[1:]) for p in (point, kept[-1]))
+                hurried = min(there_m_s, _speed_m_s(point, points[k + 1])) > _SPIKE_SPEED_M_S
+                if hurried and there_m + back_m > _SPIKE_DETOUR * direct_m:
+                    continue
+        kept.append(point)
+    return kept
+
+
+def _speed_m_s(one: _Point, other: _Point) -> float:
+    return math.dist(one[1:], other[1:]) / (other[0] - one[0])
+
+
+def _interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:
+    i = bisect_right(xs, x)
+    if i == 0:
+        return ys[0]
+    if i == len(xs):
+        return ys[-1]
+    return ys[i - 1] + (ys[i] - ys[i - 1]) * (x - xs[i - 1]) / (xs[i] - xs[i - 1])
