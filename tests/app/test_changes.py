@@ -22,6 +22,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ControlAcquired, MissionChange, UploadPlan
 from sidelong.mission.predictive import planner
 from tests.app.conftest import recorded
+from tests.turns import loop_turn
 
 PLANE, HOME_DEG = LocalPlane(47.4, 8.5), (47.4, 8.5)
 
@@ -72,7 +73,7 @@ def test_the_table_of_another_radius_is_made_by_another_process(monkeypatch, tmp
         changes.take(MissionChange(0.0, radius_m=90.0))
         while not put:
             turns += 1
-            await asyncio.sleep(0.002)
+            await loop_turn()
 
     asyncio.run(changed())
     assert said == ["radius 90 m refused: the change before is still being made ready; ask again"]

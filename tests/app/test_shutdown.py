@@ -9,8 +9,9 @@ LEFT = """
 import asyncio, threading
 from sidelong.app import event_loop, shutdown
 async def main():
-    asyncio.get_running_loop().run_in_executor(None, threading.Event().wait)
-    await asyncio.sleep(0.01)
+    begun = threading.Event()
+    asyncio.get_running_loop().run_in_executor(None, lambda: (begun.set(), threading.Event().wait()))
+    begun.wait()
     print("done")
     return 3
 shutdown.exit_process(event_loop.run(main()))
@@ -24,11 +25,11 @@ with shutdown.ends_within(0.2, "closing"):
 """
 
 IN_TIME = """
-import time
+import threading
 from sidelong.app import shutdown
 with shutdown.ends_within(0.05, "closing"):
     pass
-time.sleep(0.2)
+threading.Event().wait(0.2)
 shutdown.exit_process(0)
 """
 
@@ -62,7 +63,7 @@ def test_a_signal_at_the_very_end_changes_no_exit_code():
 
 
 DEAF = """
-import signal, sys, time
+import signal
 from sidelong.app import cli
 class Deaf:
     def __del__(self):
@@ -75,7 +76,7 @@ cli.main()
 """
 
 
-@pytest.mark.parametrize("then", ["time.sleep(20.0)", "raise RuntimeError('no compiled object yet')"])
+@pytest.mark.parametrize("then", ["signal.pause()", "raise RuntimeError('no compiled object yet')"])
 def test_an_interrupt_that_is_dropped_ends_it_all_the_same(then):
     code = [sys.executable, "-c", DEAF.format(then)]
     done = subprocess.run(code, capture_output=True, timeout=15.0, check=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from contextlib import closing
 
@@ -9,11 +10,11 @@ import pytest
 
 from sidelong.app.view.feed import Feed, FeedError
 
-# Says that it is up, then reads nothing until it is told to: by a line on its input's place, a file.
+# Prints that it is up, then reads nothing until the test opens the named pipe for writing.
 LAZY = """
-import pathlib, sys, time
+import sys
 print("up", flush=True)
-while not pathlib.Path(sys.argv[1]).exists(): time.sleep(0.005)
+open(sys.argv[1]).close()
 for line in sys.stdin.buffer: sys.stdout.buffer.write(line); sys.stdout.buffer.flush()
 """
 
@@ -24,12 +25,13 @@ def python(code: str, *arguments: str) -> tuple[str, ...]:
 
 def test_what_does_not_fit_is_left_out_and_the_rest_arrives_whole_and_in_order(tmp_path):
     begin = tmp_path / "begin"
+    os.mkfifo(begin)
     with closing(Feed(python(LAZY, str(begin)))) as feed:
         assert feed.wait_for_line(30.0) == b"up"
         lines = [b"%04d:" % n + b"x" * 3000 for n in range(200)]
         sent = [line for line in lines if feed.send(line)]
         assert 2 < len(sent) < len(lines)
-        begin.touch()
+        begin.open("w").close()
         echoed: list[bytes] = []
         while len(echoed) < len(sent):
             echoed += feed.lines()

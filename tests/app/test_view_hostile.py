@@ -12,7 +12,6 @@ import random
 import socket
 import ssl
 import subprocess
-import time
 from pathlib import Path
 from urllib.request import HTTPCookieProcessor, HTTPSHandler, Request, build_opener, urlopen
 
@@ -168,9 +167,8 @@ def test_a_hostile_client_changes_nothing(kind, shown, guarded):
     growth_kb = memory_kb(display) - before_kb
     print(f"{kind}: {REQUESTS} requests of {len(requests)} kinds, answers {sorted(statuses)}, {growth_kb} kB more")
     assert growth_kb < GROWTH_MAX_KB
-    deadline_s = time.monotonic() + 20.0
     while (answer := answered(display, get(host))[9:12]) == b"429":
-        assert time.monotonic() < deadline_s
+        pass  # the guesses refill within seconds; the test's timeout bounds the wait
     assert answer == (b"200" if kind == "local" else b"403")
 
 

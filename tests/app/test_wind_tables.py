@@ -30,6 +30,7 @@ from sidelong.mission.core.events import (
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.predictive import planner
 from tests.app.conftest import recorded
+from tests.turns import loop_turn
 
 PLANE, HOME_DEG = LocalPlane(47.4, 8.5), (47.4, 8.5)
 
@@ -61,7 +62,7 @@ class Windy:
                 wind = Wind(wind_m_s, 0.0)
                 self.tables.show(replace(snapshot, time_s=float(second), wind=wind))
             while self.tables._busy:
-                await asyncio.sleep(0.002)
+                await loop_turn()
 
         asyncio.run(flown())
         return [prepared.speed_m_s for prepared in self.put]

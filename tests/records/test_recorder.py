@@ -117,18 +117,27 @@ while True:
     journal.write(Announce(now_s, "track", "as long as a line may be " * 5))
     tlog.write(dialect.MAVLink_heartbeat_message(1, 3, 81, 10, 4, 3).pack(mav), now_s)
     print(repr(now_s), flush=True)
-    time.sleep(0.002)
+    sys.stdin.readline()  # the test sets the pace
 """
 
 
 @pytest.mark.parametrize("events", [1, 100, 170, 600])
 def test_a_kill_at_any_moment_leaves_both_records_readable_to_the_last_second(tmp_path, events):
     process = subprocess.Popen(
-        [sys.executable, "-c", FLYING, str(tmp_path)], stdout=subprocess.PIPE, text=True, cwd=ROOT
+        [sys.executable, "-c", FLYING, str(tmp_path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        bufsize=1,
+        cwd=ROOT,
     )
+    assert process.stdin is not None
     assert process.stdout is not None
     try:
-        told_s = [float(process.stdout.readline()) for _ in range(events)]
+        told_s = []
+        for _ in range(events):
+            told_s.append(float(process.stdout.readline()))
+            process.stdin.write("\n")
     finally:
         process.kill()
     with process:
