@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sidelong.app.interpreter import helper_command, helper_environment
 from sidelong.mission.predictive.value_iteration import compute
 from sidelong.mission.predictive.value_table import Float32, TableConfiguration, ValueTable, completed
 
@@ -71,7 +72,8 @@ async def _made_beside(configuration: TableConfiguration) -> ValueTable:
     import asyncio  # noqa: PLC0415  # with a flight it is there; who only reads a table goes without
 
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-P", "-m", "sidelong.app.value_cache"),
+        *helper_command("sidelong.app.value_cache"),
+        env=helper_environment(),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         start_new_session=True,  # the terminal's Ctrl-C is not for it

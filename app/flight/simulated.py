@@ -6,12 +6,12 @@ import asyncio
 import contextlib
 import math
 import socket
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
+from sidelong.app.interpreter import helper_command, helper_environment
 
 _READY_S = 30.0
 _STOP_S = 5.0
@@ -67,7 +67,8 @@ class SimulatedVehicles:
     async def __aenter__(self) -> SimulatedVehicles:
         # A session of its own keeps the terminal's Ctrl-C from ending it before the mission has been wound up.
         self._process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-P", "-m", "sidelong.sitl", *self._options),
+            *helper_command("sidelong.sitl", *self._options),
+            env=helper_environment(),
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,

@@ -8,7 +8,7 @@ import select
 import subprocess
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 _END_S = 2.0
 
@@ -20,11 +20,16 @@ class FeedError(Exception):
 class Feed:
     """Starts ``command``; ``send`` and ``lines`` return at once whatever the process does."""
 
-    def __init__(self, command: Sequence[str]) -> None:
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
         # A session of its own keeps the terminal's Ctrl-C from ending it before the flight has ended.
         self._complaints = tempfile.TemporaryFile()  # noqa: SIM115  # closed by close(); a pipe could fill up
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._complaints, start_new_session=True
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._complaints,
+            env=environment,
+            start_new_session=True,
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import secrets
-import sys
 
 from sidelong.app.errors import InputError
+from sidelong.app.interpreter import helper_command, helper_environment
 from sidelong.app.view.address import Address
 from sidelong.app.view.feed import Feed, FeedError
 from sidelong.app.view.shading import Shading
@@ -22,7 +22,7 @@ def start_page(address: Address, replay: bool = False) -> tuple[Feed, str, str]:
     """
     host, port, under = address.host, address.port, address.map
     token, viewer_token = ("", "") if address.is_local else (secrets.token_urlsafe(16), secrets.token_urlsafe(16))
-    feed = Feed((sys.executable, "-P", "-m", "sidelong.app.view"))
+    feed = Feed(helper_command("sidelong.app.view"), helper_environment())
     options: Json = {"host": host, "port": port, "operator_token": token, "viewer_token": viewer_token}
     options["map"] = under and {"path": str(under.path.absolute()), "zooms": under.zooms}
     options |= {"cert": address.cert and str(address.cert), "key": address.key and str(address.key), "replay": replay}

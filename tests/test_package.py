@@ -1,0 +1,109 @@
+"""What the wheel installs, and that a user's own files of the same names do not get in its way."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    """Return a wheel built from a source distribution of the checkout."""
+    folder = tmp_path_factory.mktemp("package")
+    unwanted = shutil.ignore_patterns(".*", "build", "dist", "runs", "tests", "*.egg-info", "__pycache__")
+    shutil.copytree(ROOT, folder / "checkout", symlinks=True, ignore=unwanted)
+    with tarfile.open(built("build_sdist", folder / "checkout", folder)) as archive:
+        archive.extractall(folder / "source", filter="data")
+    (source,) = (folder / "source").iterdir()
+    return built("build_wheel", source, folder)
+
+
+def built(hook: str, source: Path, folder: Path) -> Path:
+    """Call a hook of the build backend in a process of its own, and return the file that it writes."""
+    code = f"import sys; from setuptools import build_meta; print(build_meta.{hook}(sys.argv[1]))"
+    done = subprocess.run(
+        [sys.executable, "-c", code, folder], cwd=source, check=True, capture_output=True, text=True
+    )
+    return folder / done.stdout.splitlines()[-1]
+
+
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory) -> Path:
+    """Return the Python of a new environment that holds the wheel and finds this one's packages after it."""
+    folder = tmp_path_factory.mktemp("installed")
+    venv.create(folder, with_pip=False)
+    (packages,) = folder.glob("lib/python*/site-packages")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(packages)
+    (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
+    return folder / "bin" / "python"
+
+
+@pytest.fixture
+def workspace(tmp_path) -> Path:
+    """Return a folder with modules of a user that bear names of ours and of our libraries, all of which fail."""
+    for name in ("mission.py", "sitl.py", "numpy.py", "estimators.py", "app/__init__.py"):
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("raise SystemExit(f'the user has {__name__}')\n")
+    return tmp_path
+
+
+def test_the_wheel_installs_one_name_with_its_pages(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == {"sidelong"}
+    assert {"sidelong/py.typed", "sidelong/app/view/page/index.html", "sidelong/sitl/cli.py"} <= set(names)
+
+
+@pytest.mark.udp
+@pytest.mark.parametrize("on_path", [False, True], ids=["in the working folder", "on PYTHONPATH too"])
+def test_a_flight_with_a_live_map_starts_in_a_folder_with_files_of_our_names(
+    installed, workspace, free_port, on_path
+):
+    (workspace / "mission.toml").write_text("[planner]\nname = 'paper'\n[sensors]\nfilter = 'ekf'\n")
+    # As the installed script does it.
+    script = "from sidelong.app.__main__ import main; main()"
+    options = ["launch", "mission.toml", "--duration", "5", "--speed", "20", "--view", "--view-port"]
+    done = subprocess.run(
+        [installed, "-P", "-c", script, *options, str(free_port())],
+        cwd=workspace,
+        env=os.environ | {"PYTHONPATH": str(workspace) if on_path else ""},
+        capture_output=True,
+        text=True,
+        timeout=240.0,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "completed" in done.stdout
+
+
+def test_a_helper_finds_installed_packages_before_those_of_the_user(installed, workspace):
+    script = (
+        "from sidelong.app.interpreter import *; import subprocess, sys; prefer_installed_packages();"
+        "import numpy; print(numpy.__version__);"
+        "code = 'import numpy, sidelong.mission; print(numpy.__version__)';"
+        "subprocess.run([sys.executable, '-P', '-c', code], env=helper_environment(), check=True)"
+    )
+    done = subprocess.run(
+        [installed, "-P", "-c", script],
+        cwd=workspace,
+        env=os.environ | {"PYTHONPATH": str(workspace)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    ours, helpers = done.stdout.split()
+    assert ours == helpers
