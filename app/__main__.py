@@ -15,7 +15,10 @@ def main() -> NoReturn:
     from sidelong.app.interpreter import prefer_installed_packages  # noqa: PLC0415  # after the signals
 
     prefer_installed_packages()
-    from sidelong.app.cli import main as run  # noqa: PLC0415  # after the search path
+    from sidelong.app.shutdown import open_standard_streams  # noqa: PLC0415  # after the search path
+
+    open_standard_streams()
+    from sidelong.app.cli import main as run  # noqa: PLC0415  # likewise
 
     run()
 

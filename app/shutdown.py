@@ -63,6 +63,21 @@ def interrupt_dropped() -> bool:
     return _again is not None
 
 
+def open_standard_streams() -> None:
+    """Open the standard streams that a service manager or shell (``>&-``) has closed, leading nowhere.
+
+    Otherwise Python has None in their place, and the next file opened gets the number of a standard stream.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
+    sys.stdin = sys.stdin or open(0, encoding="utf-8", closefd=False)  # noqa: SIM115  # as long as the process
+    sys.stdout = sys.stdout or open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    sys.stderr = sys.stderr or open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+
+
 def exit_process(code: int) -> NoReturn:
     """End the process when what was registered for its end is done, at once where a thread is stuck.
 

@@ -5,6 +5,7 @@ A study begun again finds what is there and flies only the rest; studies may sha
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import sqlite3
@@ -94,6 +95,18 @@ def run_ids(settings: StudySettings, planner: PlannerName) -> Iterator[RunId]:
         yield RunId(key, design, planner, number, name, draw)
 
 
+def _contents(db: sqlite3.Connection) -> tuple[int, int, list[Any]]:
+    """Return a file's marks and how everything in it was created, which runs nothing that the file defines."""
+    application, version = (db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version"))
+    return application, version, db.execute("SELECT type, name, sql FROM sqlite_master ORDER BY name").fetchall()
+
+
+def _own_contents() -> tuple[int, int, list[Any]]:
+    with contextlib.closing(sqlite3.connect(":memory:")) as db:
+        db.executescript(_SCHEMA)
+        return _contents(db)
+
+
 class ResultStore:
     """The file, or without one a temporary place on disk that is gone afterwards."""
 
@@ -102,10 +115,10 @@ class ResultStore:
         self.file = file
         try:
             self._db = sqlite3.connect("" if file is None else file, timeout=30.0)
-            found = self._db.execute("PRAGMA application_id").fetchone()[0]
-            if found == 0 and not self._db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+            contents = _contents(self._db)
+            if contents == (0, 0, []):
                 self._db.executescript(_SCHEMA)
-            elif found != _APPLICATION_ID or self._db.execute("PRAGMA user_version").fetchone()[0] != _FORMAT:
+            elif contents != _own_contents():
                 raise InputError(f"--store: {file} holds something else; give the name of a new file.")
         except sqlite3.Error as error:
             raise InputError(f"--store: {file} cannot be used ({error}); give the name of a new file.") from error

@@ -1,7 +1,7 @@
 """``python -m app.view``: serves the page; states come in on standard input, buttons go out on standard output.
 
-The first line in is {"host", "port", "operator_token", "viewer_token", "cert", "key", "map", "replay"}, the first
-line out {"port"}. It ends when its input does.
+The first line in is {"host", "port", "operator_token", "viewer_token", "cert", "key", "map", "replay",
+"fleet"}, the first line out {"port"}. It ends when its input does.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import uvicorn
 
 from sidelong.app.view.access import Access
 from sidelong.app.view.background import Background
-from sidelong.app.view.guard import GuardedProtocol
+from sidelong.app.view.guard import GuardedProtocol, Listener
 from sidelong.app.view.server import Json, Server
 
 _LINE_MAX_BYTES = 1 << 22
 
 
-def _listening(host: str, port: int) -> socket.socket:
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+def _listening(host: str, port: int) -> Listener:
+    listener = Listener(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((host, port))
@@ -43,9 +43,8 @@ async def _serve() -> None:
         print(json.dumps(pressed), flush=True)
 
     under = options["map"] and Background(Path(options["map"]["path"]), zooms=options["map"]["zooms"])
-    server = Server(
-        Access(options["host"], options["operator_token"], options["viewer_token"]), press, under, options["replay"]
-    )
+    access = Access(options["host"], options["operator_token"], options["viewer_token"])
+    server = Server(access, press, under, options["replay"], options["fleet"])
     configured = uvicorn.Config(
         server.app,
         http=GuardedProtocol,

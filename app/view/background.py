@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +17,9 @@ from typing import Any, Protocol
 
 from sidelong.app.errors import InputError
 
-_PICTURE_MAX_BYTES, _ZOOM_MAX = 64 << 20, 24
+_PICTURE_MAX_BYTES, _TILE_MAX_BYTES, _ZOOM_MAX = 64 << 20, 16 << 20, 24
+_OPEN_WITHIN_S, _TILE_WITHIN_S = 10.0, 0.5
+_STEPS = 10_000  # of SQLite's machine between two looks at the clock: well below a millisecond
 _FORMATS = ((b"\x89PNG\r\n\x1a\n", "image/png"), (b"\xff\xd8\xff", "image/jpeg"), (b"RIFF", "image/webp"))
 _SUFFIXES = ".mbtiles, .pmtiles, .png, .jpg or .webp"
 
@@ -32,23 +35,39 @@ class Tiles(Protocol):
 
 
 class MbTiles:
-    """Raises sqlite3.Error where the file is no such thing."""
+    """Tiles of an SQLite file, in which ``tiles`` is a table or a view.
+
+    A view is a program of whoever made the file, so each query has a time limit and each value a size limit.
+
+    Raises:
+        sqlite3.Error: The file is not such a file, or a query took too long.
+
+    """
 
     def __init__(self, path: Path) -> None:
         self._database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
-        least, most = self._database.execute("select min(zoom_level), max(zoom_level) from tiles").fetchone()
+        self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _TILE_MAX_BYTES)
+        query = "select (select min(zoom_level) from tiles), (select max(zoom_level) from tiles)"  # each by the index
+        least, most = self._row(query, (), _OPEN_WITHIN_S) or (0, 0)
         self.zooms = (int(least or 0), int(most or 0))
 
     def tile(self, zoom: int, column: int, row: int) -> bytes | None:
         """Return a tile; the file counts rows from south."""
         query = "select tile_data from tiles where zoom_level = ? and tile_column = ? and tile_row = ?"
-        found = self._database.execute(query, (zoom, column, (1 << zoom) - 1 - row)).fetchone()
+        found = self._row(query, (zoom, column, (1 << zoom) - 1 - row), _TILE_WITHIN_S)
         return None if found is None else bytes(found[0])
 
     def any_tile(self) -> bytes:
-        """Return one of its tiles; b'' where there is none."""
-        found = self._database.execute("select tile_data from tiles limit 1").fetchone()
+        """Return one of its tiles; b'' if it has none."""
+        found = self._row("select tile_data from tiles limit 1", (), _OPEN_WITHIN_S)
         return b"" if found is None else bytes(found[0])
+
+    def _row(self, query: str, values: tuple[int, ...], within_s: float) -> tuple[Any, ...] | None:
+        """Return a query's first row. Raises sqlite3.OperationalError when it takes longer than ``within_s``."""
+        deadline_s = time.monotonic() + within_s
+        self._database.set_progress_handler(lambda: time.monotonic() > deadline_s, _STEPS)
+        found: tuple[Any, ...] | None = self._database.execute(query, values).fetchone()
+        return found
 
 
 class PmTiles:
@@ -118,7 +137,9 @@ def background(path: Path, bounds: str | None) -> Background:
     except ImportError:
         raise InputError(f"--map: {path} needs the package pmtiles: pip install 'sidelong[map]'.") from None
     except Exception as error:  # whatever two readers make of another's bytes
-        raise InputError(f"--map: {path} is no {suffix[1:]} file that can be read; is it whole?") from error
+        raise InputError(
+            f"--map: {path} is not a {suffix[1:]} file that can be read ({error}); is it whole?"
+        ) from error
     if media_type(data) is None:
         raise InputError(f"--map: {path} holds no pictures; give raster tiles (PNG, JPEG or WebP), not vector ones.")
     least, most = tiles.zooms

@@ -8,7 +8,7 @@ import json
 import math
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from types import TracebackType
 from typing import TypeVar
 
@@ -31,14 +31,19 @@ _TRAIL_STEP_S = 0.5  # of the vehicle's time
 _UNSENT_MAX = 2000  # trail points and words kept while the page takes none
 
 
+T = TypeVar("T")
 View = TypeVar("View", bound="ViewDisplay")
 
 
 class ViewDisplay:
     """A ``FlightDisplay`` around another. Use as ``with``; ``url`` and ``viewer_url`` are then the page's addresses.
 
-    Whatever the page's process does, every call returns at once: the page gets what fits. name: of what is shown, by
-    default the vehicle's.
+    Whatever the page's process does, every call returns at once and raises nothing: the page gets what fits.
+
+    Args:
+        name: What the page calls the vehicle; by default its links.
+        fleet: The names of the aircraft that may be relieved; empty for a flight of one aircraft.
+
     """
 
     def __init__(
@@ -47,8 +52,10 @@ class ViewDisplay:
         config: Config,
         address: Address,
         name: str = "",
+        fleet: Sequence[str] = (),
     ) -> None:
         self.url = self.viewer_url = ""
+        self._fleet = tuple(fleet)
         self._inner, self._config, self._address = inner, config, address
         self._name = name or ", ".join(config.link.connections) or f"simulated {config.simulation.autopilot}"
         self._encoder = StateEncoder(config.aircraft.airspeed_m_s, config.aircraft.height_m)
@@ -67,12 +74,13 @@ class ViewDisplay:
         self._vehicle: VehicleStatus | None = None
         self._vehicle_at_s = -math.inf
         self._request: Callable[[Wish], None] | None = None
+        self._faults: set[tuple[str, type[Exception]]] = set()  # those already reported
 
     # -- life ----------------------------------------------------------------------------------------------
 
     def __enter__(self) -> ViewDisplay:
         """Start the server and wait for it. Raises InputError when it does not come up (port in use)."""
-        self._feed, self.url, self.viewer_url = start_page(self._address)
+        self._feed, self.url, self.viewer_url = start_page(self._address, fleet=self._fleet)
         self._setting = self._set()
         self.pump()
         return self
@@ -131,6 +139,9 @@ class ViewDisplay:
 
     def show(self, snapshot: Snapshot) -> None:
         self._inner.show(snapshot)
+        self._isolated("the page's state", self._observe, snapshot)
+
+    def _observe(self, snapshot: Snapshot) -> None:
         if self._snapshot is None or snapshot.time_s != self._snapshot.time_s:
             self._heard_at_s = time.monotonic()
         self._snapshot = snapshot
@@ -151,18 +162,34 @@ class ViewDisplay:
             self.pump()
 
     def pump(self) -> None:
-        """Send the page how things stand, and take the buttons that were pressed."""
+        """Send the state to the page and take the buttons that were pressed. Never raises: the flight goes on."""
         feed, self._sent_at_s = self._feed, time.monotonic()
         if feed is None or not feed.alive:
             return
         for line in feed.lines():
-            self._pressed(json.loads(line))
+            self._isolated("a request from the page", self._take, line)
+        self._isolated("the page's state", self._send, feed)
+
+    def _take(self, line: bytes) -> None:
+        self._pressed(json.loads(line))
+
+    def _send(self, feed: Feed) -> None:
         if feed.send(page_line(self._told())):
             self._trail.clear()
             self._said.clear()
             self._setting = None
         elif not feed.alive:
             self._inner.note("the page has stopped; the flight goes on without it")
+
+    def _isolated(self, what: str, work: Callable[[T], object], argument: T) -> None:
+        """Do what is for the page alone; an error in it is reported once and never reaches the control loop."""
+        try:
+            work(argument)
+        except Exception as error:
+            if (what, type(error)) not in self._faults:
+                self._faults.add((what, type(error)))
+                fault = f"{what} caused an internal error ({type(error).__name__}: {error})"
+                self._inner.note(f"{fault}; the flight continues")
 
     def _set(self) -> Json:
         base = setting(self._config, self._encoder.plane, self._name, self._requirement)

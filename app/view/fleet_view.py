@@ -50,7 +50,7 @@ class FleetView(ViewDisplay):
         self._aircraft = {name: panel.of(name) for name in names}
         self._first = self._aircraft[names[0]]
         self._wanted, self._sides = config.requirement.requirement().side, dict(sides)
-        super().__init__(self._first, config, address, ", ".join(names))
+        super().__init__(self._first, config, address, ", ".join(names), names)
 
     def of(self, name: str) -> FlightDisplay:
         """Return the display of one aircraft."""

@@ -1,10 +1,14 @@
-"""Connections to the page: so many in all and from one address, and each request within a time."""
+"""Limits on the connections to the page: how many in all and per client, and how long a request may take.
+
+A connection counts from the moment it is accepted, before any TLS handshake.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections import Counter
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
@@ -12,50 +16,78 @@ _CONNECTIONS_MAX, _OF_ONE_CLIENT_MAX = 100, 24
 _REQUEST_WITHIN_S = 10.0
 
 
+class _Connection(socket.socket):
+    """An accepted connection. It is counted until it is closed, and shut down unless a request comes in time."""
+
+    count: ClassVar[Counter[str]] = Counter()  # of the open connections, by client address
+    by_peer: ClassVar[dict[tuple[str, int], _Connection]] = {}
+    peer: tuple[str, int]
+    _deadline: asyncio.TimerHandle | None = None
+
+    @classmethod
+    def counted(cls, accepted: socket.socket, peer: tuple[str, int]) -> Self:
+        """Take over an accepted socket."""
+        self = cls(accepted.family, accepted.type, accepted.proto, fileno=accepted.detach())
+        self.peer = peer
+        cls.by_peer[peer] = self
+        cls.count[peer[0]] += 1
+        self.await_request()
+        return self
+
+    def await_request(self) -> None:
+        """Shut the connection down unless ``request_came`` is called in time."""
+        self.request_came()
+        self._deadline = asyncio.get_running_loop().call_later(_REQUEST_WITHIN_S, self._expire)
+
+    def request_came(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None
+
+    def _expire(self) -> None:
+        try:
+            self.shutdown(socket.SHUT_RDWR)  # the event loop reads the end, and closes it
+        except OSError:
+            self.close()  # it was never connected, or is gone
+
+    def close(self) -> None:
+        self.request_came()
+        if self.by_peer.pop(self.peer, None) is not None:
+            self.count[self.peer[0]] -= 1
+            if not self.count[self.peer[0]]:
+                del self.count[self.peer[0]]
+        super().close()
+
+
+class Listener(socket.socket):
+    """A listening socket that drops connections beyond the limits."""
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """Return the next connection that is within the limits. Raises BlockingIOError if there is none."""
+        while True:
+            accepted, peer = super().accept()
+            count = _Connection.count
+            if count.total() < _CONNECTIONS_MAX and count[peer[0]] < _OF_ONE_CLIENT_MAX:
+                return _Connection.counted(accepted, peer), peer
+            accepted.close()
+
+
 class GuardedProtocol(H11Protocol):
-    """uvicorn's, but one that takes no more connections than it can bear, and none that sends its request slowly."""
+    """uvicorn's protocol for connections of a ``Listener``: it says when a request has come and was answered."""
 
-    _clients: ClassVar[Counter[str]] = Counter()
-
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
-        self._deadline: asyncio.TimerHandle | None = None
-        self._name = ""
+    _connection: _Connection | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
         super().connection_made(transport)
-        name = self.client[0] if self.client is not None else "?"
-        if self._clients.total() >= _CONNECTIONS_MAX or self._clients[name] >= _OF_ONE_CLIENT_MAX:
-            transport.abort()
-            return
-        self._name = name
-        self._clients[name] += 1
-        self._wait()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._stop_waiting()
-        if self._name:
-            self._clients[self._name] -= 1
-            if not self._clients[self._name]:
-                del self._clients[self._name]
-            self._name = ""
-        super().connection_lost(exc)
+        self._connection = _Connection.by_peer.get(transport.get_extra_info("peername"))
 
     def handle_events(self) -> None:
         before = self.cycle
         super().handle_events()
-        if self.cycle is not before:
-            self._stop_waiting()
+        if self.cycle is not before and self._connection is not None:
+            self._connection.request_came()
 
     def on_response_complete(self) -> None:
-        self._wait()
+        if self._connection is not None:
+            self._connection.await_request()
         super().on_response_complete()
-
-    def _wait(self) -> None:
-        self._stop_waiting()
-        self._deadline = self.loop.call_later(_REQUEST_WITHIN_S, self.transport.abort)
-
-    def _stop_waiting(self) -> None:
-        if self._deadline is not None:
-            self._deadline.cancel()
-            self._deadline = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import secrets
+from collections.abc import Sequence
 
 from sidelong.app.errors import InputError
 from sidelong.app.interpreter import helper_command, helper_environment
@@ -15,17 +16,28 @@ from sidelong.app.view.state import Json
 _UP_S = 30.0  # a second or two; a machine that is busy takes many times that
 
 
-def start_page(address: Address, replay: bool = False) -> tuple[Feed, str, str]:
-    """Start the server and wait for it; return its feed, and the addresses for the operator and for viewers.
+def start_page(address: Address, replay: bool = False, fleet: Sequence[str] = ()) -> tuple[Feed, str, str]:
+    """Start the server and wait for it.
 
-    replay: only a replay's buttons are taken. Raises InputError when it does not come up (port in use).
+    Args:
+        address: Where the page is served.
+        replay: Accept only the requests of a replay's page.
+        fleet: The names of the aircraft that may be relieved.
+
+    Returns:
+        The feed to the server, and the URLs for the operator and for viewers.
+
+    Raises:
+        InputError: The server does not start, for example because the port is in use.
+
     """
     host, port, under = address.host, address.port, address.map
     token, viewer_token = ("", "") if address.is_local else (secrets.token_urlsafe(16), secrets.token_urlsafe(16))
     feed = Feed(helper_command("sidelong.app.view"), helper_environment())
     options: Json = {"host": host, "port": port, "operator_token": token, "viewer_token": viewer_token}
     options["map"] = under and {"path": str(under.path.absolute()), "zooms": under.zooms}
-    options |= {"cert": address.cert and str(address.cert), "key": address.key and str(address.key), "replay": replay}
+    options |= {"cert": address.cert and str(address.cert), "key": address.key and str(address.key)}
+    options |= {"replay": replay, "fleet": list(fleet)}
     feed.send(page_line(options))
     try:
         ready = json.loads(feed.wait_for_line(_UP_S))

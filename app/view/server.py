@@ -13,7 +13,8 @@ import asyncio
 import json
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,6 @@ _TRAIL_KEPT, _SERIES_KEPT, _WORDS_KEPT = 2400, 2400, 500  # 20 minutes of trail
 _UNSENT_MAX = 50  # states; a browser that is further behind is made to begin anew
 _ACTIONS: dict[str, set[str | None]] = {"hold": {None}, "resume": {None}, "end": {None}, "side": {"left", "right"}}
 _NUMBERS, _NUMBER_MAX, _WORDS_MAX = ("radius_m", "range_min_m", "range_max_m", "height_m"), 1e5, 20  # of a change
-_NAME_MAX = 32  # of an aircraft of a fleet
 _SERIES = ("nis", "range_age_s", "gimbal_age_s", "link_age_s")
 
 
@@ -113,10 +113,15 @@ class Server:
     """The application. ``tell`` passes a message of the flight on to all pages; ``press`` gets their buttons."""
 
     def __init__(
-        self, access: Access, press: Callable[[Json], None], under: Background | None = None, replay: bool = False
+        self,
+        access: Access,
+        press: Callable[[Json], None],
+        under: Background | None = None,
+        replay: bool = False,
+        fleet: Sequence[str] = (),
     ) -> None:
         self._access, self._press = access, press
-        self._known = replay_button_of if replay else button_of
+        self._known = replay_button_of if replay else partial(button_of, fleet=frozenset(fleet))
         self._under, self._tiles = under, under.opened() if under is not None else None
         self._shade: Path | None = None
         self._history = History()
@@ -207,14 +212,14 @@ class Server:
     async def _index(self, request: Request) -> Response:
         given = request.query_params.get("token")
         if given is not None and not self._access.local:
+            if not self._guesses.used(_client(request), time.monotonic()):
+                return PlainTextResponse("too many tokens tried; wait 5 s", 429)
             session = self._access.entered(given)
             if session is not None:
                 entered = RedirectResponse("/", 303)  # the token does not stay in the address
                 secure = request.url.scheme == "https"
                 entered.set_cookie(_COOKIE, session, httponly=True, samesite="strict", secure=secure)
                 return entered
-            if not self._guesses.used(_client(request), time.monotonic()):
-                return PlainTextResponse("too many wrong tokens; wait", 429)
         return self._refused(request) or self._static("index.html")
 
     async def _file(self, request: Request) -> Response:
@@ -227,16 +232,19 @@ class Server:
         return Response(self._files[name], media_type=_MEDIA[name])
 
     async def _tile(self, request: Request) -> Response:
-        place = tuple(request.path_params[name] for name in ("zoom", "column", "row"))
-        data = readable_tile(self._tiles, *place) if self._tiles is not None and is_tile(*place) else None
-        return self._refused(request) or _shown(data)
+        refused = self._refused(request)
+        if refused is not None:
+            return refused
+        at = tuple(request.path_params[name] for name in ("zoom", "column", "row"))
+        return _shown(readable_tile(self._tiles, *at) if self._tiles is not None and is_tile(*at) else None)
 
     async def _picture(self, request: Request) -> Response:
-        whole = self._under if self._tiles is None else None
-        return self._refused(request) or _shown(whole.path.read_bytes() if whole is not None else None)
+        return self._refused(request) or _shown(
+            _content(self._under.path if self._under and not self._tiles else None)
+        )
 
     async def _shading(self, request: Request) -> Response:
-        return self._refused(request) or _shown(self._shade.read_bytes() if self._shade is not None else None)
+        return self._refused(request) or _shown(_content(self._shade))
 
     async def _events(self, request: Request) -> Response:
         refused = self._refused(request)
@@ -280,19 +288,36 @@ class Server:
         return JSONResponse({"passed on": button["action"]}, 202)
 
 
+def _content(path: Path | None) -> bytes | None:
+    """Return a picture's bytes; None if there is no picture, or it can no longer be read."""
+    try:
+        return path.read_bytes() if path is not None else None
+    except OSError:
+        return None
+
+
 def _shown(data: bytes | None) -> Response:
     if data is None:
         return PlainTextResponse("not on this map", 404)
     return Response(data, media_type=media_type(data), headers={"Cache-Control": "private, max-age=3600"})
 
 
-def button_of(press: Json) -> Json:
-    """Return a press as far as it is known. Raises one of many errors where it is none."""
+def button_of(press: Json, fleet: frozenset[str] = frozenset()) -> Json:
+    """Return the known part of a request from a flight's page.
+
+    Args:
+        press: The request as it came.
+        fleet: The names of the aircraft that may be relieved.
+
+    Raises:
+        ValueError, TypeError, KeyError, AttributeError: The page of this flight has no such button.
+
+    """
     action = press["action"]
     if action == "relieve":
         name = press["name"]
-        if not isinstance(name, str) or len(name) > _NAME_MAX:
-            raise ValueError
+        if name not in fleet:
+            raise ValueError(f"{name!r} is not an aircraft of this flight")
         return {"action": action, "name": name}
     if action != "change":
         side = press.get("side")

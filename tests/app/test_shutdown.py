@@ -81,3 +81,11 @@ def test_an_interrupt_that_is_dropped_ends_it_all_the_same(then):
     code = [sys.executable, "-c", DEAF.format(then)]
     done = subprocess.run(code, capture_output=True, timeout=15.0, check=False)
     assert (done.returncode, done.stderr) == (130, b"sidelong: interrupted.\n")
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_standard_streams_are_no_error(closed, tmp_path):
+    command = f'"{sys.executable}" -m sidelong.app terrain no-such-folder {closed}'
+    assert subprocess.run(command, shell=True, check=False, stderr=subprocess.DEVNULL).returncode == 2
+    command = f'"{sys.executable}" -m sidelong.app init "{tmp_path / "m.toml"}" {closed}'
+    assert subprocess.run(command, shell=True, check=False).returncode == 0

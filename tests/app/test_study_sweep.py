@@ -288,3 +288,18 @@ def test_the_page_tells_the_command_that_flies_a_run_again(command, tmp_path):
     assert figure.exists()
     share = json.loads(summary.read_text())["planners"]["lvfg"]["time_on_side"]["worst"]
     assert f"on the side {100.0 * share:.1f} %" in page.read_text()
+
+
+def test_a_store_with_views_or_triggers_is_refused(tmp_path):
+    ResultStore(tmp_path / "own.db").close()
+    ResultStore(tmp_path / "own.db").close()
+    for name, statement in {
+        "trigger": "create trigger t after insert on runs begin delete from runs; end",
+        "view": "create view v as with recursive n(k) as (select 1 union all select k + 1 from n) select k from n",
+    }.items():
+        file = tmp_path / f"{name}.db"
+        ResultStore(file).close()
+        with sqlite3.connect(file) as database:
+            database.execute(statement)
+        with pytest.raises(InputError, match="holds something else"):
+            ResultStore(file)

@@ -5,6 +5,7 @@ HOSTILE_REQUESTS=10000 python -m pytest tests/app/test_view_hostile.py -s -k cha
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import os
@@ -23,6 +24,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.view.access import Access, Allowances
 from sidelong.app.view.address import Address
 from sidelong.app.view.display import ViewDisplay
+from sidelong.app.view.guard import Listener
 from sidelong.app.view.panel import PanelDisplay
 from sidelong.estimators.frames import LocalPlane
 
@@ -310,3 +312,46 @@ def test_a_certificate_that_is_none_is_told(tmp_path):
 def test_an_address_that_cannot_be_is_told(options):
     with pytest.raises(InputError, match=r"--view-host|--view-cert|PEM"):
         Address(**options)
+
+
+def test_connections_without_a_handshake_are_counted(certificate):
+    with display_at(Address(NOT_LOOPBACK_NAME, 0, *certificate)) as display:
+        idle = [
+            socket.create_connection((NOT_LOOPBACK_NAME, port_of(display)), 5.0, ("127.0.1.9", 0)) for _ in range(60)
+        ]
+        refused = 0
+        for client in idle[24:]:
+            with contextlib.suppress(ConnectionResetError):
+                assert client.recv(1) == b""  # closed at once; those within the limit are left open
+            refused += 1
+        assert refused == 36
+        context = ssl.create_default_context(cafile=certificate[0])
+        assert build_opener(HTTPCookieProcessor(), HTTPSHandler(context=context)).open(display.url).status == 200
+        for client in idle:
+            client.close()
+
+
+def test_a_connection_without_a_handshake_is_closed_in_time(monkeypatch):
+    monkeypatch.setattr("sidelong.app.view.guard._REQUEST_WITHIN_S", 0.01)
+
+    async def idle() -> bytes:
+        listener = Listener(socket.AF_INET, socket.SOCK_STREAM)
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+        server = await asyncio.get_running_loop().create_server(asyncio.Protocol, sock=listener, ssl=tls)
+        reader, writer = await asyncio.open_connection(*listener.getsockname())
+        end = await reader.read()  # nothing is sent: only the time limit ends this
+        writer.close()
+        server.close()
+        return end
+
+    assert asyncio.run(idle()) == b""
+
+
+def test_the_right_token_does_not_pass_while_guesses_are_spent(certificate):
+    with display_at(Address(NOT_LOOPBACK_NAME, 0)) as display:
+        host = display.url.split("/")[2]
+        for number in range(12):
+            answered(display, get(host, f"/?token={number}"))
+        assert answered(display, get(host, "/" + display.url.split("/", 3)[3]))[9:12] == b"429"

@@ -19,7 +19,7 @@ from sidelong.app.cli import app
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.view.address import Address
-from sidelong.app.view.background import background
+from sidelong.app.view.background import MbTiles, background, readable_tile
 from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.panel import PanelDisplay
 from sidelong.estimators.frames import LocalPlane
@@ -72,8 +72,8 @@ def written(path, data):
     ("make", "bounds", "sentence"),
     [
         (lambda folder: folder / "none.mbtiles", None, "is no file; give one that ends in .mbtiles, .pmtiles"),
-        (lambda folder: written(folder / "a.mbtiles", b"x" * 2000), None, "is no mbtiles file that can be read"),
-        (lambda folder: written(folder / "a.pmtiles", b"x" * 2000), None, "is no pmtiles file that can be read"),
+        (lambda folder: written(folder / "a.mbtiles", b"x" * 2000), None, "is not a mbtiles file that can be read"),
+        (lambda folder: written(folder / "a.pmtiles", b"x" * 2000), None, "is not a pmtiles file that can be read"),
         (lambda folder: mbtiles(folder / "a.mbtiles", b"\x1f\x8bvector"), None, "not vector ones"),
         (lambda folder: mbtiles(folder / "a.mbtiles", picture()), "1,2,3,4", "tiles know where they lie"),
         (lambda folder: written(folder / "a.png", picture()), None, "add --map-bounds S,W,N,E"),
@@ -130,3 +130,37 @@ def test_the_map_lies_where_the_flight_is(browser, tmp_path, flight):
     middle = ring["x"] + ring["width"] / 2, ring["y"] + ring["height"] / 2
     assert (box["x"] - middle[0]) / px_per_m == pytest.approx(corner_m[0] - target_m[0], abs=15.0)
     assert (middle[1] - box["y"]) / px_per_m == pytest.approx(corner_m[1] - target_m[1], abs=15.0)
+
+
+ENDLESS = """create view tiles as with recursive n(k) as (select 1 union all select k + 1 from n)
+    select {zoom} as zoom_level, k as tile_column, k as tile_row, x'89504e470d0a1a0a' as tile_data from n {where}"""
+
+
+def view_file(path, where, zoom="k"):
+    with sqlite3.connect(path) as database:
+        database.execute(ENDLESS.format(where=where, zoom=zoom))
+    return path
+
+
+def test_an_endless_view_is_refused_after_a_time_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr("sidelong.app.view.background._OPEN_WITHIN_S", 0.2)
+    with pytest.raises(InputError, match=r"is not a mbtiles file that can be read \(interrupted\)"):
+        background(view_file(tmp_path / "endless.mbtiles", "where k < 0"), None)
+
+
+def test_a_tile_of_an_endless_view_is_not_waited_for(tmp_path, monkeypatch):
+    tiles = MbTiles(view_file(tmp_path / "bounded.mbtiles", "limit 100"))
+    assert tiles.tile(5, 5, 26) is not None
+    monkeypatch.setattr("sidelong.app.view.background._TILE_WITHIN_S", -1.0)
+    assert readable_tile(MbTiles(view_file(tmp_path / "b.mbtiles", "limit 100000")), 99, 7, 7) is None
+
+
+def test_a_value_beyond_the_size_limit_is_not_read(tmp_path):
+    path = tmp_path / "large.mbtiles"
+    with sqlite3.connect(path) as database:
+        database.execute(
+            "create view tiles as select 1 as zoom_level, 0 as tile_column, 0 as tile_row, "
+            "zeroblob(900000000) as tile_data"
+        )
+    with pytest.raises(InputError, match="too big"):
+        background(path, None)

@@ -192,3 +192,31 @@ def test_a_port_in_use_is_told(shown):
         ),
     ):
         pytest.fail("it came up")
+
+
+def test_one_aircraft_has_no_button_to_relieve_it(shown):
+    assert press(shown, {"action": "relieve", "name": "aircraft-1"}) == 400
+    with pytest.raises(ValueError, match="aircraft-9"):
+        button_of({"action": "relieve", "name": "aircraft-9"}, frozenset({"aircraft-1"}))
+    assert button_of({"action": "relieve", "name": "aircraft-1"}, frozenset({"aircraft-1"}))["name"] == "aircraft-1"
+
+
+@pytest.mark.parametrize("line", [b'{"action":"relieve","name":"x","who":"w"}', b'{"action":"side","side":1}', b"[]"])
+def test_nothing_from_the_page_raises_into_the_control_loop(flight, capsys, line):
+    with display_at("127.0.0.1") as display:
+        display.begin(PLANE, lambda _request: None)
+        for _, _, controller in flight(2.0):
+            last = controller.snapshot()
+        lines = [[], [line, line]]
+        display._feed.lines = lambda: lines.pop() if lines else []
+        notes = []
+        display._inner.note = notes.append
+        display._sent_at_s = -1e9
+        display.show(last)
+        assert sum("a request from the page caused an internal error" in note for note in notes) == 1
+        display._encoder.state = None  # the page's own picture fails
+        display._sent_at_s = -1e9
+        display.show(last)
+        display.show(last)
+        assert "the page's state caused an internal error" in notes[-1]
+        assert "the flight continues" in notes[-1]
