@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.config import Config, Polygon, SensorsSection
 from sidelong.app.errors import InputError
-from sidelong.app.planners.planner_kind import PlannerNeeds
+from sidelong.app.planners.planner_kind import PlannerKind, PlannerNeeds
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.compiled import is_kept
@@ -78,15 +78,20 @@ def controller_of(
     config: Config,
     progress: Callable[[float], None] = lambda _share: None,
     tell: Callable[[str], None] = lambda _text: None,
+    kind: PlannerKind | None = None,
 ) -> StandoffController:
     """Return the control step for a configuration, ready to run without a pause.
 
-    progress hears of the value table's computation, which takes some seconds once per configuration. tell hears of
-    the compilation, which takes longer, once for this version of the program.
+    Args:
+        config: The configuration of one aircraft.
+        progress: Receives the share (0 to 1) of the value table's computation, which takes seconds.
+        tell: Receives a sentence before the compilation, which takes up to a minute, once for each version.
+        kind: The kind of planner; None for the configured one, for an aircraft that flies alone.
+
     """
     aircraft = config.aircraft.aircraft()
     requirement = config.requirement.requirement()
-    kind = planner_by_name(config.planner.name)
+    kind = kind or planner_by_name(config.planner.name)
     if not (kind.is_compiled() and is_kept(update)):
         tell("compiling the planner and the filter, once for this version of the program: up to a minute")
 

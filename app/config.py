@@ -107,7 +107,7 @@ class RequirementSection(Section):
     course_horizon_s: float = Field(20.0, ge=0, le=60)
     """The predictive planner keeps to the side of the course made good over this long, s; 0: the present course."""
     fleet_size: int = Field(1, ge=1, le=MAX_AIRCRAFT)
-    """How many aircraft watch together; the file of a fleet counts its own."""
+    """Number of aircraft that watch together: 1, or counted from the [[aircraft]] of a fleet file."""
 
     @model_validator(mode="after")
     def _band_not_empty(self) -> RequirementSection:

@@ -33,7 +33,7 @@ from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, page_address
 
 if TYPE_CHECKING:
     from sidelong.app.commands.launch_one import FlightEnded
-    from sidelong.app.flight.fleet_flight import FleetEnded
+    from sidelong.app.fleet.flight import FleetEnded
 
 _DURATION_S = 1200.0
 
@@ -200,6 +200,11 @@ def launch(
         settings = several.members[0].config
     else:
         settings = load_config(config, overrides)
+    if settings.requirement.fleet_size > 1:
+        raise InputError(
+            f"requirement.fleet_size = {settings.requirement.fleet_size} with one aircraft; leave it out, "
+            "or give a fleet file with several [[aircraft]]."
+        )
     check_flyable(settings)
     _check_input(settings, point_gimbal)
     warn_of_little_room(settings)

@@ -12,14 +12,14 @@ from sidelong.app.commands.flying import kept_if_armed, run_flight
 from sidelong.app.commands.output import console
 from sidelong.app.commands.progress import table_progress
 from sidelong.app.fleet.fleet_file import FleetFile
-from sidelong.app.flight.fleet_flight import FleetEnded, FleetFlight
+from sidelong.app.fleet.flight import FleetEnded, FleetFlight
+from sidelong.app.fleet.panel import FleetPanel
+from sidelong.app.fleet.view import FleetView
 from sidelong.app.flight.flight import Sharing
 from sidelong.app.flight.life import Life
 from sidelong.app.records.run_folder import FleetFolder
 from sidelong.app.view.address import Address
 from sidelong.app.view.display import served
-from sidelong.app.view.fleet_panel import FleetPanel
-from sidelong.app.view.fleet_view import FleetView
 
 
 def fly_fleet(

@@ -30,6 +30,7 @@ from sidelong.app.commands.progress import progress_bar, table_progress
 from sidelong.app.config import Config, load_config, with_values
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
+from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.journal import Header, JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder, require_recording
@@ -180,7 +181,8 @@ def _replay_run(
         settings = with_values(flown, changes, "--set")
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")
-        controller = controller_of(settings, table_progress(console.print), console.print)
+        kind = _planner_of(settings)
+        controller = controller_of(settings, table_progress(console.print), console.print, kind)
         plane, ground = journal.header.plane, None
         if plane is not None:
             origin_deg = (plane.origin_latitude_deg, plane.origin_longitude_deg)
@@ -203,6 +205,15 @@ def _replay_run(
         truth = folder.truth
     start_s = judged.engaged_s if judged.engaged_s is not None else judged.first_estimate_s
     return judged.summary(read_truth(truth) if truth is not None else None, journal.header.plane, start_s)
+
+
+def _planner_of(settings: Config) -> PlannerKind | None:
+    """Return the kind of planner of an aircraft of a fleet, None for an aircraft that flew alone."""
+    if settings.requirement.fleet_size == 1:
+        return None
+    from sidelong.app.fleet.planner import planner_in_fleet  # noqa: PLC0415  # a single flight is read without
+
+    return planner_in_fleet(settings.planner.name)
 
 
 def _exchange_of(settings: Config, controller: StandoffController, header: Header) -> MissionController | None:
@@ -250,7 +261,8 @@ def _show_run(path: Path, truth: Path | None, config: Path | None, changes: _Cha
     flown = load_config(config) if config is not None else journalled_config(journal)
     changed = with_values(flown, changes, "--set")
     if changed != flown:
-        what_if, controller = Frames(), controller_of(changed, table_progress(console.print), console.print)
+        what_if, kind = Frames(), _planner_of(changed)
+        controller = controller_of(changed, table_progress(console.print), console.print, kind)
         plane, home_deg = journal.header.plane, journal.header.home_deg
         if plane is not None:
             settle(controller, changed, plane, home_deg or (plane.origin_latitude_deg, plane.origin_longitude_deg))

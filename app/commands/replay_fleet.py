@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from sidelong.app.analysis.fleet_replay import compare_coordination
 from sidelong.app.analysis.summary import Summary
 from sidelong.app.commands.output import console
 from sidelong.app.commands.progress import progress_bar, table_progress
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.fleet.assembly import coordinator_of
+from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES
 from sidelong.app.fleet.fleet_file import FleetFile
-from sidelong.app.flight.coordination import FLEET_JOURNAL_TYPES
+from sidelong.app.fleet.replay import compare_coordination
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
 from sidelong.app.section import validated

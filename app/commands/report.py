@@ -76,8 +76,8 @@ def write_report(
 def write_fleet_report(folder: FleetFolder, out: Path) -> None:
     """Write the page about a fleet's flight, and each aircraft's into its own folder. Raises as ``write_report``."""
     _check_out(out)
-    from sidelong.app.report.fleet_flown import read_fleet  # noqa: PLC0415
-    from sidelong.app.report.fleet_page import fleet_page  # noqa: PLC0415
+    from sidelong.app.fleet.flown import read_fleet  # noqa: PLC0415
+    from sidelong.app.fleet.page import fleet_page  # noqa: PLC0415
     from sidelong.app.report.page import report_page  # noqa: PLC0415
 
     progress, task = progress_bar(folder.path.name)

@@ -1,1 +1,1 @@
-"""The file of a fleet, and what coordinates its aircraft put together from it."""
+"""The optional layer of a fleet: its file, coordinator, flight, displays, replay and report, above single flights."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from sidelong.app.assembly import planner_needs, tracker_settings
 from sidelong.app.fleet.fleet_file import FleetFile
-from sidelong.app.planners.predictive import Predictive
+from sidelong.app.fleet.planner import TeamPredictive
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.tracking.joint_track import JointTrack
@@ -30,7 +30,7 @@ def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda 
     members = fleet.members
     configs = {member.name: member.config for member in members}
     factories = {
-        name: Predictive().factory(planner_needs(config, progress, lambda _plan: None, _all_in_sight))
+        name: TeamPredictive().factory(planner_needs(config, progress, lambda _plan: None, _all_in_sight))
         for name, config in configs.items()
     }
 

@@ -1,25 +1,44 @@
-"""The default: decides every second by looking ahead, in a fleet together with the others."""
+"""The default planner: decides every second by looking ahead."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Protocol
 
 from sidelong.app.planners.planner_kind import PlannerNeeds
 from sidelong.estimators.compiled import is_kept
 from sidelong.mission.core.feasibility import Change, unflyable
-from sidelong.mission.core.plan import Planner, PlannerFactory
+from sidelong.mission.core.plan import Plan, Planner, PlannerFactory
 from sidelong.mission.core.requirement import Aircraft, Requirement
 
 if TYPE_CHECKING:
+    from sidelong.mission.core.sight import SightAt
+    from sidelong.mission.predictive.planner import PredictiveSettings
     from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
 
 
-class Predictive:
-    """``PlannerKind`` for :class:`sidelong.mission.predictive.planner.PredictivePlanner`.
+class MakePredictive(Protocol):
+    """The constructor of ``PredictivePlanner``, and of planners that are made of the same parts."""
 
-    With a side to watch from, it is that of a fleet, which decides as for one until it is told of others.
-    """
+    def __call__(
+        self,
+        aircraft: Aircraft,
+        requirement: Requirement,
+        table: ValueTable,
+        settings: PredictiveSettings,
+        windy: Sequence[ValueTable],
+        check: Callable[[Plan], str | None],
+        sight: SightAt,
+        /,
+        *,
+        table_at: Callable[[float], ValueTable],
+    ) -> Planner:
+        """Return a planner; see :class:`sidelong.mission.predictive.planner.PredictivePlanner`."""
+        ...
+
+
+class Predictive:
+    """``PlannerKind`` for :class:`sidelong.mission.predictive.planner.PredictivePlanner`."""
 
     name = "predictive"
     about = "decides every second by looking ahead"
@@ -32,12 +51,17 @@ class Predictive:
 
         return is_kept(look_ahead)
 
+    def maker(self, requirement: Requirement) -> MakePredictive:
+        """Return the constructor of a planner for this requirement."""
+        from sidelong.mission.predictive.planner import PredictivePlanner  # noqa: PLC0415  # see PlannerKind
+
+        return PredictivePlanner
+
     def factory(self, needs: PlannerNeeds) -> PlannerFactory:
         from sidelong.app.value_cache import value_table  # noqa: PLC0415  # see PlannerKind
-        from sidelong.mission.fleet.team_planner import TeamPlanner  # noqa: PLC0415
-        from sidelong.mission.predictive import planner  # noqa: PLC0415
+        from sidelong.mission.predictive.planner import PredictiveSettings  # noqa: PLC0415
 
-        settings = planner.PredictiveSettings(lost_after_s=needs.lost_after_s)
+        settings = PredictiveSettings(lost_after_s=needs.lost_after_s)
         tables: dict[TableConfiguration, ValueTable] = {}  # a change of side needs no other one
 
         def tables_for(aircraft: Aircraft, wanted: Requirement, winds_m_s: Sequence[float]) -> list[ValueTable]:
@@ -51,9 +75,8 @@ class Predictive:
                 return tables_for(aircraft, wanted, [wind_m_s])[-1]
 
             calm, *windy = tables_for(aircraft, wanted, needs.winds_m_s)
-            sided = wanted.sector is None and not wanted.either_side
-            kind = TeamPlanner if sided else planner.PredictivePlanner
-            return kind(aircraft, wanted, calm, settings, windy, needs.check, needs.sight, table_at=table_at)
+            make_one = self.maker(wanted)
+            return make_one(aircraft, wanted, calm, settings, windy, needs.check, needs.sight, table_at=table_at)
 
         tables_for(needs.aircraft, needs.requirement, needs.winds_m_s)
         return make

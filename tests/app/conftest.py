@@ -15,6 +15,7 @@ import pytest
 from sidelong.app.assembly import controller_of
 from sidelong.app.config import Config
 from sidelong.app.flight.recording import Recording
+from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
@@ -165,9 +166,15 @@ def browser():
         launched.close()
 
 
-def recorded(folder: RunFolder, config: Config, duration_s: float, more: dict[float, Event]) -> list[Command]:
+def recorded(
+    folder: RunFolder,
+    config: Config,
+    duration_s: float,
+    more: dict[float, Event],
+    kind: PlannerKind | None = None,
+) -> list[Command]:
     """Fly and record; ``more`` are events by the time at which they come. Return the commands."""
-    controller, recording = controller_of(config), Recording(folder, config, pytest.fail)
+    controller, recording = controller_of(config, kind=kind), Recording(folder, config, pytest.fail)
     recording.begin(PLANE, (47.4, 8.5))
     said: list[Command] = []
 

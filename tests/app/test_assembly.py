@@ -10,6 +10,7 @@ import pytest
 from sidelong.app import value_cache
 from sidelong.app.assembly import controller_of, winds_m_s
 from sidelong.app.config import load_config
+from sidelong.app.fleet.planner import planner_in_fleet
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ControlAcquired, OperatorRequest
@@ -49,11 +50,13 @@ def test_a_real_vehicle_is_made_ready_for_a_likely_wind(changes, winds):
 
 @pytest.mark.parametrize("fleet_size", [1, 2])
 def test_what_flies_decides_as_what_is_studied(fleet_size):
-    controller = controller_of(load_config(None, {"requirement": {"fleet_size": fleet_size}}))
+    kind = None if fleet_size == 1 else planner_in_fleet("predictive")
+    controller = controller_of(load_config(None, {"requirement": {"fleet_size": fleet_size}}), kind=kind)
     aircraft, requirement = controller.settings.aircraft, controller.settings.requirement
     table = value_cache.value_table(planner.table_configuration(aircraft, requirement))
-    kind = planner.PredictivePlanner if fleet_size == 1 else TeamPlanner
-    studied, circle = kind(aircraft, requirement, table), Circle(-250.0, 0.0, 50.0, True)
+    studied_type = planner.PredictivePlanner if fleet_size == 1 else TeamPlanner
+    assert type(controller.planning.planner) is studied_type
+    studied, circle = studied_type(aircraft, requirement, table), Circle(-250.0, 0.0, 50.0, True)
     for time_s in range(30):
         course_rad = 0.3 * time_s
         state = AircraftState(

@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from sidelong.app.flight.coordination import Coordination, Participant
-from sidelong.app.flight.vehicle_clock import VehicleClockReader
+from sidelong.app.fleet.coordination import Coordination, Participant
+from sidelong.app.fleet.vehicle_clock import VehicleClockReader
 from sidelong.app.link.message import Message
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
@@ -106,8 +106,8 @@ class Wall:
 
     def __init__(self, coordination, monkeypatch):
         self.now_s, self._coordination = 1000.0, coordination
-        monkeypatch.setattr("sidelong.app.flight.vehicle_clock.time.monotonic", lambda: self.now_s)
-        monkeypatch.setattr("sidelong.app.flight.vehicle_clock.time.time", lambda: UTC_S + self.now_s)
+        monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.monotonic", lambda: self.now_s)
+        monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.time", lambda: UTC_S + self.now_s)
 
     def pass_by(self, seconds, utc_ahead_s, round_trip_s=0.02, rate=1.0):
         """Let each tell UTC and answer once a second; utc_ahead_s: of this computer's clock, by name."""
@@ -150,7 +150,7 @@ def test_of_two_that_tell_another_utc_none_is_believed(pair, monkeypatch, ahead_
 
 def test_without_either_the_positions_tell_the_clock_by_their_arrival(monkeypatch):
     wall = [1000.0]
-    monkeypatch.setattr("sidelong.app.flight.vehicle_clock.time.monotonic", lambda: wall[0])
+    monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.monotonic", lambda: wall[0])
     reader = VehicleClockReader("a", lambda: 30.0)
     position = said("GLOBAL_POSITION_INT", time_boot_ms=30_000)
     assert reader.report(position) is None

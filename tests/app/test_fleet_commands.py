@@ -20,6 +20,7 @@ def run(tmp_path, monkeypatch, capsys):
     """Return what runs a command beside ``fleet.toml`` and returns what it prints; what it raises comes through."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "fleet.toml").write_text(TWO, encoding="utf-8")
+    (tmp_path / "alone.toml").write_text("requirement.fleet_size = 2\n", encoding="utf-8")
 
     def invoked(name, *arguments):
         load_command(name).main([str(one) for one in arguments], standalone_mode=False)
@@ -72,6 +73,7 @@ def test_check_names_the_aircraft_that_cannot(run, tmp_path):
         (("launch", "fleet.toml", "--fleet", 3), "leave out --fleet 3"),
         (("launch", "fleet.toml", "--connect", "udpin://127.0.0.1:1"), "give its system_id"),
         (("launch", "--fleet", 2, "--side", "either"), "share the sides"),
+        (("launch", "alone.toml"), "leave it out, or give a fleet file"),
         (("launch", "--fleet", 2, "--autopilot", "px4,betaflight"), "aircraft.1.autopilot"),
     ],
     ids=lambda part: " ".join(map(str, part)) if isinstance(part, tuple) else "",

@@ -7,14 +7,14 @@ from types import SimpleNamespace
 import pytest
 
 from sidelong.app.errors import InputError
-from sidelong.app.flight import fleet_flight
-from sidelong.app.flight.fleet_flight import FleetFlight
+from sidelong.app.fleet import flight
+from sidelong.app.fleet.flight import FleetFlight
 
 
 @pytest.fixture
 def fleet(monkeypatch):
     """Return what makes a fleet of two whose second may fly already, and what was noted."""
-    monkeypatch.setattr(fleet_flight, "is_flying", lambda vehicle: vehicle.flies)
+    monkeypatch.setattr(flight, "is_flying", lambda vehicle: vehicle.flies)
     noted: list[str] = []
 
     def make(flies):

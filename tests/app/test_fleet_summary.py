@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from sidelong.app.analysis.fleet_summary import FlownAircraft, FlownTrack, min_separation_m, summarise_fleet
 from sidelong.app.analysis.score import Moment
 from sidelong.app.analysis.summary import Summary
+from sidelong.app.fleet.summary import FlownAircraft, FlownTrack, min_separation_m, summarise_fleet
 from sidelong.mission.core.requirement import Requirement, Side
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 5.0)

@@ -9,9 +9,9 @@ import pytest
 from rich.console import Console
 
 from sidelong.app.config import Config
+from sidelong.app.fleet.panel import FleetPanel
+from sidelong.app.fleet.view import FleetView
 from sidelong.app.view.address import Address
-from sidelong.app.view.fleet_panel import FleetPanel
-from sidelong.app.view.fleet_view import FleetView
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Side

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from sidelong.app.flight.foreign import ForeignAircraft
+from sidelong.app.fleet.foreign import ForeignAircraft
 from sidelong.app.link.message import Message
 from sidelong.estimators.frames import LocalPlane
 

@@ -12,12 +12,12 @@ from axe_playwright_python.sync_playwright import Axe
 from rich.console import Console
 
 from sidelong.app.config import Config
+from sidelong.app.fleet.panel import FleetPanel
+from sidelong.app.fleet.view import FleetView
 from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.app.view.address import Address
 from sidelong.app.view.clock import clock
 from sidelong.app.view.display import ViewDisplay
-from sidelong.app.view.fleet_panel import FleetPanel
-from sidelong.app.view.fleet_view import FleetView
 from sidelong.app.view.panel import PanelDisplay
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Phase

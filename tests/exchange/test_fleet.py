@@ -7,11 +7,12 @@ from collections import deque
 import numpy as np
 import pytest
 
-from sidelong.app.analysis.fleet_replay import compare_coordination
 from sidelong.app.assembly import controller_of, mission_controller_of
 from sidelong.app.fleet.assembly import coordinator_of
+from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES, Coordination, Participant
 from sidelong.app.fleet.fleet_file import FleetFile
-from sidelong.app.flight.coordination import FLEET_JOURNAL_TYPES, Coordination, Participant
+from sidelong.app.fleet.planner import planner_in_fleet
+from sidelong.app.fleet.replay import compare_coordination
 from sidelong.app.link.message import Message
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
 from sidelong.mission.core.events import End
@@ -35,7 +36,7 @@ class Craft:
         self.home = Home(home.latitude_deg, home.longitude_deg, home.altitude_m)
 
     def make_core(self, plane):
-        controller = controller_of(self.config)
+        controller = controller_of(self.config, kind=planner_in_fleet(self.config.planner.name))
         return mission_controller_of(self.config, controller, self.flight.dialect, plane, self.home)
 
 

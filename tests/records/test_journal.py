@@ -20,7 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sidelong.app.errors import InputError
-from sidelong.app.flight.coordination import FLEET_JOURNAL_TYPES
+from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES
 from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.records import journal
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode

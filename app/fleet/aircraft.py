@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 
-from sidelong.app.analysis.fleet_summary import FlownTrack
 from sidelong.app.analysis.summary import Summary
 from sidelong.app.analysis.truth import Truth
 from sidelong.app.fleet.fleet_file import Member
+from sidelong.app.fleet.summary import FlownTrack
 from sidelong.app.flight.display import FlightDisplay
 from sidelong.app.flight.flight import Flight, Session
 from sidelong.app.flight.life import describe_aircraft

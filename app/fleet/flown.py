@@ -7,7 +7,11 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
-from sidelong.app.analysis.fleet_summary import (
+from sidelong.app.analysis.score import Asked
+from sidelong.app.errors import InputError
+from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES
+from sidelong.app.fleet.fleet_file import FleetFile
+from sidelong.app.fleet.summary import (
     AircraftSummary,
     FleetSummary,
     FlownAircraft,
@@ -15,10 +19,6 @@ from sidelong.app.analysis.fleet_summary import (
     TargetSummary,
     summarise_fleet,
 )
-from sidelong.app.analysis.score import Asked
-from sidelong.app.errors import InputError
-from sidelong.app.fleet.fleet_file import FleetFile
-from sidelong.app.flight.coordination import FLEET_JOURNAL_TYPES
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
 from sidelong.app.records.windows import Progress

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import get_args
 
+from sidelong.app.fleet.vehicle_clock import VehicleClockReader
 from sidelong.app.flight.loop import Stepped
-from sidelong.app.flight.vehicle_clock import VehicleClockReader
 from sidelong.app.link.message import Message
 from sidelong.app.records.journal import JournalWriter
 from sidelong.mission.control.controller import StandoffController

@@ -20,18 +20,19 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 
-from sidelong.app.analysis.fleet_summary import FleetSummary, FlownAircraft, summarise_fleet
 from sidelong.app.analysis.truth import truth_if_whole
 from sidelong.app.assembly import controller_of
 from sidelong.app.autopilots.queries import is_flying
 from sidelong.app.errors import FlightError, InputError, Interrupted
+from sidelong.app.fleet.aircraft import FleetAircraft
 from sidelong.app.fleet.assembly import coordinator_of
+from sidelong.app.fleet.coordination import Coordination, Participant
 from sidelong.app.fleet.fleet_file import FleetFile
-from sidelong.app.flight.coordination import Coordination, Participant
+from sidelong.app.fleet.foreign import ForeignAircraft
+from sidelong.app.fleet.planner import planner_in_fleet
+from sidelong.app.fleet.summary import FleetSummary, FlownAircraft, summarise_fleet
 from sidelong.app.flight.display import FlightDisplay
-from sidelong.app.flight.fleet_aircraft import FleetAircraft
 from sidelong.app.flight.flight import Flight, Sharing, connected
-from sidelong.app.flight.foreign import ForeignAircraft
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.link_log import link_log
 from sidelong.app.flight.recording import beginning
@@ -114,7 +115,8 @@ class FleetFlight:
         async with contextlib.AsyncExitStack() as stack:
             with life.computing():
                 for one in self._aircraft:
-                    one.controller = controller_of(one.config, progress, self._note)
+                    kind = planner_in_fleet(one.config.planner.name)
+                    one.controller = controller_of(one.config, progress, self._note, kind)
                 coordinator = coordinator_of(self._fleet, progress)
             urls, simulated = await self._urls(stack, life)
             await self._connect(stack, urls, simulated, life)

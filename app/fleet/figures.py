@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sidelong.app.analysis.fleet_summary import judged_by_target, min_separation_m
 from sidelong.app.analysis.score import Moment
+from sidelong.app.fleet.flown import AircraftPart, FleetFlown
+from sidelong.app.fleet.summary import judged_by_target, min_separation_m
 from sidelong.app.report import series
-from sidelong.app.report.fleet_flown import AircraftPart, FleetFlown
 from sidelong.app.report.history import FloatArray
 from sidelong.app.report.html import Drawing
 from sidelong.app.report.plot_style import BAD, BAND, TARGET, WIDTH_IN, figure, legend_above

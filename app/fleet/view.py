@@ -7,10 +7,10 @@ from types import MappingProxyType
 from typing import Protocol
 
 from sidelong.app.config import Config
+from sidelong.app.fleet.panel import AircraftDisplay, FleetPanel
 from sidelong.app.flight.display import FlightDisplay, Wish
 from sidelong.app.view.address import Address
 from sidelong.app.view.display import ViewDisplay
-from sidelong.app.view.fleet_panel import AircraftDisplay, FleetPanel
 from sidelong.app.view.state import Json, other_aircraft, other_target
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot

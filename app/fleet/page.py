@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from html import escape
 
 from sidelong.app.analysis.score import Asked
+from sidelong.app.fleet.figures import fleet_drawings, start_s
+from sidelong.app.fleet.flown import FleetFlown
 from sidelong.app.report import html
-from sidelong.app.report.fleet_figures import fleet_drawings, start_s
-from sidelong.app.report.fleet_flown import FleetFlown
 from sidelong.app.report.plot_style import styled
 from sidelong.mission.viewpoint.side_policy import side_words
 

@@ -1,0 +1,33 @@
+"""Planners of the aircraft of a fleet: the predictive planner in its cooperative form, the others unchanged."""
+
+from __future__ import annotations
+
+from sidelong.app.planners.planner_kind import PlannerKind
+from sidelong.app.planners.predictive import MakePredictive, Predictive
+from sidelong.app.planners.registry import planner_by_name
+from sidelong.estimators.compiled import is_kept
+from sidelong.mission.core.requirement import Requirement
+
+
+class TeamPredictive(Predictive):
+    """``PlannerKind`` for :class:`sidelong.mission.fleet.team_planner.TeamPlanner`."""
+
+    about = "decides every second by looking ahead, together with the rest of the fleet"
+
+    def is_compiled(self) -> bool:
+        from sidelong.mission.fleet.team_kernel import team_decide  # noqa: PLC0415  # see PlannerKind
+
+        return super().is_compiled() and is_kept(team_decide)
+
+    def maker(self, requirement: Requirement) -> MakePredictive:
+        """Return the cooperative planner; a requirement without sides to share has the planner of one aircraft."""
+        if requirement.sector is not None or requirement.either_side:
+            return super().maker(requirement)
+        from sidelong.mission.fleet.team_planner import TeamPlanner  # noqa: PLC0415  # see PlannerKind
+
+        return TeamPlanner
+
+
+def planner_in_fleet(name: str) -> PlannerKind:
+    """Return the kind of planner of a name for an aircraft of a fleet. Raises KeyError for an unknown name."""
+    return TeamPredictive() if name == TeamPredictive.name else planner_by_name(name)
