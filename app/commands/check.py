@@ -1,4 +1,4 @@
-"""``sidelong check``: whether this aircraft can keep this requirement."""
+"""``sidelong check``: whether this aircraft can keep this requirement with the configured planner."""
 
 from __future__ import annotations
 
@@ -10,15 +10,20 @@ import typer
 from rich.table import Table
 
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
+from sidelong.app.commands.progress import table_progress
 from sidelong.app.commands.radius import RadiusOption, warn_of_little_room
 from sidelong.app.config import Config, load_config
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
-from sidelong.mission.core.feasibility import in_words
-from sidelong.mission.paper.feasibility import Feasibility, feasibility
+from sidelong.app.planners.registry import PLANNER_NAMES
+from sidelong.app.study.flight_kernel import advance as advance_flight
+from sidelong.app.study.prediction import FLIGHT_S, FLIGHTS, predict, unflyable
+from sidelong.estimators.compiled import is_kept
+from sidelong.mission.paper.feasibility import feasibility
 from sidelong.mission.paper.optimum import ThresholdBounds, threshold_bounds
 from sidelong.mission.paper.optimum import optimise as optimum
 
+_PAPER = "paper"
 _LABELS = {
     "x_tr_m": ("advance of one turn of the transition (x_tr)", "m"),
     "shortest_time_s": ("shortest time between moves (t_y,min)", "s"),
@@ -36,20 +41,30 @@ def check(
     target_speed: Annotated[float | None, typer.Option(help="Highest speed of the target, m/s.")] = None,
     dmin: Annotated[float | None, typer.Option(help="Least allowed range, m.")] = None,
     dmax: Annotated[float | None, typer.Option(help="Greatest allowed range, m.")] = None,
-    threshold: Annotated[float | None, typer.Option(help="Factor C on dmax at which the circle is moved.")] = None,
-    optimise: Annotated[bool, typer.Option("--optimise", help="Also find the best threshold and airspeed.")] = False,
+    planner: Annotated[
+        str | None, typer.Option(help=f"{' or '.join(PLANNER_NAMES)}; the configured one by default.")
+    ] = None,
+    threshold: Annotated[
+        float | None, typer.Option(help="Paper: factor C on dmax at which the circle is moved.")
+    ] = None,
+    optimise: Annotated[
+        bool, typer.Option("--optimise", help="Paper: also find the best threshold and airspeed.")
+    ] = False,
     slowest: Annotated[float, typer.Option(help="Slowest airspeed --optimise may choose, m/s.")] = 8.0,
     fastest: Annotated[float, typer.Option(help="Fastest airspeed --optimise may choose, m/s.")] = 30.0,
     json: JsonOption = None,
 ) -> None:
-    """Check whether the paper's method can keep the requirement, and say which number to change if not.
+    """Check whether the configured planner can keep the requirement, and name the number to change if it cannot.
 
-    Of a fleet file each aircraft is checked, and what tells them apart.
+    The planner judges the numbers; then 20 short flights next to random targets are simulated, and the time in the
+    range band and on the required side is printed with its confidence interval. Each aircraft of a fleet file is
+    checked.
 
     For example:
       sidelong check
-      sidelong check mission.toml --optimise
-      sidelong check --airspeed 10 --radius 50 --target-speed 3 --dmin 100 --dmax 500 --threshold 1
+      sidelong check mission.toml
+      sidelong check mission.toml --planner paper --optimise
+      sidelong check --airspeed 10 --radius 50 --target-speed 3 --dmin 100 --dmax 500
     """
     checked_output(json)
     overrides = {
@@ -60,6 +75,7 @@ def check(
             "range_max_m": dmax,
             "threshold": threshold,
         },
+        "planner": {"name": planner},
     }
     airspeeds_m_s = (slowest, fastest) if optimise else None
     if not names_a_fleet(config):
@@ -82,13 +98,42 @@ def check(
 
 
 def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tuple[dict[str, Any], str]:
-    """Print what one aircraft can do, also the best between two airspeeds; return the values, and why it cannot."""
-    result = feasibility(settings.aircraft.aircraft(), settings.requirement.requirement())
-    console.print(_table(result))
+    """Print what one aircraft can do.
+
+    Args:
+        settings: The mission.
+        airspeeds_m_s: Between which airspeeds the paper's best one is to be found; None: it is not asked for.
+
+    Returns:
+        The values for the JSON summary, and why the requirement cannot be kept, '' if it can.
+
+    """
+    if airspeeds_m_s is not None and settings.planner.name != _PAPER:
+        raise InputError(f"--optimise finds the best numbers of the paper's method; add --planner {_PAPER}.")
+    reasons = unflyable(settings)
     warn_of_little_room(settings)
-    values: dict[str, Any] = {key: getattr(result, key) for key in ("feasible", *_LABELS)}
+    values: dict[str, Any] = {"planner": settings.planner.name, "prediction": None}
+    if settings.planner.name == _PAPER:
+        values |= _paper_values(settings, airspeeds_m_s)
+    if not reasons:
+        if not is_kept(advance_flight):
+            console.print("compiling the simulated flights, once for this version of the program: up to a minute")
+        prediction = predict(settings, table_progress(console.print))
+        values["prediction"] = prediction.as_json()
+        console.print(f"predicted from {FLIGHTS} simulated flights of {FLIGHT_S / 60.0:.0f} minutes:")
+        console.print(f"  time in band  {prediction.time_in_band or '-'}", soft_wrap=True)
+        console.print(f"  time on side  {prediction.time_on_side or '-'}", soft_wrap=True)
+        reasons = prediction.shortcoming(settings)
+    return {"feasible": not reasons, **values}, reasons
+
+
+def _paper_values(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> dict[str, Any]:
+    """Print the paper's own quantities, and the best ones if they are asked for; return them."""
+    aircraft, requirement = settings.aircraft.aircraft(), settings.requirement.requirement()
+    result = feasibility(aircraft, requirement)
+    values: dict[str, Any] = {key: getattr(result, key) for key in _LABELS}
+    console.print(_table(values))
     if airspeeds_m_s is not None:
-        aircraft, requirement = settings.aircraft.aircraft(), settings.requirement.requirement()
         here = threshold_bounds(aircraft, requirement)
         best = optimum(aircraft, requirement, airspeeds_m_s)
         console.print(_bounds_words("here", here))
@@ -100,14 +145,14 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
         console.print(_bounds_words("there", best.bounds if best is not None else None))
         values["thresholds"] = asdict(here) if here is not None else None
         values["optimum"] = asdict(best) if best is not None else None
-    return values, "" if result.feasible else in_words(result.reasons)
+    return values
 
 
-def _table(result: Feasibility) -> Table:
+def _table(values: dict[str, Any]) -> Table:
     table = Table(show_header=False, box=None, pad_edge=False)
     for key, (label, unit) in _LABELS.items():
-        value = getattr(result, key)
-        # What comes out below nothing is no length: why is told under the table.
+        value = values[key]
+        # A negative result is not a length: the reason is printed with the verdict.
         table.add_row(label, *(("none", "") if value < 0.0 else (f"{value:.3f}", unit)))
     return table
 

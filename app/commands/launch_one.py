@@ -13,6 +13,7 @@ from pathlib import Path
 from sidelong.app.analysis.summary import Summary
 from sidelong.app.analysis.truth import truth_if_whole
 from sidelong.app.assembly import controller_of
+from sidelong.app.commands.expected import warn_of_prediction
 from sidelong.app.commands.flying import kept_if_armed, run_flight
 from sidelong.app.commands.output import console, warn
 from sidelong.app.commands.progress import table_progress
@@ -89,6 +90,7 @@ async def _fly(
     async with contextlib.AsyncExitStack() as stack:
         with life.computing():
             controller = controller_of(config, table_progress(display.note), display.note)
+            warn_of_prediction(config, display.note)
         urls, truth, simulated = config.link.connections, None, None
         if not urls:
             display.note(f"starting a simulated {config.simulation.autopilot} and its target")

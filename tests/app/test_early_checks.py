@@ -67,7 +67,7 @@ def test_what_is_mistyped_is_named_with_what_there_is(arguments, sentence):
 
 def test_lengths_below_nothing_are_not_told_as_lengths(tmp_path, capsys):
     (tmp_path / "mission.toml").write_text("[aircraft]\nradius_m = 300\n[requirement]\nrange_max_m = 200.0\n")
-    ended = CliRunner().invoke(app, ["check", str(tmp_path / "mission.toml")])
+    ended = CliRunner().invoke(app, ["check", "--planner", "paper", str(tmp_path / "mission.toml")])
     assert "infeasible" in str(ended.exception)
     assert "a move of -" not in str(ended.exception)
     said = capsys.readouterr().out + ended.output

@@ -1,0 +1,111 @@
+"""What a configuration can be expected to achieve: its planner's own feasibility and a short simulated study."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.special import stdtrit
+
+from sidelong.app.config import Config
+from sidelong.app.planners.registry import planner_by_name
+from sidelong.app.study.batch import one_flown
+from sidelong.app.study.design import configured, designs
+from sidelong.app.study.settings import AUTOPILOTS, PlannerName, StudySettings
+from sidelong.app.study.study import table_of
+from sidelong.mission.core.feasibility import in_words
+
+FLIGHTS, FLIGHT_S = 20, 600.0
+LEAST_IN_BAND, LEAST_ON_SIDE = 0.9, 0.6  # a configuration that stays below these is refused
+_CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """A share of the time, 0..1, over several flights.
+
+    Attributes:
+        mean: Of all flights.
+        low: Lower end of the 95 % confidence interval of the mean.
+        high: Upper end of it.
+        worst: Of the worst flight. A further flight is worse with a probability of 1 / (flights + 1).
+
+    """
+
+    mean: float
+    low: float
+    high: float
+    worst: float
+
+    @staticmethod
+    def of(shares: Sequence[float]) -> Share | None:
+        """Return the share over flights; None if it was not defined in at least two of them."""
+        known = np.array([share for share in shares if not math.isnan(share)])
+        if len(known) < 2:
+            return None
+        mean, worst = float(known.mean()), float(known.min())
+        half = float(stdtrit(len(known) - 1, 0.5 + _CONFIDENCE / 2.0) * known.std(ddof=1) / math.sqrt(len(known)))
+        return Share(mean, max(mean - half, 0.0), min(mean + half, 1.0), worst)
+
+    def __str__(self) -> str:
+        mean, low, high, worst = (f"{100.0 * value:.1f}" for value in (self.mean, self.low, self.high, self.worst))
+        return f"{mean} % (95 % interval {low} to {high} %, worst flight {worst} %)"
+
+    def as_json(self) -> dict[str, float]:
+        return {"mean": self.mean, "low": self.low, "high": self.high, "worst": self.worst}
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What simulated flights next to random targets came to; time_on_side is None if no target moved."""
+
+    time_in_band: Share | None
+    time_on_side: Share | None
+
+    def shortcoming(self, config: Config) -> str:
+        """Return what the configuration does not achieve and what to change, '' if it is good enough."""
+        band, side, wanted = self.time_in_band, self.time_on_side, config.requirement
+        if band is not None and band.high < LEAST_IN_BAND:
+            return (
+                f"in {FLIGHTS} simulated flights the target is between {wanted.range_min_m:g} and "
+                f"{wanted.range_max_m:g} m for {band}; widen the band, make aircraft.radius_m smaller or expect a slower target"
+            )
+        if side is not None and side.high < LEAST_ON_SIDE:
+            return (
+                f"in {FLIGHTS} simulated flights the aircraft is on the required side for {side}; "
+                "make aircraft.radius_m smaller, widen the band or expect a slower target"
+            )
+        return ""
+
+    def as_json(self) -> dict[str, Any]:
+        shares = {"time_in_band": self.time_in_band, "time_on_side": self.time_on_side}
+        shown = {name: None if share is None else share.as_json() for name, share in shares.items()}
+        return {"flights": FLIGHTS, "flight_s": FLIGHT_S, **shown}
+
+
+def unflyable(config: Config) -> str:
+    """Return why the configured planner cannot keep the requirement and which number to change, '' if it can."""
+    aircraft, requirement = config.aircraft.aircraft(), config.requirement.requirement()
+    return in_words(planner_by_name(config.planner.name).unflyable(aircraft, requirement))
+
+
+def predict(config: Config, progress: Callable[[float], None] = lambda _share: None) -> Prediction:
+    """Fly a configuration that its planner can fly next to random targets, by the kinematic study.
+
+    Args:
+        config: The mission. Its planner, aircraft, requirement, sensors and simulated wind count.
+        progress: Called with the share 0..1 of the value table while that is computed.
+
+    """
+    planner, answer = PlannerName(config.planner.name), AUTOPILOTS[config.simulation.autopilot]
+    base = StudySettings(planners=(planner,), runs=FLIGHTS, duration_s=FLIGHT_S)
+    (design,) = designs(base, configured(config), [])
+    settings = replace(
+        design.settings, latency_s=answer.latency_s, lag_s=answer.lag_s, fleet=config.requirement.fleet_size
+    )
+    table = table_of(settings, progress) if planner is PlannerName.PREDICTIVE else None
+    flown = [one_flown(settings, planner, number, table) for number in range(FLIGHTS)]
+    return Prediction(Share.of([one.time_in_band for one in flown]), Share.of([one.time_on_side for one in flown]))

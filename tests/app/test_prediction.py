@@ -1,0 +1,88 @@
+"""What ``check`` predicts and refuses, and what ``launch`` warns about: the same, of the configured planner."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from sidelong.app.cli import app
+from sidelong.app.commands import expected
+from sidelong.app.config import Config
+from sidelong.app.study import prediction
+from sidelong.app.study.prediction import Prediction, Share, predict, unflyable
+
+X8_AT_400_M = {
+    "aircraft": {"airspeed_m_s": 16.0, "radius_m": 50.0},
+    "requirement": {"range_max_m": 400.0, "side": "right", "target_speed_max_m_s": 3.0},
+}
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch):
+    monkeypatch.setattr(prediction, "FLIGHTS", 3)
+    monkeypatch.setattr(prediction, "FLIGHT_S", 200.0)
+
+
+def written(tmp_path, **sections):
+    config = Config.model_validate({**X8_AT_400_M, **sections})
+    lines = [
+        f"[{name}]\n" + "\n".join(f"{k} = {json.dumps(v)}" for k, v in keys.items())
+        for name, keys in {**X8_AT_400_M, **sections}.items()
+    ]
+    path = tmp_path / "mission.toml"
+    path.write_text("\n".join(lines))
+    return path, config
+
+
+def test_what_only_the_paper_cannot_fly_is_feasible_for_the_default_planner(tmp_path):
+    path, config = written(tmp_path)
+    ended = CliRunner().invoke(app, ["check", str(path), "--json", str(tmp_path / "found.json")])
+    assert ended.exception is None, ended.exception
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert found["feasible"]
+    assert found["planner"] == "predictive"
+    band = found["prediction"]["time_in_band"]
+    assert band["low"] <= band["mean"] <= band["high"] <= 1.0
+    assert band["mean"] > 0.95
+    assert unflyable(Config.model_validate({**X8_AT_400_M, "planner": {"name": "paper"}}))
+    assert not unflyable(config)
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.3, True), (0.97, False)])
+def test_launch_warns_of_what_check_refuses(tmp_path, monkeypatch, share, refused):
+    path, config = written(tmp_path)
+    found = Prediction(Share.of([share, share + 0.01, share + 0.02]), None)
+    monkeypatch.setattr(prediction, "predict", lambda *_: found)
+    monkeypatch.setattr("sidelong.app.commands.check.predict", lambda *_: found)
+    monkeypatch.setattr(expected, "is_kept", lambda _compiled: True)
+    ended = CliRunner().invoke(app, ["check", str(path)])
+    assert ("widen the band" in str(ended.exception)) is refused
+    notes = []
+    expected.warn_of_prediction(config, notes.append)
+    assert any("sidelong check refuses this configuration" in note for note in notes) is refused
+
+
+def test_a_prediction_repeats_itself():
+    config = Config.model_validate({"planner": {"name": "paper"}})
+    assert predict(config) == predict(config)
+
+
+def test_the_interval_is_that_of_student_and_stays_within_bounds():
+    share = Share.of([0.90, 0.92, 0.94])
+    assert share.mean == pytest.approx(0.92)
+    assert share.high - share.mean == pytest.approx(4.303 * 0.02 / 3**0.5, rel=1e-3)
+    assert share.worst == 0.90
+    assert Share.of([0.99, 1.0, 0.91]).high == 1.0
+    assert Share.of([float("nan"), 0.5]) is None
+
+
+def test_the_side_alone_can_be_the_shortcoming():
+    low = Prediction(Share.of([1.0, 1.0]), Share.of([0.3, 0.31]))
+    assert "required side" in low.shortcoming(Config())
+    assert Prediction(Share.of([1.0, 1.0]), Share.of([0.9, 0.91])).shortcoming(Config()) == ""
+
+
+def test_the_best_numbers_are_of_the_paper_only():
+    assert "--planner paper" in str(CliRunner().invoke(app, ["check", "--optimise"]).exception)
