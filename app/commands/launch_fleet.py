@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
+from sidelong.app.commands.expected import warn_of_prediction
 from sidelong.app.commands.flying import kept_if_armed, run_flight
 from sidelong.app.commands.output import console
 from sidelong.app.commands.progress import table_progress
@@ -40,6 +41,9 @@ async def _fly(
                 view.requests = flight
             life = begun(Life(lambda: flight.begun, panel.note))
             with life.heeding_signals():
+                with life.computing():
+                    for member in fleet.members:
+                        warn_of_prediction(member.config, panel.note)
                 return await flight.fly(life, table_progress(panel.note))
 
 

@@ -71,7 +71,8 @@ class Prediction:
         if band is not None and band.high < LEAST_IN_BAND:
             return (
                 f"in {FLIGHTS} simulated flights the target is between {wanted.range_min_m:g} and "
-                f"{wanted.range_max_m:g} m for {band}; widen the band, make aircraft.radius_m smaller or expect a slower target"
+                f"{wanted.range_max_m:g} m for {band}; widen the band, make aircraft.radius_m smaller "
+                "or expect a slower target"
             )
         if side is not None and side.high < LEAST_ON_SIDE:
             return (
