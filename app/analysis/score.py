@@ -1,25 +1,66 @@
-"""How well the target was watched: time in the band, time on the side, extremes, error of the estimate."""
+"""The judge: how well the target was watched. Flights, replays, reports, the page and studies use this module alone.
+
+Definitions:
+
+- **Band**: the horizontal range is within ``range_min_m`` to ``range_max_m`` of the requirement.
+- **Side**: the aircraft is within 90 degrees of the normal of the target's course, on the required side. The course
+  is the one made good over ``requirement.course_horizon_s``, 20 s by default; see
+  :mod:`sidelong.app.analysis.target_course`. Only the time after the target has made good a course counts. A
+  required sector replaces the course; with either side allowed every direction is right.
+- **Observation angle**: from that normal, or from the middle of the sector, to the line from target to aircraft.
+- **Move**: a departure to another circle. **Reversal**: a move within 10 s of the last one.
+
+A moment counts until the next one.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Literal, TypeVar
 
-from sidelong.app.analysis.target_course import TargetCourse
-from sidelong.estimators.frames import wrap_rad
+import numpy as np
+import numpy.typing as npt
+
+from sidelong.app.analysis.target_course import made_good_rad, present_rad
 from sidelong.mission.core.requirement import Requirement
 
-STANDING_M_S = 0.3  # the truth's
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+Angle = TypeVar("Angle", float, FloatArray)
+
+STANDING_M_S = 0.3  # below this speed the target keeps its present course
+_REVERSAL_S = 10.0
 
 Asked = Sequence[tuple[float, Requirement]]
-"""(since, requirement) in order of time, at least one: a person may change it in flight."""
+"""(since, requirement) in order of time, at least one: an operator may change it in flight."""
 
 
 def asked_at(asked: Asked, time_s: float) -> Requirement:
-    """Return the requirement of a time; the first also of before."""
+    """Return the requirement at a time; before the first one that one."""
     return next((one for since_s, one in reversed(asked) if since_s <= time_s), asked[0][1])
+
+
+def middle_rad(requirement: Requirement, course_rad: Angle) -> Angle | float:
+    """Return the direction from the target to the middle of where it is to be watched from.
+
+    Args:
+        requirement: what is required.
+        course_rad: the target's course, one value or an array.
+
+    """
+    if requirement.sector is not None:
+        return requirement.sector.middle_rad
+    return course_rad + requirement.side.normal_turn_rad
+
+
+def allowed_rad(requirement: Requirement) -> float:
+    """Return how far from zero an observation angle may be."""
+    if requirement.sector is not None:
+        return requirement.sector.half_width_rad
+    return math.pi if requirement.either_side else math.pi / 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +77,83 @@ class Moment:
     target: str = ""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Aircraft and one target over time, in the plane.
+
+    Attributes:
+        time_s: ascending, shape (n,).
+        aircraft_m: east and north, shape (n, 2).
+        target_m: east and north, shape (n, 2).
+        target_velocity_m_s: east and north, shape (n, 2).
+
+    """
+
+    time_s: FloatArray
+    aircraft_m: FloatArray
+    target_m: FloatArray
+    target_velocity_m_s: FloatArray
+
+    @staticmethod
+    def of(moments: Sequence[Moment]) -> Samples:
+        """Return moments of one target as arrays."""
+        names = [field.name for field in fields(Moment)][:7]
+        rows = np.array([[getattr(one, name) for name in names] for one in moments]).reshape(-1, 7)
+        return Samples(rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5:7])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgement:
+    """How each moment was: arrays of shape (n,).
+
+    Attributes:
+        time_s: the times of the moments.
+        range_m: horizontal range.
+        in_band: whether the range is allowed.
+        on_side: whether the side is the required one; True where it is not known.
+        on_side_now: the same by the target's present course.
+        side_known: whether the target has made good a course.
+        course_rad: the target's course that defines the sides, NaN where it is not known.
+        observation_rad: observation angle in [-pi, pi), NaN where the side is not known.
+
+    """
+
+    time_s: FloatArray
+    range_m: FloatArray
+    in_band: BoolArray
+    on_side: BoolArray
+    on_side_now: BoolArray
+    side_known: BoolArray
+    course_rad: FloatArray
+    observation_rad: FloatArray
+
+    def later(self, offset_s: float) -> Judgement:
+        """Return the same with all times later by ``offset_s``."""
+        return replace(self, time_s=self.time_s + offset_s)
+
+    @staticmethod
+    def joined(parts: Sequence[Judgement]) -> Judgement:
+        """Return several as one, in order of time."""
+        whole = [np.concatenate([getattr(one, field.name) for one in parts]) for field in fields(Judgement)]
+        order = np.argsort(whole[0], kind="stable")
+        return Judgement(*(values[order] for values in whole))
+
+
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Fractions are 0..1 of the time scored; None where nothing was scored.
+    """What a flight or a run came to. Fractions are 0..1 of the judged time; None where nothing could be judged.
 
-    time_on_side: of the time after the target has moved, by its course made good over the requirement's horizon;
-    time_on_side_now: by its present course.
+    Attributes:
+        duration_s: the judged time.
+        time_in_band: fraction of time within the allowed range.
+        time_on_side: fraction of time on the required side, of the time in which the side is known.
+        min_range_m: least horizontal range.
+        max_range_m: greatest horizontal range.
+        source: what the target's positions are: the truth, or the estimate of the flight itself.
+        time_on_side_now: as ``time_on_side``, by the target's present course.
+        moves: departures to another circle within the judged time.
+        reversals: moves within 10 s of the last one.
+
     """
 
     duration_s: float
@@ -51,73 +163,85 @@ class Score:
     max_range_m: float | None
     source: Literal["truth", "estimate"]
     time_on_side_now: float | None = None
+    moves: int = 0
+    reversals: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Judged:
-    """How one moment was: where the target is from the aircraft, and whether the requirement was kept.
+def judge(samples: Samples, asked: Asked) -> Judgement:
+    """Judge one aircraft and one target at each sample."""
+    time_s, velocity_m_s = samples.time_s, samples.target_velocity_m_s
+    east_m, north_m = (samples.aircraft_m - samples.target_m).T
+    range_m, sight_rad = np.hypot(east_m, north_m), np.arctan2(east_m, north_m)
+    which = np.maximum(np.searchsorted([since_s for since_s, _ in asked], time_s, side="right") - 1, 0)
+    requirements = [requirement for _, requirement in asked]
+    horizon_s = np.array([one.course_horizon_s for one in requirements])[which]
+    present = present_rad(velocity_m_s, STANDING_M_S)
+    made_good = np.where(horizon_s > 0.0, made_good_rad(time_s, velocity_m_s, horizon_s), present)
+    in_band, on_side, now, known = (np.ones(time_s.size, bool) for _ in range(4))
+    observation_rad = np.full(time_s.size, math.nan)
+    for k, one in enumerate(requirements):
+        here = which == k
+        in_band[here] = (range_m[here] >= one.range_min_m) & (range_m[here] <= one.range_max_m)
+        off_rad, off_now_rad = (
+            _wrapped(sight_rad[here] - middle_rad(one, course_rad[here])) for course_rad in (made_good, present)
+        )
+        observation_rad[here] = off_rad
+        on_side[here], now[here] = (~(np.abs(angle) > allowed_rad(one)) for angle in (off_rad, off_now_rad))
+        known[here] = one.either_side | ~np.isnan(off_rad)
+    return Judgement(time_s, range_m, in_band, on_side, now, known, made_good, observation_rad)
 
-    on_side: as :class:`Score` has it; on_side_now: by the present course. Both hold, and side_known does not, while
-    the target has made good no course.
+
+def judge_moments(moments: Sequence[Moment], asked: Asked) -> Judgement:
+    """Judge moments in order of time; where the target changes, its course starts again."""
+    runs = [list(run) for _, run in itertools.groupby(moments, key=lambda one: one.target)]
+    return Judgement.joined([judge(Samples.of(run), asked) for run in runs or [[]]])
+
+
+def score(
+    judged: Judgement,
+    source: Literal["truth", "estimate"],
+    departures_s: Sequence[float] = (),
+    end_s: float | None = None,
+) -> Score:
+    """Sum up a judgement.
+
+    Args:
+        judged: the moments, in order of time.
+        source: what the target's positions are.
+        departures_s: when plans departed to another circle, ascending.
+        end_s: until when the last moment counts; None: it does not count.
+
     """
-
-    time_s: float
-    range_m: float
-    in_band: bool
-    on_side: bool
-    on_side_now: bool = True
-    side_known: bool = True
-
-
-def judge(moments: Iterable[Moment], asked: Asked) -> Iterator[Judged]:
-    """Judge moments in order of time."""
-    course, watched = TargetCourse(STANDING_M_S), ""
-    for moment in moments:
-        if moment.target != watched:
-            course, watched = TargetCourse(STANDING_M_S), moment.target
-        requirement = asked_at(asked, moment.time_s)
-        east_m = moment.aircraft_east_m - moment.target_east_m
-        north_m = moment.aircraft_north_m - moment.target_north_m
-        range_m = math.hypot(east_m, north_m)
-        in_band = requirement.range_min_m <= range_m <= requirement.range_max_m
-        velocity = (moment.target_velocity_east_m_s, moment.target_velocity_north_m_s)
-        place = moment.target_east_m, moment.target_north_m
-        course.take(moment.time_s, place, velocity, requirement.course_horizon_s)
-        if requirement.sector is not None:
-            off_rad = wrap_rad(math.atan2(east_m, north_m) - requirement.sector.middle_rad)
-            within = abs(off_rad) <= requirement.sector.half_width_rad
-            yield Judged(moment.time_s, range_m, in_band, within, within)
-        elif requirement.either_side:  # one of the two sides is always the nearer one
-            yield Judged(moment.time_s, range_m, in_band, on_side=True)
-        else:
-            turn_rad = requirement.side.normal_turn_rad
-            beside = _beside(east_m, north_m, course.made_good_rad, turn_rad)
-            now = _beside(east_m, north_m, course.present_rad, turn_rad)
-            yield Judged(moment.time_s, range_m, in_band, beside, now, course.made_good_rad is not None)
-
-
-def _beside(east_m: float, north_m: float, course_rad: float | None, turn_rad: float) -> bool:
-    if course_rad is None:
-        return True
-    return east_m * math.sin(course_rad + turn_rad) + north_m * math.cos(course_rad + turn_rad) >= 0.0
-
-
-def score(moments: Iterable[Moment], asked: Asked, source: Literal["truth", "estimate"]) -> Score:
-    """Score the moments as ``judge`` has them, each weighted by the time until the next."""
-    in_band_s = on_side_s = on_side_now_s = known_s = total_s = 0.0
-    min_m, max_m = math.inf, -math.inf
-    last: Judged | None = None
-    for judged in judge(moments, asked):
-        if last is not None:
-            step_s = judged.time_s - last.time_s
-            total_s += step_s
-            in_band_s += step_s * last.in_band
-            known_s += step_s * last.side_known
-            on_side_s += step_s * (last.side_known and last.on_side)
-            on_side_now_s += step_s * (last.side_known and last.on_side_now)
-        min_m, max_m = min(min_m, judged.range_m), max(max_m, judged.range_m)
-        last = judged
+    if not judged.time_s.size:
+        return Score(0.0, None, None, None, None, source)
+    begin_s = judged.time_s[0]
+    step_s = np.diff(judged.time_s, append=judged.time_s[-1] if end_s is None else end_s)
+    total_s, known_s = step_s.sum(), step_s[judged.side_known].sum()
     if total_s <= 0.0:
         return Score(0.0, None, None, None, None, source)
-    on_side, now = (on_side_s / known_s, on_side_now_s / known_s) if known_s > 0.0 else (None, None)
-    return Score(total_s, in_band_s / total_s, on_side, min_m, max_m, source, now)
+    gaps_s = np.diff([time_s for time_s in departures_s if time_s >= begin_s], prepend=-math.inf)
+    on_side, now = (
+        float(step_s[judged.side_known & held].sum() / known_s) if known_s > 0.0 else None
+        for held in (judged.on_side, judged.on_side_now)
+    )
+    return Score(
+        float(total_s),
+        float(step_s[judged.in_band].sum() / total_s),
+        on_side,
+        float(judged.range_m.min()),
+        float(judged.range_m.max()),
+        source,
+        now,
+        gaps_s.size,
+        int((gaps_s < _REVERSAL_S - 1e-6).sum()),
+    )
+
+
+def from_band(moments: Sequence[Moment], asked: Asked) -> Sequence[Moment]:
+    """Return the moments from the first one in the band, where judging begins; all where none is."""
+    inside = np.flatnonzero(judge_moments(moments, asked).in_band)
+    return moments[int(inside[0]) :] if inside.size else moments
+
+
+def _wrapped(angle_rad: FloatArray) -> FloatArray:
+    return np.asarray((angle_rad + math.pi) % (2.0 * math.pi) - math.pi)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from rich.table import Table
 
-from sidelong.app.analysis.score import Asked, Moment, Score, asked_at, score
+from sidelong.app.analysis.score import Moment, Score, from_band, judge_moments, score
 from sidelong.app.analysis.truth import Truth
 from sidelong.estimators.filters.biases import Calibration
 from sidelong.estimators.frames import LocalPlane
@@ -42,6 +42,8 @@ class Summary:
     min_clearance_m: float | None = None
     time_on_side_now: float | None = None
     """By the target's present course; ``time_on_side`` is by the course it made good."""
+    reversals: int | None = None
+    """Moves within 10 s of the last one; None in summaries of earlier versions."""
     battery_percent: tuple[int, int] | None = None
     """When watching began, and at the end."""
     links: tuple[dict[str, Any], ...] = ()
@@ -62,7 +64,7 @@ class Summary:
             ("range", _between(self.min_range_m, self.max_range_m)),
             *self._ground_rows(),
             ("judged by", self.source),
-            ("moves of the circle", str(self.moves)),
+            ("moves of the circle", _moves(self.moves, self.reversals)),
             ("uploads", f"{self.uploads}, failed {self.upload_failures}"),
             ("sightings", f"{self.sightings}, rejected {self.rejected}"),
             ("error of the estimate (RMS)", "-" if self.estimate_rmse_m is None else f"{self.estimate_rmse_m:.2f} m"),
@@ -104,11 +106,13 @@ class SummaryCollector:
         self._estimated: list[Moment] = []
         self._asked: list[tuple[float, Requirement]] = [(-math.inf, requirement)]
         self.judged_s = -math.inf  # time of the latest estimate that was taken
+        self._departures_s: list[float] = []
         self._over_ground: list[tuple[float, bool, float]] = []  # time, whether the target is seen, clearance
         self.ground: Ground | None = None  # what they are over, once it is known
 
     def observe(self, snapshot: Snapshot) -> None:
-        """Take a snapshot; those without a new estimate are passed over."""
+        """Take a snapshot; only departures are taken from those without a new estimate."""
+        self._departures_s += [snapshot.time_s] * (snapshot.moves - len(self._departures_s))
         aircraft, estimate = snapshot.aircraft, snapshot.estimate
         if aircraft is None or estimate is None or estimate.time_s <= self.judged_s or snapshot.turn_payload:
             return  # what is not seen is not watched
@@ -173,18 +177,8 @@ class SummaryCollector:
     def scored(self, truth: Truth | None, plane: LocalPlane | None, start_s: float) -> Score:
         """Score from the first moment in the band after ``start_s``."""
         moments, source = self.moments(truth, plane, start_s)
-        return score(_from_band(moments, self._asked), self._asked, source)
-
-
-def _from_band(moments: Sequence[Moment], asked: Asked) -> Sequence[Moment]:
-    for index, moment in enumerate(moments):
-        range_m = math.hypot(
-            moment.aircraft_east_m - moment.target_east_m, moment.aircraft_north_m - moment.target_north_m
-        )
-        requirement = asked_at(asked, moment.time_s)
-        if requirement.range_min_m <= range_m <= requirement.range_max_m:
-            return moments[index:]
-    return moments
+        judged = judge_moments(from_band(moments, self._asked), self._asked)
+        return score(judged, source, self._departures_s)
 
 
 def summarise(
@@ -204,7 +198,6 @@ def summarise(
     in_sight, clearance_m = (truth or gatherer).over_ground(start_s)
     return Summary(
         **asdict(result),
-        moves=snapshot.moves,
         uploads=snapshot.uploads,
         upload_failures=snapshot.upload_failures,
         sightings=sightings,
@@ -214,6 +207,10 @@ def summarise(
         time_in_sight=in_sight,
         min_clearance_m=clearance_m,
     )
+
+
+def _moves(moves: int, reversals: int | None) -> str:
+    return str(moves) if reversals is None else f"{moves}, {reversals} of them within 10 s of the last one"
 
 
 def _percent(fraction: float | None) -> str:

@@ -123,8 +123,8 @@ def study(
     """Compare planners against many targets, random or recorded, without an autopilot.
 
     Band 100 to 500 m, left side; noisy laser and gimbal go through the real filter to the real planners. lvfg and
-    park are guidance laws of the literature. A random target's side is that of its course; a recorded one's that of
-    the course it made good in 30 s, once it has moved 10 m. Its track is smoothed over 2.5 s.
+    park are guidance laws of the literature. The side is that of the course that the target made good over
+    requirement.course_horizon_s, once it has moved 10 m. Recorded tracks are smoothed over 2.5 s.
 
     On many machines: dask scheduler; dask worker tcp://HOST:8786 --nthreads 1 --nworkers -1 (on each).
 

@@ -90,10 +90,10 @@ def _sides(flown: FleetFlown) -> Drawing:
     for row, (one, colour) in enumerate(_coloured(flown)):
         kept = {name: np.zeros(len(times_s), bool) for name in flown.asked}
         for name, judged in judged_by_target(one.flown.history.moments, flown.asked, one.offset_s).items():
-            for moment in judged:
-                k = round((moment.time_s - begin_s) / _STEP_S)
+            steps = np.rint((judged.time_s - begin_s) / _STEP_S).astype(int)
+            for k, held in zip(steps.tolist(), (judged.on_side & judged.in_band).tolist(), strict=True):
                 if 0 <= k < len(times_s):
-                    kept[name][k : k + 2] = moment.on_side and moment.in_band
+                    kept[name][k : k + 2] = held
             any_kept[name] |= kept[name]
         _bars(axes, row, times_s - begin_s, np.logical_or.reduce(list(kept.values())), colour)
         edges_s = [since_s for since_s, _, _ in one.roles] + [end_s]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from itertools import combinations
 from typing import Any, Literal
 
@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from rich.table import Table
 
-from sidelong.app.analysis.score import Asked, Judged, Moment, judge
+from sidelong.app.analysis.score import Asked, Judgement, Moment, judge_moments
 from sidelong.app.analysis.summary import Summary
 
 FloatArray = npt.NDArray[np.float64]
@@ -143,12 +143,12 @@ def summarise_fleet(
     asked: of each target, in mission time.
     """
     by_target = [judged_by_target(one.moments, asked, one.offset_s) for one in flown]
-    of_all = [sorted((j for own in one.values() for j in own), key=lambda j: j.time_s) for one in by_target]
-    judged = [own for own in of_all if own]
+    of_all = [Judgement.joined(list(own.values())) for own in by_target]
+    judged = [own for own in of_all if own.time_s.size]
     times_s = np.empty(0)
     if judged:
-        times_s = np.arange(_begin_s(judged), max(one[-1].time_s for one in judged), _STEP_S)
-    targets = tuple(_target_summary(name, [one[name] for one in by_target if one[name]], times_s) for name in asked)
+        times_s = np.arange(_begin_s(judged), max(float(one.time_s[-1]) for one in judged), _STEP_S)
+    targets = tuple(_target_summary(name, [one[name] for one in by_target], times_s) for name in asked)
     off_s = [one.longest_off_side_any_s for one in targets if one.longest_off_side_any_s is not None]
     return FleetSummary(
         duration_s=len(times_s) * _STEP_S,
@@ -163,14 +163,14 @@ def summarise_fleet(
             AircraftSummary(
                 one.name,
                 one.summary,
-                float(_held(own, times_s, "on_side").mean()) if own and times_s.size else None,
+                float(_held(own, times_s, "on_side").mean()) if own.time_s.size and times_s.size else None,
             )
             for one, own in zip(flown, of_all, strict=True)
         ),
     )
 
 
-def _target_summary(name: str, judged: Sequence[Sequence[Judged]], times_s: FloatArray) -> TargetSummary:
+def _target_summary(name: str, judged: Sequence[Judgement], times_s: FloatArray) -> TargetSummary:
     if not times_s.size:
         return TargetSummary(name, None, None, None)
     none = [np.zeros(len(times_s), bool)]
@@ -197,36 +197,33 @@ def min_separation_m(tracks: Sequence[FlownTrack]) -> float | None:
     return least_m if math.isfinite(least_m) else None
 
 
-def judged_by_target(
-    moments: Sequence[Moment], asked: Mapping[str, Asked], offset_s: float
-) -> dict[str, list[Judged]]:
+def judged_by_target(moments: Sequence[Moment], asked: Mapping[str, Asked], offset_s: float) -> dict[str, Judgement]:
     """Judge one aircraft's moments by what was asked of each target, in mission time: its own with offset_s added.
 
     A moment without a target's name is of the first one.
     """
     first = next(iter(asked))
-    judged: dict[str, list[Judged]] = {}
+    judged: dict[str, Judgement] = {}
     for name, own in asked.items():
         own_time = [(since_s - offset_s, requirement) for since_s, requirement in own]
         seen = [one for one in moments if (one.target or first) == name]
-        judged[name] = [replace(one, time_s=one.time_s + offset_s) for one in judge(seen, own_time)]
+        judged[name] = judge_moments(seen, own_time).later(offset_s)
     return judged
 
 
-def _begin_s(judged: Sequence[Sequence[Judged]]) -> float:
+def _begin_s(judged: Sequence[Judgement]) -> float:
     """Return when the last of them came into the band for the first time; those that never did are left out."""
-    entered = [next((one.time_s for one in own if one.in_band), None) for own in judged]
-    known = [time_s for time_s in entered if time_s is not None]
-    return max(known) if known else min(own[0].time_s for own in judged)
+    entered = [float(own.time_s[own.in_band][0]) for own in judged if own.in_band.any()]
+    return max(entered) if entered else min(float(own.time_s[0]) for own in judged)
 
 
-def _held(judged: Sequence[Judged], times_s: FloatArray, what: Literal["on_side", "in_band"]) -> BoolArray:
+def _held(judged: Judgement, times_s: FloatArray, what: Literal["on_side", "in_band"]) -> BoolArray:
     """Return whether it held at these times, by the latest moment before; False where that is too old."""
-    since_s = np.array([one.time_s for one in judged])
-    values = np.array([getattr(one, what) for one in judged])
-    latest = np.searchsorted(since_s, times_s, side="right") - 1
-    known = (latest >= 0) & (times_s - since_s[np.maximum(latest, 0)] <= _HOLDS_S)
-    return np.asarray(known & values[np.maximum(latest, 0)])
+    if not judged.time_s.size:
+        return np.zeros(len(times_s), bool)
+    latest = np.searchsorted(judged.time_s, times_s, side="right") - 1
+    known = (latest >= 0) & (times_s - judged.time_s[np.maximum(latest, 0)] <= _HOLDS_S)
+    return np.asarray(known & getattr(judged, what)[np.maximum(latest, 0)])
 
 
 def _longest_run(flags: BoolArray) -> int:

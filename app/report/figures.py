@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.stats import chi2
 
+from sidelong.app.analysis.score import allowed_rad
 from sidelong.app.report import series
 from sidelong.app.report.history import FloatArray, History
 from sidelong.app.report.html import Drawing
@@ -82,7 +83,7 @@ def _observation(history: History) -> Drawing:
     made, (axes,) = figure(2.9)
     seen = series.observation_rad(history)
     angle_deg = np.degrees(seen.value)
-    allowed_deg = math.degrees(series.allowed_rad(history.requirement))
+    allowed_deg = math.degrees(allowed_rad(history.requirement))
     axes.axhspan(-allowed_deg, allowed_deg, color=BAND, lw=0, label=_wanted(history))
     axes.plot(
         *_unjoined(seen.time_s - history.start_s, angle_deg, 180.0),
@@ -111,7 +112,7 @@ def _observation_histogram(history: History) -> Drawing | None:
         return None
     made, (axes,) = figure(2.9)
     bins = np.arange(-180.0, 180.0 + _BIN_DEG, _BIN_DEG)
-    allowed_deg = math.degrees(series.allowed_rad(history.requirement))
+    allowed_deg = math.degrees(allowed_rad(history.requirement))
     axes.axvspan(-allowed_deg, allowed_deg, color=BAND, lw=0, label=_wanted(history))
     axes.hist(
         angle_deg, bins.tolist(), weights=np.full(len(angle_deg), 100.0 / len(angle_deg)), color=AIRCRAFT, rwidth=0.9

@@ -8,12 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sidelong.app.analysis.score import STANDING_M_S, Moment
-from sidelong.app.analysis.target_course import TargetCourse
+from sidelong.app.analysis.score import Moment, judge_moments
 from sidelong.app.report.history import AircraftTrack, FloatArray, History
 from sidelong.estimators.ellipse import confidence_ellipse
-from sidelong.estimators.frames import wrap_rad
-from sidelong.mission.core.requirement import Requirement
 
 _CURVATURE_SPAN_S = 1.0
 
@@ -52,30 +49,9 @@ def target_speed_m_s(moments: Sequence[Moment]) -> Series:
 
 
 def observation_rad(history: History) -> Series:
-    """Return the angle of the target-aircraft line, in [-pi, pi), clockwise from the direction to watch from.
-
-    That is the normal of the course that the target made good, on the side asked for (NaN until it has moved), or the
-    middle of the sector.
-    The aircraft is where it should be while the angle is within ``allowed_rad``.
-    """
-    angles, course = [], TargetCourse(STANDING_M_S)
-    for m in history.moments:
-        asked = history.requirement_at(m.time_s)
-        velocity_m_s = (m.target_velocity_east_m_s, m.target_velocity_north_m_s)
-        course.take(m.time_s, (m.target_east_m, m.target_north_m), velocity_m_s, asked.course_horizon_s)
-        course_rad = math.nan if course.made_good_rad is None else course.made_good_rad
-        sector = asked.sector
-        middle_rad = course_rad + asked.side.normal_turn_rad if sector is None else sector.middle_rad
-        sight_rad = math.atan2(m.aircraft_east_m - m.target_east_m, m.aircraft_north_m - m.target_north_m)
-        angles.append(wrap_rad(sight_rad - middle_rad))
-    return _over(history.moments, angles)
-
-
-def allowed_rad(requirement: Requirement) -> float:
-    """Return how far from its middle an observation angle may be."""
-    if requirement.sector is not None:
-        return requirement.sector.half_width_rad
-    return math.pi if requirement.either_side else math.pi / 2
+    """Return the observation angle that the judge defines, NaN until the target has moved."""
+    judged = judge_moments(history.moments, history.requirements)
+    return Series(judged.time_s, judged.observation_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -35,11 +35,11 @@ def write_figure(result: StudyResult, file: Path) -> None:
 def draw_paths(axes: Axes, tracks: Mapping[PlannerName, Track]) -> None:
     """Draw where the planners flew, beside the target that is the same for all."""
     for k, (name, track) in enumerate(tracks.items()):
-        axes.plot(track.east_m, track.north_m, linewidth=0.8, label=name, zorder=3 - 0.1 * k)
+        axes.plot(*track.aircraft_m.T, linewidth=0.8, label=name, zorder=3 - 0.1 * k)
     target = next(iter(tracks.values()))
-    axes.plot(target.target_east_m, target.target_north_m, "k", linewidth=2.0, label="target")
+    axes.plot(*target.target_m.T, "k", linewidth=2.0, label="target")
     ticks = np.searchsorted(target.time_s, np.arange(0.0, target.time_s[-1], _TICK_S))
-    axes.plot(target.target_east_m[ticks], target.target_north_m[ticks], "k.", markersize=6.0)
+    axes.plot(*target.target_m[ticks].T, "k.", markersize=6.0)
     axes.set(xlabel="east, m", ylabel="north, m")
     axes.set_aspect("equal", adjustable="datalim")
     axes.legend()
@@ -49,7 +49,7 @@ def draw_paths(axes: Axes, tracks: Mapping[PlannerName, Track]) -> None:
 def _range(axes: Axes, settings: StudySettings, tracks: Mapping[PlannerName, Track]) -> None:
     axes.axhspan(settings.range_min_m, settings.range_max_m, color="0.93")
     for name, track in tracks.items():
-        axes.plot(track.time_s, track.range_m, linewidth=0.9, label=name)
+        axes.plot(track.time_s, track.judged.range_m, linewidth=0.9, label=name)
     axes.set(title="range to the target; grey: the band", xlabel="time, s", ylabel="range, m", ylim=(0.0, None))
     axes.legend()
     axes.grid(alpha=0.3)
@@ -58,7 +58,7 @@ def _range(axes: Axes, settings: StudySettings, tracks: Mapping[PlannerName, Tra
 def _angle(axes: Axes, tracks: Mapping[PlannerName, Track]) -> None:
     axes.axhspan(-90.0, 90.0, color="0.93")
     for name, track in tracks.items():
-        angle_deg = np.degrees(track.observation_rad)
+        angle_deg = np.degrees(track.judged.observation_rad)
         # No line across the jump from 180 to -180 degrees.
         jump = np.flatnonzero(np.abs(np.diff(angle_deg)) > 180.0) + 1
         time_s = np.insert(track.time_s, jump, math.nan)

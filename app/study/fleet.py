@@ -80,7 +80,7 @@ class FleetResult:
     """
 
     time_on_side_any: float
-    time_on_side_any_5s: float
+    time_on_side_any_now: float
     time_in_band_any: float
     min_separation_m: float
     min_range_m: float
@@ -249,11 +249,11 @@ class FleetRun:
             )
             for member in self._members
         )
-        side, side_5s, band = shares_of_any(settings, logs)
+        side, side_now, band = shares_of_any(settings, logs)
         squared = np.array(self._errors) if self._errors else np.zeros((1, 2))
         return FleetResult(
             side,
-            side_5s,
+            side_now,
             band,
             _separation_m(logs, [member.height_m for member in self._members]),
             min(result.min_range_m for result in results),

@@ -23,15 +23,15 @@ from sidelong.mission.predictive.value_table import ValueTable
 _OF_EACH = {
     "time_in_band": 5,
     "time_on_side": 5,
-    "time_on_side_5s": 5,
+    "time_on_side_now": 5,
     "min_range_m": 5,
     "moves_per_hour": 95,
-    "quick_changes_per_hour": 95,
+    "reversals_per_hour": 95,
 }
 # What is told of all together.
 _OF_ALL = {
     "time_on_side_any": 5,
-    "time_on_side_any_5s": 5,
+    "time_on_side_any_now": 5,
     "time_in_band_any": 5,
     "min_separation_m": 5,
     "min_range_m": 5,
@@ -81,7 +81,7 @@ def fleet_table(study: FleetStudy) -> Table:
     table = Table("mean / worst", *study.runs, box=box.SIMPLE_HEAD)
     for label, name, scale, digits, worst in (
         ("wanted side seen by at least one, %", "time_on_side_any", 100.0, 2, np.min),
-        ("by the course of 5 s, %", "time_on_side_any_5s", 100.0, 2, np.min),
+        ("by the present course, %", "time_on_side_any_now", 100.0, 2, np.min),
         ("one in the band, %", "time_in_band_any", 100.0, 2, np.min),
         ("least separation, m", "min_separation_m", 1.0, 0, np.min),
         ("least range, m", "min_range_m", 1.0, 0, np.min),

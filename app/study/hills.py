@@ -11,7 +11,7 @@ import numpy as np
 
 from sidelong.app.study.flight import CompiledFlight, Flown, OverGround
 from sidelong.app.study.flight_kernel import TARGET_M
-from sidelong.app.study.judging import FloatArray, RunResult, judged
+from sidelong.app.study.judging import FloatArray, RunResult, judged, judged_log
 from sidelong.app.study.run import aircraft_on, first_circle, sensed_by
 from sidelong.app.study.scene import scene
 from sidelong.app.study.settings import Hills, StudySettings
@@ -122,7 +122,8 @@ def _over_ground(settings: StudySettings, ground: Ground, run: Flown) -> tuple[f
     """Return the time in sight, that where any place of side and band sees the target, and the least clearance."""
     height_m, in_sight = run.over[:, 0], run.over[:, 1] > 0.0
     steps = range(0, len(run.log), _LOOKED_EVERY)
-    looked = [_some_place_sees(settings, ground, run.log[k, 3:], height_m[k]) for k in steps]
+    course_rad = judged_log(settings, run.log).course_rad
+    looked = [_some_place_sees(settings, ground, run.log[k, 3:5], course_rad[k], height_m[k]) for k in steps]
     seeable = in_sight | np.repeat(looked, _LOOKED_EVERY)[: len(in_sight)]
     possible = float(in_sight[seeable].mean()) if seeable.any() else math.nan
     clear_m = height_m - ground.heights_at_m(run.log[:, 1], run.log[:, 2])
@@ -130,9 +131,11 @@ def _over_ground(settings: StudySettings, ground: Ground, run: Flown) -> tuple[f
     return float(in_sight.mean()), possible, float(clear_m[known].min()) if known.any() else math.nan
 
 
-def _some_place_sees(settings: StudySettings, ground: Ground, target: FloatArray, height_m: float) -> bool:
-    """Tell whether any place of side and band sees the target (east, north, course) from a height."""
-    east_m, north_m, course_rad = target.tolist()
+def _some_place_sees(
+    settings: StudySettings, ground: Ground, target_m: FloatArray, course_rad: float, height_m: float
+) -> bool:
+    """Return whether any position in the band sees the target from a height, on the side if the course is known."""
+    east_m, north_m = target_m.tolist()
     ground_m = ground.height_m(east_m, north_m)
     seen_m = TARGET_M + (0.0 if math.isnan(ground_m) else ground_m)
     rings = math.ceil(settings.range_max_m / _RING_M)
@@ -140,7 +143,7 @@ def _some_place_sees(settings: StudySettings, ground: Ground, target: FloatArray
     needed_m = needed_m[:, math.ceil(settings.range_min_m / _RING_M) :]
     azimuth_rad = np.arange(_AZIMUTHS) * (2.0 * math.pi / _AZIMUTHS)
     off_rad = azimuth_rad - course_rad - settings.requirement().side.normal_turn_rad
-    return bool((needed_m[np.cos(off_rad) >= 0.0] <= height_m).any())
+    return bool((needed_m[~(np.cos(off_rad) < 0.0)] <= height_m).any())
 
 
 def hills_of(ground: Ground) -> Hills:

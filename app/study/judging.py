@@ -1,4 +1,4 @@
-"""How a run is judged: range band, side by the course made good, changes of plan."""
+"""The result of a run, as :mod:`sidelong.app.analysis.score` judges it."""
 
 from __future__ import annotations
 
@@ -9,48 +9,62 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.app.study.course import LONG, SHORT, course_made_good_rad
+from sidelong.app.analysis.score import Judgement, Samples, judge, score
 from sidelong.app.study.settings import StudySettings
 
 FloatArray = npt.NDArray[np.float64]
 
 STEP_S = 0.1
-_JUDGED_EVERY = 5  # steps: the truth's course is taken at each half second
-_QUICK_S = 10.0
-_MOVED_M = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """What was flown, sampled each step: arrays (n,). observation_rad: from the side's normal, wrapped."""
+    """A flown run, sampled each step.
+
+    Attributes:
+        time_s: shape (n,).
+        aircraft_m: east and north, shape (n, 2).
+        target_m: east and north, shape (n, 2).
+        judged: how each step was.
+
+    """
 
     time_s: FloatArray
-    east_m: FloatArray
-    north_m: FloatArray
-    target_east_m: FloatArray
-    target_north_m: FloatArray
-    range_m: FloatArray
-    observation_rad: FloatArray
+    aircraft_m: FloatArray
+    target_m: FloatArray
+    judged: Judgement
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunResult:
-    """Fractions are 0..1, not a number where nothing could be judged: the target never moved.
+    """What a run came to. Fractions are 0..1, NaN where nothing could be judged: the target never moved.
 
-    time_on_side: by the course of a random target's leg, or by the course that a recorded one made good in 30 s;
-    time_on_side_5s by that of 5 s, for both. quick_changes_per_hour: changes of plan within 10 s of the last.
-    time_in_sight, that of the time in which any place of side and band sees the target, and min_clearance_m, the
-    least height over the ground, are no numbers over flat ground. observation_histogram counts steps in bins of 5
-    degrees from -180.
+    Attributes:
+        time_in_band: fraction of time within the allowed range.
+        time_on_side: fraction of time on the required side, by the course made good.
+        time_on_side_now: the same by the present course.
+        min_range_m: least horizontal range.
+        max_range_m: greatest horizontal range.
+        moves_per_hour: departures to another circle.
+        reversals_per_hour: those within 10 s of the last one.
+        observation_spread_deg: standard deviation of the observation angle.
+        duration_s: time flown.
+        time_in_sight: fraction of time in which the target is in sight; NaN over flat ground.
+        time_in_sight_where_possible: the same of the time in which any position on the side and in the band sees it.
+        min_clearance_m: least height over the ground; NaN over flat ground.
+        observation_histogram: number of steps in bins of 5 degrees from -180, shape (72,).
+        decision_s: processor time of the decisions that were measured.
+        track: the flown path, None unless asked for.
+
     """
 
     time_in_band: float
     time_on_side: float
-    time_on_side_5s: float
+    time_on_side_now: float
     min_range_m: float
     max_range_m: float
     moves_per_hour: float
-    quick_changes_per_hour: float
+    reversals_per_hour: float
     observation_spread_deg: float
     duration_s: float
     time_in_sight: float
@@ -61,6 +75,22 @@ class RunResult:
     track: Track | None
 
 
+def samples_of(log: FloatArray) -> Samples:
+    """Return a run as the judge takes it.
+
+    Args:
+        log: time, aircraft (east, north), target (east, north) and further columns, in steps, shape (n, 5 or more).
+
+    """
+    velocity_m_s = np.gradient(log[:, 3:5], log[:, 0], axis=0)
+    return Samples(log[:, 0], log[:, 1:3], log[:, 3:5], velocity_m_s)
+
+
+def judged_log(settings: StudySettings, log: FloatArray) -> Judgement:
+    """Judge each step of a run; ``log`` as :func:`samples_of` takes it."""
+    return judge(samples_of(log), ((-math.inf, settings.requirement()),))
+
+
 def judged(
     settings: StudySettings,
     log: FloatArray,
@@ -69,89 +99,59 @@ def judged(
     keep_track: bool,
     over_ground: tuple[float, float, float] = (math.nan, math.nan, math.nan),
 ) -> RunResult:
-    """Sum up a run. changed_s: when each plan was departed to.
+    """Sum up a run.
 
-    log (n, 6): time, aircraft (east, north), target (east, north), target's course. over_ground: time in sight, the
-    same where that is possible, and the least clearance.
+    Args:
+        settings: the design that was flown.
+        log: as :func:`samples_of` takes it.
+        changed_s: when each plan departed.
+        decision_s: processor time of the decisions that were measured.
+        keep_track: whether to keep the path.
+        over_ground: time in sight, the same where that is possible, and the least clearance.
+
     """
-    time_s, east_m, north_m, target_east_m, target_north_m, _ = log.T
-    range_m = np.hypot(east_m - target_east_m, north_m - target_north_m)
-    moved, short, observation_rad, half_width_rad = _observed(settings, log)
-    in_band = (range_m >= settings.range_min_m) & (range_m <= settings.range_max_m)
-    per_hour = 3600.0 / (STEP_S * len(log))
+    steps = judged_log(settings, log)
+    duration_s = STEP_S * len(log)
+    found = score(steps, "truth", changed_s, end_s=float(log[-1, 0]) + STEP_S)
+    assert found.time_in_band is not None
+    angle_deg = np.degrees(steps.observation_rad[np.isfinite(steps.observation_rad)])
     return RunResult(
-        float(in_band.mean()),
-        _share_within(half_width_rad, observation_rad[moved] if settings.tracks else observation_rad),
-        _share_within(half_width_rad, short[moved]),
-        float(range_m.min()),
-        float(range_m.max()),
-        len(changed_s) * per_hour,
-        int((np.diff(changed_s) < _QUICK_S - 1e-6).sum()) * per_hour,
-        float(np.degrees(observation_rad).std()),
-        STEP_S * len(log),
+        found.time_in_band,
+        _or_nan(found.time_on_side),
+        _or_nan(found.time_on_side_now),
+        _or_nan(found.min_range_m),
+        _or_nan(found.max_range_m),
+        3600.0 * found.moves / duration_s,
+        3600.0 * found.reversals / duration_s,
+        float(angle_deg.std()) if angle_deg.size else math.nan,
+        duration_s,
         *over_ground,
-        np.histogram(np.degrees(observation_rad), bins=72, range=(-180.0, 180.0))[0],
+        np.histogram(angle_deg, bins=72, range=(-180.0, 180.0))[0],
         np.asarray(decision_s, np.float32),
-        Track(time_s, east_m, north_m, target_east_m, target_north_m, range_m, observation_rad)
-        if keep_track
-        else None,
+        Track(log[:, 0], log[:, 1:3], log[:, 3:5], steps) if keep_track else None,
     )
 
 
 def shares_of_any(settings: StudySettings, logs: FloatArray) -> tuple[float, float, float]:
-    """Return the shares of time on the side, on it by the course of 5 s, and in the band, by at least one aircraft.
+    """Return the shares of time on the side, on it by the present course, and in the band, by at least one aircraft.
 
-    logs (aircraft, n, 6): each as :func:`judged` takes it.
+    Args:
+        settings: the design that was flown.
+        logs: of each aircraft as :func:`judged` takes it, shape (aircraft, n, 6).
+
     """
-    moved, width_rad = np.zeros(logs.shape[1], bool), math.pi
-    on_side, on_side_5s, in_band = (np.zeros(logs.shape[1], bool) for _ in range(3))
-    for log in logs:
-        moved, short, observation_rad, width_rad = _observed(settings, log)
-        range_m = np.hypot(log[:, 1] - log[:, 3], log[:, 2] - log[:, 4])
-        within = (range_m >= settings.range_min_m) & (range_m <= settings.range_max_m)
-        on_side |= (np.abs(observation_rad) <= width_rad) & within
-        on_side_5s |= (np.abs(short) <= width_rad) & within
-        in_band |= within
-    counted = moved if settings.tracks else np.ones_like(moved)
-    return _share(on_side[counted]), _share(on_side_5s[moved]), _share(in_band)
-
-
-def _observed(
-    settings: StudySettings, log: FloatArray
-) -> tuple[npt.NDArray[np.bool_], FloatArray, FloatArray, float]:
-    """Return since when the target has moved, both observation angles (n,), and how wide the asked side is."""
-    _, east_m, north_m, target_east_m, target_north_m, course_rad = log.T
-    bearing_rad = np.arctan2(east_m - target_east_m, north_m - target_north_m)
-    short_rad = _truth_course_rad(target_east_m, target_north_m, *SHORT)
-    long_rad = _truth_course_rad(target_east_m, target_north_m, *LONG) if settings.tracks else course_rad
-    moved = np.hypot(target_east_m - target_east_m[0], target_north_m - target_north_m[0]) > _MOVED_M
-    moved = np.logical_or.accumulate(moved)
-    requirement = settings.requirement()
-    half_width_rad, sector = math.pi / 2, requirement.sector
-    if sector is not None:
-        half_width_rad = sector.half_width_rad
-        short = observation_rad = _wrapped(bearing_rad - sector.middle_rad)
-    else:
-        turn_rad = requirement.side.normal_turn_rad
-        short, observation_rad = (_wrapped(bearing_rad - course - turn_rad) for course in (short_rad, long_rad))
-    if requirement.either_side:
-        half_width_rad = math.pi
-    return moved, short, observation_rad, half_width_rad
-
-
-def _truth_course_rad(east_m: FloatArray, north_m: FloatArray, window_s: float, min_way_m: float) -> FloatArray:
-    east_m, north_m, n = east_m[::_JUDGED_EVERY], north_m[::_JUDGED_EVERY], east_m.size
-    course_rad = course_made_good_rad(east_m, north_m, _JUDGED_EVERY * STEP_S, window_s, min_way_m)
-    return np.repeat(course_rad, _JUDGED_EVERY)[:n]
-
-
-def _wrapped(angle_rad: FloatArray) -> FloatArray:
-    return np.asarray((angle_rad + math.pi) % (2.0 * math.pi) - math.pi)
-
-
-def _share_within(half_width_rad: float, observation_rad: FloatArray) -> float:
-    return float((np.abs(observation_rad) <= half_width_rad).mean()) if observation_rad.size else math.nan
+    each = [judged_log(settings, log) for log in logs]
+    known, in_band = (
+        np.logical_or.reduce([getattr(one, name) for one in each]) for name in ("side_known", "in_band")
+    )
+    on_side = np.logical_or.reduce([one.on_side & one.in_band for one in each])
+    now = np.logical_or.reduce([one.on_side_now & one.in_band for one in each])
+    return _share(on_side[known]), _share(now[known]), _share(in_band)
 
 
 def _share(flags: npt.NDArray[np.bool_]) -> float:
     return float(flags.mean()) if flags.size else math.nan
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value

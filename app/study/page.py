@@ -27,11 +27,11 @@ _TABLED = 200  # designs
 # What is drawn: title, values, how a design's runs are summed up on maps.
 _DRAWN: tuple[tuple[str, Callable[[PlannerResult], FloatArray]], ...] = (
     ("time on side, %", lambda p: 100.0 * p.time_on_side),
-    ("time on side by the course of 5 s, %", lambda p: 100.0 * p.time_on_side_5s),
+    ("time on side by the present course, %", lambda p: 100.0 * p.time_on_side_now),
     ("time in band, %", lambda p: 100.0 * p.time_in_band),
     ("least range, m", lambda p: p.min_range_m),
     ("moves per hour", lambda p: p.moves_per_hour),
-    ("changes of plan within 10 s of the last, per hour", lambda p: p.quick_changes_per_hour),
+    ("reversals (moves within 10 s of the last one) per hour", lambda p: p.reversals_per_hour),
     ("time in sight, %", lambda p: 100.0 * p.time_in_sight),
     ("least height over ground, m", lambda p: p.min_clearance_m),
 )
@@ -165,8 +165,7 @@ def _worst(study: Study, command: str) -> Iterator[str]:
         drawn, (axes,) = figure(4.2)
         track = flown_again(run, design.settings)
         draw_paths(axes, {run.planner: track})
-        off = np.abs(track.observation_rad) > np.pi / 2
-        axes.plot(track.east_m[off], track.north_m[off], ".", color=BAD, markersize=2.0, label="off the side")
+        axes.plot(*track.aircraft_m[~track.judged.on_side].T, ".", color=BAD, markersize=2.0, label="off the side")
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
         swept = "".join(f" --sweep {key}={_word(value)}" for key, value in design.swept)
         again = f"{command}{swept} --planner {run.planner} --run {run.number} --out run.png"

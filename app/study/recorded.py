@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from sidelong.app.errors import InputError
-from sidelong.app.study.course import SHORT, course_made_good_rad
 from sidelong.app.study.target import TargetTruth
 from sidelong.sitl.world.track import Track, TrackError, read_track
 
@@ -22,6 +21,8 @@ _SMOOTHED_OVER = 5  # steps: 2.5 s
 _SHORTEST_S = 30.0
 # A single step so much faster than both its neighbours, and over so much, is the receiver's jump and no motion.
 _JUMP_M_S, _JUMP_OVER_OTHERS_M_S = 15.0, 10.0
+# Its course: the direction of its way over so many steps, held where that is no longer than so many metres.
+_COURSE_STEPS, _COURSE_WAY_M = 10, 2.5
 _SUFFIXES = (".csv", ".gpx")
 
 
@@ -54,7 +55,7 @@ class RecordedTarget:
 
     @cached_property
     def _course_rad(self) -> FloatArray:
-        return course_made_good_rad(self.east_m, self.north_m, _STEP_S, *SHORT)
+        return _course_rad(self.east_m, self.north_m)
 
     def sampled(self, time_s: FloatArray) -> FloatArray:
         """Return (n, 5) at times (n,): east, north, velocity east, velocity north, course. It stands at its end."""
@@ -128,6 +129,18 @@ def recorded_targets(places: list[Path], speed_max_m_s: float) -> RecordedTarget
             f"or raise --target-speed-max from {speed_max_m_s:g} m/s."
         )
     return RecordedTargets(tuple(flown), tuple(skipped))
+
+
+def _course_rad(east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+    """Return the course (n,), before the first known one that one, 0 if there is none."""
+    k = np.arange(east_m.size)
+    before = np.maximum(k - _COURSE_STEPS, 0)
+    way_east_m, way_north_m = east_m - east_m[before], north_m - north_m[before]
+    counts = np.hypot(way_east_m, way_north_m) > _COURSE_WAY_M
+    if not counts.any():
+        return np.zeros(east_m.size)
+    held = np.maximum.accumulate(np.where(counts, k, int(np.argmax(counts))))
+    return np.asarray(np.arctan2(way_east_m, way_north_m)[held])
 
 
 def _files(places: list[Path]) -> list[Path]:

@@ -22,7 +22,7 @@ _OVER_GROUND = ("time_in_sight", "time_in_sight_where_possible", "min_clearance_
 _SPREADS: tuple[_Spread, ...] = (
     ("time in band, %", lambda p: 100.0 * p.time_in_band, 5, np.min, 2),
     ("time on side, %", lambda p: 100.0 * p.time_on_side, 5, np.min, 1),
-    ("by the course of 5 s, %", lambda p: 100.0 * p.time_on_side_5s, 5, np.min, 1),
+    ("by the present course, %", lambda p: 100.0 * p.time_on_side_now, 5, np.min, 1),
     ("least range, m", lambda p: p.min_range_m, 5, np.min, 0),
     ("greatest range, m", lambda p: p.max_range_m, 95, np.max, 0),
 )
@@ -62,8 +62,8 @@ def study_table(result: StudyResult) -> Table:
             words = (f"{of(v):.{digits}f}" if v.size else "-" for v in known)
             table.add_row(label if name == "mean" else "", name, *words)
     table.add_row("moves per hour", "mean", *(f"{p.moves_per_hour.mean():.0f}" for p in planners))
-    table.add_row("within 10 s of the last", "mean", *(f"{p.quick_changes_per_hour.mean():.1f}" for p in planners))
-    table.add_row("observation angle, °", "spread", *(f"{p.observation_spread_deg.mean():.0f}" for p in planners))
+    table.add_row("reversals per hour", "mean", *(f"{p.reversals_per_hour.mean():.1f}" for p in planners))
+    table.add_row("observation angle, °", "spread", *(_mean(p.observation_spread_deg) for p in planners))
     for tail in (50, 99):
         times_s = (1e3 * float(np.percentile(p.decision_s, tail)) for p in planners)
         table.add_row("decision, ms" if tail == 50 else "", f"{tail} %", *(f"{t:.2f}" for t in times_s))
@@ -98,22 +98,27 @@ def _summary(settings: StudySettings) -> tuple[tuple[str, Callable[[PlannerResul
     return _SUMMARY if settings.hills is None else _SUMMARY + _SUMMARY_OVER_GROUND
 
 
+def _mean(values: FloatArray) -> str:
+    values = values[np.isfinite(values)]
+    return f"{values.mean():.0f}" if values.size else "-"
+
+
 def _mean_and_worst(values: FloatArray) -> str:
     values = 100.0 * values[np.isfinite(values)]
     return f"{values.mean():.1f}/{values.min():.1f}" if values.size else "-"
 
 
 HEADINGS_EXPLAINED = (
-    "Shares of time: mean / worst run; 5 s: on the side of the course made good in 5 s. Least range of all runs. "
-    "Moves an hour, and those within 10 s of the last."
+    "Shares of time: mean / worst run; now: on the side by the target's present course. Least range of all runs. "
+    "Moves per hour, and reversals: moves within 10 s of the last one."
 )
 _SUMMARY: tuple[tuple[str, Callable[[PlannerResult], str]], ...] = (
     ("in band, %", lambda p: _mean_and_worst(p.time_in_band)),
     ("on side, %", lambda p: _mean_and_worst(p.time_on_side)),
-    ("5 s, %", lambda p: _mean_and_worst(p.time_on_side_5s)),
+    ("now, %", lambda p: _mean_and_worst(p.time_on_side_now)),
     ("least, m", lambda p: f"{p.min_range_m.min():.0f}"),
     ("moves/h", lambda p: f"{p.moves_per_hour.mean():.0f}"),
-    ("quick/h", lambda p: f"{p.quick_changes_per_hour.mean():.1f}"),
+    ("reversals/h", lambda p: f"{p.reversals_per_hour.mean():.1f}"),
 )
 _SUMMARY_OVER_GROUND: tuple[tuple[str, Callable[[PlannerResult], str]], ...] = (
     ("in sight, %", lambda p: _mean_and_worst(p.time_in_sight)),
@@ -164,13 +169,13 @@ def _planner_json(planner: PlannerResult, settings: StudySettings) -> dict[str, 
         "skipped": len(settings.skipped),
         "time_in_band": spread(planner.time_in_band, 5),
         "time_on_side": spread(planner.time_on_side, 5),
-        "time_on_side_5s": spread(planner.time_on_side_5s, 5),
+        "time_on_side_now": spread(planner.time_on_side_now, 5),
         "min_range_m": spread(planner.min_range_m, 5),
         "max_range_m": spread(planner.max_range_m, 95),
         "moves_per_hour": spread(planner.moves_per_hour, 95),
-        "quick_changes_per_hour": spread(planner.quick_changes_per_hour, 95),
+        "reversals_per_hour": spread(planner.reversals_per_hour, 95),
         **({name: spread(getattr(planner, name), 5) for name in _OVER_GROUND} if settings.hills else {}),
-        "observation_spread_deg": float(planner.observation_spread_deg.mean()),
+        "observation_spread_deg": spread(planner.observation_spread_deg, 95)["mean"],
         "decision_ms": {"p50": 1e3 * float(p50_s), "p99": 1e3 * float(p99_s)},
     }
 

@@ -24,12 +24,12 @@ from sidelong.app.study.judging import RunResult
 from sidelong.app.study.settings import PlannerName, StudySettings
 
 MEASURES = (
-    *("time_in_band", "time_on_side", "time_on_side_5s", "min_range_m", "max_range_m"),
-    *("moves_per_hour", "quick_changes_per_hour", "observation_spread_deg", "duration_s"),
+    *("time_in_band", "time_on_side", "time_on_side_now", "min_range_m", "max_range_m"),
+    *("moves_per_hour", "reversals_per_hour", "observation_spread_deg", "duration_s"),
     *("time_in_sight", "time_in_sight_where_possible", "min_clearance_m"),
 )
 _APPLICATION_ID = 0x51DE1043
-_FORMAT = 2
+_FORMAT = 3
 _SCHEMA = f"""
 CREATE TABLE runs (
     key TEXT PRIMARY KEY, design TEXT NOT NULL, planner TEXT NOT NULL, target TEXT NOT NULL, draw INTEGER NOT NULL,
@@ -49,7 +49,7 @@ def code_version() -> str:
     """Return the package's version and a digest of the code that shapes a run."""
     digest = sha256()
     root = Path(__file__).parents[2]
-    for folder in ("app/study", "estimators", "mission"):
+    for folder in ("app/analysis", "app/study", "estimators", "mission"):
         for file in sorted((root / folder).rglob("*.py")):
             digest.update(file.relative_to(root).as_posix().encode() + file.read_bytes())
     try:

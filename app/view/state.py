@@ -6,9 +6,10 @@ What is not known is null: JSON has no NaN.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
+from sidelong.app.analysis.score import middle_rad
 from sidelong.app.analysis.target_course import TargetCourse
 from sidelong.app.config import Config
 from sidelong.app.link.vehicle_status import VehicleStatus
@@ -153,7 +154,7 @@ class StateEncoder:
             return None
         at_m = estimate.position_m(snapshot.time_s)
         velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
-        self._course.take(snapshot.time_s, at_m, velocity_m_s, snapshot.requirement.course_horizon_s)
+        self._course.take(snapshot.time_s, velocity_m_s, snapshot.requirement.course_horizon_s)
         ellipse = confidence_ellipse(estimate.covariance[:2, :2])
         return {
             "at_m": _rounded(*at_m),
@@ -182,12 +183,9 @@ class StateEncoder:
     def _angle_rad(self, snapshot: Snapshot, aircraft: AircraftState, at_m: tuple[float, float]) -> float | None:
         """Return the observation angle: from where the aircraft should be seen to where it is."""
         sight_rad = math.atan2(aircraft.east_m - at_m[0], aircraft.north_m - at_m[1])
-        sector = snapshot.requirement.sector
-        if sector is not None:
-            return wrap_rad(sight_rad - sector.middle_rad)
-        if self._watch_course_rad is None:
-            return None
-        return wrap_rad(sight_rad - self._watch_course_rad - snapshot.side.normal_turn_rad)
+        course_rad = math.nan if self._watch_course_rad is None else self._watch_course_rad
+        middle = middle_rad(replace(snapshot.requirement, side=snapshot.side), course_rad)
+        return None if math.isnan(middle) else wrap_rad(sight_rad - middle)
 
     @property
     def _watch_course_rad(self) -> float | None:

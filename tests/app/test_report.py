@@ -167,10 +167,10 @@ def test_curvature_of_a_circle_is_one_over_its_radius(clockwise):
 
 def test_the_observation_angle_counts_from_abeam_and_keeps_the_course_through_a_stop(flown):
     # The target drives north, then stands; left of it is west. At first it has made good no course.
-    places = [(0.0, -200.0, -12.0), (-200.0, 0.0, 0.0), (0.0, 200.0, 0.0), (200.0, 0.0, 0.0), (-200.0, 0.0, 0.0)]
+    places = [(0.0, -200.0), (-200.0, 0.0), (0.0, 200.0), (200.0, 0.0), (-200.0, 0.0)]
     moments = tuple(
-        Moment(float(n), east_m, north_m, 0.0, target_north_m, 0.0, 0.0)
-        for n, (east_m, north_m, target_north_m) in enumerate(places)
+        Moment(float(n), east_m, north_m, 0.0, 0.0 if n else -12.0, 0.0, 0.0 if n > 1 else 12.0)
+        for n, (east_m, north_m) in enumerate(places)
     )
     before, *angles = series.observation_rad(replace(flown.history, moments=moments)).value
     assert math.isnan(before)

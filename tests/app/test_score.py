@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from sidelong.app.analysis.score import Moment, score
+from sidelong.app.analysis.score import Moment, judge_moments, score
+from sidelong.app.analysis.target_course import TargetCourse
 from sidelong.mission.core.requirement import Requirement, Side
 
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
@@ -25,18 +29,18 @@ def moments(places, velocity=(0.0, 12.0)):
 
 def test_left_of_a_target_going_north_is_west():
     west, east = (-200.0, 0.0), (200.0, 0.0)
-    assert score(moments([west] * 5), LEFT, "truth").time_on_side == 1.0
-    assert score(moments([east] * 5), LEFT, "truth").time_on_side == 0.0
-    assert score(moments([east] * 5), ((0.0, RIGHT),), "truth").time_on_side == 1.0
+    assert score(judge_moments(moments([west] * 5), LEFT), "truth").time_on_side == 1.0
+    assert score(judge_moments(moments([east] * 5), LEFT), "truth").time_on_side == 0.0
+    assert score(judge_moments(moments([east] * 5), ((0.0, RIGHT),)), "truth").time_on_side == 1.0
 
 
 def test_a_side_changed_on_the_way_counts_from_then_on():
     asked = ((0.0, REQUIREMENT), (6.0, RIGHT))
-    assert score(moments([(200.0, 0.0)] * 12), asked, "truth").time_on_side == 0.5
+    assert score(judge_moments(moments([(200.0, 0.0)] * 12), asked), "truth").time_on_side == 0.5
 
 
 def test_each_moment_counts_until_the_next():
-    result = score(moments([(-200, 0), (-200, 0), (-50, 0), (-600, 0), (-200, 0)]), LEFT, "estimate")
+    result = score(judge_moments(moments([(-200, 0), (-200, 0), (-50, 0), (-600, 0), (-200, 0)]), LEFT), "estimate")
     assert result.time_in_band == 0.5
     assert (result.min_range_m, result.max_range_m) == (50.0, 600.0)
     assert result.duration_s == 4.0
@@ -46,17 +50,17 @@ def test_each_moment_counts_until_the_next():
 def test_a_standing_target_keeps_its_last_course():
     went = moments([(-200.0, 0.0)] * 2)
     stands = [Moment(2.0 + k, -200.0, 12.0, 0.0, 12.0, 0.1, 0.0) for k in range(5)]
-    assert score(went + stands, LEFT, "truth").time_on_side == 1.0
+    assert score(judge_moments(went + stands, LEFT), "truth").time_on_side == 1.0
 
 
 def test_nothing_to_score_is_none():
-    assert score([], LEFT, "truth").time_in_band is None
-    assert score(moments([(0, 0)]), LEFT, "truth").duration_s == pytest.approx(0.0)
+    assert score(judge_moments([], LEFT), "truth").time_in_band is None
+    assert score(judge_moments(moments([(0, 0)]), LEFT), "truth").duration_s == pytest.approx(0.0)
 
 
 def test_a_band_changed_on_the_way_counts_from_then_on():
     asked = ((0.0, REQUIREMENT), (5.0, replace(REQUIREMENT, range_min_m=250.0)))
-    assert score(moments([(-200.0, 0.0)] * 11), asked, "truth").time_in_band == 0.5
+    assert score(judge_moments(moments([(-200.0, 0.0)] * 11), asked), "truth").time_in_band == 0.5
 
 
 def test_a_winding_target_has_the_sides_of_the_course_that_it_made_good():
@@ -68,14 +72,54 @@ def test_a_winding_target_has_the_sides_of_the_course_that_it_made_good():
         velocity = (3.0 * math.sin(turn_rad), 3.0 * math.cos(turn_rad))
         seen.append(Moment(float(k), east_m - 200.0, north_m - 180.0, east_m, north_m, *velocity))
         east_m, north_m = east_m + velocity[0], north_m + velocity[1]
-    result = score(seen, LEFT, "truth")
+    result = score(judge_moments(seen, LEFT), "truth")
     assert result.time_on_side == 1.0
     assert result.time_on_side_now == pytest.approx(0.5, abs=0.03)
-    by_the_present = score(seen, ((0.0, replace(REQUIREMENT, course_horizon_s=0.0)),), "truth")
+    by_the_present = score(judge_moments(seen, ((0.0, replace(REQUIREMENT, course_horizon_s=0.0)),)), "truth")
     assert by_the_present.time_on_side == pytest.approx(0.5, abs=0.03)
 
 
 def test_before_it_has_moved_the_target_has_no_side():
     stands = [Moment(float(k), 200.0, 0.0, 0.0, 0.0, 0.1, 0.0) for k in range(20)]
-    assert score(stands, LEFT, "truth").time_on_side is None
-    assert score(stands, LEFT, "truth").time_in_band == 1.0
+    assert score(judge_moments(stands, LEFT), "truth").time_on_side is None
+    assert score(judge_moments(stands, LEFT), "truth").time_in_band == 1.0
+
+
+def dropout():
+    """Return the estimates of a target that drove north at 5 m/s and stopped at 62 s.
+
+    From 60 to 85 s the payload did not see it: the estimate coasted on by 95 m, then jumped back. The aircraft
+    circled west of it.
+    """
+    rows = np.loadtxt(Path(__file__).parents[1] / "data" / "dropout.csv", delimiter=",", skiprows=1)
+    return [Moment(*row) for row in rows.tolist()]
+
+
+def test_an_estimate_that_jumps_back_after_a_dropout_turns_no_course():
+    seen = dropout()
+    jumped_m = [after.target_north_m - before.target_north_m for before, after in itertools.pairwise(seen)]
+    assert min(jumped_m) < -90.0  # else nothing is tested
+    judged = judge_moments(seen, LEFT)
+    known = judged.course_rad[judged.side_known]
+    assert np.abs(known).max() < math.radians(10.0)
+    assert score(judged, "estimate").time_on_side == 1.0
+
+
+def test_the_page_follows_the_same_course_as_the_judge():
+    seen, course, followed = dropout(), TargetCourse(0.3), []
+    for one in seen:
+        course.take(one.time_s, (one.target_velocity_east_m_s, one.target_velocity_north_m_s), 20.0)
+        followed.append(math.nan if course.made_good_rad is None else course.made_good_rad)
+    np.testing.assert_allclose(followed, judge_moments(seen, LEFT).course_rad, atol=1e-9)
+
+
+def test_moves_and_reversals_are_counted_from_the_first_judged_moment():
+    judged = judge_moments(moments([(-200.0, 0.0)] * 100), LEFT)
+    result = score(judged, "truth", [-5.0, 3.0, 11.0, 21.0, 50.0])
+    assert (result.moves, result.reversals) == (4, 1)  # 8 s after the last one; 10 s is no reversal
+
+
+def test_the_last_moment_counts_until_the_end_that_is_given():
+    judged = judge_moments(moments([(-200.0, 0.0), (-50.0, 0.0)]), LEFT)
+    assert score(judged, "truth").time_in_band == 1.0
+    assert score(judged, "truth", end_s=4.0).time_in_band == 0.25

@@ -62,8 +62,8 @@ def test_the_summary_has_every_key(small):
         assert planner["min_range_m"]["worst"] <= planner["max_range_m"]["worst"]
         assert 0.0 <= planner["decision_ms"]["p50"] <= planner["decision_ms"]["p99"]
         assert 0.0 <= planner["moves_per_hour"]["mean"] <= planner["moves_per_hour"]["worst"]
-        assert 0.0 <= planner["quick_changes_per_hour"]["worst"] <= planner["moves_per_hour"]["worst"]
-        assert planner["time_on_side_5s"]["worst"] <= planner["time_on_side_5s"]["mean"]
+        assert 0.0 <= planner["reversals_per_hour"]["worst"] <= planner["moves_per_hour"]["worst"]
+        assert planner["time_on_side_now"]["worst"] <= planner["time_on_side_now"]["mean"]
 
 
 @pytest.mark.parametrize(("suffix", "begin"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")])

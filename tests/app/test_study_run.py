@@ -132,9 +132,9 @@ def test_target_and_noise_are_the_same_for_every_planner():
     field, park = (
         run(settings, name, 5, None, keep_track=True).track for name in (PlannerName.LVFG, PlannerName.PARK)
     )
-    np.testing.assert_array_equal(field.target_east_m, park.target_east_m)
-    assert field.range_m[0] == park.range_m[0]
-    assert 240.0 < field.range_m[0] < 360.0
+    np.testing.assert_array_equal(field.target_m, park.target_m)
+    assert field.judged.range_m[0] == park.judged.range_m[0]
+    assert 240.0 < field.judged.range_m[0] < 360.0
 
 
 def test_wind_grows_the_circle():

@@ -20,7 +20,7 @@ from unittest import mock
 
 import numpy as np
 
-from sidelong.app.study.course import LONG, course_made_good_rad
+from sidelong.app.analysis.target_course import made_good_rad
 from sidelong.app.study.flight import CompiledFlight, Flown
 from sidelong.app.study.judging import RunResult
 from sidelong.app.study.recorded import recorded_targets
@@ -34,7 +34,7 @@ from sidelong.mission.predictive.rollout_kernel import Futures
 from sidelong.mission.predictive.scene_kernel import Scene
 
 OWN = Path(__file__).parents[1] / "data" / "targets"
-STEP_S, PER_S, LOOKED_S = 0.1, 10, 30.0
+STEP_S, PER_S, LOOKED_S, HORIZON_S = 0.1, 10, 30.0, 20.0
 
 
 class Clairvoyant(PredictivePlanner):
@@ -63,7 +63,9 @@ class Clairvoyant(PredictivePlanner):
     def _futures(self, scene: Scene, looker: Looker) -> Futures:
         k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 40)
         paths = self._paths(round(scene.departure_s / STEP_S), k, looker.turns)
-        made_good = np.array([course_made_good_rad(*path.T, STEP_S * PER_S, *LONG) for path in paths])
+        time_s, per_s = STEP_S * PER_S * np.arange(paths.shape[1]), STEP_S * PER_S
+        made_good = np.array([made_good_rad(time_s, np.gradient(path, per_s, axis=0), HORIZON_S) for path in paths])
+        made_good = np.where(np.isnan(made_good), scene.course_rad, made_good)
         facing_rad = scene.mirror * (made_good[:, -k - 1 : -1] - scene.course_rad)
         off = paths[:, -k - 1 :] - (scene.frame_east_m, scene.frame_north_m)
         sin_c, cos_c = math.sin(scene.course_rad), math.cos(scene.course_rad)

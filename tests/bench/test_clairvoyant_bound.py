@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.app.study.course import LONG, course_made_good_rad
+from sidelong.app.analysis.target_course import made_good_rad
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.estimators.compiled import compiled
 
@@ -27,7 +27,7 @@ FloatArray = npt.NDArray[np.float64]
 OWN = Path(__file__).parents[1] / "data" / "targets"
 STEP_S, CELL_M, HALF_CELLS, HEADINGS = 2.0, 20.0, 28, 36
 NEAR_M, FAR_M, MARGIN_M = 100.0, 500.0, 5.0
-START_M, MOVED_M = 300.0, 10.0
+START_M, HORIZON_S = 300.0, 20.0
 OUTSIDE, OUTSIDE_PER_M = 20.0, 0.5
 ANEW = 3  # steps after which it is told anew
 
@@ -116,10 +116,13 @@ def _flown(
 def bound(
     target: RecordedTarget, airspeed_m_s: float, radius_m: float, told_s: float = math.inf
 ) -> tuple[float, float, float]:
-    """Return the shares of time on the left, by the course made good in 30 s, and in the band; the least range."""
+    """Return the shares of time on the left, by the course made good in 20 s, and in the band; the least range."""
     time_s = np.arange(0.0, min(target.duration_s, 1200.0), STEP_S)
     east, north = target.sampled(time_s)[:, :2].T
-    way = np.stack([east, north, course_made_good_rad(east, north, STEP_S, *LONG)], axis=1)
+    place_m = np.stack([east, north], axis=1)
+    made_good = made_good_rad(time_s, np.gradient(place_m, STEP_S, axis=0), HORIZON_S)
+    known = ~np.isnan(made_good)
+    way = np.column_stack([place_m, np.where(known, made_good, made_good[np.argmax(known)])])
     turn_rad = math.tau / HEADINGS
     most = int(airspeed_m_s * STEP_S / radius_m / turn_rad + 1e-9)
     turned = turn_rad * np.arange(-most, most + 1)
@@ -138,9 +141,8 @@ def bound(
         x_m, y_m, heading = _flown(known, moves, to_go, x_m, y_m, heading, flown[first : first + anew])
     range_m = np.hypot(*flown.T)
     left = flown[:, 1] * np.sin(course) - flown[:, 0] * np.cos(course) >= 0.0
-    moved = np.logical_or.accumulate(np.hypot(east - east[0], north - north[0]) > MOVED_M)
     in_band = (range_m >= NEAR_M) & (range_m <= FAR_M)
-    return float(left[moved].mean()) if moved.any() else math.nan, float(in_band.mean()), float(range_m.min())
+    return float(left[known].mean()) if known.any() else math.nan, float(in_band.mean()), float(range_m.min())
 
 
 def told(

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sidelong.app.analysis.score import judge
+from sidelong.app.analysis.score import judge_moments
 from sidelong.app.analysis.truth import Truth, read_truth
 from sidelong.app.config import load_config
 from sidelong.app.flight.simulated import free_udp_port
@@ -167,9 +167,9 @@ def judged(world: World, begin_s: float, end_s: float) -> tuple[float, float, fl
     times_s = np.arange(begin_s, min(end_s, truths[0].time_s[-1]), _STEP_S)
     for path, truth in zip(world.truths, truths, strict=True):
         own_s = on_clock_of(truths[0], truth, times_s) if world.own and truth is not truths[0] else times_s
-        found = list(judge(truth.at_each(own_s, plane), [(-math.inf, REQUIREMENT)]))
+        found = judge_moments(truth.at_each(own_s, plane), [(-math.inf, REQUIREMENT)])
         flags = np.zeros(len(own_s), bool)  # nothing is known of one that is lost
-        flags[np.searchsorted(own_s, [one.time_s for one in found])] = [one.on_side for one in found]
+        flags[np.searchsorted(own_s, found.time_s)] = found.on_side
         on_side.append(flags)
         rows = np.genfromtxt(path, delimiter=",", names=True, usecols=("time_boot_s", "uav_relative_alt_m"))
         flat = np.array([plane.east_north_m(*deg) for deg in truth.positions_deg[2:].T])

@@ -162,7 +162,7 @@ def judged_as_studied(log: np.ndarray, changed_s: list[float], piece: Path) -> W
         result.time_in_band,
         result.min_range_m,
         result.moves_per_hour,
-        result.quick_changes_per_hour,
+        result.reversals_per_hour,
     )
 
 
@@ -191,5 +191,5 @@ def studied(flavour: str, folder: Path) -> Watched:
     command += ["--json", "study.json"]
     subprocess.run(command, cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True, capture_output=True)
     found = json.loads((folder / "study.json").read_text())["planners"]["predictive"]
-    names = ("time_on_side", "time_in_band", "min_range_m", "moves_per_hour", "quick_changes_per_hour")
+    names = ("time_on_side", "time_in_band", "min_range_m", "moves_per_hour", "reversals_per_hour")
     return Watched(*(found[name]["worst" if name == "min_range_m" else "mean"] for name in names))

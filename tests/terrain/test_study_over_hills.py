@@ -49,8 +49,8 @@ def test_over_hills_the_compiled_loop_flies_what_the_classes_fly(monkeypatch, gr
             patched.setattr(flight, "can_fly", lambda _settings: False)
             other = run_over(settings, number, table, keep_track=True)
         assert flown.track is not None and other.track is not None
-        np.testing.assert_allclose(flown.track.east_m, other.track.east_m, atol=1e-6)
-        np.testing.assert_allclose(flown.track.observation_rad, other.track.observation_rad, atol=1e-6)
+        np.testing.assert_allclose(flown.track.aircraft_m, other.track.aircraft_m, atol=1e-6)
+        np.testing.assert_allclose(flown.track.judged.observation_rad, other.track.judged.observation_rad, atol=1e-6)
         for name in ("time_in_sight", "time_in_sight_where_possible", "moves_per_hour", "time_on_side"):
             assert getattr(flown, name) == getattr(other, name)
         assert flown.min_clearance_m == pytest.approx(other.min_clearance_m, abs=1e-6)
