@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sidelong.estimators.ellipse import Ellipse, confidence_ellipse
+from sidelong.estimators.numbers import convert_to_floats
 
 
 class TrackQuality(StrEnum):
@@ -36,6 +37,11 @@ class TargetEstimate:
     quality: TrackQuality
     last_sighting_s: float
     reason: str = ""
+
+    def __post_init__(self) -> None:
+        convert_to_floats(
+            self, "time_s", "east_m", "north_m", "velocity_east_m_s", "velocity_north_m_s", "last_sighting_s"
+        )
 
     @property
     def speed_m_s(self) -> float:

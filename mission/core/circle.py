@@ -5,6 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from sidelong.estimators.numbers import convert_to_floats, require_type
+
 
 @dataclass(frozen=True, slots=True)
 class Circle:
@@ -14,6 +18,12 @@ class Circle:
     north_m: float
     radius_m: float
     clockwise: bool
+
+    def __post_init__(self) -> None:
+        convert_to_floats(self, "east_m", "north_m", "radius_m")
+        require_type(self, "clockwise", bool, np.bool_)
+        if not self.radius_m > 0.0:
+            raise ValueError(f"Circle.radius_m must be greater than 0, not {self.radius_m!r}")
 
     @property
     def curvature_per_m(self) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 from sidelong.estimators.estimate import TargetEstimate
+from sidelong.estimators.numbers import convert_to_floats, require_type
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
@@ -25,6 +26,9 @@ class AircraftState:
     ground_speed_m_s: float
     curvature_per_m: float
 
+    def __post_init__(self) -> None:
+        convert_to_floats(self, "time_s", "east_m", "north_m", "course_rad", "ground_speed_m_s", "curvature_per_m")
+
 
 @dataclass(frozen=True, slots=True)
 class HeightProfile:
@@ -36,6 +40,9 @@ class HeightProfile:
     from_m: float
     to_m: float
     slope: float
+
+    def __post_init__(self) -> None:
+        convert_to_floats(self, "from_m", "to_m", "slope")
 
     def at_m(self, arc_m: float) -> float:
         """Return the height so far along the plan."""
@@ -57,6 +64,12 @@ class Plan:
     transition: Path | None = None
     departure_s: float = 0.0
     heights: HeightProfile | None = None
+
+    def __post_init__(self) -> None:
+        convert_to_floats(self, "departure_s")
+        require_type(self, "circle", Circle)
+        require_type(self, "transition", Path, type(None))
+        require_type(self, "heights", HeightProfile, type(None))
 
     @property
     def transition_m(self) -> float:

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
+from sidelong.estimators.numbers import convert_to_floats, require_type
+
 GRAVITY_M_S2 = 9.80665
 # A circle wider than this share of the band leaves no room to move it in: it was found on recorded targets.
 _WIDEST_OF_BAND = 1.0 / 3.8
@@ -40,6 +42,9 @@ class Sector:
     from_rad: float
     to_rad: float
 
+    def __post_init__(self) -> None:
+        convert_to_floats(self, "from_rad", "to_rad")
+
     @property
     def half_width_rad(self) -> float:
         """Half the angle covered, in (0, pi]."""
@@ -71,6 +76,14 @@ class Requirement:
     course_horizon_s: float = 20.0
     fleet_size: int = 1
 
+    def __post_init__(self) -> None:
+        convert_to_floats(self, "range_min_m", "range_max_m", "target_speed_max_m_s", "threshold", "course_horizon_s")
+        require_type(self, "sector", Sector, type(None))
+        try:
+            object.__setattr__(self, "side", Side(self.side))
+        except ValueError:
+            raise TypeError(f"Requirement.side must be Side.LEFT or Side.RIGHT, not {self.side!r}") from None
+
 
 @dataclass(frozen=True, slots=True)
 class Aircraft:
@@ -80,6 +93,9 @@ class Aircraft:
     radius_m: float
     bank_max_rad: float = math.radians(45.0)
     roll_rate_max_rad_s: float = math.radians(30.0)
+
+    def __post_init__(self) -> None:
+        convert_to_floats(self, "airspeed_m_s", "radius_m", "bank_max_rad", "roll_rate_max_rad_s")
 
     @property
     def lap_s(self) -> float:
@@ -103,6 +119,9 @@ class Wind:
 
     east_m_s: float = 0.0
     north_m_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        convert_to_floats(self, "east_m_s", "north_m_s")
 
     @property
     def speed_m_s(self) -> float:

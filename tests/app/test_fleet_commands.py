@@ -11,6 +11,7 @@ from sidelong.app.cli import load_command
 from sidelong.app.commands.init import config_text
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import LAYER_M, FleetFile, load_fleet
+from sidelong.app.study.prediction import Prediction, Share
 
 TWO = '[[aircraft]]\nname = "north"\n[[aircraft]]\nname = "south"\n'
 
@@ -56,8 +57,14 @@ def test_check_looks_at_every_aircraft(run, tmp_path):
     assert [one["name"] for one in found["aircraft"]] == ["north", "south"]
 
 
-def test_check_names_the_aircraft_that_cannot(run, tmp_path):
+def test_check_names_the_aircraft_that_cannot(run, tmp_path, monkeypatch):
     (tmp_path / "fleet.toml").write_text(TWO + "airspeed_m_s = 30\nradius_m = 120\nroll_rate_max_deg_s = 60\n")
+
+    def predicted(config, _progress):
+        share = 0.3 if config.aircraft.airspeed_m_s == 30.0 else 1.0
+        return Prediction(Share.of([share, share]), None)
+
+    monkeypatch.setattr("sidelong.app.commands.check.predict", predicted)
     with pytest.raises(InputError, match=r"^infeasible: south: ") as refused:
         run("check", "fleet.toml")
     assert "north: " not in str(refused.value)

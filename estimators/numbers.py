@@ -1,0 +1,33 @@
+"""Conversion of the numbers that a caller gives a value type into floats."""
+
+from __future__ import annotations
+
+from typing import SupportsFloat
+
+
+def convert_to_floats(instance: object, *names: str) -> None:
+    """Replace whole numbers and NumPy scalars in a frozen dataclass by floats: compiled code accepts floats only.
+
+    Args:
+        instance: The dataclass instance, from its ``__post_init__``.
+        names: Its fields that hold a number.
+
+    Raises:
+        TypeError: A field holds something else; the message names it.
+
+    """
+    for name in names:
+        value = getattr(instance, name)
+        if isinstance(value, float):
+            continue
+        if isinstance(value, bool | str | bytes) or not isinstance(value, SupportsFloat):
+            raise TypeError(f"{type(instance).__name__}.{name} must be a number, not {value!r}")
+        object.__setattr__(instance, name, float(value))
+
+
+def require_type(instance: object, name: str, *kinds: type) -> None:
+    """Raise TypeError, which names the field, unless a dataclass field holds one of ``kinds``."""
+    value = getattr(instance, name)
+    if not isinstance(value, kinds):
+        wanted = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
+        raise TypeError(f"{type(instance).__name__}.{name} must be {wanted}, not {value!r}")
