@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.config import Config, Polygon, SensorsSection
@@ -14,7 +17,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.planners.planner_kind import PlannerKind, PlannerNeeds
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.terrain.elevation_data import elevation_data
-from sidelong.estimators.compiled import is_kept
+from sidelong.estimators.compiled import is_cached, one_compiles
 from sidelong.estimators.filters.imm_kernel import update
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.sighting import Sighting
@@ -31,6 +34,7 @@ from sidelong.mission.exchange.plan_backend import BackendSettings
 from sidelong.mission.exchange.takeover import TakeoverSettings
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.mission.geometry.trapezoid import Trapezoids
+from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.upload.fences import FenceError, Fences, Outline
 
 if TYPE_CHECKING:
@@ -92,7 +96,7 @@ def controller_of(
     aircraft = config.aircraft.aircraft()
     requirement = config.requirement.requirement()
     kind = kind or planner_by_name(config.planner.name)
-    if not (kind.is_compiled() and is_kept(update)):
+    if not (kind.is_compiled() and is_cached(update)):
         tell("compiling the planner and the filter, once for this version of the program: up to a minute")
 
     def check(plan: Plan) -> str | None:
@@ -118,7 +122,9 @@ def controller_of(
         tracker_of(config),
         make_planner,
     )
-    _warm_up(make_planner(aircraft, requirement), Track(tracker_settings(config.sensors, lost_after_s)))
+    with one_compiles():
+        track = Track(tracker_settings(config.sensors, lost_after_s))
+        _warm_up(make_planner(aircraft, requirement), track, requirement.range_max_m - 190.0)
     return controller
 
 
@@ -155,20 +161,32 @@ def planner_needs(
     )
 
 
-def _warm_up(planner: Planner, track: Track) -> None:
-    """Run once what a flight will call, on what is thrown away: loading compiled code takes a moment."""
+def _warm_up(planner: Planner, track: Track, beyond_m: float) -> None:
+    """Run every compiled function that a flight calls from Python, so that nothing compiles or loads in flight.
+
+    In the last decisions the target is ``beyond_m`` farther away, out of the band, so that the planner lays out a new
+    circle as well. A test flies and fails if a kernel is called in flight with arguments that this has not run.
+    """
     circle = Circle(-250.0, 0.0, 60.0, clockwise=True)
     plan = Plan(circle)
     path = Trapezoids.between(circle.curvature_per_m, [0.0], [300.0], [circle.curvature_per_m], 1e-3)
+    ground_speeds_m_s(np.zeros(2), 15.0, Wind(1.0, 0.0))
     for time_s in (0.0, 0.5, 1.0):
         track.add(Sighting(time_s, 270.0, math.pi / 2, 0.3, 1.0, 0.01, 0.01, -250.0, 0.0, 80.0))
         place = circle.position_at_course(0.1 * time_s)
         aircraft = AircraftState(time_s, *place, 0.1 * time_s, 15.0, circle.curvature_per_m)
         estimate = track.estimate(time_s)
-        assert estimate is not None
-        planner.decide(aircraft, estimate, plan, Wind(), 0.5)
+        if estimate is not None:
+            planner.decide(aircraft, estimate, plan, Wind(), 0.5)
         point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
         plan = Plan(circle, path.path(0, *place, 0.1 * time_s), time_s)
+    assert estimate is not None
+    far = replace(estimate, east_m=estimate.east_m + beyond_m)
+    for course_rad in (1.6, 3.1, 4.7, 0.0):
+        place = circle.position_at_course(course_rad)
+        aircraft = AircraftState(1.0, *place, course_rad, 15.0, circle.curvature_per_m)
+        if planner.decide(aircraft, far, Plan(circle), Wind(), 0.5).plan is not None:
+            break
 
 
 def mission_controller_of(

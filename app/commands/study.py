@@ -45,7 +45,7 @@ from sidelong.app.study.settings import AUTOPILOTS, Hills, PlannerName, StudySet
 from sidelong.app.study.store import ResultStore
 from sidelong.app.study.study import Study, table_of
 from sidelong.app.terrain.elevation_data import elevation_data
-from sidelong.estimators.compiled import is_kept
+from sidelong.estimators.compiled import is_cached
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.requirement import Requirement
 
@@ -258,7 +258,7 @@ def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:
         console.print(f"{study.total - missing} of {study.total} runs are in {study.store.file} already")
     if not missing:
         return
-    if scheduler is None and not is_kept(advance_flight):
+    if scheduler is None and not is_cached(advance_flight):
         console.print("compiling the flights, once for this version of the program: up to a minute")
     processes = jobs or os.cpu_count() or 1
     with runs_progress(missing) as (advance, computing):

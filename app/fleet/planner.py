@@ -5,7 +5,7 @@ from __future__ import annotations
 from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.planners.predictive import MakePredictive, Predictive
 from sidelong.app.planners.registry import planner_by_name
-from sidelong.estimators.compiled import is_kept
+from sidelong.estimators.compiled import is_cached
 from sidelong.mission.core.requirement import Requirement
 
 
@@ -17,7 +17,7 @@ class TeamPredictive(Predictive):
     def is_compiled(self) -> bool:
         from sidelong.mission.fleet.team_kernel import team_decide  # noqa: PLC0415  # see PlannerKind
 
-        return super().is_compiled() and is_kept(team_decide)
+        return super().is_compiled() and is_cached(team_decide)
 
     def maker(self, requirement: Requirement) -> MakePredictive:
         """Return the cooperative planner; a requirement without sides to share has the planner of one aircraft."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol
 
 from sidelong.app.planners.planner_kind import PlannerNeeds
-from sidelong.estimators.compiled import is_kept
+from sidelong.estimators.compiled import is_cached
 from sidelong.mission.core.feasibility import Change, unflyable
 from sidelong.mission.core.plan import Plan, Planner, PlannerFactory
 from sidelong.mission.core.requirement import Aircraft, Requirement
@@ -49,7 +49,7 @@ class Predictive:
     def is_compiled(self) -> bool:
         from sidelong.mission.predictive.decision_kernel import look_ahead  # noqa: PLC0415  # see PlannerKind
 
-        return is_kept(look_ahead)
+        return is_cached(look_ahead)
 
     def maker(self, requirement: Requirement) -> MakePredictive:
         """Return the constructor of a planner for this requirement."""

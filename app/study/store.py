@@ -22,6 +22,7 @@ import numpy as np
 from sidelong.app.errors import InputError
 from sidelong.app.study.judging import RunResult
 from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.estimators.compiled import code_digest
 
 MEASURES = (
     *("time_in_band", "time_on_side", "time_on_side_now", "min_range_m", "max_range_m"),
@@ -47,16 +48,19 @@ _NOT_SHAPING = ("planners", "runs", "only", "tracks", "skipped", "noise_draws", 
 @cache
 def code_version() -> str:
     """Return the package's version and a digest of the code that shapes a run."""
+<<<<<<< HEAD
     digest = sha256()
     root = Path(__file__).parents[2]
     for folder in ("app/analysis", "app/study", "estimators", "mission"):
         for file in sorted((root / folder).rglob("*.py")):
             digest.update(file.relative_to(root).as_posix().encode() + file.read_bytes())
+=======
+>>>>>>> 6919098 (Compile kernels with plain numba.njit and a cache folder per version)
     try:
         package = version("sidelong")
     except PackageNotFoundError:
         package = "0"
-    return f"{package}+{digest.hexdigest()[:12]}"
+    return f"{package}+{code_digest()}"
 
 
 def shape(settings: StudySettings) -> str:

@@ -1,4 +1,5 @@
 import os
+import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -10,7 +11,7 @@ from sidelong.estimators.compiled import compiled
 
 @compiled
 def inner(x):
-    return {} * x
+    return 2.0 * x
 """
 CALLER = """
 from callee import inner
@@ -20,35 +21,16 @@ from sidelong.estimators.compiled import compiled
 def outer(x):
     return inner(x) + 1.0
 
-print(outer(1.0), sum(outer.dispatcher.stats.cache_hits.values()))
-"""
-BORROWER = """
-from __future__ import annotations
-import numpy as np
-from sidelong.estimators.compiled import compiled
-
-@compiled
-def first(rows: np.ndarray) -> np.ndarray:
-    return rows[0]
-
-@compiled
-def borrower(rows: np.ndarray) -> float:
-    row = rows[1]
-    return row[0] + row[1]
-
-@compiled
-def owner(rows: np.ndarray) -> float:
-    return first(rows)[0] + borrower(rows)
-
-print(owner(np.array([[1.0, 2.0], [3.0, 4.0]])))
-print(*("NRT_" in "".join(one.dispatcher.inspect_llvm().values()) for one in (borrower, owner)))
+print(outer(1.0), sum(outer.stats.cache_hits.values()))
 """
 
 
 def outer(folder, script="caller.py", **environment):
     done = subprocess.run(
         [sys.executable, str(folder / script)],
-        env=os.environ | {"PYTHONPATH": f"{ROOT}:{folder}", "PYTHONDONTWRITEBYTECODE": "1"} | environment,
+        env=os.environ
+        | {"PYTHONPATH": f"{ROOT}:{folder}", "NUMBA_CACHE_DIR": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+        | environment,
         capture_output=True,
         text=True,
         check=True,
@@ -56,41 +38,54 @@ def outer(folder, script="caller.py", **environment):
     return done.stdout.split()
 
 
-def test_a_change_of_what_is_called_compiles_the_caller_anew(tmp_path):
+def test_change_of_the_package_uses_another_folder(tmp_path):
+    script = "from sidelong.estimators.compiled import FOLDER, code_digest\nprint(FOLDER.name, code_digest())"
+    (tmp_path / "caller.py").write_text(script)
+    folder, digest = outer(tmp_path)
+    assert folder == f"kernels-{digest}"
+    copy = tmp_path / "copy"
+    shutil.copytree(ROOT / "estimators", copy / "sidelong" / "estimators")
+    (copy / "sidelong" / "__init__.py").touch()
+    with (copy / "sidelong" / "estimators" / "frames.py").open("a") as frames:
+        frames.write("# another version\n")
+    other, _ = outer(tmp_path, PYTHONPATH=str(copy))
+    assert other not in (folder, "")
+
+
+def test_second_start_loads_the_cached_code(tmp_path):
     (tmp_path / "caller.py").write_text(CALLER)
-    (tmp_path / "callee.py").write_text(CALLEE.format(2.0))
+    (tmp_path / "callee.py").write_text(CALLEE)
     assert outer(tmp_path) == ["3.0", "0"]
     assert outer(tmp_path) == ["3.0", "1"]
-    (tmp_path / "callee.py").write_text(CALLEE.format(5.0))
-    assert outer(tmp_path) == ["6.0", "0"]
 
 
-def test_a_caller_is_compiled_of_what_was_kept(tmp_path):
-    (tmp_path / "caller.py").write_text(CALLER + "print(sum(inner.dispatcher.stats.cache_hits.values()))")
-    (tmp_path / "callee.py").write_text(CALLEE.format("2.0"))
-    (tmp_path / "first.py").write_text("from callee import inner\nprint(inner(1.0))")
-    assert outer(tmp_path, "first.py") == ["2.0"]
-    assert outer(tmp_path) == ["3.0", "0", "1"]
-    assert outer(tmp_path) == ["3.0", "1", "0"]
+def test_cache_falls_back_to_the_temporary_folder_without_a_writable_home(tmp_path):
+    (tmp_path / "caller.py").write_text(CALLER + "from sidelong.estimators.compiled import FOLDER\nprint(FOLDER)")
+    (tmp_path / "callee.py").write_text(CALLEE)
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    nowhere = {"XDG_CACHE_HOME": str(tmp_path / "callee.py"), "NUMBA_CACHE_DIR": "", "TMPDIR": str(temporary)}
+    *found, folder = outer(tmp_path, **nowhere)
+    assert found == ["3.0", "0"]
+    assert Path(folder).is_relative_to(temporary)
+    assert outer(tmp_path, **nowhere)[:2] == ["3.0", "1"]
 
 
-def test_without_a_place_to_keep_it_each_start_compiles(tmp_path):
-    (tmp_path / "caller.py").write_text(CALLER)
-    (tmp_path / "callee.py").write_text(CALLEE.format(2.0))
-    (tmp_path / "__pycache__").write_text("a file where the folder would be")
-    nowhere = {"XDG_CACHE_HOME": str(tmp_path / "callee.py"), "NUMBA_CACHE_DIR": ""}
-    assert outer(tmp_path, **nowhere) == ["3.0", "0"]
-    assert outer(tmp_path, **nowhere) == ["3.0", "0"]
+def test_folders_of_unused_versions_are_removed_after_a_month(tmp_path):
+    (tmp_path / "caller.py").write_text("import sidelong.estimators.compiled\n")
+    old, recent = tmp_path / "kernels-000000000000", tmp_path / "kernels-111111111111"
+    for folder in (old, recent):
+        folder.mkdir()
+    os.utime(old, (0.0, 0.0))
+    outer(tmp_path, NUMBA_CACHE_DIR=str(tmp_path))
+    assert not old.exists()
+    assert recent.exists()
 
 
-def test_what_makes_no_arrays_counts_no_references(tmp_path):
-    (tmp_path / "borrower.py").write_text(BORROWER)
-    assert outer(tmp_path, "borrower.py") == ["8.0", "False", "True"]
-
-
-def test_of_processes_that_begin_together_one_compiles(tmp_path):
-    (tmp_path / "caller.py").write_text(CALLER)
-    (tmp_path / "callee.py").write_text(CALLEE.format(2.0))
+def test_one_process_compiles_while_the_others_wait(tmp_path):
+    locked = "from sidelong.estimators.compiled import one_compiles\nwith one_compiles():\n"
+    (tmp_path / "caller.py").write_text(CALLER.replace("print", f"{locked}    print"))
+    (tmp_path / "callee.py").write_text(CALLEE)
     with ThreadPoolExecutor(3) as threads:
         found = list(threads.map(lambda _: outer(tmp_path), range(3)))
     assert sorted(found) == [["3.0", "0"], ["3.0", "1"], ["3.0", "1"]]
