@@ -18,7 +18,7 @@ from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.study.flight_kernel import advance as advance_flight
 from sidelong.app.study.prediction import FLIGHT_S, FLIGHTS, predict, unflyable
-from sidelong.estimators.compiled import is_kept
+from sidelong.estimators.compiled import is_cached
 from sidelong.mission.paper.feasibility import feasibility
 from sidelong.mission.paper.optimum import ThresholdBounds, threshold_bounds
 from sidelong.mission.paper.optimum import optimise as optimum
@@ -116,7 +116,7 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
     if settings.planner.name == _PAPER:
         values |= _paper_values(settings, airspeeds_m_s)
     if not reasons:
-        if not is_kept(advance_flight):
+        if not is_cached(advance_flight):
             console.print("compiling the simulated flights, once for this version of the program: up to a minute")
         prediction = predict(settings, table_progress(console.print))
         values["prediction"] = prediction.as_json()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from sidelong.app.config import Config
-from sidelong.estimators.compiled import is_kept
+from sidelong.estimators.compiled import is_cached
 
 
 def warn_of_prediction(config: Config, note: Callable[[str], object]) -> None:
@@ -17,7 +17,7 @@ def warn_of_prediction(config: Config, note: Callable[[str], object]) -> None:
     from sidelong.app.study.flight_kernel import advance  # noqa: PLC0415  # only once the options are checked
     from sidelong.app.study.prediction import predict  # noqa: PLC0415  # likewise
 
-    if not is_kept(advance):
+    if not is_cached(advance):
         note("how well this requirement can be kept has not been computed yet: sidelong check does it")
         return
     shortcoming = predict(config).shortcoming(config)

@@ -48,14 +48,6 @@ _NOT_SHAPING = ("planners", "runs", "only", "tracks", "skipped", "noise_draws", 
 @cache
 def code_version() -> str:
     """Return the package's version and a digest of the code that shapes a run."""
-<<<<<<< HEAD
-    digest = sha256()
-    root = Path(__file__).parents[2]
-    for folder in ("app/analysis", "app/study", "estimators", "mission"):
-        for file in sorted((root / folder).rglob("*.py")):
-            digest.update(file.relative_to(root).as_posix().encode() + file.read_bytes())
-=======
->>>>>>> 6919098 (Compile kernels with plain numba.njit and a cache folder per version)
     try:
         package = version("sidelong")
     except PackageNotFoundError:
