@@ -48,6 +48,8 @@ class Summary:
     """When watching began, and at the end."""
     links: tuple[dict[str, Any], ...] = ()
     """Each way to the vehicle, as ``LinkReport.as_json`` has it."""
+    records_lost: str = ""
+    """Why the records of the flight are incomplete; '' if they are complete."""
 
     def as_json(self) -> dict[str, Any]:
         return asdict(self)
@@ -72,6 +74,8 @@ class Summary:
             table.add_row(name, text)
         if self.battery_percent is not None:
             table.add_row("battery", "from {} to {} %".format(*self.battery_percent))
+        if self.records_lost:
+            table.add_row("records", f"incomplete: {self.records_lost}")
         for link in self.links:
             table.add_row(f"link {link['url']}", describe_link(link))
         return table

@@ -133,15 +133,30 @@ def read_truth(path: Path) -> Truth:
     return Truth(time_s, positions_deg, ground, np.array([names[time] for time in time_s]))
 
 
-def truth_if_whole(path: Path | None, tell: Callable[[str], object]) -> Truth | None:
-    """Return the truth of a run that has ended, None where there is none; ``tell`` hears why."""
+def truth_if_whole(path: Path | None, until_s: float, tell: Callable[[str], object]) -> Truth | None:
+    """Return the truth of a run that has ended.
+
+    Args:
+        path: The truth file; None if there is none.
+        until_s: When the run ended, by the vehicle's clock.
+        tell: Called with the reason why the truth cannot be used.
+
+    Returns:
+        The truth, None if there is none or it does not cover the run.
+
+    """
     if path is None or not path.exists():
         return None
     try:
-        return read_truth(path)
+        truth = read_truth(path)
     except InputError as unjudged:
         tell(f"judged by the estimate: {unjudged}")
         return None
+    early_s = until_s - float(truth.time_s[-1])
+    if early_s > _GAP_MAX_S:
+        tell(f"judged by the estimate: {path} ends {early_s:.0f} s before the flight")
+        return None
+    return truth
 
 
 def _row(texts: list[str], places: list[int]) -> list[float] | None:

@@ -28,6 +28,7 @@ from sidelong.app.link.key_file import read_key
 from sidelong.app.link.url import checked_url
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.mcap_writer import mcap_writer_class
+from sidelong.app.records.run_folder import check_space
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, page_address
 
@@ -184,6 +185,7 @@ def launch(
         several = load_fleet(config, overrides, fleet)
         if len(several.aircraft) > 1:
             _check_fleet(several, point_gimbal, system_id)
+            check_space(out, duration, len(several.aircraft), warn)
             # What flies takes a second to load; a wrong option is told before.
             from sidelong.app.commands.launch_fleet import fly_fleet  # noqa: PLC0415
 
@@ -208,6 +210,7 @@ def launch(
     check_flyable(settings)
     _check_input(settings, point_gimbal)
     warn_of_little_room(settings)
+    check_space(out, duration, 1, warn)
     from sidelong.app.commands.launch_one import fly_one  # noqa: PLC0415  # as above
 
     with shielded_output():

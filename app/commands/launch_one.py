@@ -57,13 +57,23 @@ async def _recorded(
     with kept_if_armed(folder.path) as begun:
         async with _displayed(config, quiet, address) as display:
 
-            def trouble(text: str) -> None:
+            def note(text: str) -> None:
                 loop.call_soon_threadsafe(display.note, text)
 
-            recording = Recording(folder, config, trouble)
+            recording = Recording(folder, config, note)
             life = begun(Life(lambda: recording.begun, display.note))
-            with life.heeding_signals(), contextlib.closing(recording):
-                return await _fly(config, duration_s, folder, recording, display, sharing, life, trouble)
+            with life.heeding_signals():
+                with contextlib.closing(recording):
+                    ended = await _fly(config, duration_s, folder, recording, display, sharing, life, note)
+                return _with_records_lost(ended, recording.lost)
+
+
+def _with_records_lost(ended: FlightEnded, lost: str) -> FlightEnded:
+    """Let summary and exit code report that records of a flight are incomplete; lost: why, '' if they are not."""
+    if not lost:
+        return ended
+    reason = ended.reason or FlightError(f"the flight has ended, but its records are incomplete: {lost}.")
+    return replace(ended, summary=replace(ended.summary, records_lost=lost), reason=reason)
 
 
 @contextlib.asynccontextmanager
@@ -85,7 +95,7 @@ async def _fly(
     display: FlightDisplay,
     sharing: Sharing,
     life: Life,
-    trouble: Callable[[str], None],
+    note: Callable[[str], None],
 ) -> FlightEnded:
     async with contextlib.AsyncExitStack() as stack:
         with life.computing():
@@ -105,7 +115,7 @@ async def _fly(
                 link.heartbeat_timeout_s,
                 recording.frame,
                 link.signing_key_file,
-                trouble,
+                note,
                 system_id=link.system_id if link.connections else None,
                 settling_s=SETTLING_S if link.connections else 0.0,
             )
@@ -119,7 +129,7 @@ async def _fly(
             stack.callback(pace.cancel)
         clock_rate = ClockRate(lambda: session.telemetry.now_s)
         try:
-            async with link_log(session.vehicle.link, folder.links, clock_rate, trouble):
+            async with link_log(session.vehicle.link, folder.links, clock_rate, note):
                 outcome, error = await flight.fly(life.stopped), None
         except Exception as raised:
             if not life.was_armed and not isinstance(raised, FlightError):
@@ -132,7 +142,7 @@ async def _fly(
     # Only now, with the simulated vehicle ended, is its truth file whole.
     if life.failure is not None:
         outcome = f"failed: {life.failure}"
-    summary = replace(flight.summary(outcome, truth_if_whole(truth, display.note)), links=links)
+    summary = replace(flight.summary(outcome, truth_if_whole(truth, controller.time_s, display.note)), links=links)
     if life.failure is not None:
         return FlightEnded(folder, summary, FlightError(life.failure))
     if life.signal_name is not None:

@@ -68,4 +68,5 @@ class FleetAircraft:
 
     def summary(self, truth: Truth | None, outcome: str | None) -> Summary:
         links = tuple(report.as_json(self.clock_rate.mean) for report in self.session.vehicle.link.reports())
-        return replace(self.flight.summary(outcome or self.outcome, truth), links=links)
+        summary = self.flight.summary(outcome or self.outcome, truth)
+        return replace(summary, links=links, records_lost=self.recording.lost)

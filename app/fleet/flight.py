@@ -350,7 +350,7 @@ class FleetFlight:
     def _summary(self, coordination: Coordination, simulated: bool, life: Life) -> FleetSummary:
         ended = f"failed: {life.failure}" if life.failure is not None else None
         truths = {
-            one.name: truth_if_whole(one.folder.truth if simulated else None, one.display.note)
+            one.name: truth_if_whole(one.folder.truth if simulated else None, one.controller.time_s, one.display.note)
             for one in self._aircraft
         }
         flown = [
@@ -378,7 +378,8 @@ class FleetFlight:
             return Interrupted(f"interrupted by {life.signal_name}: {described}.")
         errors = {one.name: one.error for one in self._aircraft if one.error is not None}
         if len(errors) < len(self._aircraft):
-            return None
+            lost = "; ".join(f"{one.name}: {one.recording.lost}" for one in self._aircraft if one.recording.lost)
+            return FlightError(f"the flight has ended, but its records are incomplete: {lost}.") if lost else None
         told = " ".join(f"{name}: {error}" for name, error in errors.items())
         if not life.was_armed and all(isinstance(error, InputError) for error in errors.values()):
             return InputError(told)

@@ -62,6 +62,14 @@ class Recording:
         self._time = VehicleTime()
         self._journal: JournalWriter | None = None
 
+    @property
+    def lost(self) -> str:
+        """Why records of this flight are incomplete, '' if they are not; final once the recording is closed."""
+        if self._journal is None:
+            return self._tlog.failure
+        removed = "" if self._folder.journal.exists() else f"{self._folder.path} was removed"
+        return self._journal.failure or self._tlog.failure or removed
+
     def frame(self, data: bytes) -> None:
         """Take a raw frame, from any thread; one that carries a signing key is not kept."""
         if data[7:10] != _SETUP_SIGNING or data[0] != _MARKER_V2:

@@ -27,6 +27,7 @@ class Appender:
 
     def __init__(self, path: Path, on_trouble: Callable[[str], None], opening: bytes = b"") -> None:
         self._path, self._on_trouble = path, on_trouble
+        self.failure = ""  # why the recording has ended early
         self._file = path.open("xb", buffering=0)
         while opening:  # a disk that is almost full takes a part, and the error comes with the next
             opening = opening[self._file.write(opening) or 0 :]
@@ -84,4 +85,5 @@ class Appender:
             already, self._ended = self._ended, True
             self._backlog.clear()
         if not already:
+            self.failure = why
             self._on_trouble(f"recording has ended: {why}; the flight goes on.")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+import shutil
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import count
@@ -16,12 +17,36 @@ from sidelong.app.errors import InputError
 from sidelong.app.text_file import read_text
 
 _SUMMARY_MAX_BYTES = 1 << 20
+_LEAST_FREE_BYTES = 20_000_000
+_RECORDED_BYTES_S = 17_000.0  # journal, tlog, links and truth of one aircraft: 60 MB an hour
 
 
 def require_recording(path: Path) -> None:
     """Raise InputError where there is nothing, neither a run folder nor a log."""
     if not path.exists():
         raise InputError(f"{path}: there is no such run folder or log; give the path of one.")
+
+
+def check_space(parent: Path, duration_s: float, aircraft: int, warn: Callable[[str], object]) -> None:
+    """Check the free space for the records of a flight, before it begins.
+
+    Args:
+        parent: The folder in which the run folder will be made; it need not exist yet.
+        duration_s: How long the flight watches.
+        aircraft: How many aircraft are recorded.
+        warn: Called with a sentence if the space is less than the flight needs.
+
+    Raises:
+        InputError: There is hardly any space.
+
+    """
+    present = next(path for path in (parent.absolute(), *parent.absolute().parents) if path.exists())
+    free = shutil.disk_usage(present).free
+    needed = round(_RECORDED_BYTES_S * duration_s * aircraft)
+    if free < _LEAST_FREE_BYTES:
+        raise InputError(f"{parent}: only {free / 1e6:.1f} MB are free; free some space or give another --out.")
+    if free < needed:
+        warn(f"{parent}: {free / 1e6:.0f} MB are free, but the records will need about {needed / 1e6:.0f} MB")
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -130,11 +131,12 @@ def test_neither_a_full_terminal_nor_a_folder_that_vanishes_reaches_the_flight(t
         _, complaint = process.communicate(timeout=100.0)
     finally:
         process.kill()
-    assert process.returncode == 0, complaint
+    assert process.returncode == 1, complaint
     assert complaint.splitlines() == [
         f"sidelong: {run}/summary.json cannot be written (No such file or directory); the figures above are all "
         "there is.",
         f"sidelong: the terminal could not be written (No space left on device); see {run}.",
+        f"sidelong: the flight has ended, but its records are incomplete: {run} was removed.",
     ]
 
 
@@ -154,10 +156,13 @@ def test_records_that_find_no_room_do_not_reach_the_flight(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 
     done = flown(tmp_path, subprocess.PIPE, preexec_fn=no_room)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 1, done.stderr
     assert "recording has ended" in done.stdout
     assert "the flight goes on" in done.stdout
     assert "completed" in done.stdout
+    assert re.search(r"records +incomplete: ", done.stdout)
+    assert re.search(r"watched +[1-9]", done.stdout)
+    assert "its records are incomplete" in done.stderr
     assert "Traceback" not in done.stderr + done.stdout
 
 

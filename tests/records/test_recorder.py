@@ -7,14 +7,17 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from pymavlink import mavutil
 
+from sidelong.app.errors import InputError
 from sidelong.app.records import appender
 from sidelong.app.records.appender import Appender
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.recorder import TlogWriter
+from sidelong.app.records.run_folder import check_space
 from sidelong.app.records.tlog import read_tlog
 from sidelong.mission.core.events import Announce
 
@@ -150,3 +153,18 @@ def test_a_kill_at_any_moment_leaves_both_records_readable_to_the_last_second(tm
     if told_s[-1] - told_s[0] > 1.0:
         assert told_s[-1] - read_s[-1] < 1.0
         assert told_s[-1] - received_s[-1] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("free", "duration_s", "aircraft", "answer"),
+    [(10e6, 60.0, 1, "refused"), (30e6, 3600.0, 1, "warned"), (100e6, 3600.0, 1, ""), (100e6, 3600.0, 2, "warned")],
+)
+def test_the_free_space_is_checked_before_a_flight(tmp_path, monkeypatch, free, duration_s, aircraft, answer):
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=free) if path == tmp_path else None)
+    warnings = []
+    if answer == "refused":
+        with pytest.raises(InputError, match=r"only 10\.0 MB are free"):
+            check_space(tmp_path / "runs" / "new", duration_s, aircraft, warnings.append)
+    else:
+        check_space(tmp_path / "runs" / "new", duration_s, aircraft, warnings.append)
+    assert bool(warnings) is (answer == "warned")
