@@ -17,6 +17,8 @@ from pydantic import (
 )
 
 from sidelong.app.errors import InputError
+from sidelong.app.payload.address import checked_payload_url
+from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
 from sidelong.app.planners.registry import PLANNER_NAMES, PLANNERS, planner_by_name
 from sidelong.app.section import Section, validated
 from sidelong.app.sharing.address import Address
@@ -27,8 +29,9 @@ from sidelong.mission.viewpoint.side_policy import watching_from
 
 if TYPE_CHECKING:
     PlannerName = str
+    PayloadName = str
 else:
-    PlannerName = Literal[PLANNER_NAMES]
+    PlannerName, PayloadName = Literal[PLANNER_NAMES], Literal[KIND_NAMES]
 
 MAX_AIRCRAFT = 8  # of a fleet
 _COT_TYPE = r"^[a-z](-[A-Za-z0-9.]+)+$"
@@ -182,6 +185,21 @@ class SensorsSection(Section):
     """Where [terrain] tells the ground and the laser is silent, go on by the line of sight and the ground."""
 
 
+class PayloadSection(Section):
+    """The payload, where the autopilot does not forward its laser range and gimbal angles."""
+
+    kind: PayloadName = MAVLINK
+    """Protocol of the payload; mavlink: it sends MAVLink itself, or the autopilot forwards its messages."""
+    url: Annotated[str, AfterValidator(checked_payload_url)] | None = None
+    """Its address (udp://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD); none: its factory address."""
+    range_unit_m: float | None = Field(None, gt=0, le=10)
+    """Unit of the range that it sends, m; none: the unit in its manual."""
+    flip_yaw: bool = False
+    """Whether its yaw is positive in the other direction than its manual says."""
+    angles_relative_to: Literal["vehicle", "body", "earth"] | None = None
+    """Frame of its angles: heading and horizon (vehicle), airframe (body), north (earth); none: as it reports."""
+
+
 class LinkSection(Section):
     """The link to the autopilot."""
 
@@ -307,6 +325,7 @@ class Config(Section):
     requirement: RequirementSection = RequirementSection()  # type: ignore[call-arg]
     planner: PlannerSection = PlannerSection()  # type: ignore[call-arg]
     sensors: SensorsSection = SensorsSection()  # type: ignore[call-arg]
+    payload: PayloadSection = PayloadSection()  # type: ignore[call-arg]
     link: LinkSection = LinkSection()  # type: ignore[call-arg]
     fences: FencesSection = FencesSection()  # type: ignore[call-arg]
     terrain: TerrainSection = TerrainSection()  # type: ignore[call-arg]

@@ -23,6 +23,7 @@ from sidelong.sitl.options import (
     DEFAULT_STATIONS,
     check_programs,
     check_ranges,
+    device_of,
     flavour_of,
     home_on_ground,
     key_in,
@@ -35,6 +36,7 @@ from sidelong.sitl.options import (
 )
 from sidelong.sitl.pace import Pace
 from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
+from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.server import serve
 from sidelong.sitl.settings import (
@@ -119,6 +121,13 @@ def run(
         Path | None, typer.Option(metavar="DIR", help="Fly over the ground of these SRTM .hgt tiles [flat]")
     ] = None,
     payload: Annotated[bool, typer.Option(help="Laser and gimbal.")] = True,
+    device: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND@HOST:PORT",
+            help=f"Let the payload speak its maker's protocol, on a port of its own: {', '.join(DEVICES)}.",
+        ),
+    ] = None,
     payload_for: Annotated[
         str | None,
         typer.Option(metavar="URL", help="No vehicle, only laser, gimbal and target for the vehicle at this URL."),
@@ -186,6 +195,9 @@ def run(
     if count > 1 and payload_for is not None:
         refuse("--vehicles", "goes with vehicles that are started here, not with --payload-for")
     check_programs(programs, count, logs)
+    device_kind, device_address = device_of(
+        device, only=count == 1 and payload_for is None and not programs and payload
+    )
     check_ranges(
         {
             "--speed": (speed, 0.0, 1000.0, False),
@@ -229,6 +241,7 @@ def run(
         home=home_on_ground(home, own_terrain, flavours[0]),
         targets=targets,
         payload=sensors if payload else None,
+        device=device_kind,
         signing_key=None if require_signing is None else key_in(require_signing),
         link_rate=speed,
         boot_unix_s=time.time(),
@@ -275,6 +288,7 @@ def run(
             on_ready=tell_ready,
             stopped=_stop_signal(pace),
             pace=pace,
+            device_address=device_address,
         )
 
 

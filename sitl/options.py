@@ -13,6 +13,7 @@ from typing import NoReturn
 
 import typer
 
+from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.protocol.signing import KeyFileError, read_key
 from sidelong.sitl.server import Address
 from sidelong.sitl.settings import DEFAULT_HOMES, STARTS_M, Flavour, Home, TargetSettings
@@ -92,7 +93,7 @@ def stations_of(to: list[str] | None, ids: Sequence[int]) -> list[list[Address]]
     for text in named:
         own, at, address = text.rpartition("@")
         for vehicle_id in (_vehicle_id("--to", own, ids),) if at else ids:
-            stations[vehicle_id].append(_address(address))
+            stations[vehicle_id].append(_address("--to", address))
     return list(stations.values())
 
 
@@ -153,14 +154,26 @@ def numbers(option: str, text: str, counts: Collection[int], form: str) -> list[
     return values
 
 
-def _address(text: str) -> Address:
+def device_of(text: str | None, *, only: bool) -> tuple[str, Address | None]:
+    """Return protocol and address of a payload with a port of its own; only: whether it is the only payload."""
+    if text is None:
+        return "", None
+    if not only:
+        refuse("--device", "goes with one simulated vehicle and its payload")
+    kind, _, address = text.partition("@")
+    if kind not in DEVICES:
+        refuse("--device", f"is KIND@HOST:PORT with a KIND of {', '.join(DEVICES)}, not {text!r}")
+    return kind, _address("--device", address)
+
+
+def _address(option: str, text: str) -> Address:
     host, _, port = text.rpartition(":")
     if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        refuse("--to", f"must look like HOST:PORT, not {text!r}")
+        refuse(option, f"must look like HOST:PORT, not {text!r}")
     try:
         return socket.gethostbyname(host), int(port)
     except OSError:
-        return refuse("--to", f"names the unknown host {host!r}")
+        return refuse(option, f"names the unknown host {host!r}")
 
 
 def refuse(option: str, reason: str) -> NoReturn:

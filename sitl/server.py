@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import select
 import socket
 import time
@@ -67,6 +68,36 @@ class _Port:
             self._inward.put((address, data), now_s, len(data))
 
 
+class _DevicePort:
+    """The port of a vehicle's device: it answers whom it hears, and streams to whom it has heard last."""
+
+    def __init__(self, simulation: Simulation, address: Address) -> None:
+        self.simulation = simulation
+        self._peer: Address | None = None
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(address)
+        self.socket.setblocking(False)
+
+    def send(self) -> None:
+        self._send(self.simulation.take_device())
+
+    def receive(self) -> None:
+        while True:
+            try:
+                data, self._peer = self.socket.recvfrom(_DATAGRAM_MAX)
+            except BlockingIOError:
+                return
+            except ConnectionError:
+                continue  # who asked has gone
+            self._send(self.simulation.receive_device(data))
+
+    def _send(self, frames: Sequence[bytes]) -> None:
+        for frame in frames:
+            if self._peer is not None:
+                with contextlib.suppress(BlockingIOError, ConnectionError):
+                    self.socket.sendto(frame, self._peer)
+
+
 def serve(
     served: Sequence[tuple[Simulation, Sequence[Address]]],
     *,
@@ -76,14 +107,19 @@ def serve(
     on_ready: Callable[[], None] = lambda: None,
     stopped: Callable[[], bool] = lambda: False,
     pace: Pace | None = None,
+    device_address: Address | None = None,
 ) -> None:
     """Fly until ``stopped`` or for duration_s, all vehicles on one clock.
 
     Each sends to its stations and to whoever speaks to its socket. speed is simulated over wall time.
-    pace tells how far it may go.
+    pace tells how far it may go. device_address: where the first vehicle's device listens.
     """
     ports: dict[socket.socket, _Port] = {}
+    devices: dict[socket.socket, _DevicePort] = {}
     try:
+        if device_address is not None:
+            device = _DevicePort(served[0][0], device_address)
+            devices[device.socket] = device
         for simulation, stations in served:
             port = _Port(simulation, stations, faults or LinkFaults())
             ports[port.socket] = port
@@ -101,11 +137,13 @@ def serve(
                 goal_s = min(goal_s, pace.limit_s(now_s))
             for port in ports.values():
                 port.advance(min(goal_s, duration_s), now_s)
+            for device in devices.values():
+                device.send()
             next_step_s = begin_s + (clock.time_s + STEP_S) / speed
             next_s = min(max(next_step_s, now_s + _WAKE_MIN_S), *(port.next_s for port in ports.values()))
             wake_s = max(0.0, next_s - time.monotonic())
-            for ready in select.select(list(ports), [], [], wake_s)[0]:
-                ports[ready].receive()
+            for ready in select.select([*ports, *devices], [], [], wake_s)[0]:
+                (ports[ready] if ready in ports else devices[ready]).receive()
     finally:
-        for udp in ports:
+        for udp in (*ports, *devices):
             udp.close()

@@ -53,6 +53,28 @@ class PayloadSettings:
     gimbal_frame: GimbalFrame = GimbalFrame.EARTH
 
 
+@dataclass(frozen=True, slots=True)
+class Quirks:
+    """How a device differs from its manual, and what its wires do.
+
+    Attributes:
+        range_unit_m: what one count of its range stands for; None: as in the manual.
+        yaw_mirrored: whether it counts yaw in the other direction.
+        streams: whether it sends unasked what it was asked to stream.
+        reach_m: the laser's reach.
+        silent_beyond: whether it says nothing beyond its reach, instead of sending the value for no echo.
+        damaged: fraction of its frames of which a byte arrives changed.
+
+    """
+
+    range_unit_m: float | None = None
+    yaw_mirrored: bool = False
+    streams: bool = True
+    reach_m: float = 1200.0
+    silent_beyond: bool = True
+    damaged: float = 0.0
+
+
 # Where several targets set off, by default: each within a laser's reach of vehicles that stand in a row.
 STARTS_M = ((250.0, 300.0), (650.0, -300.0), (850.0, 300.0), (250.0, -300.0))
 
@@ -91,6 +113,8 @@ class Settings:
     targets: tuple[TargetSettings, ...] = (TargetSettings(),)
     looks_at: int = 0
     payload: PayloadSettings | None = field(default_factory=PayloadSettings)
+    device: str = ""  # protocol of a payload with a port of its own; "": it sends MAVLink
+    quirks: Quirks = field(default_factory=Quirks)  # of the device
     signing_key: bytes | None = field(default=None, repr=False)  # what is not signed with it is not heard
     link_rate: float = 1.0  # seconds of the vehicle in one of the stations'
     boot_unix_s: float = 1.7e9

@@ -12,7 +12,9 @@ import numpy as np
 
 from sidelong.sitl.arduplane.vehicle import ArduPlane
 from sidelong.sitl.autopilot import Autopilot
-from sidelong.sitl.payload.payload import PAYLOAD_MESSAGES, PERIOD_S, Payload, Sight
+from sidelong.sitl.payload.device import Device, Seen
+from sidelong.sitl.payload.devices import DEVICES
+from sidelong.sitl.payload.payload import PAYLOAD_MESSAGES, PERIOD_S, Measurement, Payload, Sight
 from sidelong.sitl.protocol.radio import PAYLOAD, Datagram, Station
 from sidelong.sitl.px4.vehicle import Px4
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings
@@ -30,6 +32,7 @@ _SILENT_S = 60.0  # of the stations' clock: then one that came by itself is forg
 _EXPIRE_EVERY = round(5.0 / STEP_S)
 _WALK_SPEED_M_S = 3.0
 _TRACK_SPEED_M_S = 6.0
+_LEAN = 0.05  # of the aircraft's bank, by which a stabilised camera leans in a turn
 
 
 class Simulation:
@@ -48,6 +51,13 @@ class Simulation:
         self.looks_at = settings.looks_at
         self.hills = Hills(settings.terrain, self.vehicle.plane)
         self.payload = Payload(settings.payload, sensor_seed) if settings.payload is not None else None
+        self.device: Device | None = None
+        if settings.device:
+            self.device = DEVICES[settings.device](settings.quirks, np.random.default_rng(settings.seed))
+        self.unplugged = False  # the device neither hears nor answers
+        self._seen: Seen | None = None
+        self._measured: Measurement | None = None
+        self._streamed: list[bytes] = []
         self.muted: set[str] = set()  # payload messages withheld, by name
         self.lost_s = math.inf  # from then on nothing is seen or heard of the vehicle
         self.on_truth: Callable[[TruthRow], None] = lambda _row: None
@@ -80,6 +90,17 @@ class Simulation:
         radio = self.vehicle.radio
         taken, radio.outbox = radio.outbox, []
         return taken
+
+    def receive_device(self, data: bytes) -> list[bytes]:
+        """Take bytes at the device's port and return its answers."""
+        if self.device is None or self._seen is None or self.unplugged:
+            return []
+        return self.device.receive(data, self.time_s, self._seen)
+
+    def take_device(self) -> list[bytes]:
+        """Return what the device has sent unasked since the last call."""
+        streamed, self._streamed = self._streamed, []
+        return [] if self.unplugged else streamed
 
     def advance(self, to_s: float) -> None:
         """Make every step that ends by to_s."""
@@ -126,6 +147,8 @@ class Simulation:
                 vehicle.handle(station, message)
         if self._steps % _OBSERVE_EVERY == 0:
             self._observe()
+        if self.device is not None:
+            self._see(self.device)
         if self._in_flight and self._in_flight[0][0] <= self.time_s:
             self._deliver(self._in_flight.popleft()[1])
         vehicle.stream()
@@ -140,9 +163,10 @@ class Simulation:
         # On the ground the payload is tried out on what is about; it tells something in any case.
         sight = Sight.between(aircraft_m, target_m, in_sight or not craft.flying)
         valid = outlier = False
+        self._measured = None
         if self.payload is not None:
-            measured = self.payload.measure(self.time_s, vehicle.boot_ms, sight, craft.heading_rad)
-            messages = measured.messages
+            self._measured = measured = self.payload.measure(self.time_s, vehicle.boot_ms, sight, craft.heading_rad)
+            messages = measured.messages if self.device is None else []
             if self._steps % _HEARTBEAT_EVERY == 0:
                 messages.append(self.payload.heartbeat())
             if self.muted:
@@ -163,6 +187,18 @@ class Simulation:
             self.settings.targets[self.looks_at].name,
         )
         self.on_truth(row)
+
+    def _see(self, device: Device) -> None:
+        """Let the device look along the sight of this step, with the errors of the latest measurement."""
+        craft, measured = self.vehicle.craft, self._measured
+        if measured is None:
+            return
+        target_m = self.hills.standing(self.motions[self.looks_at].at(self.time_s))
+        sight = Sight.between((craft.east_m, craft.north_m, craft.height_m), target_m)
+        bearing_rad = sight.bearing_rad + measured.bearing_error_rad - craft.heading_rad
+        elevation_rad = sight.elevation_rad + measured.elevation_error_rad
+        self._seen = Seen(measured.range_m, bearing_rad, elevation_rad, _LEAN * craft.roll_rad)
+        self._streamed += device.stream(self.time_s, self._seen)
 
     def _target_seen(self) -> tuple[float, float]:
         """Return where the target is that the payload looks at; turned to a place it takes what is nearest there."""

@@ -23,6 +23,9 @@ _WIDTH = 112
 _EXAMPLES = {
     "sensors.range_component": "154",
     "sensors.gimbal_component": "154",
+    "payload.url": '"udp://192.168.144.25:37260"',
+    "payload.range_unit_m": "0.1",
+    "payload.angles_relative_to": '"vehicle"',
     "link.system_id": "1",
     "link.url": '"udpin://0.0.0.0:14540"',
     "link.urls": '["serial:///dev/ttyUSB0:57600", "udpin://0.0.0.0:14550"]',

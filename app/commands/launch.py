@@ -26,6 +26,8 @@ from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
 from sidelong.app.flight.outputs import check_sharing
 from sidelong.app.link.key_file import read_key
 from sidelong.app.link.url import checked_url
+from sidelong.app.payload.address import read_payload
+from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.mcap_writer import mcap_writer_class
 from sidelong.app.records.run_folder import check_space
@@ -61,6 +63,15 @@ def launch(
     signing_key: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Sign the link with this key, see: sidelong sign.", show_default=False),
+    ] = None,
+    payload: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND://HOST[:PORT]",
+            help=f"Read laser and gimbal by the payload's own protocol: {', '.join(KIND_NAMES)}; "
+            "KIND:// alone with a simulated vehicle.",
+            show_default=False,
+        ),
     ] = None,
     target: Annotated[
         str | None, typer.Option(help="Simulated target: a built-in motion, a .gpx or a .csv track.")
@@ -156,10 +167,13 @@ def launch(
       sidelong launch
       sidelong launch --autopilot px4 --target walk --side right --view
       sidelong launch mission.toml --connect udpin://0.0.0.0:14540
+      sidelong launch --connect udpin://0.0.0.0:14540 --payload siyi://192.168.144.25
       sidelong launch --fleet 2 --autopilot arduplane,px4
     """
     checked_output(json)
+    payload_kind, payload_url = (None, None) if payload is None else read_payload("--payload", payload)
     overrides: dict[str, dict[str, Any]] = {
+        "payload": {"kind": payload_kind, "url": payload_url},
         "link": {
             "urls": connect or None,
             "set_parameters": set_parameters or None,
@@ -208,6 +222,8 @@ def launch(
             "or give a fleet file with several [[aircraft]]."
         )
     check_flyable(settings)
+    if payload_url is not None and not settings.link.connections:
+        raise InputError(f"--payload {payload}: a simulated vehicle has a simulated payload; give {payload_kind}://")
     _check_input(settings, point_gimbal)
     warn_of_little_room(settings)
     check_space(out, duration, 1, warn)
@@ -259,6 +275,11 @@ def _check_target(target: str) -> None:
 def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) -> None:
     for member in fleet.members:
         _check_input(member.config, point_gimbal)
+        if member.config.payload.kind != MAVLINK:
+            raise InputError(
+                "a fleet reads its payloads by MAVLink; run one `sidelong payload` for each aircraft, "
+                'and leave payload.kind = "mavlink".'
+            )
     if system_id is not None:
         raise InputError("--system-id names one vehicle; give each aircraft of the fleet file its system_id.")
 

@@ -23,6 +23,7 @@ from sidelong.app.flight.display import FlightDisplay
 from sidelong.app.flight.flight import Flight, Sharing, connected
 from sidelong.app.flight.life import Life, describe_aircraft
 from sidelong.app.flight.link_log import ClockRate, link_log
+from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.simulated import SimulatedVehicles
 from sidelong.app.link.discovery import SETTLING_S
@@ -122,6 +123,10 @@ async def _fly(
         )
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
         recording.follow(session.vehicle.system_id)
+        simulated_url = None if simulated is None else simulated.payload_url
+        await stack.enter_async_context(
+            payload_input(config, session.vehicle, display.note, recording.frame, simulated_url)
+        )
         life.watch(session.vehicle)
         flight = Flight(session, config, controller, recording, display, duration_s, sharing)
         if simulated is not None:

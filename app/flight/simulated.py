@@ -12,6 +12,7 @@ from pathlib import Path
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.interpreter import helper_command, helper_environment
+from sidelong.app.payload.registry import MAVLINK
 
 _READY_S = 30.0
 _STOP_S = 5.0
@@ -42,6 +43,12 @@ class SimulatedVehicles:
         config, simulation = configs[0], configs[0].simulation
         ports = [free_udp_port() for _ in configs]
         self.urls = tuple(f"udpin://127.0.0.1:{port}" for port in ports)
+        self.payload_url: str | None = None
+        device: tuple[str, ...] = ()
+        if config.payload.kind != MAVLINK:
+            payload_port = free_udp_port()
+            self.payload_url = f"udp://127.0.0.1:{payload_port}"
+            device = ("--device", f"{config.payload.kind}@127.0.0.1:{payload_port}")
         self._options = [
             *("--vehicles", str(len(configs))),
             *("--autopilot", ",".join(one.simulation.autopilot for one in configs)),
@@ -57,6 +64,7 @@ class SimulatedVehicles:
             *(("--require-signing", str(key)) if (key := config.link.signing_key_file) is not None else ()),
             *(("--terrain", config.terrain.folder) if config.terrain.folder is not None else ()),
             *((f"--home={simulation.home[0]},{simulation.home[1]}",) if simulation.home is not None else ()),
+            *device,
             "--while-input",  # so that they do not outlive this program, however that ends
         ]
         self._what = "the simulated vehicle" if len(configs) == 1 else "the simulation of the vehicles"

@@ -52,14 +52,24 @@ class Sight:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What the payload says of one moment: nothing while a hill hides the target.
+    """What the payload measures at one moment: nothing while a hill hides the target.
 
-    laser_valid: it says a range; laser_outlier: a wrong one.
+    Attributes:
+        messages: the measurements as MAVLink messages.
+        laser_valid: whether there is a range.
+        laser_outlier: whether that range is wrong.
+        range_m: the measured range; None: none.
+        bearing_error_rad: error of the measured bearing.
+        elevation_error_rad: error of the measured elevation.
+
     """
 
     messages: list[Any]
     laser_valid: bool
     laser_outlier: bool
+    range_m: float | None = None
+    bearing_error_rad: float = 0.0
+    elevation_error_rad: float = 0.0
 
 
 class Payload:
@@ -85,12 +95,23 @@ class Payload:
             size_m = _OUTLIER_M[0] + size * (_OUTLIER_M[1] - _OUTLIER_M[0])
             range_m = max(_RANGE_MIN_M, range_m + math.copysign(size_m, sign - 0.5))
         valid = not dropped and _RANGE_MIN_M <= range_m <= _RANGE_MAX_M
-        messages = [self._gimbal_message(boot_ms, sight, heading_rad)]
+        yaw_noise, pitch_noise = (float(noise) for noise in self._gimbal_rng.standard_normal(2))
+        bearing_error_rad = settings.gimbal_yaw_bias_rad + settings.gimbal_sigma_rad * yaw_noise
+        elevation_error_rad = settings.gimbal_sigma_rad * pitch_noise
         if not sight.clear:
             return Measurement([], False, False)
+        yaw_rad, pitch_rad = sight.bearing_rad + bearing_error_rad, sight.elevation_rad + elevation_error_rad
+        messages = [self._gimbal_message(boot_ms, pitch_rad, yaw_rad, heading_rad)]
         if valid:
             messages.insert(0, self._range_message(boot_ms, range_m, outlier))
-        return Measurement(messages, valid, valid and outlier)
+        return Measurement(
+            messages,
+            valid,
+            valid and outlier,
+            range_m if valid else None,
+            bearing_error_rad,
+            elevation_error_rad,
+        )
 
     def _next_dropout(self, after_s: float) -> tuple[float, float]:
         fraction = self._settings.dropout_fraction
@@ -119,11 +140,8 @@ class Payload:
             _OUTLIER_QUALITY if outlier else _GOOD_QUALITY,
         )
 
-    def _gimbal_message(self, boot_ms: int, sight: Sight, heading_rad: float) -> Any:
+    def _gimbal_message(self, boot_ms: int, pitch_rad: float, yaw_rad: float, heading_rad: float) -> Any:
         settings = self._settings
-        yaw_noise, pitch_noise = self._gimbal_rng.standard_normal(2)
-        yaw_rad = sight.bearing_rad + settings.gimbal_yaw_bias_rad + settings.gimbal_sigma_rad * float(yaw_noise)
-        pitch_rad = sight.elevation_rad + settings.gimbal_sigma_rad * float(pitch_noise)
         if settings.gimbal_frame == GimbalFrame.VEHICLE:
             yaw_rad -= heading_rad
         return mavlink.MAVLink_gimbal_device_attitude_status_message(

@@ -1,0 +1,187 @@
+"""A payload read by its own protocol: its measurements arrive as messages of the vehicle's component 154."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator, Callable
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sidelong.app.config import Config
+from sidelong.app.link.message import Message
+from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
+from sidelong.app.link.transport import Peer, Transport, opened
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.payload.address import resolved
+from sidelong.app.payload.driver import DriverSettings, Measured
+from sidelong.app.payload.messages import COMPONENT, fields_of, packed
+from sidelong.app.payload.registry import MAVLINK, kind_by_name
+from sidelong.app.payload.session import PayloadSession, PayloadStatus
+from sidelong.app.payload.vehicle_timeline import VehicleTimeline
+
+_TICK_S, _TICK_MIN_S = 0.01, 0.004
+_RETRY_S = 1.0
+_STAMPED = frozenset(("ATTITUDE", "GLOBAL_POSITION_INT"))
+_DELAY_MAX_S = 0.5
+
+
+class PayloadRunner:
+    """Moves bytes between a payload and its session.
+
+    Args:
+        url: where the payload is.
+        session: the protocol and its supervision.
+        rate: seconds of the driver's clock per second of this computer's.
+        measured: receives each measurement with its time on this computer's monotonic clock.
+        report: receives trouble with the connection, one sentence without its full stop.
+
+    """
+
+    def __init__(
+        self,
+        url: str,
+        session: PayloadSession,
+        rate: float,
+        measured: Callable[[Measured, float], object],
+        report: Callable[[str], object],
+    ) -> None:
+        self._url, self._session, self._rate = url, session, rate
+        self._measured, self._report = measured, report
+        self._begun_s = time.monotonic()
+        self._transport: Transport | None = None
+        self._loop = asyncio.get_running_loop()
+
+    async def run(self) -> None:
+        """Serve the payload until cancelled."""
+        try:
+            self._transport = await self._opened()
+            self._transport.start(self._arrived)
+            while True:
+                self._send(self._session.due(self._driver_s(time.monotonic())))
+                await asyncio.sleep(max(_TICK_S / self._rate, _TICK_MIN_S))
+        finally:
+            if self._transport is not None:
+                await asyncio.to_thread(self._transport.close)
+
+    def point(self, pitch_rad: float, yaw_rad: float) -> None:
+        """Point the gimbal; yaw is relative to the aircraft's heading."""
+        self._send(self._session.point(pitch_rad, yaw_rad))
+
+    def status(self) -> PayloadStatus:
+        """Return what the payload delivers now."""
+        return self._session.status(self._driver_s(time.monotonic()))
+
+    async def _opened(self) -> Transport:
+        reported = False
+        while True:
+            try:
+                return await asyncio.to_thread(opened, self._url)
+            except OSError as error:
+                if not reported:
+                    reported = True
+                    self._report(f"payload at {self._url}: {error.strerror or error}; trying again each second")
+                await asyncio.sleep(_RETRY_S)
+
+    def _driver_s(self, monotonic_s: float) -> float:
+        return (monotonic_s - self._begun_s) * self._rate
+
+    def _send(self, commands: list[bytes]) -> None:
+        if self._transport is not None:
+            for command in commands:
+                self._transport.send(command)
+
+    def _arrived(self, data: bytes, _peer: Peer) -> bool:
+        arrived_s = time.monotonic()
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._take, data, arrived_s)
+        return True
+
+    def _take(self, data: bytes, arrived_s: float) -> None:
+        for one in self._session.receive(data, self._driver_s(arrived_s)):
+            self._measured(one, self._begun_s + one.time_s / self._rate)
+
+
+class PayloadInput:
+    """Hands a payload's measurements to those who listen to a vehicle, stamped with the vehicle's time.
+
+    Args:
+        vehicle: whose payload it is.
+        rate: seconds of the vehicle's clock per second of this computer's.
+        on_frame: receives each measurement as a MAVLink frame, for the record.
+
+    """
+
+    def __init__(self, vehicle: Vehicle, rate: float, on_frame: Callable[[bytes], object]) -> None:
+        self._vehicle, self._rate, self._on_frame = vehicle, rate, on_frame
+        self._timeline = VehicleTimeline(rate)
+        self._encoder = mavlink.MAVLink(None, vehicle.system_id, COMPONENT)
+
+    def hear(self, message: Message) -> None:
+        """Take a message of the vehicle: its stamp tells the vehicle's time."""
+        if message.component_id == AUTOPILOT_COMPONENT and message.name in _STAMPED:
+            self._timeline.hear(message.fields["time_boot_ms"] * 1e-3, time.monotonic())
+
+    def measured(self, one: Measured, time_s: float) -> None:
+        """Hand on a measurement that was made at ``time_s`` of this computer's monotonic clock."""
+        delay_s = 0.0
+        if self._rate == 1.0:  # in a simulation the round trip is the computer's load, not the link's
+            delay_s = min(0.5 * (self._vehicle.round_trip_s or 0.0), _DELAY_MAX_S)
+        vehicle_s = self._timeline.vehicle_s(time_s, delay_s)
+        if vehicle_s is None or vehicle_s <= 0.0:
+            return
+        name, fields = fields_of(one, vehicle_s)
+        frame = packed(name, fields, self._encoder)
+        if frame is not None:
+            self._encoder.seq = (self._encoder.seq + 1) % 256
+            self._on_frame(frame)
+        self._vehicle.take(Message(name, self._vehicle.system_id, COMPONENT, fields, time.time()))
+
+
+@contextlib.asynccontextmanager
+async def payload_input(
+    config: Config,
+    vehicle: Vehicle,
+    report: Callable[[str], object],
+    on_frame: Callable[[bytes], object] = lambda _data: None,
+    simulated_url: str | None = None,
+) -> AsyncIterator[PayloadRunner | None]:
+    """Read the configured payload by its driver; None for one that speaks MAVLink.
+
+    Args:
+        config: the configuration.
+        vehicle: whose payload it is.
+        report: receives what happens to the payload, in words.
+        on_frame: receives each measurement as a MAVLink frame.
+        simulated_url: where the simulated payload is, instead of the configured one.
+
+    Raises:
+        InputError: the payload's host is not known.
+
+    """
+    payload = config.payload
+    if payload.kind == MAVLINK:
+        yield None
+        return
+    kind = kind_by_name(payload.kind)
+    settings = DriverSettings(payload.range_unit_m, payload.flip_yaw, payload.angles_relative_to)
+    rate = 1.0 if config.link.connections else config.simulation.speed
+    url = resolved(simulated_url or payload.url or kind.url)
+    reader = PayloadInput(vehicle, rate, on_frame)
+    session = PayloadSession(f"{kind.name} at {url}", kind.make(settings), report)
+    runner = PayloadRunner(url, session, rate, reader.measured, report)
+    vehicle.listeners.append(reader.hear)
+    running = asyncio.create_task(runner.run())
+
+    def ended(task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            report(f"payload {kind.name}: internal error, no more data from it: {error!r}")
+
+    running.add_done_callback(ended)
+    try:
+        yield runner
+    finally:
+        vehicle.listeners.remove(reader.hear)
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)

@@ -1,0 +1,117 @@
+"""The interface of a payload driver: bytes in, measurements out, commands out; no socket and no clock.
+
+Times are seconds on the driver's clock. Any steady clock serves; its caller converts to the vehicle's clock.
+
+Angles follow MAVLink: roll right wing down, pitch up and yaw to the right are positive, radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from sidelong.estimators.rotations import Quaternion
+
+Frame = Literal["vehicle", "body", "earth"]
+"""What gimbal angles are relative to; the same words as in :class:`estimators.sensing.readings.GimbalReading`."""
+
+
+@dataclass(frozen=True, slots=True)
+class RangeMeasured:
+    """A laser range.
+
+    Attributes:
+        time_s: best estimate of the time of measurement, s on the driver's clock.
+        slant_range_m: distance along the line of sight, m.
+
+    """
+
+    time_s: float
+    slant_range_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class AnglesMeasured:
+    """The attitude of the gimbal.
+
+    Attributes:
+        time_s: best estimate of the time of measurement, s on the driver's clock.
+        quaternion_wxyz: rotation from the sight frame (forward, right, down) to ``frame``.
+        frame: what the quaternion is relative to.
+
+    """
+
+    time_s: float
+    quaternion_wxyz: Quaternion
+    frame: Frame
+
+
+Measured = RangeMeasured | AnglesMeasured
+
+
+@dataclass(frozen=True, slots=True)
+class DriverSettings:
+    """Settings that concern every protocol.
+
+    Attributes:
+        range_unit_m: unit of the range that the payload sends, m; None: the unit of its manual.
+        flip_yaw: whether the payload's yaw is positive in the other direction than its manual says.
+        relative_to: what the payload's angles are relative to; None: what its manual or its mode says.
+
+    """
+
+    range_unit_m: float | None = None
+    flip_yaw: bool = False
+    relative_to: Frame | None = None
+
+
+@dataclass(slots=True)
+class Identity:
+    """What the payload reports of itself.
+
+    Attributes:
+        model: name of the model, "" while it is unknown.
+        firmware: version in words, "" while it is unknown.
+        has_laser: None while it is unknown.
+
+    """
+
+    model: str = ""
+    firmware: str = ""
+    has_laser: bool | None = None
+
+
+class PayloadDriver(Protocol):
+    """One connection's protocol state."""
+
+    @property
+    def identity(self) -> Identity:
+        """What the payload reports of itself."""
+        ...
+
+    @property
+    def damaged(self) -> int:
+        """Number of byte sequences that began like a frame and were none."""
+        ...
+
+    @property
+    def round_trip_s(self) -> float | None:
+        """Shortest recent time between a request and its reply, s; None before the first reply."""
+        ...
+
+    def restart(self, now_s: float) -> None:
+        """Forget the connection's state: identification, streams and laser are requested again."""
+        ...
+
+    def due(self, now_s: float) -> Sequence[bytes]:
+        """Return the requests to send now. To be called every 10 ms or so."""
+        ...
+
+    def receive(self, data: bytes, now_s: float) -> list[Measured]:
+        """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
+        ...
+
+    def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:
+        """Return the commands that point the gimbal; yaw is relative to the aircraft's heading."""
+        ...

@@ -1,0 +1,41 @@
+"""The payloads that have a driver: a new one is a module in this folder and a line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sidelong.app.payload.driver import DriverSettings, PayloadDriver
+from sidelong.app.payload.siyi import SiyiDriver
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadKind:
+    """A protocol.
+
+    Attributes:
+        name: the value of ``payload.kind``.
+        about: what it covers, in a few words.
+        url: where its devices are found as delivered.
+        make: returns a driver for one connection.
+
+    """
+
+    name: str
+    about: str
+    url: str
+    make: Callable[[DriverSettings], PayloadDriver]
+
+
+MAVLINK = "mavlink"
+"""The value of ``payload.kind`` for a payload that speaks MAVLink itself, or through the autopilot: no driver."""
+
+PAYLOADS: tuple[PayloadKind, ...] = (
+    PayloadKind("siyi", "SIYI gimbal cameras (ZT30, ZT6, ZR10, A8 mini)", "udp://192.168.144.25:37260", SiyiDriver),
+)
+KIND_NAMES = (MAVLINK, *(kind.name for kind in PAYLOADS))
+
+
+def kind_by_name(name: str) -> PayloadKind:
+    """Return the protocol of a name. Raises KeyError for one without a driver."""
+    return {kind.name: kind for kind in PAYLOADS}[name]

@@ -1,0 +1,151 @@
+"""One payload in use: notices its loss and return, and reports in words what it cannot do."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sidelong.app.payload.driver import AnglesMeasured, Identity, Measured, PayloadDriver, RangeMeasured
+
+LOST_AFTER_S = 2.0
+"""Without a measurement for this long the payload counts as lost."""
+
+_RESTART_S = 1.0  # of a lost payload
+_PAUSE_MAX_S = 0.25  # between two calls: a longer time in which this program was busy is no silence of the payload
+_NO_RANGE_AFTER_S = 10.0  # lasers miss for seconds
+_RATE_OVER_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadStatus:
+    """What a payload delivers now.
+
+    Attributes:
+        identity: what it reports of itself.
+        range_hz: ranges per second over the last 2 s.
+        angles_hz: attitudes per second over the last 2 s.
+        round_trip_s: shortest recent time between a request and its reply, s; None where it is not known.
+        damaged: frames refused since the beginning.
+        range: the latest range, None before the first.
+        angles: the latest attitude, None before the first.
+        missing: what is not delivered, in words; empty where nothing is missing.
+
+    """
+
+    identity: Identity
+    range_hz: float
+    angles_hz: float
+    round_trip_s: float | None
+    damaged: int
+    range: RangeMeasured | None
+    angles: AnglesMeasured | None
+    missing: tuple[str, ...]
+
+
+class PayloadSession:
+    """A driver with the supervision of its connection. Times are of the driver's clock.
+
+    Args:
+        name: how reports call the payload.
+        driver: the protocol.
+        report: receives each report, one sentence without its full stop.
+
+    """
+
+    def __init__(self, name: str, driver: PayloadDriver, report: Callable[[str], object]) -> None:
+        self._name, self._driver, self._report = name, driver, report
+        self._called_s: float | None = None
+        self._latest_s = self._range_s = self._restarted_s = -math.inf
+        self._is_lost = self._is_rangeless = False
+        self._knows_laser = False
+        self._ranges_s: deque[float] = deque()
+        self._angles_s: deque[float] = deque()
+        self._range: RangeMeasured | None = None
+        self._angles: AnglesMeasured | None = None
+
+    def due(self, now_s: float) -> list[bytes]:
+        """Return what to send now. To be called every 10 ms or so."""
+        if self._called_s is None:
+            self._called_s = self._latest_s = self._range_s = self._restarted_s = now_s
+        paused_s = max(now_s - self._called_s - _PAUSE_MAX_S, 0.0)
+        self._latest_s, self._range_s = self._latest_s + paused_s, self._range_s + paused_s
+        self._called_s = now_s
+        self._supervise(now_s)
+        return list(self._driver.due(now_s))
+
+    def receive(self, data: bytes, now_s: float) -> list[Measured]:
+        """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
+        measured = self._driver.receive(data, now_s)
+        for one in measured:
+            if isinstance(one, RangeMeasured):
+                self._range, self._range_s = one, now_s
+                self._ranges_s.append(now_s)
+            else:
+                self._angles = one
+                self._angles_s.append(now_s)
+        for times_s in (self._ranges_s, self._angles_s):
+            while times_s and times_s[0] < now_s - _RATE_OVER_S:
+                times_s.popleft()
+        if measured:
+            self._returned(now_s)
+            self._latest_s = now_s
+        return measured
+
+    def point(self, pitch_rad: float, yaw_rad: float) -> list[bytes]:
+        """Return the commands that point the gimbal; yaw is relative to the aircraft's heading."""
+        return list(self._driver.point(pitch_rad, yaw_rad))
+
+    def status(self, now_s: float) -> PayloadStatus:
+        """Return what the payload delivers now."""
+        range_hz, angles_hz = (
+            sum(time_s > now_s - _RATE_OVER_S for time_s in times_s) / _RATE_OVER_S
+            for times_s in (self._ranges_s, self._angles_s)
+        )
+        missing = []
+        if not angles_hz and not range_hz:
+            missing.append("it does not answer: check power, address and wiring")
+        elif not angles_hz:
+            missing.append("no gimbal angles arrive")
+        if self._driver.identity.has_laser is False:
+            missing.append(f"the {self._driver.identity.model} has no laser: no range")
+        elif angles_hz and not range_hz:
+            missing.append("no range arrives: the laser is off, or nothing reflects within its reach")
+        return PayloadStatus(
+            self._driver.identity,
+            range_hz,
+            angles_hz,
+            self._driver.round_trip_s,
+            self._driver.damaged,
+            self._range,
+            self._angles,
+            tuple(missing),
+        )
+
+    def _supervise(self, now_s: float) -> None:
+        identity = self._driver.identity
+        if identity.model and identity.has_laser is not None and not self._knows_laser:
+            self._knows_laser = True
+            firmware = f", firmware {identity.firmware}" if identity.firmware else ""
+            no_laser = "" if identity.has_laser else "; it has no laser, so the range has to come from elsewhere"
+            self._report(f"payload {self._name}: {identity.model}{firmware}{no_laser}")
+        silent_s = now_s - self._latest_s
+        if silent_s > LOST_AFTER_S:
+            if not self._is_lost:
+                self._is_lost = True
+                self._report(f"payload {self._name}: no data for {silent_s:.0f} s: check its power and its link")
+            if now_s - self._restarted_s > _RESTART_S:
+                self._restarted_s = now_s
+                self._driver.restart(now_s)
+        elif now_s - self._range_s > _NO_RANGE_AFTER_S and not self._is_rangeless and identity.has_laser is not False:
+            self._is_rangeless = True
+            self._report(f"payload {self._name}: angles arrive, but no range for {_NO_RANGE_AFTER_S:.0f} s")
+
+    def _returned(self, now_s: float) -> None:
+        if self._is_lost:
+            self._is_lost = False
+            self._report(f"payload {self._name}: data again after {now_s - self._latest_s:.0f} s")
+        if self._is_rangeless and self._range_s == now_s:
+            self._is_rangeless = False
+            self._report(f"payload {self._name}: ranges again")

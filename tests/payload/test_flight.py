@@ -1,0 +1,105 @@
+"""A watch with each payload by its own protocol, compared with the same flight on MAVLink messages."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from sidelong.app.link.message import Message
+from sidelong.app.payload.driver import RangeMeasured
+from sidelong.app.payload.messages import COMPONENT, fields_of
+from sidelong.sitl.payload.device import Seen
+from sidelong.sitl.payload.devices import DEVICES
+from sidelong.sitl.settings import Quirks
+from tests.faults.flight import STEP_S, ClosedLoop, Scenario
+from tests.payload.wiring import Wired
+
+NO_QUIRKS = Quirks()
+_SUBSTEPS = 10
+_LEAN = 0.05
+_SCENARIO = Scenario(seed=5, flavour="arduplane", duration_s=600.0)
+
+
+class DeviceLoop(ClosedLoop):
+    """The same flight, with the same noise, where laser and gimbal speak their maker's protocol."""
+
+    def __init__(self, scenario: Scenario, kind: str, quirks: Quirks = NO_QUIRKS, delay_s: float = 0.02) -> None:
+        super().__init__(scenario)
+        self.wired = Wired(kind, quirks, delay_s=delay_s)
+        self.unplugged_s: tuple[tuple[float, float], ...] = ()
+        self.ranges_s: list[float] = []
+        self._before: tuple[float, Seen] | None = None
+
+    def _payload_messages(self, now_s, boot_ms, state):
+        gimbal, *laser = super()._payload_messages(now_s, boot_ms, state)
+        w, x, y, z = gimbal.fields["q"]
+        forward, right, down = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
+        seen = Seen(
+            laser[0].fields["current_distance"] / 100.0 if laser else None,
+            math.remainder(math.atan2(right, forward) - state.course_rad, math.tau),
+            math.asin(-down),
+            _LEAN * self._body.bank_rad,
+        )
+        before_s, before = self._before or (now_s - STEP_S, seen)
+        self._before = now_s, seen
+        messages = []
+        for step in range(1, _SUBSTEPS + 1):
+            time_s = before_s + step / _SUBSTEPS * STEP_S
+            self.wired.plugged = not any(begin_s <= time_s < end_s for begin_s, end_s in self.unplugged_s)
+            for one in self.wired.step(_between(before, seen, step / _SUBSTEPS)):
+                if isinstance(one, RangeMeasured):
+                    self.ranges_s.append(time_s)
+                ago_s = now_s - time_s + self.wired.now_s - one.time_s
+                name, fields = fields_of(one, boot_ms * 1e-3 - ago_s)
+                messages.append(Message(name, 1, COMPONENT, fields, 0.0))
+        return messages
+
+
+def _between(a: Seen, b: Seen, share: float) -> Seen:
+    """Return what is seen between two moments; the laser's echo is the one of the later."""
+    turned_rad = math.remainder(b.bearing_rad - a.bearing_rad, math.tau)
+    return Seen(
+        b.range_m,
+        a.bearing_rad + share * turned_rad,
+        a.elevation_rad + share * (b.elevation_rad - a.elevation_rad),
+        a.lean_rad + share * (b.lean_rad - a.lean_rad),
+    )
+
+
+@cache
+def by_mavlink():
+    return ClosedLoop(_SCENARIO).fly()
+
+
+def shares(flown) -> tuple[float, float]:
+    """Return the shares of the time on the side and in the band, percent."""
+    in_band = [100.0 <= range_m <= 500.0 for range_m in flown.range_m]
+    return 100.0 * float(np.mean(flown.on_side)), 100.0 * float(np.mean(in_band))
+
+
+@pytest.mark.parametrize("kind", DEVICES)
+def test_watch_with_the_payloads_own_protocol_is_as_good_as_with_mavlink(kind):
+    flown = DeviceLoop(_SCENARIO, kind).fly()
+    assert flown.yielded is None
+    assert flown.ended is None
+    side, band = shares(flown)
+    side_by_mavlink, band_by_mavlink = shares(by_mavlink())
+    assert band >= band_by_mavlink - 1.0
+    assert side >= side_by_mavlink - 1.0
+
+
+def test_watch_goes_on_while_the_payload_is_unplugged_ten_times():
+    loop = DeviceLoop(_SCENARIO, "siyi")
+    loop.unplugged_s = tuple((40.0 + 50.0 * time, 48.0 + 50.0 * time) for time in range(10))
+    flown = loop.fly()
+    assert flown.yielded is None
+    assert flown.ended is None
+    texts = [text for _, text in loop.wired.reports]
+    assert sum("no data" in text for text in texts) == 10
+    assert sum("data again" in text for text in texts) == 10
+    for _, back_s in loop.unplugged_s:
+        assert any(back_s <= time_s <= back_s + 3.0 for time_s in loop.ranges_s)
+    assert shares(flown)[1] >= shares(by_mavlink())[1] - 3.0
