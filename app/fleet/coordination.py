@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import get_args
 
-from sidelong.app.fleet.vehicle_clock import VehicleClockReader
+from sidelong.app.fleet.vehicle_clock import MissionScale, ToMissionTime, VehicleClockReader
 from sidelong.app.flight.loop import Stepped
 from sidelong.app.link.message import Message
 from sidelong.app.records.journal import JournalWriter
@@ -60,10 +60,11 @@ class Participant:
         now_s: Callable[[], float],
         home_above_m: float = 0.0,
         mission_s: Callable[[], float] = lambda: math.nan,
+        to_mission_s: ToMissionTime = lambda _source, time_s: time_s,
     ) -> None:
         self.name, self.controller, self.tell, self.now_s = name, controller, tell, now_s
         self.home_above_m = home_above_m
-        self.reporter, self.clock = FleetReporter(name), VehicleClockReader(name, now_s, mission_s)
+        self.reporter, self.clock = FleetReporter(name), VehicleClockReader(name, now_s, mission_s, to_mission_s)
         self.battery_percent: int | None = None
         self.heard_s = -math.inf  # last, by this computer's clock
 
@@ -86,7 +87,7 @@ class Coordination:
         self.changes: dict[str, list[tuple[float, Requirement]]] = defaultdict(list)
         self._journal, self._note, self._launch = journal, note, launch
         self._participants: dict[str, Participant] = {}
-        self._offsets_s: dict[str, float] = {}
+        self.scale = MissionScale(lambda: self.now_s)
         self._utc_doubted = False
         self._ticked_s = -math.inf
         self._moved_s = math.inf
@@ -100,12 +101,7 @@ class Coordination:
     @property
     def now_s(self) -> float:
         """Mission time: the latest of any aircraft; -inf before the first whose clock is known."""
-        known = [
-            participant.now_s() + self._offsets_s[name]
-            for name, participant in self._participants.items()
-            if name in self._offsets_s
-        ]
-        return max(self._ticked_s, *known) if known else self._ticked_s
+        return max(self._ticked_s, *(self._mission_s(one) for one in self._participants.values()))
 
     def told_by_others_s(self, name: str) -> float:
         """Return what mission time it is by the clocks of the others that tell one; NaN where none does.
@@ -114,18 +110,20 @@ class Coordination:
         """
         since_s = time.monotonic() - _STANDING_S
         known = [
-            participant.now_s() + self._offsets_s[other]
+            self._mission_s(participant)
             for other, participant in self._participants.items()
-            if other != name
-            and other in self._offsets_s
-            and participant.clock.tells_time
-            and participant.heard_s >= since_s
+            if other != name and participant.clock.tells_time and participant.heard_s >= since_s
         ]
-        return max(known, default=math.nan)
+        return max((one for one in known if math.isfinite(one)), default=math.nan)
+
+    def _mission_s(self, participant: Participant) -> float:
+        """Return mission time by one aircraft's clock; -inf before that is known."""
+        offset_s = self.coordinator.offset_s(participant.name)
+        return -math.inf if offset_s is None else participant.now_s() + offset_s
 
     def offset_s(self, name: str) -> float | None:
         """Return what is added to an aircraft's time to make it mission time; None before it is known."""
-        return self._offsets_s.get(name)
+        return self.coordinator.offset_s(name)
 
     async def keep_time(self) -> None:
         """Let the coordinator know how time goes on, until cancelled."""
@@ -164,7 +162,6 @@ class Coordination:
         if message.name == "TIMESYNC":
             self._compare_utc()
         if told is not None:
-            self._offsets_s[name] = told.mission_time_s - told.time_s
             self._put(told)
         if message.name in ("SYS_STATUS", "BATTERY_STATUS"):
             self._battery(participant, int(message.fields["battery_remaining"]))

@@ -279,6 +279,7 @@ class FleetFlight:
                     lambda own=telemetry: own.now_s,  # type: ignore[misc]
                     above_m,
                     lambda name=one.name: coordination.told_by_others_s(name),  # type: ignore[misc]
+                    coordination.scale.mission_s,
                 )
             )
             vehicle.bystanders.append(bystander)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Literal
 
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
@@ -16,6 +16,7 @@ _UTC_SIGMA_S = 0.02  # GPS time, stamped by the autopilot's main loop
 _HOST_SIGMA_S = 0.1  # of this computer's clock against UTC
 _ARRIVAL_SIGMA_S = 0.5
 _UTC_VALID_S = 10.0
+_UTC_AWAITED_S = 3.0  # at the beginning, before the answers to TIMESYNC are used
 _ASKED_MAX_S = 10.0
 _RATE_OVER_S, _RATE_OFF_MAX = 4.0, 0.2  # of the vehicle's clock; a clock that is set once passes for a while only
 _AGREES_S = 0.25  # beside half a round trip: what a busy computer adds to it
@@ -38,6 +39,25 @@ class _SameRate:
             self._first_s = one_s, other_s
 
 
+ToMissionTime = Callable[[Literal["utc", "host"], float], float]
+"""Returns mission time for the time of a source: the vehicles' UTC, or this computer's clock."""
+
+
+class MissionScale:
+    """Mission time less the time of each source, constant from its first use on: a new source moves nothing."""
+
+    def __init__(self, now_s: Callable[[], float]) -> None:
+        self._now_s = now_s
+        self._ahead_s: dict[str, float] = {}
+
+    def mission_s(self, source: Literal["utc", "host"], time_s: float) -> float:
+        """Return mission time for the present time of a source; the first source of all is mission time."""
+        if source not in self._ahead_s:
+            now_s = self._now_s()
+            self._ahead_s[source] = now_s - time_s if math.isfinite(now_s) else 0.0
+        return time_s + self._ahead_s[source]
+
+
 class VehicleClockReader:
     """Hears one vehicle's SYSTEM_TIME, which tells UTC and its own clock at once; without UTC, its TIMESYNC.
 
@@ -49,15 +69,19 @@ class VehicleClockReader:
     """
 
     def __init__(
-        self, name: str, now_s: Callable[[], float], mission_s: Callable[[], float] = lambda: math.nan
+        self,
+        name: str,
+        now_s: Callable[[], float],
+        mission_s: Callable[[], float] = lambda: math.nan,
+        to_mission_s: ToMissionTime = lambda _source, time_s: time_s,
     ) -> None:
-        self._name, self._now_s, self._mission_s = name, now_s, mission_s
-        self._utc_heard_s = -math.inf
+        self._name, self._now_s, self._mission_s, self._to_mission_s = name, now_s, mission_s, to_mission_s
         self._told_s = time.monotonic()
+        self._utc_heard_s = self._told_s + _UTC_AWAITED_S - _UTC_VALID_S
         self._utc_rate, self._host_rate = _SameRate(unknown=True), _SameRate(unknown=False)
         self._utc_offset_s: float | None = None  # from its own clock
         self._host_offset_s: tuple[float, float] | None = None  # of this computer's, and what is not known of it
-        self._utc_doubted = False
+        self._utc_doubted, self._anew = False, False
         self._told_offset_s: float | None = None  # of mission time from its own clock
         self._leads = False
 
@@ -80,8 +104,8 @@ class VehicleClockReader:
         return ahead_s - unknown_s - _AGREES_S, ahead_s + unknown_s + _AGREES_S
 
     def doubt_utc(self) -> None:
-        """Go by the answers to TIMESYNC from now on, even where UTC is told."""
-        self._utc_doubted = True
+        """Use the answers to TIMESYNC from now on, even where UTC is reported."""
+        self._utc_doubted = self._anew = True
 
     def report(self, message: Message) -> ClockReported | None:
         """Return what a message tells of the clock, None where it tells nothing."""
@@ -104,7 +128,7 @@ class VehicleClockReader:
             if self._utc_doubted or not self._utc_rate.holds:
                 return None
             self._utc_heard_s = self._told_s = heard_s
-            return ClockReported(self._name, vehicle_s, utc_s, _UTC_SIGMA_S)
+            return ClockReported(self._name, vehicle_s, self._to_mission_s("utc", utc_s), _UTC_SIGMA_S)
         if not self._utc_rate.holds:
             return self._beside_the_others(fields) if message.name == "GLOBAL_POSITION_INT" else None
         if message.name == "TIMESYNC" and fields["tc1"]:
@@ -118,10 +142,12 @@ class VehicleClockReader:
             if heard_s - self._utc_heard_s <= _UTC_VALID_S and not self._utc_doubted:
                 return None
             self._told_s = heard_s
-            return ClockReported(self._name, vehicle_s, host_s, math.hypot(half_s, _HOST_SIGMA_S))
+            anew, self._anew = self._anew, False
+            mission_s, sigma_s = self._to_mission_s("host", host_s), math.hypot(half_s, _HOST_SIGMA_S)
+            return ClockReported(self._name, vehicle_s, mission_s, sigma_s, anew)
         if message.name == "GLOBAL_POSITION_INT" and heard_s - self._told_s > _UTC_VALID_S:
             vehicle_s = self._unwrapped_s(fields["time_boot_ms"] * 1e-3)
-            return ClockReported(self._name, vehicle_s, time.time(), _ARRIVAL_SIGMA_S)
+            return ClockReported(self._name, vehicle_s, self._to_mission_s("host", time.time()), _ARRIVAL_SIGMA_S)
         return None
 
     def _beside_the_others(self, fields: Mapping[str, Any]) -> ClockReported:
@@ -131,7 +157,7 @@ class VehicleClockReader:
         if math.isnan(mission_s):
             self._leads = True
             if self._told_offset_s is None:
-                self._told_offset_s = time.time() - vehicle_s
+                self._told_offset_s = self._to_mission_s("host", time.time()) - vehicle_s
             mission_s = vehicle_s + self._told_offset_s
         return ClockReported(self._name, vehicle_s, mission_s, _ARRIVAL_SIGMA_S)
 

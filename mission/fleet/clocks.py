@@ -10,28 +10,68 @@ from sidelong.mission.core.plan import AircraftState, Plan
 
 # Two crystals drift apart by some tens of microseconds a second.
 _DRIFT_S_PER_S = 5e-5
+_RESTARTED_S = 1.0  # a vehicle's clock that goes back by more than this belongs to an autopilot that has rebooted
+_LASTS_S = 15.0
 
 
 @dataclass(slots=True)
 class VehicleTime:
-    """Adds ``offset_s`` to a vehicle's time; NaN before the first report. Each report is weighed by its sigma."""
+    """Adds ``offset_s`` to a vehicle's time, which makes it mission time.
+
+    The clock of a running autopilot does not step: its offset from mission time only drifts. A report that does not
+    fit is a step of the source (UTC), which is kept aside until ``take_step`` is called.
+
+    Attributes:
+        offset_s: Mission time less the vehicle's time, s; NaN before the first report.
+        sigma_s: One standard deviation of it at ``at_s``, s.
+        at_s: Time of the latest report on the vehicle's clock, s.
+        step_s: Size of the step kept aside, s; 0 where the latest report agreed.
+
+    """
 
     offset_s: float = math.nan
     sigma_s: float = math.inf
     at_s: float = -math.inf
+    step_s: float = 0.0
+    _stepped_s: float = math.inf
+    _step_sigma_s: float = math.inf
 
-    def note(self, time_s: float, mission_time_s: float, sigma_s: float) -> None:
-        """Take a report: a scalar Kalman filter; a report far off what is known (a clock set anew) replaces it."""
+    def note(self, time_s: float, mission_time_s: float, sigma_s: float, *, anew: bool = False) -> None:
+        """Take a report by a scalar Kalman filter, or keep it aside as a step.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+            mission_time_s: Mission time at that moment, s.
+            sigma_s: One standard deviation of it, s.
+            anew: Replace what is known: the reports have another source from now on.
+
+        """
         offset_s, sigma_s = mission_time_s - time_s, max(sigma_s, 1e-6)
-        known_s = self.sigma_at(time_s)
-        off_s = offset_s - self.offset_s
+        known_s, restarted = self.sigma_at(time_s), time_s < self.at_s - _RESTARTED_S
         self.at_s = time_s
-        if not abs(off_s) <= 5.0 * math.hypot(known_s, sigma_s):
-            self.offset_s, self.sigma_s = offset_s, sigma_s
-            return
-        gain = known_s**2 / (known_s**2 + sigma_s**2)
-        self.offset_s += gain * off_s
-        self.sigma_s = math.sqrt(1.0 - gain) * known_s
+        off_s = offset_s - self.offset_s
+        if anew or restarted or not self.known:
+            self._set(offset_s, sigma_s)
+        elif abs(off_s) <= 5.0 * math.hypot(known_s, sigma_s):
+            gain = known_s**2 / (known_s**2 + sigma_s**2)
+            self._set(self.offset_s + gain * off_s, math.sqrt(1.0 - gain) * known_s)
+        else:
+            if self.step_s == 0.0 or abs(off_s - self.step_s) > 5.0 * math.hypot(self._step_sigma_s, sigma_s):
+                self._stepped_s = time_s
+            self.step_s, self._step_sigma_s = off_s, sigma_s
+
+    def _set(self, offset_s: float, sigma_s: float) -> None:
+        self.offset_s, self.sigma_s = offset_s, sigma_s
+        self.step_s, self._stepped_s = 0.0, math.inf
+
+    @property
+    def step_lasts(self) -> bool:
+        """Whether the same step has been reported for 15 s."""
+        return self.at_s - self._stepped_s >= _LASTS_S
+
+    def take_step(self) -> None:
+        """Accept the step kept aside."""
+        self._set(self.offset_s + self.step_s, self._step_sigma_s)
 
     @property
     def known(self) -> bool:

@@ -23,6 +23,8 @@ same events in the same order lead to the same commands, so that a journal of th
 Rules
 -----
 1. Only what was reported lately counts: an aircraft silent for ``silent_after_s`` has lost its role to the others.
+   Mission time goes by the aircraft's clocks: a jump of one aircraft's UTC never moves it; see
+   :class:`sidelong.mission.fleet.clocks.VehicleTime`.
 2. Roles are given out each second by expected cost; see :mod:`sidelong.mission.fleet.roles`. The sides are those of
    one course for all, known since the target was first seen; see :mod:`sidelong.mission.fleet.watched_course`.
 3. Relief: an aircraft whose battery is below ``relieve_below``, which has watched for its ``endurance_s``, or whose
@@ -78,6 +80,7 @@ from sidelong.mission.fleet.vehicle import FleetMember, FleetVehicle
 _FOREIGN_FORGOTTEN_S = 30.0
 _NEAR_M, _NEARER = 60.0, 0.5  # a sighting of another target is so near to it, and by this share nearer than its own
 _REASSIGN_AFTER_S = 5.0  # for so long the gain has to last
+_STEP_MAX_S = 2.0  # a smaller step of a clock hardly moves mission time; clocks that agree differ by less
 _PASSED_MAX_S = 2.0  # mission time that jumps ahead, as with a clock that is set anew, is no silence
 
 
@@ -151,6 +154,11 @@ class FleetCoordinator:
         """Return how a target is to be watched now."""
         return self._targets[target].requirement
 
+    def offset_s(self, name: str) -> float | None:
+        """Return what is added to an aircraft's time to make it mission time, s; None before it is known."""
+        clock = self._vehicles[name].clock
+        return clock.offset_s if clock.known else None
+
     def estimate(self, target: str) -> TargetEstimate | None:
         """Return the joint estimate of a target at the mission's present time."""
         return self._tracks[target].estimate(self._now_s)
@@ -169,7 +177,7 @@ class FleetCoordinator:
             case Tick():
                 self._now_s = max(self._now_s, event.mission_time_s)
             case ClockReported():
-                self._vehicles[event.name].clock.note(event.time_s, event.mission_time_s, event.sigma_s)
+                self._clock_reported(self._vehicles[event.name], event)
             case VehicleReported():
                 self._reported(self._vehicles[event.name], event)
             case PlansReported():
@@ -192,6 +200,26 @@ class FleetCoordinator:
             self._next_s = self._now_s + self.settings.period_s
             self._coordinate()
         return tuple(self._out)
+
+    def _clock_reported(self, vehicle: FleetVehicle, event: ClockReported) -> None:
+        clock = vehicle.clock
+        stepped = clock.step_s != 0.0
+        clock.note(event.time_s, event.mission_time_s, event.sigma_s, anew=event.anew)
+        if clock.step_lasts and self._agrees_with_others(vehicle):
+            clock.take_step()
+        if clock.step_s and not stepped:
+            self._say(event.name, f"its UTC jumped by {clock.step_s:.1f} s: it is not used while it is off")
+        elif stepped and not clock.step_s:
+            self._say(event.name, "its UTC is used again")
+
+    def _agrees_with_others(self, vehicle: FleetVehicle) -> bool:
+        """Return whether the step of a vehicle's UTC is small, or brings it to the mission time of another one."""
+        clock = vehicle.clock
+        if abs(clock.step_s) < _STEP_MAX_S:
+            return True
+        now_s = clock.mission_s(clock.at_s) + clock.step_s
+        others = (one.clock for one in self._vehicles.values() if one is not vehicle and not one.lost)
+        return any(abs(one.mission_s(one.at_s) - now_s) < _STEP_MAX_S for one in others if not one.step_s)
 
     def _reported(self, vehicle: FleetVehicle, event: VehicleReported) -> None:
         if not vehicle.clock.known:

@@ -18,12 +18,14 @@ class ClockReported:
     """At ``time_s`` of the vehicle's clock it was ``mission_time_s``, to one standard deviation of ``sigma_s``.
 
     From SYSTEM_TIME (UTC and boot time in one message) or TIMESYNC. Nothing of a vehicle is used before its first.
+    anew: from now on its reports have another source, which replaces what was known.
     """
 
     name: str
     time_s: float
     mission_time_s: float
     sigma_s: float
+    anew: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import defaultdict
 
 import pytest
 
@@ -14,6 +15,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan
 from sidelong.mission.core.requirement import Requirement, Side
+from sidelong.mission.fleet.clocks import VehicleTime
 from sidelong.mission.fleet.events import (
     BatteryReported,
     ClockReported,
@@ -37,13 +39,18 @@ def said(name, component_id=1, **fields):
 
 
 class Coordinator:
-    """Keeps what it is told, answers with what was laid ready."""
+    """Keeps what it is told and the clocks, answers with what was laid ready."""
 
     def __init__(self):
-        self.heard, self.answers = [], []
+        self.heard, self.answers, self.clocks = [], [], defaultdict(VehicleTime)
+
+    def offset_s(self, name):
+        return self.clocks[name].offset_s if self.clocks[name].known else None
 
     def step(self, event):
         self.heard.append(event)
+        if isinstance(event, ClockReported):
+            self.clocks[event.name].note(event.time_s, event.mission_time_s, event.sigma_s, anew=event.anew)
         answers, self.answers = self.answers, []
         return tuple(answers)
 
@@ -57,14 +64,17 @@ class Journal:
 
 
 @pytest.fixture
-def pair():
+def pair(monkeypatch):
     """Return a coordination of two aircraft whose homes are 20 m apart in height, with what it was told and tells."""
     coordinator, journal, told, noted = Coordinator(), Journal(), {"a": [], "b": []}, []
     clocks = {"a": 10.0, "b": 500.0}
     coordination = Coordination(coordinator, journal, lambda *words: noted.append(words))
+    monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.monotonic", lambda: 1000.0)
     for name, home_above_m in (("a", 0.0), ("b", 20.0)):
         now_s = lambda name=name: clocks[name]  # noqa: E731
-        coordination.add(Participant(name, None, told[name].append, now_s, home_above_m))
+        others = lambda name=name: coordination.told_by_others_s(name)  # noqa: E731
+        scale = coordination.scale.mission_s
+        coordination.add(Participant(name, None, told[name].append, now_s, home_above_m, others, scale))
     return coordination, coordinator, journal, told, noted, clocks
 
 
@@ -87,10 +97,14 @@ def test_a_clock_goes_on_where_its_stamps_begin_anew():
     assert told.time_s == pytest.approx(wrapped_s + 3.2)
 
 
-def test_timesync_counts_half_the_round_trip_and_only_where_there_is_no_utc():
+def test_timesync_counts_half_the_round_trip_and_only_where_there_is_no_utc(monkeypatch):
+    wall = [1000.0]
+    monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.monotonic", lambda: wall[0])
     reader = VehicleClockReader("a", lambda: 30.0)
-    asked_ns = time.monotonic_ns() - 400_000_000
+    asked_ns = 999_600_000_000
     answer = said("TIMESYNC", tc1=30_000_000_000, ts1=asked_ns)
+    assert reader.report(answer) is None  # UTC may still come
+    wall[0], answer.fields["ts1"] = 1004.0, 1_003_600_000_000
     told = reader.report(answer)
     assert told.time_s == pytest.approx(30.0)
     assert told.mission_time_s == pytest.approx(time.time() - 0.2, abs=0.1)
@@ -146,6 +160,36 @@ def test_of_two_that_tell_another_utc_none_is_believed(pair, monkeypatch, ahead_
     assert name == "b"
     assert f"{ahead_s:.1f} s ahead of a's" in text
     assert apart_s == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize("is_compared", [True, False])
+def test_jump_of_one_utc_does_not_move_mission_time(pair, monkeypatch, is_compared):
+    coordination, _, _, _, noted, clocks = pair
+    wall = Wall(coordination, monkeypatch)
+    rate = 1.0 if is_compared else 5.0  # UTC of a fast simulator is not compared with this computer's
+
+    def mission_s(seconds, b_ahead_s):
+        for _ in range(seconds):
+            boot_s = rate * (wall.now_s + 1.0 - 900.0)
+            clocks.update(a=boot_s, b=boot_s + 490.0)
+            wall.pass_by(1, {"a": 40.0, "b": b_ahead_s}, rate=rate)
+            yield coordination.now_s - boot_s
+
+    offsets_s = [*mission_s(10, 40.0), *mission_s(4, 3640.0), *mission_s(20, 40.0)]
+    assert offsets_s == pytest.approx([UTC_S + 940.0] * 34, abs=0.1)
+    assert len(noted) == is_compared
+
+
+def test_utc_that_comes_late_does_not_move_mission_time(pair, monkeypatch):
+    coordination, _, _, _, noted, clocks = pair
+    wall = Wall(coordination, monkeypatch)
+    for second in range(20):
+        clocks.update(a=wall.now_s + 1.0 - 900.0, b=wall.now_s + 1.0 - 410.0)
+        wall.pass_by(1, {"a": 40.0 if second > 10 else -1.7e9, "b": 40.0 if second > 12 else -1.7e9})
+        if second > 3:
+            assert coordination.now_s == pytest.approx(UTC_S + wall.now_s, abs=0.1)  # the clock of this computer
+    assert noted == []
+    assert coordination.offset_s("a") - coordination.offset_s("b") == pytest.approx(490.0, abs=0.05)
 
 
 def test_without_either_the_positions_tell_the_clock_by_their_arrival(monkeypatch):

@@ -217,7 +217,51 @@ def test_a_clock_that_is_set_wrong_for_a_while_is_no_silence(off_s):
     fleet.fly(20.0)
     assert not any("is out" in said.text for said in fleet.said if isinstance(said, FleetAnnounce))
     fleet.fly(8.0, "a")
-    assert [said.text for said in fleet.said if said.name == "a"] == ["is out: nothing was heard of it for 6 s"]
+    said = [said.text for said in fleet.said if said.name == "a"]
+    assert said == [
+        f"its UTC jumped by {off_s:.1f} s: it is not used while it is off",
+        "its UTC is used again",
+        "is out: nothing was heard of it for 6 s",
+    ]
+
+
+def test_jump_of_one_utc_is_reported_once_and_does_not_move_mission_time():
+    fleet = Fleet(Vehicle("a", WEST, ahead_s=500.0), Vehicle("b", EAST, ahead_s=-80.0))
+    fleet.fly(5.0)
+    for off_s in [0.0] * 10 + [3600.0] * 4 + [0.0] * 10:
+        fleet.fly(1.0)
+        for one in fleet.vehicles.values():
+            own_s = off_s if one.name == "a" else 0.0
+            fleet.tell(ClockReported(one.name, fleet.time_s + one.ahead_s, fleet.time_s + own_s, 0.02))
+        assert fleet.advice["b"].time_s == pytest.approx(fleet.time_s - 80.0, abs=1.5)
+    said = [(one.name, one.text) for one in fleet.said if "UTC" in one.text]
+    assert said == [
+        ("a", "its UTC jumped by 3600.0 s: it is not used while it is off"),
+        ("a", "its UTC is used again"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("first_s", "then_s", "taken"),
+    [(-18.0, 0.0, True), (0.0, -18.0, False), (0.0, 0.8, True), (0.0, 3600.0, False)],
+)
+def test_lasting_jump_counts_if_it_is_small_or_agrees_with_another_clock(first_s, then_s, taken):
+    fleet = Fleet(Vehicle("a", WEST, ahead_s=0.0), Vehicle("b", EAST, ahead_s=0.0))
+    coordinator = fleet.new_coordinator()
+    for second in range(40):
+        off_s = first_s if second < 10 else then_s
+        coordinator.step(ClockReported("a", 100.0 + second, second + off_s, 0.02))
+        coordinator.step(ClockReported("b", 700.0 + second, second, 0.02))
+        if second in (9, 20):
+            assert coordinator.offset_s("a") == pytest.approx(first_s - 100.0, abs=0.01)
+    assert coordinator.offset_s("a") == pytest.approx((then_s if taken else first_s) - 100.0, abs=0.01)
+
+
+def test_clock_of_a_rebooted_autopilot_counts_at_once():
+    coordinator = Fleet(Vehicle("a", WEST, ahead_s=0.0)).new_coordinator()
+    coordinator.step(ClockReported("a", 1000.0, 5000.0, 0.02))
+    coordinator.step(ClockReported("a", 3.0, 5010.0, 0.02))
+    assert coordinator.offset_s("a") == pytest.approx(5007.0)
 
 
 def test_one_that_circles_about_the_target_does_not_take_the_side_from_one_that_watches():
