@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 import tomllib
 from pathlib import Path
@@ -13,6 +14,8 @@ _CONFIG_MAX_BYTES = 256 << 10
 _STRING_OR_COMMENT = re.compile(
     r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
 )
+_AT_LINE = re.compile(r"at line (\d+)")
+_DECIMAL_COMMA = re.compile(r"=\s*([+-]?\d+),(\d+)\s*(?:#.*)?$")
 # The time that tomllib takes for a dotted key grows with the cube of its parts.
 _LONG_KEY = re.compile(r"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){16}")
 
@@ -29,8 +32,10 @@ def read_text(path: Path, max_bytes: int, remedy: str) -> str:
         raise InputError(f"{path}: cannot be read ({reason}); {remedy}.") from error
     if len(data) > max_bytes:
         raise InputError(f"{path}: is longer than {max_bytes >> 10} KiB; {remedy}.")
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError(f"{path}: is text in UTF-16; save it as UTF-8 (in an editor: Save as, encoding UTF-8).")
     try:
-        return data.decode("utf-8")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not text in UTF-8 (byte {error.start}); {remedy}.") from error
 
@@ -46,7 +51,19 @@ def read_toml(path: Path) -> dict[str, Any]:
     except RecursionError as error:
         raise InputError(f"{path}: is not valid TOML for this: brackets are nested too deep; {remedy}.") from error
     except ValueError as error:
-        raise InputError(f"{path}: is not valid TOML: {_cut(str(error))}; correct it, or {remedy}.") from error
+        raise InputError(f"{path}: is not valid TOML: {_cut(_explained(str(error), text))}") from error
+
+
+def _explained(error: str, text: str) -> str:
+    """Return a parser's error with the line it is about and, where it is clear, what to write instead."""
+    at = _AT_LINE.search(error)
+    if at is None:
+        return f"{error}; correct it."
+    line = text.splitlines()[int(at[1]) - 1].strip()
+    comma = _DECIMAL_COMMA.search(line)
+    if comma is not None:
+        return f"line {at[1]}, {line!r}: write decimals with a point: {comma[1]}.{comma[2]}."
+    return f"{error}, {line!r}; correct it."
 
 
 def _cut(text: str, longest: int = 160) -> str:

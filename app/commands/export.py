@@ -12,7 +12,7 @@ import typer
 
 from sidelong.app.assembly import tracker_of
 from sidelong.app.commands.output import checked_file, console
-from sidelong.app.commands.progress import progress_bar
+from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError
 from sidelong.app.records.export import MISSIONS, Format
 from sidelong.app.records.export import export as write
@@ -64,14 +64,8 @@ def write_export(source: Path, wanted: Format, out: Path | None = None, config: 
         return
     if out is None:
         out = source / f"flight.{wanted}" if source.is_dir() else source.with_suffix(f".{wanted}")
-    progress, task = progress_bar(source.name)
-    with progress:
-        flown = read_flight(
-            source,
-            config=config,
-            progress=lambda share: progress.update(task, completed=share),
-            target_needed=False,
-        )
+    with share_progress(f"reading {source.name}") as progress:
+        flown = read_flight(source, config=config, progress=progress, target_needed=False)
     # A run folder's tlog tells what its journal does not: the autopilot, home and the time of day.
     context = LogContext.of(open_log(RunFolder.open(source).tlog if source.is_dir() else source))
     with _whole(out) as partial:
@@ -98,7 +92,10 @@ def _write_fleet(folder: FleetFolder, wanted: Format, out: Path | None) -> None:
             write_export(source, wanted)
         return
     out = folder.path / f"flight.{wanted}" if out is None else out
-    flown = {name: read_flight(source, target_needed=False) for name, source in sources.items()}
+    flown = {}
+    for name, source in sources.items():
+        with share_progress(f"reading {name}") as progress:
+            flown[name] = read_flight(source, progress=progress, target_needed=False)
     contexts = {name: LogContext.of(open_log(RunFolder(source).tlog)) for name, source in sources.items()}
     if not flown:
         raise InputError(f"{folder.path} holds no flight of an aircraft.")
@@ -138,7 +135,9 @@ def _write_mcap(source: Path, flown: Flown, context: LogContext, out: Path) -> N
 
 
 def _feed_mcap(source: Path, flown: Flown, context: LogContext, writer: McapWriter, name: str) -> None:
-    feed(source, McapLog(writer, flown.history.plane, tracker_of(flown.config), context.home_altitude_m, name))
+    log = McapLog(writer, flown.history.plane, tracker_of(flown.config), context.home_altitude_m, name)
+    with share_progress(f"writing {name}") as progress:
+        feed(source, log, progress)
 
 
 def _write_klv(source: Path, flown: Flown, context: LogContext, out: Path) -> None:
@@ -148,7 +147,8 @@ def _write_klv(source: Path, flown: Flown, context: LogContext, out: Path) -> No
         out, flown.name, flown.history.plane, tracker_of(flown.config), context.booted, context.home_altitude_m
     )
     try:
-        feed(source, log)
+        with share_progress(f"writing {out.name}") as progress:
+            feed(source, log, progress)
     finally:
         log.close()
 

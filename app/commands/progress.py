@@ -18,9 +18,10 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from sidelong.app.commands.output import console
+from sidelong.app.commands.output import console, warn
 from sidelong.app.link.plain_text import plain
 
+_SHARE_EVERY_S = 10.0
 _TOLD_EVERY_S = 30.0  # where there is no terminal
 
 
@@ -28,6 +29,23 @@ def progress_bar(name: str) -> tuple[Progress, TaskID]:
     """Return a bar that is gone when it ends, with its task from 0 to 1; none where there is no terminal."""
     progress = Progress(console=console, transient=True, disable=not console.is_terminal)
     return progress, progress.add_task(escape(plain(name)), total=1.0)
+
+
+@contextmanager
+def share_progress(name: str, clock_s: Callable[[], float] = monotonic) -> Iterator[Callable[[float], None]]:
+    """Yield a function that takes the share 0..1 done: a bar, or without a terminal a line every ten seconds."""
+    bar, task = progress_bar(name)
+    told_s = clock_s()
+
+    def advance(share: float) -> None:
+        nonlocal told_s
+        bar.update(task, completed=share)
+        if bar.disable and clock_s() - told_s >= _SHARE_EVERY_S:
+            told_s = clock_s()
+            warn(f"{name}: {100.0 * share:.0f} %")
+
+    with bar:
+        yield advance
 
 
 def table_progress(tell: Callable[[str], None]) -> Callable[[float], None]:

@@ -204,6 +204,10 @@ def _replay_run(
     if truth is None and folder.truth.is_file():
         truth = folder.truth
     start_s = judged.engaged_s if judged.engaged_s is not None else judged.first_estimate_s
+    truncated = folder.truncated()
+    if truncated:
+        at = clock(max(steps.controller.time_s - (start_s or 0.0), 0.0))
+        console.print(f"the record ends early, at {at}: {truncated}", soft_wrap=True)
     return judged.summary(read_truth(truth) if truth is not None else None, journal.header.plane, start_s)
 
 

@@ -180,7 +180,7 @@ def study(
         found = _recorded(found, targets, runs, math.inf if duration is None else duration)
     found = _only(found, run)
     if fleet > 1:
-        _fly_fleet(replace(found[0].settings, fleet=fleet), len(found), jobs, json)
+        _fly_fleet(replace(found[0].settings, fleet=fleet), len(found), planner, jobs, json)
         return
     words = _words(
         (config,),
@@ -230,7 +230,16 @@ def _hills(terrain: Path, home: str | None, planners: list[PlannerName] | None, 
     return hills_of(elevation_data(terrain).ground(LocalPlane(*home_deg), home_deg))
 
 
-def _fly_fleet(settings: StudySettings, designs: int, jobs: int | None, json: Path | None) -> None:
+def _fly_fleet(
+    settings: StudySettings,
+    designs: int,
+    planners: list[PlannerName] | None,
+    jobs: int | None,
+    json: Path | None,
+) -> None:
+    if planners:
+        names = ", ".join(FleetPlannerName)
+        raise InputError(f"--fleet compares the planners of fleets ({names}); leave out --planner.")
     if designs > 1:
         raise InputError("--fleet flies one design; leave out --sweep.")
     if _from_anywhere(settings.requirement()):

@@ -30,7 +30,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from sidelong.app.errors import InputError
 from sidelong.app.link import mavsdk_log
-from sidelong.app.link.discovery import SETTLING_S, check_alone, the_vehicle
+from sidelong.app.link.discovery import SETTLING_S, check_alone, the_vehicle, unless_refused
 from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
@@ -117,7 +117,7 @@ class MavsdkLink:
                 await instance.add_any_connection("raw://", ForwardingOption.OFF)
                 raw.start(instance._mavsdk.pass_received_raw_bytes)
             where = " and ".join(map(repr, urls))
-            system = await the_vehicle(instance, where, timeout_s, system_id)
+            system = await unless_refused(the_vehicle(instance, where, timeout_s, system_id), urls)
             if system is None:
                 raise InputError(_unheard(urls, timeout_s, raw.reports() if raw is not None else ()))
             found_id = await system.get_system_id()

@@ -11,6 +11,8 @@ from sidelong.app.errors import InputError
 _SCHEMES = "udpin://HOST:PORT, udpout://HOST:PORT, tcpout://HOST:PORT, tcpin://HOST:PORT, serial:///dev/NAME:BAUD"
 _NETWORK_URL = re.compile(r"(udpin|udpout|tcpin|tcpout)://([^:/]+):(\d{1,9})")
 _SERIAL_URL = re.compile(r"serial(?:_flowcontrol)?://(/[^:]+):\d+")
+# MAVSDK's spelling until version 3.
+_OLDER_URL = re.compile(r"(udp|tcp)://([^:/]*):(\d{1,9})")
 
 
 def checked_url(url: str) -> str:
@@ -24,6 +26,9 @@ def checked_url(url: str) -> str:
             raise InputError(f"{url!r}: there is no device {serial[1]}; plug it in, or name another.")
         return url
     match = _NETWORK_URL.fullmatch(url)
+    older = _OLDER_URL.fullmatch(url) if match is None else None
+    if older is not None:
+        raise InputError(f"{url!r} is an older spelling of MAVSDK's; use {_present_form(older)}.")
     if match is None:
         raise InputError(f"{url!r} is no link this can open; use one of {_SCHEMES}.")
     scheme, host, port = match[1], match[2], int(match[3])
@@ -36,6 +41,15 @@ def checked_url(url: str) -> str:
     if scheme.endswith("in"):
         _probe_port(url, scheme, address, port)
     return f"{scheme}://{address}:{port}"
+
+
+def _present_form(older: re.Match[str]) -> str:
+    """Return what replaces udp:// or tcp://: without a host or with any address it listens, except for TCP."""
+    kind, host, port = older.groups()
+    if kind == "tcp":
+        return f"tcpout://{host or '127.0.0.1'}:{port}"
+    listens = host in ("", "0.0.0.0")
+    return f"udpin://0.0.0.0:{port}" if listens else f"udpin://{host}:{port} to listen there, or udpout:// to send"
 
 
 def _probe_port(url: str, scheme: str, address: str, port: int) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sidelong.app.errors import InputError
+from sidelong.app.errors import missing_package
 from sidelong.app.records.sensing import Sensing
 from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TrackQuality
@@ -47,9 +47,7 @@ class KlvLog:
         try:
             from stanag4609.st0601 import encode_uas_local_set, utc_to_misp_timestamp  # noqa: PLC0415  # an extra
         except ImportError as error:
-            raise InputError(
-                "KLV needs the package stanag4609; install it with: pip install 'sidelong[klv]'."
-            ) from error
+            raise missing_package("KLV", "stanag4609") from error
         self._encode, self._stamp = encode_uas_local_set, utc_to_misp_timestamp
         self._file = path.open("wb")
         self._name, self._plane, self._sensing = name, plane, Sensing(tracker)

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from sidelong.app.errors import InputError
+from sidelong.app.errors import missing_package
 
 _UNSTAMPED = frozenset({"foxglove.GeoJSON", "foxglove.SceneUpdate"})
 _EPOCH = datetime.fromtimestamp(0, UTC)
@@ -20,7 +20,7 @@ def mcap_writer_class() -> Any:
     try:
         from mcap.writer import Writer  # noqa: PLC0415
     except ImportError as error:
-        raise InputError("MCAP needs the package mcap; install it with: pip install 'sidelong[mcap]'.") from error
+        raise missing_package("MCAP", "mcap") from error
     return Writer
 
 

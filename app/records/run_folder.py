@@ -71,6 +71,13 @@ class RunFolder:
     def summary(self) -> Path:
         return self.path / "summary.json"
 
+    def truncated(self) -> str:
+        """Return why the journal ends before the flight did, '' if it does not."""
+        if not self.summary.is_file():
+            return "the program was killed, the disk was full, or the flight still goes on"
+        lost = self.read_summary().get("records_lost", "")
+        return lost if isinstance(lost, str) else ""
+
     @property
     def links(self) -> Path:
         return self.path / "links.csv"

@@ -63,12 +63,12 @@ class Sink(Protocol):
     def command(self, command: Command) -> None: ...
 
 
-def feed(path: Path, sink: Sink) -> None:
+def feed(path: Path, sink: Sink, progress: Progress | None = None) -> None:
     """Feed a run folder or a log that ``read_flight`` has read to something else. Raises InputError."""
     if path.is_dir():
-        _feed_journal(JournalReader(RunFolder(path).journal, JOURNAL_TYPES), sink)
+        _feed_journal(JournalReader(RunFolder(path).journal, JOURNAL_TYPES, progress), sink)
     else:
-        _feed_log(open_log(path), Telemetry(), sink)
+        _feed_log(open_log(path), Telemetry(), sink, progress)
 
 
 def _feed_journal(journal: JournalReader, sink: Sink) -> None:
@@ -96,9 +96,12 @@ def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: P
     if truth is None and folder.truth.exists():
         truth = folder.truth
     history = _built(builder, settings, folder.path, reader.header.plane, truth, reader.header.home_deg)
-    # The figures of a run that was cut off are worth having all the same.
-    whole = folder.summary.exists()
-    result = read_summary(folder.read_summary(), str(folder.summary)) if whole else summary_of(history, "cut off")
+    truncated = folder.truncated()
+    if truncated:  # what there is of it is worth having
+        end_s = history.positions[-1].time_s - history.start_s
+        result = summary_of(history, f"the record ends early, at {end_s:.0f} s: {truncated}")
+    else:
+        result = read_summary(folder.read_summary(), str(folder.summary))
     name = folder.path.resolve().name
     return Flown(name, reader.header.program, settings, history, result, reader.damaged_lines)
 

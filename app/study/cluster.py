@@ -7,7 +7,7 @@ from importlib import import_module
 from itertools import count
 from typing import Any, TypeVar
 
-from sidelong.app.errors import InputError
+from sidelong.app.errors import InputError, missing_package
 from sidelong.app.study.batch import Batch, Designs, Executor, Flown, flown
 from sidelong.app.study.store import code_version
 from sidelong.mission.predictive.value_table import ValueTable
@@ -28,7 +28,7 @@ def on_cluster(address: str, tell: Callable[[str], None] = lambda _words: None) 
     try:
         distributed: Any = import_module("distributed")
     except ImportError as error:
-        raise InputError("--scheduler: this needs dask.distributed; pip install 'sidelong[cluster]'.") from error
+        raise missing_package("--scheduler", "distributed") from error
 
     def fly(designs: Designs, batches: Iterable[tuple[Batch, ValueTable | None]]) -> Iterator[Flown]:
         try:

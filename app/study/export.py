@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from sidelong.app.errors import InputError
+from sidelong.app.errors import missing_package
 from sidelong.app.study.store import MEASURES, run_ids
 from sidelong.app.study.study import Study
 
@@ -76,7 +76,5 @@ def parquet_writer() -> tuple[Any, Any]:
         import pyarrow  # noqa: PLC0415  # an extra
         import pyarrow.parquet  # noqa: PLC0415
     except ImportError as error:
-        raise InputError(
-            "--export: Parquet needs pyarrow; pip install 'sidelong[parquet]', or write a .csv."
-        ) from error
+        raise missing_package("--export: Parquet", "pyarrow", "write a .csv") from error
     return pyarrow, pyarrow.parquet

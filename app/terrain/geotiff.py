@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sidelong.app.errors import InputError
+from sidelong.app.errors import InputError, missing_package
 from sidelong.app.terrain.tile import HIGHEST_M, LOWEST_M, HeightArray, Posts, at_posts, needed
 
 _MARGIN = 1e-9
@@ -29,9 +29,7 @@ class GeoTiff:
             from rasterio.errors import RasterioError  # noqa: PLC0415
             from rasterio.vrt import WarpedVRT  # noqa: PLC0415
         except ImportError as error:
-            raise InputError(
-                f"{path}: reading GeoTIFF needs the package rasterio; install sidelong[terrain], or give .hgt tiles."
-            ) from error
+            raise missing_package(f"{path}: a GeoTIFF", "rasterio", "give .hgt tiles") from error
         self._errors = (RasterioError, CPLE_BaseError, OSError, ValueError)
         try:
             with rasterio.Env():  # else errors are printed

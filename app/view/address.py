@@ -59,6 +59,8 @@ def page_address(
 ) -> Address | None:
     """Return where a command serves its page by its options, None where it shows none. Raises InputError."""
     if not view:
+        if map_file is not None and not map_file.is_file():
+            raise InputError(f"--map: there is no file {map_file}.")
         if map_file is not None or map_bounds is not None:
             raise InputError("--map lies under the live map; give --view with it.")
         return None

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from sidelong.app.errors import InputError
+from sidelong.app.errors import InputError, missing_package
 
 _PICTURE_MAX_BYTES, _TILE_MAX_BYTES, _ZOOM_MAX = 64 << 20, 16 << 20, 24
 _OPEN_WITHIN_S, _TILE_WITHIN_S = 10.0, 0.5
@@ -135,7 +135,7 @@ def background(path: Path, bounds: str | None) -> Background:
         tiles = _OPENERS[suffix](path)
         data = tiles.any_tile()
     except ImportError:
-        raise InputError(f"--map: {path} needs the package pmtiles: pip install 'sidelong[map]'.") from None
+        raise missing_package(f"--map: {path}", "pmtiles", "give an .mbtiles file") from None
     except Exception as error:  # whatever two readers make of another's bytes
         raise InputError(
             f"--map: {path} is not a {suffix[1:]} file that can be read ({error}); is it whole?"

@@ -107,6 +107,8 @@ def read_track(path: Path) -> Track:
         rows = _read_gpx(path) if path.suffix.lower() == ".gpx" else _read_csv(path)
     except OSError as error:
         raise TrackError(f"{path} cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise TrackError(f"{path} is not text in UTF-8; a track is a .gpx or a .csv file") from error
     except (ElementTree.ParseError, csv.Error, LookupError, ArithmeticError, ValueError) as error:
         if isinstance(error, TrackError):
             raise

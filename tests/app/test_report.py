@@ -107,7 +107,8 @@ def test_uploads_have_their_times(flown):
 
 def test_a_cut_off_run_is_judged_by_its_truth(flown):
     summary = flown.summary
-    assert (summary.outcome, summary.source) == ("cut off", "truth")
+    assert summary.outcome.startswith("the record ends early, at 300 s")
+    assert summary.source == "truth"
     assert summary.moves == len(flown.history.plan_changes)
     ranges_m = series.range_m(flown.history.moments).value
     assert summary.min_range_m == pytest.approx(ranges_m.min())

@@ -92,7 +92,8 @@ def test_a_wrong_map_ends_launch_before_anything_is_connected(tmp_path):
     ended = CliRunner().invoke(app, ["launch", "--view", "--map", str(tmp_path / "none.mbtiles")])
     assert ended.exit_code != 0
     assert "none.mbtiles is no file" in str(ended.exception)
-    ended = CliRunner().invoke(app, ["launch", "--map", "a.mbtiles"])
+    (tmp_path / "a.mbtiles").touch()
+    ended = CliRunner().invoke(app, ["launch", "--map", str(tmp_path / "a.mbtiles")])
     assert "give --view with it" in str(ended.exception)
 
 

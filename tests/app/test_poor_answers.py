@@ -1,0 +1,155 @@
+"""Inputs that used to be answered poorly: each is accepted, or refused in one sentence with the way out."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import shutil
+import socket
+
+import pytest
+from typer.testing import CliRunner
+
+from sidelong.app.cli import app
+from sidelong.app.commands.progress import share_progress
+from sidelong.app.config import load_config
+from sidelong.app.errors import InputError, missing_package
+from sidelong.app.link.discovery import unless_refused
+from sidelong.app.link.url import checked_url
+from sidelong.app.records.run_folder import RunFolder
+from sidelong.sitl.world.track import TrackError, read_track
+
+MISSION = "[requirement]\nrange_max_m = 480.0\n"
+
+
+def file(tmp_path, data):
+    path = tmp_path / "mission.toml"
+    path.write_bytes(data)
+    return path
+
+
+def refused(*arguments):
+    ended = CliRunner().invoke(app, [str(one) for one in arguments])
+    assert isinstance(ended.exception, InputError), ended.output
+    assert "\n" not in str(ended.exception)
+    return str(ended.exception)
+
+
+def test_a_byte_order_mark_is_read_over(tmp_path):
+    assert load_config(file(tmp_path, MISSION.encode("utf-8-sig"))).requirement.range_max_m == 480.0
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_utf_16_is_named(tmp_path, encoding):
+    with pytest.raises(InputError, match="is text in UTF-16; save it as UTF-8"):
+        load_config(file(tmp_path, ("\ufeff" + MISSION).encode(encoding)))
+
+
+@pytest.mark.parametrize("comment", ["", "  # metres"])
+def test_a_decimal_comma_is_named_with_its_line(tmp_path, comment):
+    with pytest.raises(InputError) as wrong:
+        load_config(file(tmp_path, f"[requirement]\nrange_max_m = 500,0{comment}\n".encode()))
+    assert "line 2" in str(wrong.value)
+    assert "write decimals with a point: 500.0" in str(wrong.value)
+
+
+def test_another_mistake_is_shown_with_its_line(tmp_path):
+    with pytest.raises(InputError, match=r"line 2.*'range_max_m 500'; correct it"):
+        load_config(file(tmp_path, b"[requirement]\nrange_max_m 500\n"))
+
+
+@pytest.mark.parametrize(
+    ("url", "present"),
+    [
+        ("udp://:14540", "udpin://0.0.0.0:14540"),
+        ("udp://0.0.0.0:14540", "udpin://0.0.0.0:14540"),
+        ("udp://192.0.2.1:14540", "udpin://192.0.2.1:14540 to listen there, or udpout:// to send"),
+        ("tcp://127.0.0.1:5760", "tcpout://127.0.0.1:5760"),
+        ("tcp://:5760", "tcpout://127.0.0.1:5760"),
+    ],
+)
+def test_mavsdk_s_older_urls_are_translated(url, present):
+    with pytest.raises(InputError, match="older spelling") as wrong:
+        checked_url(url)
+    assert present in str(wrong.value)
+
+
+def test_a_picture_is_not_a_track(tmp_path):
+    path = tmp_path / "target.csv"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
+    with pytest.raises(TrackError, match=r"is not text in UTF-8; a track is a \.gpx or a \.csv file"):
+        read_track(path)
+
+
+def test_a_refused_tcp_connection_is_reported_without_waiting(monkeypatch):
+    monkeypatch.setattr("sidelong.app.link.discovery._REFUSED_AFTER_S", 0.01)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+
+    async def never() -> None:
+        await asyncio.Event().wait()
+
+    with pytest.raises(InputError, match="connection refused; start the autopilot first"):
+        asyncio.run(unless_refused(never(), [f"tcpout://127.0.0.1:{port}"]))
+
+
+def test_a_server_that_listens_is_waited_for(monkeypatch):
+    monkeypatch.setattr("sidelong.app.link.discovery._REFUSED_AFTER_S", 0.01)
+
+    async def found(accepted: asyncio.Event) -> str:
+        await accepted.wait()
+        return "vehicle"
+
+    async def searched() -> str:
+        accepted = asyncio.Event()
+        server = await asyncio.start_server(lambda _reader, _writer: accepted.set(), "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
+        async with server:
+            return await unless_refused(found(accepted), [f"tcpout://127.0.0.1:{port}"])
+
+    assert asyncio.run(searched()) == "vehicle"
+
+
+def test_a_fleet_s_study_takes_no_planner():
+    assert "leave out --planner" in refused("study", "--fleet", 2, "--planner", "predictive")
+
+
+def test_a_missing_map_is_named_before_the_page_is_asked_for(tmp_path):
+    assert "there is no file" in refused("launch", "--map", tmp_path / "none.mbtiles")
+
+
+def test_an_optional_package_is_installed_where_this_program_runs():
+    text = str(missing_package("KLV", "stanag4609", "write a .csv"))
+    assert text.endswith("-m pip install stanag4609, or write a .csv.")
+    assert "sidelong[" not in text
+
+
+@pytest.mark.parametrize("lost", [None, "the disk was full"])
+def test_a_truncated_record_is_reported(run_folder, tmp_path, lost):
+    run = tmp_path / "run"
+    shutil.copytree(run_folder, run)
+    if lost is not None:
+        RunFolder(run).write_summary({"records_lost": lost})
+    ended = CliRunner().invoke(app, ["replay", str(run), "--quiet"])
+    assert ended.exception is None, ended.exception
+    assert RunFolder(run).truncated() == (
+        lost or "the program was killed, the disk was full, or the flight still goes on"
+    )
+    ended = CliRunner().invoke(app, ["report", str(run)])
+    assert ended.exception is None, ended.exception
+    page = (run / "report.html").read_text()
+    assert "the record ends early, at " in page
+    assert (lost or "the program was killed") in page
+
+
+def test_a_long_task_reports_its_progress_without_a_terminal(capsys):
+    times_s = iter([0.0, 5.0, 11.0, 11.0, 12.0])
+    with share_progress("reading run", lambda: next(times_s)) as advance:
+        for share in (0.2, 0.5, 0.6):
+            advance(share)
+    assert capsys.readouterr().err == "sidelong: reading run: 50 %\n"
+
+
+def test_a_whole_record_is_not_called_truncated(tmp_path):
+    (tmp_path / "summary.json").write_text(json.dumps({"records_lost": ""}))
+    assert RunFolder(tmp_path).truncated() == ""
