@@ -71,10 +71,12 @@ from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned, Role
 from sidelong.mission.core.heights import ClimbRates, Heights, OneHeight
 from sidelong.mission.core.plan import AircraftState, Decision, Plan, PlannerFactory, settled_m
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
+from sidelong.mission.geometry.escape import escapes
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
 
 # A stronger wind, as a share of the airspeed, is not flown in: one that is reported all the same is not believed.
 _WIND_MAX_SHARE = 0.9
+_CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
 _SENSED = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading)
 _FLYING = (Phase.WATCHING, Phase.HOLDING)
 
@@ -124,6 +126,7 @@ class StandoffController:
         self._next_decision_s = -math.inf
         self._changed_s: float | None = None  # when a person last changed the mission; None: that is flown
         self._height_asked_m: float | None = None
+        self._crossed = 0  # decisions in a row at which another aircraft was too near below the circle
         self._height_m: float | None = None  # the aircraft's, above home
 
     def step(self, event: Event) -> tuple[Command, ...]:
@@ -240,10 +243,12 @@ class StandoffController:
 
     def _decide(self) -> tuple[Command, ...]:
         aircraft, target, present = self.aircraft, self.estimate, self.present
-        if self.phase is not Phase.WATCHING or target is None:
+        if self.phase is not Phase.WATCHING or present is None:
             return ()
         assert aircraft is not None
-        assert present is not None
+        escape = self._escape(aircraft, present)
+        if escape or target is None:
+            return escape
         if self.changes.is_off_track(aircraft):
             reason = "the aircraft has left its line: going to the circle directly"
             return self._upload_circle("plan", present, reason)
@@ -272,6 +277,23 @@ class StandoffController:
             return (decided, Announce(self.time_s, "decision", text), self._upload(plan, decision.reason))
         changed = self._circle_as_changed(aircraft, present)
         return (decided, *told, *(changed if changed or told else self._corrected_radius(present)))
+
+    def _escape(self, aircraft: AircraftState, present: Plan) -> tuple[Command, ...]:
+        """Return the plan to another circle if a lower aircraft of the fleet flies too near below the present one."""
+        crossed = None if self._height_m is None else self.surroundings.separation.crossed(present, self._height_m)
+        self._crossed = 0 if crossed is None else self._crossed + 1
+        if crossed is None or self._crossed % _CROSSED_COUNT:
+            return ()
+        settings, latency_s = self.settings, self.latency.expected_s
+        start = dead_reckoned(aircraft, latency_s)
+        plans = escapes(start, self.estimate, present.circle, settings.aircraft, settings.requirement)
+        cleared = (self.cleared(replace(plan, departure_s=self.time_s + latency_s)) for plan in plans)
+        plan = next((one for one in cleared if isinstance(one, Plan)), None)
+        if plan is None:
+            text = f"no separated circle is free: {crossed}"
+            return (Announce(self.time_s, "decision", text),) if self._crossed == _CROSSED_COUNT else ()
+        reason = f"leaving the circle: {crossed}"
+        return (Announce(self.time_s, "decision", reason), self._upload(plan, reason))
 
     def _upload(self, plan: Plan, reason: str) -> UploadPlan:
         return self.changes.upload(self.time_s, plan, self._wind, reason)

@@ -36,7 +36,8 @@ Rules
    another one than before once ``turned_after`` sightings in a row lie there.
 5. Each aircraft keeps the height layer that it was set up with: layers are never swapped, so nothing has to be
    confirmed before one is free.
-6. The wanted side is a person's to change (``SideRequested``), for all aircraft and targets at once; a band or radius
+6. Aircraft too near to each other raise an alarm; see :mod:`sidelong.mission.fleet.proximity`.
+7. The wanted side is a person's to change (``SideRequested``), for all aircraft and targets at once; a band or radius
    that one core took up (``RequirementReported``) holds for the roles too.
 """
 
@@ -74,6 +75,7 @@ from sidelong.mission.fleet.events import (
     VehicleReported,
 )
 from sidelong.mission.fleet.judges import MakeJudge, RoleJudges
+from sidelong.mission.fleet.proximity import Proximity
 from sidelong.mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_beside
 from sidelong.mission.fleet.vehicle import FleetMember, FleetVehicle
 
@@ -142,6 +144,7 @@ class FleetCoordinator:
         self._assignments = {one.name: RoleAssignment() for one in targets}
         self._estimates: Mapping[str, TargetEstimate | None] = {}  # as of the last second
         self._foreign: dict[str, ForeignAircraftReported] = {}
+        self._proximity = Proximity()
         self._refused: dict[str, Mapping[str, str]] = {}
         self._asked: set[str] = set()
         self._gains_since_s = math.inf  # another assignment to the targets
@@ -336,6 +339,8 @@ class FleetCoordinator:
         for name in self._targets:
             self._assign_roles(name, estimates[name])
         self._relieve(estimates)
+        for name, text in self._proximity.watch(self._now_s, self._vehicles.values(), self._foreign.values()):
+            self._say(name, text)
         self._foreign = {
             key: one for key, one in self._foreign.items() if self._now_s - one.mission_time_s < _FOREIGN_FORGOTTEN_S
         }

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.fleet import Neighbour, NeighbourPlanned
+from sidelong.mission.core.fleet import Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
@@ -54,14 +54,14 @@ class Separation:
         wind: Wind,
         airspeed_m_s: float,
     ) -> str | None:
-        """Tell in words whom a plan comes too near to, or None. height_m: the own one now."""
+        """Return in words which aircraft a plan comes too near to, or None. height_m: the own one now."""
         if not self._others or aircraft is None or height_m is None:
             return None
         heights = {height_m, *_heights_of(plan)}
         own: FloatArray | None = None
         for name, other in self._others.items():
             told = self._plans.get(name) if other.ours else None
-            vertical_m = _gap_m(heights, {other.height_m, *_heights_of(*_flown(told))})
+            vertical_m = _gap_m(heights, {other.height_m, *_heights_of(*_planned(told))})
             if vertical_m >= self.min_m:
                 continue
             flat_m = math.sqrt(self.min_m**2 - vertical_m**2)
@@ -72,8 +72,29 @@ class Separation:
                 return f"it would come within {apart_m:.0f} m of {name}"
             if told is not None and told.present is not None:
                 ending = told.coming or told.present
-                if _circles_apart_m(plan.circle, ending.circle) - 2.0 * _LINE_ERROR_M < flat_m:
+                if circles_apart_m(plan.circle, ending.circle) - 2.0 * _LINE_ERROR_M < flat_m:
                     return f"its circle is too near to that of {name}, at almost the same height"
+        return None
+
+    def crossed(self, present: Plan, height_m: float) -> str | None:
+        """Return in words which lower aircraft of the fleet flies a circle that crosses the own one, or None.
+
+        The higher aircraft gives way: an aircraft has sunk out of its layer or climbed into the own one.
+
+        Args:
+            present: The plan that is flown.
+            height_m: The own height above home, m.
+
+        """
+        for name, other in self._others.items():
+            told, vertical_m = self._plans.get(name), height_m - other.height_m
+            if not other.ours or other.role is Role.LEAVE or not 0.0 <= vertical_m < self.min_m:
+                continue
+            if told is None or told.present is None:
+                continue
+            ending = told.coming or told.present
+            if math.hypot(circles_apart_m(present.circle, ending.circle), vertical_m) < self.min_m:
+                return f"{name} is only {vertical_m:.0f} m below, and the circles cross"
         return None
 
     def _least_m(
@@ -148,7 +169,7 @@ def airspeed_of(state: AircraftState, wind: Wind) -> float:
     return math.hypot(east_m_s, north_m_s)
 
 
-def _flown(told: NeighbourPlanned | None) -> tuple[Plan | None, ...]:
+def _planned(told: NeighbourPlanned | None) -> tuple[Plan | None, ...]:
     return () if told is None else (told.present, told.coming)
 
 
@@ -162,7 +183,7 @@ def _gap_m(a: set[float], b: set[float]) -> float:
     return max(min(a) - max(b), min(b) - max(a), 0.0)
 
 
-def _circles_apart_m(a: Circle, b: Circle) -> float:
-    """Return the least distance between points of two circles."""
+def circles_apart_m(a: Circle, b: Circle) -> float:
+    """Return the least distance between points of two circles, m; 0 where they cross."""
     centres_m = math.hypot(a.east_m - b.east_m, a.north_m - b.north_m)
-    return max(centres_m - a.radius_m - b.radius_m, abs(a.radius_m - b.radius_m) - centres_m)
+    return max(centres_m - a.radius_m - b.radius_m, abs(a.radius_m - b.radius_m) - centres_m, 0.0)

@@ -13,7 +13,7 @@ from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.events import Command, ControlAcquired, End, MissionChange, UploadPlan
+from sidelong.mission.core.events import Announce, Command, ControlAcquired, End, MissionChange, UploadPlan
 from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
@@ -38,6 +38,7 @@ from sidelong.mission.fleet.events import (
 from sidelong.mission.fleet.reports import FleetReporter
 from sidelong.mission.fleet.roles import RoleCosts
 from sidelong.mission.fleet.vehicle import FleetMember
+from sidelong.mission.geometry.separation import MIN_SEPARATION_M, circles_apart_m
 
 RADIUS_M, SPEED_M_S = 50.0, 15.0
 AIRCRAFT = Aircraft(SPEED_M_S, RADIUS_M)
@@ -405,6 +406,58 @@ def test_no_plan_leads_near_another_at_the_same_height():
         assert isinstance(towards, str) is refused
         if refused:
             assert "b" in towards
+
+
+def alarms(fleet: Fleet) -> list[tuple[str, str]]:
+    return [
+        (said.name, said.text)
+        for said in fleet.said
+        if isinstance(said, FleetAnnounce) and ("ALARM" in said.text or "separated" in said.text)
+    ]
+
+
+def test_aircraft_that_sinks_out_of_its_layer_raises_an_alarm_and_leaves_its_circle():
+    fleet = Fleet(Vehicle("a", WEST, 100.0, 100.0), Vehicle("b", WEST + 60.0, -40.0, 160.0))
+    fleet.fly(10.0)
+    upper, lower = fleet.vehicles["b"], fleet.vehicles["a"]
+    assert alarms(fleet) == []
+    assert not any(isinstance(command, UploadPlan) for command in upper.commands + lower.commands)
+    for _ in range(150):
+        upper.height_m -= 0.1
+        fleet.fly(0.1)
+    assert alarms(fleet) == [("b", "ALARM: only 46 m above a, and their circles cross")]
+    assert not any(isinstance(command, UploadPlan) for command in lower.commands)
+    (upload,) = [command for command in upper.commands if isinstance(command, UploadPlan)]
+    circle, target_m = upload.plan.circle, (0.0, TARGET_SPEED_M_S * fleet.time_s)
+    assert circles_apart_m(circle, lower.circle) >= MIN_SEPARATION_M
+    range_m = math.dist((circle.east_m, circle.north_m), target_m)
+    assert 100.0 + RADIUS_M < range_m < 500.0 - RADIUS_M
+    assert upper.core.settings.requirement.side is Side.RIGHT
+    assert circle.east_m > 0.4 * range_m
+    (reason,) = [one.text for one in upper.commands if isinstance(one, Announce) and "leaving" in one.text]
+    assert reason.startswith("leaving the circle: a is only 4")
+
+    fleet.tell(PlansReported("b", Plan(circle)))  # it has departed, and circles there
+    fleet.fly(10.0)
+    assert alarms(fleet)[1:] == [("b", "separated from a again")]
+
+
+def test_reported_distance_below_the_required_one_always_raises_an_alarm():
+    fleet = pair()
+    fleet.fly(5.0)
+    fleet.vehicles["b"].height_m = 100.0  # on circles far apart
+    fleet.fly(5.0)
+    assert alarms(fleet) == []
+    where = fleet.vehicles["a"].core.aircraft
+    for _ in range(3):
+        fleet.tell(ForeignAircraftReported("system 9", fleet.time_s, where.east_m, where.north_m, 120.0, 0.0, 0.0))
+        fleet.fly(1.0)
+    fleet.fly(20.0)
+    ((name, text), cleared) = alarms(fleet)
+    assert name == "a"
+    assert text.startswith("ALARM: only ")
+    assert text.endswith(" m from system 9; 50 m are required")
+    assert cleared == ("a", "separated from system 9 again")
 
 
 def test_a_foreign_aircraft_counts_as_an_obstacle_while_it_is_heard():
