@@ -53,7 +53,7 @@ class Autopilot(ABC):
         self, settings: Settings, build: AirframeParameters, heading_rad: float, parameters: Parameters
     ) -> None:
         home = settings.home_or_default
-        self.settings = settings
+        self.settings, self.release = settings, settings.release_or_newest
         self.home = home
         self.plane = HomePlane(home.latitude_deg, home.longitude_deg)
         self.craft = Airframe(build, settings.wind, heading_rad)
@@ -87,7 +87,13 @@ class Autopilot(ABC):
         """Take what the flavour has made: one store for each mission type, and its telemetry."""
         for mission_type, store in zip(self.mission_types, stores, strict=True):
             self.transfers[mission_type] = Transfer(
-                mission_type, store, self.radio, self.quirks, self.settings.link_rate, self.say, self.transfers
+                mission_type,
+                store,
+                self.radio,
+                self.quirks_of_release,
+                self.settings.link_rate,
+                self.say,
+                self.transfers,
             )
         self._builders = builders
 
@@ -117,6 +123,11 @@ class Autopilot(ABC):
 
     @abstractmethod
     def set_current_item(self, index: int) -> bool: ...
+
+    @property
+    def quirks_of_release(self) -> ProtocolQuirks:
+        """How its release treats the mission protocol."""
+        return self.quirks
 
     @property
     @abstractmethod

@@ -30,6 +30,7 @@ from sidelong.sitl.options import (
     lost_at,
     numbers,
     refuse,
+    releases_of,
     stations_of,
     targets_of,
     targets_seen,
@@ -62,6 +63,12 @@ def run(
     autopilot: Annotated[
         str, typer.Option(help="Which autopilot it behaves like: arduplane or px4; several vehicles in turn: a,b.")
     ] = Flavour.ARDUPLANE,
+    version: Annotated[
+        str | None,
+        typer.Option(
+            help="Firmware release it behaves like, such as 4.5 [the newest]; of several vehicles in turn: A,B."
+        ),
+    ] = None,
     vehicles: Annotated[
         int | None,
         typer.Option(min=1, max=MAX_VEHICLES, help="How many [as many as autopilots are named]"),
@@ -178,6 +185,7 @@ def run(
 
     For example:
       sidelong sitl --autopilot px4 --target walk --target-speed 4 --speed 10
+      sidelong sitl --autopilot arduplane --version 4.5
       sidelong sitl --vehicles 2 --autopilot arduplane,px4
       sidelong sitl --vehicles 4 --target boat=walk --target bike=straight --looks-at 1,2
       sidelong sitl --payload-for tcpout://127.0.0.1:5763    # laser and gimbal for your own SITL
@@ -256,7 +264,9 @@ def run(
     with ExitStack() as stack:
         try:
             seen = targets_seen(looks_at, len(targets))
-            each = in_turn(settings, flavours, airspeeds_m_s, endurances_s, count, seen)
+            each = in_turn(
+                settings, flavours, airspeeds_m_s, endurances_s, count, seen, releases_of(version, flavours)
+            )
             alone = payload_for is None and not programs
             if not alone and len(targets) > 1:
                 refuse("--target", "is given several times: only simulated vehicles can turn to another")

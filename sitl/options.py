@@ -16,7 +16,7 @@ import typer
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.protocol.signing import KeyFileError, read_key
 from sidelong.sitl.server import Address
-from sidelong.sitl.settings import DEFAULT_HOMES, STARTS_M, Flavour, Home, TargetSettings
+from sidelong.sitl.settings import DEFAULT_HOMES, NEWEST, OLDEST, STARTS_M, Flavour, Home, Release, TargetSettings
 from sidelong.sitl.world.geodesy import HomePlane
 from sidelong.sitl.world.hills import Hills, HillsError
 from sidelong.sitl.world.motion import MOTIONS
@@ -83,6 +83,23 @@ def flavour_of(name: str) -> Flavour:
         return Flavour(name)
     except ValueError:
         return refuse("--autopilot", f"is one of {', '.join(Flavour)}, not {name!r}")
+
+
+def releases_of(text: str | None, flavours: Sequence[Flavour]) -> list[Release | None]:
+    """Return the release that each of the flavours behaves like, None: the newest."""
+    if text is None:
+        return [None]
+    names, releases = text.split(","), []
+    if len(names) != len(flavours):
+        refuse("--version", f"names {len(names)} releases for {len(flavours)} autopilots")
+    for name, flavour in zip(names, flavours, strict=True):
+        numbers = re.fullmatch(r"(\d{1,3})\.(\d{1,3})(?:\.\d{1,3})?", name)
+        release = None if numbers is None else (int(numbers[1]), int(numbers[2]))
+        if release is None or not OLDEST[flavour] <= release <= NEWEST[flavour]:
+            oldest, newest = (f"{major}.{minor}" for major, minor in (OLDEST[flavour], NEWEST[flavour]))
+            refuse("--version", f"is {oldest} to {newest} for {flavour}, not {name!r}")
+        releases.append(release)
+    return list(releases)
 
 
 def stations_of(to: list[str] | None, ids: Sequence[int]) -> list[list[Address]]:

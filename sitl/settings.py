@@ -23,6 +23,14 @@ class RangeMessage(StrEnum):
 class GimbalFrame(StrEnum):
     EARTH = "earth"
     VEHICLE = "vehicle"
+    UNNAMED = "unnamed"  # relative to the vehicle, without a flag that says so: mounts of ArduPlane 4.3 and 4.4
+
+
+Release = tuple[int, int]
+"""Major and minor number of an autopilot's firmware."""
+
+NEWEST: dict[Flavour, Release] = {Flavour.ARDUPLANE: (4, 7), Flavour.PX4: (1, 18)}
+OLDEST: dict[Flavour, Release] = {Flavour.ARDUPLANE: (4, 3), Flavour.PX4: (1, 13)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +110,7 @@ class Settings:
     """
 
     flavour: Flavour = Flavour.ARDUPLANE
+    release: Release | None = None  # of its firmware; None: the newest
     system_id: int = 1
     seed: int = 0
     target_seed: int | None = None  # of the targets alone, where there are several vehicles; none: seed
@@ -123,3 +132,7 @@ class Settings:
     @property
     def home_or_default(self) -> Home:
         return self.home or DEFAULT_HOMES[self.flavour]
+
+    @property
+    def release_or_newest(self) -> Release:
+        return self.release or NEWEST[self.flavour]

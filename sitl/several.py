@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from sidelong.sitl.settings import Flavour, Home, Settings
+from sidelong.sitl.settings import Flavour, Home, Release, Settings
 from sidelong.sitl.world.geodesy import HomePlane
 
 MAX_VEHICLES = 8
@@ -19,10 +19,11 @@ def in_turn(
     endurances_s: Sequence[float],
     count: int,
     looks_at: Sequence[int] = (0,),
+    releases: Sequence[Release | None] = (None,),
 ) -> list[Settings]:
     """Return the settings of ``count`` vehicles: the first at its home, the others in a row east of it.
 
-    Flavours, airspeeds, endurances and what they look at are gone through again and again. System ids follow one
+    Flavours, releases, airspeeds, endurances and what they look at are repeated in turn. System ids follow one
     another; the targets are the same for all.
     """
     home = first.home_or_default
@@ -31,6 +32,7 @@ def in_turn(
         replace(
             first,
             flavour=flavours[number % len(flavours)],
+            release=releases[number % len(releases)],
             system_id=first.system_id + number,
             seed=first.seed + number,
             target_seed=first.seed,

@@ -4,55 +4,99 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar
+from functools import cache
 
 from pymavlink.dialects.v20 import common as _mav
 
-from sidelong.app.autopilots.autopilot import Limits
-from sidelong.app.autopilots.required_parameter import RequiredParameter, required_airspeed
-from sidelong.app.link.modes import AUTOPILOT_ARDUPILOT
+from sidelong.app.autopilots.autopilot import Limits, SupportedReleases
+from sidelong.app.autopilots.parameter import Parameter, Purpose, RequiredParameter, required_airspeed
+from sidelong.app.autopilots.release import Release
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import CircleOrder, Home, ProtocolQuirks
 from sidelong.mission.exchange.raw_item import RawItem, raw_item
 from sidelong.mission.exchange.reports import PositionTargetReported, VehicleReport
 from sidelong.mission.exchange.vehicle_command import VehicleCommand
+from sidelong.mission.geometry.wind import STILL_AIR
 from sidelong.mission.upload.items import Item
-from sidelong.mission.upload.line_tracking import LineTracking, arduplane
+from sidelong.mission.upload.line_tracking import LineTracking
 
 _CUSTOM_MODE_ENABLED = 1
 _AUTO, _RTL = 10, 11
 _SPEED_UNCHANGED = -1.0
-_FAILSAFE = "without heartbeats of system MAV_GCS_SYSID (not sidelong's) the failsafe takes the aircraft"
-
-
-class ArduPlane:
-    """``Autopilot`` for ArduPlane 4.x."""
-
-    name = "ArduPlane"
-    mav_autopilot = AUTOPILOT_ARDUPILOT
-    quirks = ProtocolQuirks(stores_items_one_by_one=True, home_at_zero=True, reports_target_at_once=False)
-    mission_mode, circle_mode = "AUTO", "GUIDED"
-    min_items = 24
-    relevant_parameters: ClassVar[Mapping[str, Mapping[float, str]]] = {
-        "AIRSPEED_CRUISE": {},
-        "AIRSPEED_MIN": {},
-        "AIRSPEED_MAX": {},
-        "ROLL_LIMIT_DEG": {},
-        "WP_LOITER_RAD": {},
-        "WP_RADIUS": {},
-        "MAV_GCS_SYSID": {},
-        "FS_GCS_ENABL": {
+_FAILSAFE = "without heartbeats of that system, which is not sidelong's, the failsafe takes the aircraft"
+_V4_5, _V4_7 = Release(4, 5), Release(4, 7)
+_CENTI = 0.01
+_ITEMS_IN_EVERY_TAKE_OFF = 8 | 32  # of ARMING_MIS_ITEMS: the take-off item; rally points are not mission items
+_PARAMETERS = (
+    Parameter("AIRSPEED_CRUISE", Purpose.AIRSPEED, since=_V4_5),
+    Parameter("TRIM_ARSPD_CM", Purpose.AIRSPEED, "AIRSPEED_CRUISE", _CENTI, until=_V4_5),
+    Parameter("AIRSPEED_MIN", Purpose.AIRSPEED, since=_V4_5),
+    Parameter("ARSPD_FBW_MIN", Purpose.AIRSPEED, "AIRSPEED_MIN", until=_V4_5),
+    Parameter("AIRSPEED_MAX", Purpose.AIRSPEED, since=_V4_5),
+    Parameter("ARSPD_FBW_MAX", Purpose.AIRSPEED, "AIRSPEED_MAX", until=_V4_5),
+    Parameter("ROLL_LIMIT_DEG", Purpose.BANK_LIMIT, since=_V4_5),
+    Parameter("LIM_ROLL_CD", Purpose.BANK_LIMIT, "ROLL_LIMIT_DEG", _CENTI, until=_V4_5),
+    Parameter("WP_LOITER_RAD", Purpose.CIRCLE),
+    Parameter("WP_RADIUS", Purpose.CIRCLE),
+    Parameter("MAV_GCS_SYSID", Purpose.GROUND_STATION, since=_V4_7),
+    Parameter("SYSID_MYGCS", Purpose.GROUND_STATION, "MAV_GCS_SYSID", until=_V4_7),
+    Parameter(
+        "FS_GCS_ENABL",
+        Purpose.GROUND_STATION,
+        notes={
             0.0: "losing the link does nothing: it circles on for ever",
             1.0: _FAILSAFE,
             2.0: _FAILSAFE,
             3.0: _FAILSAFE,
         },
-        "FS_LONG_ACTN": {1.0: "in a failsafe it flies home", 2.0: "in a failsafe it glides"},
-        "FENCE_ENABLE": {1.0: "a fence is active: give it in [fences] too, or it ends the mission"},
-    }
+    ),
+    Parameter(
+        "FS_LONG_ACTN",
+        Purpose.GROUND_STATION,
+        notes={1.0: "in a failsafe it flies home", 2.0: "in a failsafe it glides"},
+    ),
+    Parameter("ARMING_MIS_ITEMS", Purpose.MISSION_ITEMS),
+    Parameter(
+        "FENCE_ENABLE",
+        Purpose.FENCE,
+        notes={1.0: "a fence is active: give it in [fences] too, or it ends the mission"},
+    ),
+)
+
+
+@cache
+def _modes() -> dict[int, str]:
+    """Return the modes by number. The import is late: it loads another dialect, and much else."""
+    from pymavlink import mavutil  # noqa: PLC0415
+
+    return dict(mavutil.mode_mapping_bynumber(_mav.MAV_TYPE_FIXED_WING))
+
+
+class ArduPlane:
+    """``Autopilot`` for ArduPlane."""
+
+    name, key = "ArduPlane", "arduplane"
+    mav_autopilot = int(_mav.MAV_AUTOPILOT_ARDUPILOTMEGA)
+    releases = SupportedReleases(
+        Release(4, 4), Release(4, 7), "a radius of their own for circles that are flown by command (DO_REPOSITION)"
+    )
+    parameters = _PARAMETERS
+    packs_integers_bytewise = False
+    quirks = ProtocolQuirks(stores_items_one_by_one=True, home_at_zero=True, reports_target_at_once=False)
+    mission_mode, circle_mode = "AUTO", "GUIDED"
+    min_items = 24
+
+    def mode_name(self, base_mode: int, custom_mode: int) -> str:
+        return _modes().get(custom_mode, f"mode {custom_mode}")
 
     def required_parameters(self, values: Mapping[str, float], airspeed_m_s: float) -> tuple[RequiredParameter, ...]:
-        return required_airspeed(values, "AIRSPEED_CRUISE", airspeed_m_s)
+        required_parameters = list(required_airspeed(values, "AIRSPEED_CRUISE", airspeed_m_s))
+        items = values.get("ARMING_MIS_ITEMS", 0.0)
+        allowed = float(int(items) & _ITEMS_IN_EVERY_TAKE_OFF)
+        if items != allowed:
+            why = "arming asks for items that the mission for take-off does not have, such as a landing"
+            required_parameters.append(RequiredParameter("ARMING_MIS_ITEMS", items, allowed, why))
+        return tuple(required_parameters)
 
     def head(self, home: Home) -> tuple[RawItem, ...]:
         # Whatever is put at 0 is silently replaced by home: put home there.
@@ -73,8 +117,9 @@ class ArduPlane:
     def tail(self, home: Home) -> tuple[RawItem, ...]:
         return ()
 
-    def tracking(self, airspeed_m_s: float, wind: Wind) -> LineTracking:
-        return arduplane(airspeed_m_s, wind)
+    def tracking(self, airspeed_m_s: float, wind: Wind = STILL_AIR) -> LineTracking:
+        # The first waypoint counts as reached at once, a little late or early; the leg from it on is flown.
+        return LineTracking(airspeed_m_s, wind)
 
     def raw(self, item: Item) -> RawItem:
         raw = raw_item(item)

@@ -1,23 +1,23 @@
-"""All that autopilots do differently, as one Protocol: their part in the exchange, their parameters and limits.
+"""Everything in which autopilots differ, as one Protocol: the exchange, parameters, limits, modes, names in files.
 
-A module for each fills it in, and ``sidelong.app.autopilots.registry`` knows them all; the rest of the program does
-not know which one it flies.
+Each autopilot has one module, and ``sidelong.app.autopilots.registry`` lists them. The rest of the program does not
+know which one it flies.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from sidelong.app.autopilots.required_parameter import RequiredParameter
+from sidelong.app.autopilots.parameter import Parameter, RequiredParameter
+from sidelong.app.autopilots.release import Release
 from sidelong.mission.exchange.dialect import AutopilotDialect
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the autopilot's parameters allow; None where it has no such parameter."""
+    """What the autopilot's parameters allow; None where it did not report the parameter."""
 
     bank_max_deg: float | None
     airspeed_min_m_s: float | None
@@ -26,39 +26,57 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterNote:
-    """A parameter that matters here, its value, and what it means for the mission ('' when all is well)."""
+class SupportedReleases:
+    """The releases of an autopilot that can be flown.
 
-    name: str
-    value: float | None
-    note: str = ""
+    Attributes:
+        oldest: First one.
+        newest: Last series whose parameters and protocol are known.
+        older_lack: What releases before ``oldest`` lack, as the end of a sentence.
+
+    """
+
+    oldest: Release
+    newest: Release
+    older_lack: str
 
 
 class Autopilot(AutopilotDialect, Protocol):
-    """One kind of autopilot."""
+    """One kind of autopilot. Parameter values are given by key, see ``Parameter``."""
 
     @property
     def mav_autopilot(self) -> int:
-        """Its MAV_AUTOPILOT, by which its heartbeat tells it."""
+        """Its MAV_AUTOPILOT in a heartbeat, and its firmware type in a QGroundControl plan."""
         ...
 
     @property
-    def relevant_parameters(self) -> Mapping[str, Mapping[float, str]]:
-        """The parameters that matter for the mission, and which values deserve a word."""
+    def key(self) -> str:
+        """Its name in options and files."""
+        ...
+
+    @property
+    def releases(self) -> SupportedReleases:
+        """The releases that can be flown."""
+        ...
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The parameters that matter for the mission, one entry for each name and unit they had."""
+        ...
+
+    @property
+    def packs_integers_bytewise(self) -> bool:
+        """Whether PARAM_VALUE carries the bytes of an integer where the float belongs."""
+        ...
+
+    def mode_name(self, base_mode: int, custom_mode: int) -> str:
+        """Return a flight mode as the autopilot's own documentation calls it."""
         ...
 
     def required_parameters(self, values: Mapping[str, float], airspeed_m_s: float) -> tuple[RequiredParameter, ...]:
-        """Return the parameters that stand in the way of a mission, of those in ``relevant_parameters``."""
+        """Return the parameters whose values prevent a mission, by key."""
         ...
 
     def limits(self, values: Mapping[str, float]) -> Limits:
-        """Return what the values of the parameters in ``relevant_parameters`` allow."""
+        """Return what the parameters allow."""
         ...
-
-
-def parameter_notes(autopilot: Autopilot, values: Mapping[str, float]) -> tuple[ParameterNote, ...]:
-    """Return the parameters that matter, with what their values mean."""
-    return tuple(
-        ParameterNote(name, values.get(name), relevant_parameters.get(values.get(name, math.nan), ""))
-        for name, relevant_parameters in autopilot.relevant_parameters.items()
-    )

@@ -4,54 +4,78 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar
+from functools import cache
+from typing import Any
 
 from pymavlink.dialects.v20 import common as _mav
 
-from sidelong.app.autopilots.autopilot import Limits
-from sidelong.app.autopilots.required_parameter import RequiredParameter, required_airspeed
-from sidelong.app.link.modes import AUTOPILOT_PX4
+from sidelong.app.autopilots.autopilot import Limits, SupportedReleases
+from sidelong.app.autopilots.parameter import Parameter, Purpose, RequiredParameter, required_airspeed
+from sidelong.app.autopilots.release import Release
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import CircleOrder, Home, ProtocolQuirks
 from sidelong.mission.exchange.raw_item import RawItem, raw_item
 from sidelong.mission.exchange.reports import OrbitReported, VehicleReport
 from sidelong.mission.exchange.vehicle_command import VehicleCommand
+from sidelong.mission.geometry.wind import STILL_AIR
 from sidelong.mission.upload.items import Item
-from sidelong.mission.upload.line_tracking import LineTracking, px4
+from sidelong.mission.upload.line_tracking import LineTracking
 
 _CUSTOM_MODE_ENABLED = 1
 _AUTO, _MISSION, _RTL = 4, 4, 5
 _APPROACH_M, _APPROACH_HEIGHT_M = 700.0, 40.0
 _ENDS_FLIGHT = (5.0, 6.0)  # of NAV_DLL_ACT
 _WANTS_TAKE_OFF, _WANTS_LANDING = (1.0, 3.0, 4.0), 2.0  # of MIS_TKO_LAND_REQ
+_ACCEPTANCE_M = 10.0  # NAV_ACC_RAD; an item's own is not heeded
 _METRES_PER_DEGREE = 111_000.0
-
-
-class Px4:
-    """``Autopilot`` for PX4 1.15 and later."""
-
-    name = "PX4"
-    mav_autopilot = AUTOPILOT_PX4
-    quirks = ProtocolQuirks(stores_items_one_by_one=False, home_at_zero=False, reports_target_at_once=True)
-    mission_mode, circle_mode = "MISSION", "LOITER"
-    min_items = 0
-    relevant_parameters: ClassVar[Mapping[str, Mapping[float, str]]] = {
-        "FW_AIRSPD_TRIM": {},
-        "FW_AIRSPD_MIN": {},
-        "FW_AIRSPD_MAX": {},
-        "FW_R_LIM": {},
-        "NAV_LOITER_RAD": {},
-        "NAV_DLL_ACT": {
+_V1_14 = Release(1, 14)
+_PARAMETERS = (
+    Parameter("FW_AIRSPD_TRIM", Purpose.AIRSPEED),
+    Parameter("FW_AIRSPD_MIN", Purpose.AIRSPEED),
+    Parameter("FW_AIRSPD_MAX", Purpose.AIRSPEED),
+    Parameter("FW_R_LIM", Purpose.BANK_LIMIT),
+    Parameter("NAV_LOITER_RAD", Purpose.CIRCLE),
+    Parameter(
+        "NAV_DLL_ACT",
+        Purpose.GROUND_STATION,
+        notes={
             0.0: "losing the link does nothing: it circles on for ever",
             1.0: "losing the link holds the aircraft where it is",
             2.0: "losing the link holds it, then flies it home",
             3.0: "losing the link lands it",
         },
-        "COM_DL_LOSS_T": {},
-        "MIS_TKO_LAND_REQ": {},
-        "GF_ACTION": {},
-        "GF_MAX_HOR_DIST": {},
-    }
+    ),
+    Parameter("COM_DL_LOSS_T", Purpose.GROUND_STATION),
+    Parameter("MIS_TKO_LAND_REQ", Purpose.MISSION_ITEMS, since=_V1_14),
+    Parameter("GF_ACTION", Purpose.FENCE),
+    Parameter("GF_MAX_HOR_DIST", Purpose.FENCE),
+)
+
+
+@cache
+def _mavutil() -> Any:
+    """Return the module that names the modes. The import is late: it loads another dialect, and much else."""
+    from pymavlink import mavutil  # noqa: PLC0415
+
+    return mavutil
+
+
+class Px4:
+    """``Autopilot`` for PX4's fixed wings."""
+
+    name, key = "PX4", "px4"
+    mav_autopilot = int(_mav.MAV_AUTOPILOT_PX4)
+    releases = SupportedReleases(
+        _V1_14, Release(1, 18), "the choice of a mission's take-off and landing (MIS_TKO_LAND_REQ)"
+    )
+    parameters = _PARAMETERS
+    packs_integers_bytewise = True
+    quirks = ProtocolQuirks(stores_items_one_by_one=False, home_at_zero=False, reports_target_at_once=True)
+    mission_mode, circle_mode = "MISSION", "LOITER"
+    min_items = 0
+
+    def mode_name(self, base_mode: int, custom_mode: int) -> str:
+        return str(_mavutil().interpret_px4_mode(base_mode, custom_mode))
 
     def required_parameters(self, values: Mapping[str, float], airspeed_m_s: float) -> tuple[RequiredParameter, ...]:
         required_parameters = list(required_airspeed(values, "FW_AIRSPD_TRIM", airspeed_m_s))
@@ -81,8 +105,17 @@ class Px4:
             RawItem(_mav.MAV_CMD_NAV_LAND, frame, 0.0, 0.0, 0.0, nan, x, y, 0.0),
         )
 
-    def tracking(self, airspeed_m_s: float, wind: Wind) -> LineTracking:
-        return px4(airspeed_m_s, wind)
+    def tracking(self, airspeed_m_s: float, wind: Wind = STILL_AIR) -> LineTracking:
+        # A mission set current begins without a line, and NPFG turns tightly enough to orbit a waypoint too near.
+        return LineTracking(
+            airspeed_m_s,
+            wind,
+            period_s=10.0,
+            damping=0.7071,
+            switch_s=_ACCEPTANCE_M / airspeed_m_s,
+            first_s=2.5,
+            first_is_line=False,
+        )
 
     def raw(self, item: Item) -> RawItem:
         return raw_item(item)

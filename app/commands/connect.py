@@ -9,9 +9,6 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from sidelong.app.autopilots.autopilot import parameter_notes
-from sidelong.app.autopilots.parameters import read_parameters
-from sidelong.app.autopilots.queries import home_of, mode_of
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
 from sidelong.app.config import Config, load_config
 from sidelong.app.errors import InputError
@@ -22,6 +19,8 @@ from sidelong.app.flight.preflight import Check, checks
 from sidelong.app.flight.source_rates import SourceRates
 from sidelong.app.flight.source_use import describe_use
 from sidelong.app.flight.streams import ask_for_streams
+from sidelong.app.link.parameters import read_table
+from sidelong.app.link.queries import home_of, mode_of
 from sidelong.app.link.url import checked_url
 
 
@@ -101,22 +100,24 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
         rates = await sources.heard(listen_s, config.sharing)
         sources.close()
         home = await home_of(vehicle)
-        values = await read_parameters(vehicle, autopilot.relevant_parameters)
-        limits = autopilot.limits(values)
-        notes = parameter_notes(autopilot, values)
-        required_parameters = autopilot.required_parameters(values, config.aircraft.airspeed_m_s)
+        parameters = await read_table(vehicle, autopilot, session.release)
+        values, notes = parameters.values, parameters.notes()
+        required_parameters = parameters.as_on_board(
+            autopilot.required_parameters(values, config.aircraft.airspeed_m_s)
+        )
         one = Check("one vehicle", session.senders.two is None, session.senders.two or "yes")
-        found = (one, *checks(config, vehicle, limits, home, rates, required_parameters))
-        console.print(f"{autopilot.name}, system {vehicle.system_id}, mode {mode_of(vehicle)}")
+        found = (one, *checks(config, vehicle, autopilot, parameters, home, rates, required_parameters))
+        firmware = f"{autopilot.name} {session.release or ''}".strip()
+        console.print(f"{firmware}, system {vehicle.system_id}, mode {mode_of(vehicle)}")
         table = Table("requirement", "", "found", box=None, pad_edge=False)
         for check in found:
             remedy = f"; {check.remedy}" if check.remedy and not check.ready else ""
             table.add_row(check.name, "ready" if check.ready else "NOT READY", check.found + remedy)
         console.print(table)
-        parameters = Table("parameter", "value", "", box=None, pad_edge=False)
+        listed = Table("parameter", "value", "", box=None, pad_edge=False)
         for note in notes:
-            parameters.add_row(note.name, "-" if note.value is None else f"{note.value:g}", note.note)
-        console.print(parameters)
+            listed.add_row(note.name, "-" if note.value is None else f"{note.value:g}", note.note)
+        console.print(listed)
         uses: dict[str, str] = {}
         for kind in dict.fromkeys(rate.kind for rate in rates):
             of_kind = [rate for rate in rates if rate.kind == kind]
@@ -126,11 +127,12 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
                 console.print(f"{kind}: {rate}: {described[rate.source]}", soft_wrap=True)
         return {
             "autopilot": autopilot.name,
+            "release": None if session.release is None else str(session.release),
             "system_id": vehicle.system_id,
             "mode": mode_of(vehicle),
             "ready": all(check.ready for check in found),
             "checks": [asdict(check) for check in found],
             "parameters": {note.name: note.value for note in notes},
-            "limits": asdict(limits),
+            "limits": asdict(autopilot.limits(values)),
             "sources": [{**asdict(rate), "use": uses[str(rate)]} for rate in rates],
         }

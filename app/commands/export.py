@@ -26,9 +26,6 @@ from sidelong.app.records.track import Flight, Mission
 from sidelong.app.report.sources import Flown, feed, read_flight
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.upload.items import plan_items
-from sidelong.mission.upload.line_tracking import arduplane, px4
-
-_TRACKING = {"arduplane": arduplane, "px4": px4}
 
 
 def export(
@@ -159,10 +156,10 @@ def _flight(flown: Flown, context: LogContext) -> Flight:
     if history.circles:
         departed = [change.plan for change in history.plan_changes if change.departed_s is not None]
         last = departed[-1] if departed else Plan(history.circles[-1][1])
-        tracking = _TRACKING[context.autopilot](settings.aircraft.airspeed_m_s)
+        tracking = context.autopilot.tracking(settings.aircraft.airspeed_m_s)
         items = plan_items(last, history.plane, settings.aircraft.height_m, settings.planner.tolerance_m, tracking)
         fences = history.asked.keep_in, history.asked.keep_out
-        mission = Mission(items, settings.aircraft.airspeed_m_s, context.autopilot, *fences)
+        mission = Mission(items, settings.aircraft.airspeed_m_s, context.autopilot.mav_autopilot, *fences)
     return Flight(
         flown.name,
         history.plane,

@@ -22,7 +22,6 @@ from importlib.metadata import version
 
 from sidelong.app.analysis.truth import truth_if_whole
 from sidelong.app.assembly import controller_of
-from sidelong.app.autopilots.queries import is_flying
 from sidelong.app.errors import FlightError, InputError, Interrupted
 from sidelong.app.fleet.aircraft import FleetAircraft
 from sidelong.app.fleet.assembly import coordinator_of
@@ -40,6 +39,7 @@ from sidelong.app.flight.simulated import SimulatedVehicles
 from sidelong.app.link.discovery import SETTLING_S
 from sidelong.app.link.key_file import KeyInUse, key_in_use
 from sidelong.app.link.message import Message
+from sidelong.app.link.queries import is_flying
 from sidelong.app.link.raw_links import opened_url
 from sidelong.app.link.shared import sharing_opener
 from sidelong.app.link.signing import signing_time

@@ -7,7 +7,7 @@ import contextlib
 import gc
 import math
 import time
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,9 +16,8 @@ from sidelong.app.analysis.summary import Summary, SummaryCollector, summarise
 from sidelong.app.analysis.truth import Truth
 from sidelong.app.assembly import mission_controller_of, settle, winds_m_s
 from sidelong.app.autopilots.autopilot import Autopilot
-from sidelong.app.autopilots.parameters import read_parameters, temporary_parameters
-from sidelong.app.autopilots.queries import home_of, is_flying, mode_of
-from sidelong.app.autopilots.required_parameter import RequiredParameter
+from sidelong.app.autopilots.parameter import ParameterTable, RequiredParameter
+from sidelong.app.autopilots.release import Release
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.changes import MissionChanges
@@ -26,7 +25,7 @@ from sidelong.app.flight.display import FlightDisplay, Wish
 from sidelong.app.flight.loop import ControlLoop, Display, Stepped
 from sidelong.app.flight.outputs import open_beacon, outputs
 from sidelong.app.flight.point_gimbal import GimbalPointer
-from sidelong.app.flight.preflight import autopilot_of, checks
+from sidelong.app.flight.preflight import autopilot_of, check_release, checks
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.round_trip import RoundTripWatch
 from sidelong.app.flight.source_rates import SourceRates
@@ -36,6 +35,8 @@ from sidelong.app.flight.wind_tables import WindTables
 from sidelong.app.link.discovery import SETTLING_S
 from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.mavsdk_link import FrameListener, MavsdkLink
+from sidelong.app.link.parameters import read_table, temporary_parameters
+from sidelong.app.link.queries import home_of, is_flying, mode_of, release_of
 from sidelong.app.link.senders import SenderCheck
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.transport import Transport
@@ -77,6 +78,7 @@ class Session:
 
     vehicle: Vehicle
     autopilot: Autopilot
+    release: Release | None  # of its firmware; None: not reported
     telemetry: Telemetry
     senders: SenderCheck
     beside: set[asyncio.Task[None]]  # what ends with the connection
@@ -133,7 +135,11 @@ async def connected(
     try:
         if await vehicle.heard("HEARTBEAT", timeout_s) is None:
             raise InputError(f"{' and '.join(urls)}: the autopilot stopped talking; check the link.")
-        yield Session(vehicle, autopilot_of(vehicle), Telemetry(vehicle.system_id), senders, beside)
+        autopilot, release = autopilot_of(vehicle), await release_of(vehicle)
+        remark = check_release(autopilot, release)
+        if remark is not None:
+            note(f"{remark}.")
+        yield Session(vehicle, autopilot, release, Telemetry(vehicle.system_id), senders, beside)
     finally:
         with ends_within(_CLOSE_S, "closing the link"):
             await link.close()
@@ -156,6 +162,7 @@ class Flight:
         sharing: Sharing = Sharing(),
     ) -> None:
         self._vehicle, self._autopilot, self._telemetry = session.vehicle, session.autopilot, session.telemetry
+        self._release = session.release
         self._config, self._recording, self._display = config, recording, display
         self._duration_s, self._sharing = duration_s, sharing
         self._controller, self._senders = controller, session.senders
@@ -183,10 +190,12 @@ class Flight:
         # Beside one another: over a slow link each waits for its answers. Rates may be confirmed later.
         self._beside.add(asyncio.create_task(ask_for_streams(self._vehicle, few, self._terrain is not None)))
         sources = SourceRates(self._vehicle)
-        values, _ = await asyncio.gather(
-            read_parameters(self._vehicle, self._autopilot.relevant_parameters), home_of(self._vehicle)
+        parameters, _ = await asyncio.gather(
+            read_table(self._vehicle, self._autopilot, self._release), home_of(self._vehicle)
         )
-        home, required_parameters = await self._check(values, sources)
+        for sentence in parameters.missing:
+            self._display.note(sentence)
+        home, required_parameters = await self._check(parameters, sources)
         sources.close()
         self._vehicle.listeners.remove(self._telemetry.event)
         self._vehicle.listeners.remove(self._senders.message)  # from here on the control step looks
@@ -347,11 +356,12 @@ class Flight:
         return 1.0 if self._config.link.connections else self._config.simulation.speed
 
     async def _check(
-        self, values: Mapping[str, float], sources: SourceRates
+        self, parameters: ParameterTable, sources: SourceRates
     ) -> tuple[Home, tuple[RequiredParameter, ...]]:
         self._display.note("checking the vehicle and its sensors")
-        limits = self._autopilot.limits(values)
-        required_parameters = self._autopilot.required_parameters(values, self._config.aircraft.airspeed_m_s)
+        required_parameters = parameters.as_on_board(
+            self._autopilot.required_parameters(parameters.values, self._config.aircraft.airspeed_m_s)
+        )
         deadline_s, wall_s = self._telemetry.now_s + _READY_WITHIN_S, time.monotonic() + _READY_WALL_S
         while True:
             rates = await sources.heard(_LISTEN_S, self._config.sharing)
@@ -359,7 +369,7 @@ class Flight:
                 raise InputError(f"{self._senders.two}.")
             home = await home_of(self._vehicle)
             unmet = () if self._config.link.set_parameters else required_parameters
-            found = checks(self._config, self._vehicle, limits, home, rates, unmet)
+            found = checks(self._config, self._vehicle, self._autopilot, parameters, home, rates, unmet)
             flying = is_flying(self._vehicle)
             missing = [check for check in found if not (check.ready or (flying and check.before_take_off))]
             if not missing:

@@ -19,9 +19,9 @@ import signal
 from collections.abc import Callable, Iterator
 
 from sidelong.app.autopilots.autopilot import Autopilot
-from sidelong.app.autopilots.queries import mode_of
 from sidelong.app.link.message import Message
 from sidelong.app.link.modes import ARMED_FLAG
+from sidelong.app.link.queries import mode_of
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.shutdown import ends_within

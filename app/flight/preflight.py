@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sidelong.app.autopilots.autopilot import Autopilot, Limits
+from sidelong.app.autopilots.parameter import ParameterTable, Purpose, RequiredParameter
 from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
-from sidelong.app.autopilots.required_parameter import RequiredParameter
+from sidelong.app.autopilots.release import Release
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.source_rates import SourceRate
@@ -23,6 +24,7 @@ _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
 _HOME_OFF_MAX_M = 60.0  # geoid models differ by a metre, a GPS height by some, terrain data by twenty
 _TERRAIN_OFF_MAX_M = 40.0  # other posts, other sources
+_NAMED = (Purpose.GROUND_STATION, Purpose.MISSION_ITEMS)
 _SENSORS = {
     0x1: "gyroscope",
     0x2: "accelerometer",
@@ -66,10 +68,33 @@ def autopilot_of(vehicle: Vehicle) -> Autopilot:
     return autopilot
 
 
+def check_release(autopilot: Autopilot, release: Release | None) -> str | None:
+    """Return a remark on the firmware's release, None where it is one that sidelong knows.
+
+    Raises:
+        InputError: The release is older than supported.
+
+    """
+    name, supported = autopilot.name, autopilot.releases
+    oldest, newest = supported.oldest.series, supported.newest.series
+    if release is None:
+        return f"{name} did not report its release; sidelong knows {oldest} to {newest}"
+    if release < supported.oldest:
+        raise InputError(
+            f"{name} {release} is not supported: it lacks {supported.older_lack}; update it to {oldest} or later."
+        )
+    if release.of_its_series > supported.newest:
+        return (
+            f"{name} {release} is newer than {supported.newest.series}, the newest that sidelong knows; test it first"
+        )
+    return None
+
+
 def checks(
     config: Config,
     vehicle: Vehicle,
-    limits: Limits,
+    autopilot: Autopilot,
+    parameters: ParameterTable,
     home: Home | None,
     rates: tuple[SourceRate, ...],
     required_parameters: tuple[RequiredParameter, ...] = (),
@@ -82,7 +107,8 @@ def checks(
         Check("home", home is not None, "known" if home else "not known", "wait for the GPS fix that sets it"),
         _ground_check(config, home),
         *_terrain_checks(config, vehicle),
-        *_limit_checks(config, aircraft, limits),
+        *_limit_checks(config, aircraft, autopilot.limits(parameters.values), parameters),
+        *(Check(purpose, True, parameters.found_for(purpose)) for purpose in _NAMED),
         *(
             Check(need.name, False, f"{need.present:g}: {need.why}", f"set {need.value:g}, or give --set-parameters")
             for need in required_parameters
@@ -141,9 +167,11 @@ def _terrain_checks(config: Config, vehicle: Vehicle) -> tuple[Check, ...]:
     return (Check("terrain data", abs(own_m - told_m) <= _TERRAIN_OFF_MAX_M, found, remedy),)
 
 
-def _limit_checks(config: Config, aircraft: Aircraft, limits: Limits) -> tuple[Check, ...]:
+def _limit_checks(
+    config: Config, aircraft: Aircraft, limits: Limits, parameters: ParameterTable
+) -> tuple[Check, ...]:
     bank_deg = limits.bank_max_deg
-    found = "not told" if bank_deg is None else f"{bank_deg:g} degrees"
+    found = parameters.found_for(Purpose.BANK_LIMIT) if bank_deg is None else f"{bank_deg:g} degrees"
     bank = Check(
         "bank limit",
         bank_deg is None or bank_deg >= config.aircraft.bank_max_deg - 0.5,
@@ -155,7 +183,9 @@ def _limit_checks(config: Config, aircraft: Aircraft, limits: Limits) -> tuple[C
     speed = Check(
         "airspeed",
         speed_ok,
-        f"{aircraft.airspeed_m_s:g} m/s wanted, {_number(least)} to {_number(most)} m/s allowed",
+        f"{aircraft.airspeed_m_s:g} m/s wanted, {_number(least)} to {_number(most)} m/s allowed"
+        if None not in (least, most, limits.airspeed_cruise_m_s)
+        else parameters.found_for(Purpose.AIRSPEED),
         "set aircraft.airspeed_m_s within the autopilot's limits",
     )
     return (bank, speed)

@@ -73,7 +73,7 @@ def _plan(flight: Flight) -> str:
         flight.plane,
         flight.home_altitude_m or 0.0,
         mission.airspeed_m_s,
-        mission.autopilot,
+        mission.mav_autopilot,
         mission.keep_in,
         mission.keep_out,
     )

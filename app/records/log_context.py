@@ -1,4 +1,4 @@
-"""What a log tells beside the flight itself: the autopilot, the time of day, and how high home is."""
+"""What a log contains besides the flight: the autopilot, the time of day, and the altitude of home."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from statistics import median
 
+from sidelong.app.autopilots.autopilot import Autopilot
+from sidelong.app.autopilots.registry import AUTOPILOTS, autopilot_by_mav_autopilot
 from sidelong.app.link.message import Message
-from sidelong.app.link.modes import AUTOPILOT_PX4
 from sidelong.app.records.log import Log
 
 _NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})
@@ -20,21 +21,21 @@ _STAMPS = 21  # so many tell the time of day: a single one may be wrong
 class LogContext:
     """booted is when the vehicle's clock was zero, home_altitude_m is above sea level; None where unknown."""
 
-    autopilot: str = "arduplane"
+    autopilot: Autopilot = AUTOPILOTS[0]
     booted: datetime | None = None
     home_altitude_m: float | None = None
 
     @staticmethod
     def of(log: Log) -> LogContext:
         """Return what the log tells. Raises InputError when it cannot be read."""
-        autopilot, home_m, reckoned_m = "arduplane", None, None
+        autopilot, home_m, reckoned_m = AUTOPILOTS[0], None, None
         boots_s: list[float] = []
         for message in log.messages(_NAMES):
             fields = message.fields
             if message.component_id != _AUTOPILOT_COMPONENT:
                 continue
-            if message.name == "HEARTBEAT" and fields["autopilot"] == AUTOPILOT_PX4:
-                autopilot = "px4"
+            if message.name == "HEARTBEAT":
+                autopilot = autopilot_by_mav_autopilot(int(fields["autopilot"])) or autopilot
             elif message.name == "HOME_POSITION":
                 home_m = fields["altitude"] * 1e-3
             elif message.name == "GLOBAL_POSITION_INT":

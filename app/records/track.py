@@ -19,11 +19,11 @@ _RING_CORNERS = 72
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """Items without a home item, the fences (outlines in the plane), and the autopilot: ``arduplane`` or ``px4``."""
+    """Items without a home item, the fences (outlines in the plane), and the MAV_AUTOPILOT."""
 
     items: Sequence[Item]
     airspeed_m_s: float
-    autopilot: str
+    mav_autopilot: int
     keep_in: Sequence[Outline] = ()
     keep_out: Sequence[Outline] = ()
 

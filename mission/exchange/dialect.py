@@ -9,6 +9,7 @@ from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.raw_item import RawItem
 from sidelong.mission.exchange.reports import VehicleReport
 from sidelong.mission.exchange.vehicle_command import VehicleCommand
+from sidelong.mission.geometry.wind import STILL_AIR
 from sidelong.mission.upload.items import Item
 from sidelong.mission.upload.line_tracking import LineTracking
 
@@ -87,7 +88,7 @@ class AutopilotDialect(Protocol):
         """Return the items that close every mission without ever being reached."""
         ...
 
-    def tracking(self, airspeed_m_s: float, wind: Wind) -> LineTracking:
+    def tracking(self, airspeed_m_s: float, wind: Wind = STILL_AIR) -> LineTracking:
         """Return how it flies along waypoints, for laying them out."""
         ...
 

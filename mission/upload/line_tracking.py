@@ -147,29 +147,5 @@ class LineTracking:
         return self.gain_per_m(speed_m_s) * math.sin(max(-math.pi / 2, min(math.pi / 2, error_rad)))
 
 
-def arduplane(airspeed_m_s: float, wind: Wind = STILL_AIR) -> LineTracking:
-    """Return the tracking of ArduPlane's default L1 guidance.
-
-    The first waypoint counts as reached at once, a little late or early; the leg from it on is flown.
-    """
-    return LineTracking(airspeed_m_s, wind)
-
-
-def px4(airspeed_m_s: float, wind: Wind = STILL_AIR, acceptance_m: float = 10.0) -> LineTracking:
-    """Return the tracking of PX4's default NPFG guidance; acceptance_m is NAV_ACC_RAD (an item's own is not heeded).
-
-    A mission set current begins without a line, and NPFG turns tightly enough to orbit a waypoint too near to it.
-    """
-    return LineTracking(
-        airspeed_m_s,
-        wind,
-        period_s=10.0,
-        damping=0.7071,
-        switch_s=acceptance_m / airspeed_m_s,
-        first_s=2.5,
-        first_is_line=False,
-    )
-
-
 def _bearing_rad(begin: Point, end: Point) -> float:
     return math.atan2(end[0] - begin[0], end[1] - begin[1])

@@ -13,7 +13,6 @@ from sidelong.mission.upload.items import FRAME_GLOBAL, Item
 
 _ALTITUDE_MODE_RELATIVE, _ALTITUDE_MODE_ABSOLUTE = 1, 2
 _FIXED_WING = 1  # MAV_TYPE
-_FIRMWARE = {"arduplane": 3, "px4": 12}  # MAV_AUTOPILOT
 
 
 def plan_file(
@@ -21,15 +20,15 @@ def plan_file(
     plane: LocalPlane,
     home_altitude_m: float,
     airspeed_m_s: float,
-    autopilot: str,
+    mav_autopilot: int,
     keep_in: Sequence[Outline] = (),
     keep_out: Sequence[Outline] = (),
 ) -> str:
     """Return the text of a .plan file, version 1, with home at the plane's origin.
 
     ``items`` go without a home item: the file has a field of its own for it, and whoever loads it for ArduPilot puts
-    home at 0. home_altitude_m is above mean sea level; ``autopilot`` is ``arduplane`` or ``px4``; fences are outlines
-    in the plane.
+    home at 0. home_altitude_m is above mean sea level; mav_autopilot is the MAV_AUTOPILOT that flies it; fences are
+    outlines in the plane.
     """
     document = {
         "fileType": "Plan",
@@ -37,7 +36,7 @@ def plan_file(
         "groundStation": "sidelong",
         "mission": {
             "version": 2,
-            "firmwareType": _FIRMWARE[autopilot],
+            "firmwareType": mav_autopilot,
             "vehicleType": _FIXED_WING,
             "cruiseSpeed": airspeed_m_s,
             "hoverSpeed": airspeed_m_s,

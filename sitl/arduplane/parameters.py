@@ -5,7 +5,17 @@ from __future__ import annotations
 import math
 
 from sidelong.sitl.protocol.parameters import INT8, INT16, INT32, REAL32, Parameters
-from sidelong.sitl.settings import Settings
+from sidelong.sitl.settings import Release, Settings
+
+_FORMER: dict[str, tuple[Release, str, int, float]] = {  # renamed in, name before, its type and unit
+    "AIRSPEED_CRUISE": ((4, 5), "TRIM_ARSPD_CM", INT32, 0.01),
+    "AIRSPEED_MIN": ((4, 5), "ARSPD_FBW_MIN", INT16, 1.0),
+    "AIRSPEED_MAX": ((4, 5), "ARSPD_FBW_MAX", INT16, 1.0),
+    "ROLL_LIMIT_DEG": ((4, 5), "LIM_ROLL_CD", INT16, 0.01),
+    "RTL_ALTITUDE": ((4, 5), "ALT_HOLD_RTL", INT32, 0.01),
+    "MAV_GCS_SYSID": ((4, 7), "SYSID_MYGCS", INT16, 1.0),
+    "MAV_SYSID": ((4, 7), "SYSID_THISMAV", INT16, 1.0),
+}
 
 
 def arduplane_parameters(settings: Settings) -> Parameters:
@@ -34,9 +44,15 @@ def arduplane_parameters(settings: Settings) -> Parameters:
         "FENCE_ENABLE": (INT8, 0.0),
         "FENCE_ACTION": (INT8, 1.0),
         "FENCE_TOTAL": (INT8, 0.0),
+        "ARMING_MIS_ITEMS": (INT32, 0.0),
         "MIS_RESTART": (INT8, 0.0),
         "MIS_TOTAL": (INT16, 0.0),
         "RNGFND1_TYPE": (INT8, 0.0),
         "STAT_RUNTIME": (INT32, 0.0),
     }
-    return Parameters(table, bytewise=False)
+    release, former = settings.release_or_newest, {}
+    for name, (renamed_in, old_name, kind, unit) in _FORMER.items():
+        if release < renamed_in:
+            table[old_name] = (kind, table.pop(name)[1] / unit)
+            former[name] = (old_name, unit)
+    return Parameters(table, bytewise=False, former=former)

@@ -74,7 +74,6 @@ class ArduPlaneTelemetry(Telemetry):
     gps_dilution = (121, 200)
     gps_accuracy_mm = (300, 300, 0)
     home_quaternion = (NAN, NAN, NAN, NAN)
-    software = (4, 7)
     modes = Mode
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 
@@ -83,7 +82,7 @@ class ArduPlaneTelemetry(Telemetry):
         self._plane = vehicle
 
     def builders(self) -> dict[int, Builder]:
-        return super().builders() | {
+        builders = super().builders() | {
             mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
             mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission_current,
             mavlink.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: self._nav_controller_output,
@@ -93,6 +92,9 @@ class ArduPlaneTelemetry(Telemetry):
             mavlink.MAVLINK_MSG_ID_TERRAIN_REQUEST: self._terrain_request,
             mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT: self._terrain_report,
         }
+        if self._plane.release < (4, 6):  # no message of its own: it comes with each request for terrain
+            del builders[mavlink.MAVLINK_MSG_ID_TERRAIN_REPORT]
+        return builders
 
     def _sys_status(self) -> Any:
         controllers = _CONTROLLERS if self._plane.armed else 0
@@ -103,6 +105,8 @@ class ArduPlaneTelemetry(Telemetry):
 
     def _mission_current(self) -> Any:
         mission = self._plane.mission
+        if self._plane.release < (4, 5):
+            return mavlink.MAVLink_mission_current_message(mission.index)
         return mavlink.MAVLink_mission_current_message(
             mission.index,
             max(0, len(mission.items()) - 1),
@@ -145,7 +149,12 @@ class ArduPlaneTelemetry(Telemetry):
 
     def _terrain_request(self) -> Any:
         terrain = self._plane.terrain
-        return None if terrain is None else terrain.request(*self._place_deg)
+        if terrain is None:
+            return None
+        request = terrain.request(*self._place_deg)
+        if self._plane.release >= (4, 6):
+            return request
+        return [*([] if request is None else [request]), self._terrain_report()]
 
     def _terrain_report(self) -> Any:
         terrain = self._plane.terrain

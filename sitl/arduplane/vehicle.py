@@ -1,4 +1,4 @@
-"""ArduPlane 4.7 as a ground program meets it: modes, mission, commands, failsafe."""
+"""ArduPlane as a ground program meets it: modes, mission, commands, failsafe."""
 
 from __future__ import annotations
 
@@ -354,8 +354,10 @@ class ArduPlane(Autopilot):
             east_m, north_m = self.plane.east_north_m(latitude_deg, longitude_deg)
         self.set_mode(Mode.GUIDED)
         # The sign of the radius says nothing; param 4 turns the flight round. Without a usable radius the last stays.
-        clockwise = command.number(4) == 0.0
-        radius_m = command.number(3)
+        # Releases before 4.5 take NaN for counter-clockwise, those before 4.4 have no radius of its own.
+        direction = command.number(4) if self.release >= (4, 5) else command.param(4)
+        clockwise = direction == 0.0
+        radius_m = command.number(3) if self.release >= (4, 4) else 0.0
         if radius_m > 0.0:
             self._guided_radius_m = float(math.floor(radius_m))
         else:

@@ -26,6 +26,7 @@ _FLAGS = {
     | mavlink.GIMBAL_DEVICE_FLAGS_YAW_LOCK
     | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_EARTH_FRAME,
     GimbalFrame.VEHICLE: _LOCKED | mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME,
+    GimbalFrame.UNNAMED: _LOCKED,
 }
 
 
@@ -142,7 +143,7 @@ class Payload:
 
     def _gimbal_message(self, boot_ms: int, pitch_rad: float, yaw_rad: float, heading_rad: float) -> Any:
         settings = self._settings
-        if settings.gimbal_frame == GimbalFrame.VEHICLE:
+        if settings.gimbal_frame != GimbalFrame.EARTH:
             yaw_rad -= heading_rad
         return mavlink.MAVLink_gimbal_device_attitude_status_message(
             0,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -23,26 +24,42 @@ _TYPE_MISMATCH = 7  # MAV_PARAM_ERROR
 class Parameters:
     """Values by name, each with the MAVLink type the real autopilot gives it.
 
-    bytewise: PX4 sends an integer's bytes in the float field, ArduPilot its value as a float. PX4 also tells by
-    PARAM_ERROR what is wrong with a request; ArduPilot says nothing.
+    Args:
+        table: MAVLink type and value of each name.
+        bytewise: PX4 sends an integer's bytes in the float field, ArduPilot its value as a float.
+        reports_errors: Whether PARAM_ERROR answers a request that is wrong.
+        former: Name and unit, in those of the newest release, of the parameters that this release names otherwise.
+
     """
 
-    def __init__(self, table: dict[str, tuple[int, float]], bytewise: bool) -> None:
+    def __init__(
+        self,
+        table: dict[str, tuple[int, float]],
+        bytewise: bool,
+        reports_errors: bool = False,
+        former: Mapping[str, tuple[str, float]] = MappingProxyType({}),
+    ) -> None:
         self._kinds = {name: kind for name, (kind, _) in table.items()}
         self._values = {name: value for name, (_, value) in table.items()}
         self._names = sorted(table)
-        self._bytewise = bytewise
+        self._bytewise, self._reports_errors, self._former = bytewise, reports_errors, former
         self.on_change: Callable[[str, float], None] = lambda _name, _value: None
 
     def __getitem__(self, name: str) -> float:
-        return self._values[name]
+        own, unit = self._former.get(name, (name, 1.0))
+        return self._values[own] * unit
+
+    def __contains__(self, name: str) -> bool:
+        return self._former.get(name, (name, 1.0))[0] in self._values
 
     def within(self, name: str, least: float, greatest: float) -> float:
         """Return a value as the airframe can bear it, whatever a station has set."""
-        return max(least, min(greatest, self._values[name]))
+        return max(least, min(greatest, self[name]))
 
     def set(self, name: str, value: float) -> None:
-        """Set a known parameter; KeyError if there is none of that name."""
+        """Set a known parameter, by its own name or by that of the newest release; KeyError if there is none."""
+        name, unit = self._former.get(name, (name, 1.0))
+        value /= unit
         if name not in self._values:
             raise KeyError(name)
         self._values[name] = value if self._kinds[name] == REAL32 else float(round(value))
@@ -76,7 +93,7 @@ class Parameters:
                     radio.broadcast(self._value_message(name, self._index(name)))
 
     def _refuse(self, station: Station, message: Any, radio: Radio, index: int, error: int) -> None:
-        if self._bytewise:
+        if self._reports_errors:
             asker = (message.get_srcSystem(), message.get_srcComponent())
             radio.send(station, mavlink.MAVLink_param_error_message(*asker, message.param_id.encode(), index, error))
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Protocol
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.settings import Home, Settings
+from sidelong.sitl.settings import Home, Release, Settings
 from sidelong.sitl.world.airframe import GRAVITY_M_S2, Airframe
 from sidelong.sitl.world.geodesy import HomePlane
 
@@ -43,6 +43,8 @@ class Reported(Protocol):
     def home(self) -> Home: ...
     @property
     def plane(self) -> HomePlane: ...
+    @property
+    def release(self) -> Release: ...
     @property
     def system_id(self) -> int: ...
     @property
@@ -78,7 +80,6 @@ class Telemetry:
     gps_dilution: ClassVar[tuple[int, int]]  # horizontal, vertical, times 100
     gps_accuracy_mm: ClassVar[tuple[int, int, int]]  # horizontal, vertical, speed
     home_quaternion: ClassVar[tuple[float, float, float, float]]
-    software: ClassVar[tuple[int, int]]
     parameter_capability: ClassVar[int]
     modes: ClassVar[type[IntEnum]]
     standard_modes: ClassVar[Mapping[int, int]] = {}  # MAV_STANDARD_MODE, where it is one
@@ -312,8 +313,9 @@ class Telemetry:
             | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
             | mavlink.MAV_PROTOCOL_CAPABILITY_FTP
         )
-        major, minor = self.software
+        major, minor = self._vehicle.release
+        version = major << 24 | minor << 16 | mavlink.FIRMWARE_VERSION_TYPE_OFFICIAL
         unnamed = [0] * 8
         return mavlink.MAVLink_autopilot_version_message(
-            capabilities, major << 24 | minor << 16, 0, 0, 0, unnamed, unnamed, unnamed, 0, 0, self._vehicle.system_id
+            capabilities, version, 0, 0, 0, unnamed, unnamed, unnamed, 0, 0, self._vehicle.system_id
         )

@@ -65,6 +65,7 @@ class ProtocolQuirks:
     timeout_result: int | None
     timeout_severity: int
     timeout_text: str
+    names_lists: bool = True  # by a checksum in acknowledgements and counts, where the store has one
 
 
 @dataclass(slots=True)
@@ -256,7 +257,7 @@ class Transfer:
         count = len(self.store.items())
         if self._quirks.reads_in_order:
             self._downloads[station] = _Download(sender, count, 0, now_s)
-        self._radio.send(station, mission_count(sender, count, self.mission_type, self.store.opaque_id() or 0))
+        self._radio.send(station, mission_count(sender, count, self.mission_type, self._list_id()))
 
     def _on_request(self, station: Station, sender: tuple[int, int], message: Any) -> None:
         if self._upload is not None:
@@ -310,6 +311,9 @@ class Transfer:
     def _acknowledge(
         self, station: Station, sender: tuple[int, int], result: int, opaque_id: int | None = None
     ) -> None:
-        if opaque_id is None:
-            opaque_id = self.store.opaque_id()
-        self._radio.send(station, mission_ack(sender, result, self.mission_type, opaque_id or 0))
+        named = self._quirks.names_lists
+        list_id = opaque_id if named and opaque_id is not None else self._list_id()
+        self._radio.send(station, mission_ack(sender, result, self.mission_type, list_id))
+
+    def _list_id(self) -> int:
+        return (self.store.opaque_id() or 0) if self._quirks.names_lists else 0

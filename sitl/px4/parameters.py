@@ -36,4 +36,7 @@ def px4_parameters(settings: Settings) -> Parameters:
         "MAV_SYS_ID": (INT32, settings.system_id),
         "MAV_TYPE": (INT32, 1),
     }
-    return Parameters(table, bytewise=True)
+    release = settings.release_or_newest
+    if release < (1, 14):
+        del table["MIS_TKO_LAND_REQ"]
+    return Parameters(table, bytewise=True, reports_errors=release >= (1, 18))

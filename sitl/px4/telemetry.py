@@ -77,7 +77,6 @@ class Px4Telemetry(Telemetry):
     gps_dilution = (70, 110)
     gps_accuracy_mm = (900, 1780, 400)
     home_quaternion = (1.0, 0.0, 0.0, 0.0)
-    software = (1, 17)
     modes = Mode
     standard_modes = _STANDARD_MODES
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
@@ -88,7 +87,7 @@ class Px4Telemetry(Telemetry):
         self._pings = 0
 
     def builders(self) -> dict[int, Builder]:
-        return super().builders() | {
+        builders = super().builders() | {
             mavlink.MAVLINK_MSG_ID_SYS_STATUS: self._sys_status,
             mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: self._mission_current,
             mavlink.MAVLINK_MSG_ID_ORBIT_EXECUTION_STATUS: self._orbit_status,
@@ -101,6 +100,9 @@ class Px4Telemetry(Telemetry):
             mavlink.MAVLINK_MSG_ID_ALTITUDE: self._altitude,
             mavlink.MAVLINK_MSG_ID_ODOMETRY: self._odometry,
         }
+        if self._px4.release < (1, 15):
+            del builders[mavlink.MAVLINK_MSG_ID_CURRENT_MODE]
+        return builders
 
     def _sys_status(self) -> Any:
         healthy = _HEALTHY if self._px4.ready else _HEALTHY_BEFORE_READY
@@ -110,11 +112,13 @@ class Px4Telemetry(Telemetry):
 
     def _mission_current(self) -> Any:
         px4 = self._px4
+        if px4.release < (1, 15):
+            return mavlink.MAVLink_mission_current_message(px4.mission.index)
         fence_id, rally_id = (px4.transfers[kind].store.opaque_id() or 0 for kind in px4.mission_types[1:])
         base = mavlink.MAVLink_mission_current_message(
             px4.mission.index,
             len(px4.mission.items()) or 65535,
-            px4.mission_state,
+            px4.mission_state if px4.release >= (1, 17) else mavlink.MISSION_STATE_UNKNOWN,
             1 if px4.mode == Mode.MISSION else 2,
         )
         return mission_current(base, px4.mission.mission_id, fence_id, rally_id)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -275,9 +276,18 @@ class Px4(Autopilot):
             self.say(mavlink.MAV_SEVERITY_CRITICAL, "No valid mission available, loitering\t")
             self.set_mode(Mode.HOLD)
 
+    @property
+    def quirks_of_release(self) -> ProtocolQuirks:
+        return replace(self.quirks, names_lists=self.release >= (1, 15))
+
+    @property
+    def _take_off_and_landing(self) -> int:
+        """What a mission has to have, as MIS_TKO_LAND_REQ counts it; releases before 1.14 ask for nothing."""
+        return int(self.parameters["MIS_TKO_LAND_REQ"]) if "MIS_TKO_LAND_REQ" in self.parameters else 0
+
     def _check_mission(self, was_rejected: bool) -> None:
         self._refusal = refusal(
-            self.mission.items(), self.home, int(self.parameters["MIS_TKO_LAND_REQ"]), self.parameters["FW_LND_ANG"]
+            self.mission.items(), self.home, self._take_off_and_landing, self.parameters["FW_LND_ANG"]
         )
         if self._refusal is not None and self.mission.items():
             self.say(mavlink.MAV_SEVERITY_CRITICAL, f"{self._refusal}\t")

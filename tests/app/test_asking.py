@@ -10,16 +10,19 @@ from collections import Counter
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.autopilots.parameters import read_parameters
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.flight.streams import ask_for_streams, is_slow
 from sidelong.app.link.message import Message
+from sidelong.app.link.parameters import read_parameters
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.sitl.settings import Flavour, Settings
 from sidelong.sitl.simulation import Simulation
 
 OURS = (245, 190)
-NAMES = {Flavour(one.name.lower()): list(one.relevant_parameters) for one in AUTOPILOTS}
+NAMES = {
+    Flavour(one.key): [parameter.name for parameter in one.parameters if parameter.is_in(one.releases.newest)]
+    for one in AUTOPILOTS
+}
 
 
 class LossyLink:
@@ -88,8 +91,8 @@ def asked(flavour, loss, ask):
 @pytest.mark.parametrize("flavour", list(Flavour))
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 def test_all_parameters_are_read_at_once_and_those_that_are_lost_again(flavour, loss, monkeypatch):
-    monkeypatch.setattr("sidelong.app.autopilots.parameters._ANSWER_S", 0.01)
-    monkeypatch.setattr("sidelong.app.autopilots.parameters._IDLE_S", 0.2)
+    monkeypatch.setattr("sidelong.app.link.parameters._ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.link.parameters._IDLE_S", 0.2)
     names = NAMES[flavour]
     values, simulation, link = asked(flavour, loss, lambda vehicle: read_parameters(vehicle, [*names, "NO_SUCH"]))
     assert values == {name: simulation.vehicle.parameters[name] for name in names}
@@ -98,7 +101,7 @@ def test_all_parameters_are_read_at_once_and_those_that_are_lost_again(flavour, 
 
 
 def test_a_whole_number_that_looks_like_no_number_is_read_another_way(monkeypatch):
-    monkeypatch.setattr("sidelong.app.autopilots.parameters._ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.link.parameters._ANSWER_S", 0.01)
 
     async def ask(vehicle):
         vehicle.link._simulation.vehicle.parameters.set("NAV_DLL_ACT", -1)

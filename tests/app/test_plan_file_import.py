@@ -40,10 +40,13 @@ async def imported(autopilot: str, text: str, truth: Path):
             instance.destroy()
 
 
+MAV_AUTOPILOT = {"arduplane": 3, "px4": 12}
+
+
 @pytest.mark.udp
 @pytest.mark.parametrize("autopilot", ["px4", "arduplane"])
 def test_mavsdk_reads_the_items_back(autopilot: str, tmp_path: Path) -> None:
-    text = plan_file(items(), PLANE, 430.0, 15.0, autopilot, [OUTLINE])
+    text = plan_file(items(), PLANE, 430.0, 15.0, MAV_AUTOPILOT[autopilot], [OUTLINE])
     data = asyncio.run(imported(autopilot, text, tmp_path / "truth.csv"))
     read = data.mission_items
     if autopilot == "arduplane":  # the importer puts home first, as ArduPilot wants it

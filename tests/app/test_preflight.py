@@ -3,6 +3,7 @@
 import pytest
 
 from sidelong.app.autopilots.arduplane import ArduPlane
+from sidelong.app.autopilots.parameter import ParameterTable
 from sidelong.app.autopilots.px4 import Px4
 from sidelong.app.config import Config
 from sidelong.app.flight.preflight import checks
@@ -11,6 +12,7 @@ from sidelong.app.link.message import Message
 from sidelong.estimators.sensing.readings import Source
 
 GOOD_ARDUPLANE = {"AIRSPEED_CRUISE": 15.0}
+NOTHING_READ = ParameterTable((), None, {})
 GOOD_PX4 = {"FW_AIRSPD_TRIM": 15.0, "NAV_DLL_ACT": 0.0, "MIS_TKO_LAND_REQ": 2.0}
 
 
@@ -32,6 +34,7 @@ def test_good_parameters_need_nothing():
     ("autopilot", "name", "present", "wanted"),
     [
         (ArduPlane(), "AIRSPEED_CRUISE", 22.0, 15.0),
+        (ArduPlane(), "ARMING_MIS_ITEMS", 9.0, 8.0),
         (Px4(), "FW_AIRSPD_TRIM", 12.0, 15.0),
         (Px4(), "NAV_DLL_ACT", 5.0, 0.0),
         (Px4(), "MIS_TKO_LAND_REQ", 4.0, 2.0),
@@ -40,8 +43,7 @@ def test_good_parameters_need_nothing():
 def test_what_stands_in_the_way_is_named_with_its_remedy(autopilot, name, present, wanted):
     (need,) = autopilot.required_parameters(GOOD_ARDUPLANE | GOOD_PX4 | {name: present}, 15.0)
     assert (need.name, need.present, need.value) == (name, present, wanted)
-    limits = type("Limits", (), dict.fromkeys(("bank_max_deg", "airspeed_min_m_s", "airspeed_max_m_s")))
-    found = checks(Config(), Silent(), limits, None, (), (need,))
+    found = checks(Config(), Silent(), autopilot, NOTHING_READ, None, (), (need,))
     (check,) = (check for check in found if check.name == name)
     assert not check.ready
     assert "--set-parameters" in str(check)
@@ -54,8 +56,11 @@ def test_an_unhealthy_sensor_is_named():
         "onboard_control_sensors_enabled": used,
         "onboard_control_sensors_health": used & ~compass,
     }
-    limits = type("Limits", (), dict.fromkeys(("bank_max_deg", "airspeed_min_m_s", "airspeed_max_m_s")))
-    (health,) = (c for c in checks(Config(), Silent(SYS_STATUS=fields), limits, None, ()) if c.name == "health")
+    (health,) = (
+        c
+        for c in checks(Config(), Silent(SYS_STATUS=fields), ArduPlane(), NOTHING_READ, None, ())
+        if c.name == "health"
+    )
     assert not health.ready
     assert "compass" in health.found
 
@@ -82,6 +87,5 @@ LISTENING = {"sharing": {"beacon": "udp://0.0.0.0:6969"}}
     ],
 )
 def test_laser_and_gimbal_are_asked_for_unless_somebody_else_tells_the_place(configured, rates, missing):
-    limits = type("Limits", (), dict.fromkeys(("bank_max_deg", "airspeed_min_m_s", "airspeed_max_m_s")))
-    found = checks(Config.model_validate(configured), Silent(), limits, None, rates)
+    found = checks(Config.model_validate(configured), Silent(), Px4(), NOTHING_READ, None, rates)
     assert [check.name for check in found if "source" in check.name and not check.ready] == missing

@@ -6,17 +6,21 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from sidelong.app.autopilots.arduplane import ArduPlane
+from sidelong.app.autopilots.px4 import Px4
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.transition import abcd
 from sidelong.mission.paper.stretched_lap import stretched_lap
-from sidelong.mission.upload.line_tracking import LineTracking, arduplane, px4
+from sidelong.mission.upload.line_tracking import LineTracking
 from sidelong.mission.upload.waypoints import lay_out
 from sidelong.sitl.arduplane.guidance import L1Guidance
 from sidelong.sitl.px4.pathfollowing import PathFollower
 from sidelong.sitl.world.airframe import Airframe, AirframeParameters
 from sidelong.sitl.world.airframe import Wind as Air
+
+arduplane, px4 = ArduPlane().tracking, Px4().tracking
 
 _STEP_S = 0.02
 NAV_ACC_RAD_M = 10.0

@@ -2,6 +2,8 @@ import math
 
 import pytest
 
+from sidelong.app.autopilots.arduplane import ArduPlane
+from sidelong.app.autopilots.px4 import Px4
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import Plan
@@ -14,7 +16,8 @@ from sidelong.mission.upload.items import (
     circle_item,
     plan_items,
 )
-from sidelong.mission.upload.line_tracking import arduplane, px4
+
+arduplane, px4 = ArduPlane().tracking, Px4().tracking
 
 PLANE = LocalPlane(47.0, 8.5)
 PRESENT, NEW = Circle(0.0, 100.0, 65.0, True), Circle(430.0, 100.0, 65.0, True)
@@ -45,7 +48,10 @@ def test_a_transition_is_a_few_waypoints_and_the_circle_that_needs_no_one() -> N
 
 def test_arduplane_reaches_the_first_waypoint_at_the_departure_and_px4_can_still_turn_to_it() -> None:
     path = abcd(PRESENT, NEW)
-    for tracking, min_m, max_m in ((arduplane(15.0), 0.0, arduplane(15.0).switch_m), (px4(15.0), 30.0, 45.0)):
+    for tracking, min_m, max_m in (
+        (arduplane(15.0), 0.0, arduplane(15.0).switch_m),
+        (px4(15.0), 30.0, 45.0),
+    ):
         first = plan_items(Plan(NEW, path), PLANE, 80.0, 15.0, tracking)[0]
         first_m = PLANE.east_north_m(first.latitude_deg, first.longitude_deg)
         assert min_m < math.dist(first_m, (path.east_m[0], path.north_m[0])) < max_m

@@ -24,7 +24,7 @@ KEEP_OUT = [[(300.0, 300.0), (350.0, 300.0), (325.0, 350.0)]]
 
 def test_it_is_a_plan_of_the_published_form() -> None:
     """The keys and versions are those of QGroundControl's description of the format."""
-    plan = json.loads(plan_file(ITEMS, PLANE, 430.0, 15.0, "px4", KEEP_IN, KEEP_OUT))
+    plan = json.loads(plan_file(ITEMS, PLANE, 430.0, 15.0, 12, KEEP_IN, KEEP_OUT))
     assert (plan["fileType"], plan["version"]) == ("Plan", 1)
     assert set(plan) == {"fileType", "version", "groundStation", "mission", "geoFence", "rallyPoints"}
     mission = plan["mission"]
@@ -94,7 +94,7 @@ class PublishedPlan(Strict):
 
 
 def test_its_items_are_the_missions() -> None:
-    written = json.loads(plan_file(ITEMS, PLANE, 430.0, 15.0, "arduplane"))["mission"]["items"]
+    written = json.loads(plan_file(ITEMS, PLANE, 430.0, 15.0, 3))["mission"]["items"]
     assert [item["doJumpId"] for item in written] == list(range(1, len(ITEMS) + 1))
     for item, record in zip(ITEMS, written, strict=True):
         assert (record["type"], record["command"], record["frame"]) == ("SimpleItem", item.command, item.frame)
@@ -104,5 +104,5 @@ def test_its_items_are_the_missions() -> None:
 
 def test_an_unused_parameter_is_null() -> None:
     item = replace(circle_item(NEW, PLANE, 80.0), param4=math.nan)
-    written = json.loads(plan_file([item], PLANE, 430.0, 15.0, "px4"))["mission"]["items"]
+    written = json.loads(plan_file([item], PLANE, 430.0, 15.0, 12))["mission"]["items"]
     assert written[0]["params"][:4] == [0.0, 0.0, -65.0, None]

@@ -5,13 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sidelong.app.autopilots.arduplane import ArduPlane
+from sidelong.app.autopilots.px4 import Px4
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.transition import abcd
 from sidelong.mission.paper.stretched_lap import stretched_lap
-from sidelong.mission.upload.line_tracking import LineTracking, arduplane, px4
+from sidelong.mission.upload.line_tracking import LineTracking
 from sidelong.mission.upload.waypoints import lay_out
+
+arduplane, px4 = ArduPlane().tracking, Px4().tracking
 
 CIRCLE, FAR = Circle(0.0, 0.0, 65.0, True), Circle(420.0, 0.0, 65.0, True)
 TRACKINGS = {"arduplane": arduplane, "px4": px4}
@@ -154,8 +158,10 @@ def test_a_late_or_early_switch_and_a_guidance_tuned_otherwise_do_little_harm() 
         assert max_distance_m(fly(tracking, path, layout.waypoints, FAR), path, FAR) <= 20.0
     for beyond_rad in (-15.0 / 65.0, 15.0 / 65.0):
         course_rad = float(path.course_rad[0]) + beyond_rad
-        flown = arduplane(15.0).fly(
-            CIRCLE.position_at_course(course_rad), course_rad, 1.0 / 65.0, layout.waypoints, FAR, 55.0
+        flown = (
+            ArduPlane()
+            .tracking(15.0)
+            .fly(CIRCLE.position_at_course(course_rad), course_rad, 1.0 / 65.0, layout.waypoints, FAR, 55.0)
         )
         after_s = flown[:, 0] > 4.0
         assert max_distance_m(flown[after_s], path, FAR) <= 20.0

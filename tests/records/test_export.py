@@ -37,7 +37,7 @@ FLIGHT = Flight(
     mission=Mission(
         [circle_item(circle, PLANE, 120.0) for _, circle in CIRCLES],
         airspeed_m_s=15.0,
-        autopilot="px4",
+        mav_autopilot=12,
         keep_in=[[(-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.0, 900.0)]],
     ),
     booted=datetime(2026, 11, 21, 9, 0, 0, tzinfo=UTC),

@@ -8,14 +8,30 @@ import struct
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from typing import Any
 
-from sidelong.app.autopilots.required_parameter import RequiredParameter
+from sidelong.app.autopilots.autopilot import Autopilot
+from sidelong.app.autopilots.parameter import ParameterTable, RequiredParameter
+from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
+from sidelong.app.autopilots.release import Release
 from sidelong.app.errors import InputError
-from sidelong.app.link.modes import AUTOPILOT_PX4
 from sidelong.app.link.vehicle import Vehicle
 
 _ANSWER_S = 0.8  # since the last answer; then those that are missing are asked for again
 _IDLE_S, _IDLE_ROUNDS = 1.6, 2  # so long, and so often, without an answer: there is none of that name
 _REAL32 = 9  # MAV_PARAM_TYPE
+
+
+async def read_table(vehicle: Vehicle, autopilot: Autopilot, release: Release | None) -> ParameterTable:
+    """Return the parameters that matter for a mission.
+
+    A parameter that does not answer under its name in ``release`` is requested under the names of other releases too.
+    """
+    names = [one.name for one in autopilot.parameters if one.is_in(release)]
+    read = await read_parameters(vehicle, names)
+    lacking = {one.known_as for one in autopilot.parameters if one.name in names and one.name not in read}
+    others = [one.name for one in autopilot.parameters if one.known_as in lacking and one.name not in names]
+    if others:
+        read |= await read_parameters(vehicle, others)
+    return ParameterTable(autopilot.parameters, release, read)
 
 
 async def read_parameters(vehicle: Vehicle, names: Iterable[str]) -> dict[str, float]:
@@ -26,7 +42,8 @@ async def read_parameters(vehicle: Vehicle, names: Iterable[str]) -> dict[str, f
     """
     wanted = list(names)
     values: dict[str, float | None] = {}
-    bytewise = int(vehicle.latest["HEARTBEAT"].fields["autopilot"]) == AUTOPILOT_PX4
+    autopilot = autopilot_by_mav_autopilot(int(vehicle.latest["HEARTBEAT"].fields["autopilot"]))
+    bytewise = autopilot is not None and autopilot.packs_integers_bytewise
     with vehicle.hearing("PARAM_VALUE") as answers:
         idle_s, idle_rounds = 0.0, 0
         while missing := [name for name in wanted if name not in values]:

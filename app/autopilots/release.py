@@ -1,0 +1,48 @@
+"""Releases of an autopilot's firmware, as AUTOPILOT_VERSION reports them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+_STAGES = {0: "dev", 64: "alpha", 128: "beta", 192: "rc"}  # FIRMWARE_VERSION_TYPE; 255: official
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Release:
+    """A firmware release.
+
+    Attributes:
+        major: First number.
+        minor: Second number.
+        patch: Third number.
+        stage: dev, alpha, beta or rc; "" for an official release. Releases are compared without it.
+
+    """
+
+    major: int
+    minor: int
+    patch: int = 0
+    stage: str = field(default="", compare=False)
+
+    def __str__(self) -> str:
+        return f"{self.major}.{self.minor}.{self.patch}" + (f"-{self.stage}" if self.stage else "")
+
+    @property
+    def series(self) -> str:
+        """Major and minor number, such as ``4.6``."""
+        return f"{self.major}.{self.minor}"
+
+    @property
+    def of_its_series(self) -> Release:
+        """The first release of the same series."""
+        return Release(self.major, self.minor)
+
+
+def release_in(fields: Mapping[str, Any]) -> Release | None:
+    """Return the release that the fields of an AUTOPILOT_VERSION name, None where the autopilot leaves it at 0."""
+    version = int(fields["flight_sw_version"])
+    if not version >> 8:
+        return None
+    return Release(version >> 24, version >> 16 & 0xFF, version >> 8 & 0xFF, _STAGES.get(version & 0xFF, ""))

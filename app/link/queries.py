@@ -1,0 +1,57 @@
+"""What the vehicle reports of itself: mode, whether it flies, home, firmware release."""
+
+from __future__ import annotations
+
+import asyncio
+
+from sidelong.app.autopilots.release import Release, release_in
+from sidelong.app.link.message import Message
+from sidelong.app.link.modes import ARMED_FLAG, mode_name
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.mission.exchange.dialect import Home
+
+_FLYING_HEIGHT_M = 25.0
+_ANSWER_S, _TRIES = 0.8, 3
+_REQUEST_MESSAGE, _HOME_POSITION_ID, _AUTOPILOT_VERSION_ID = 512, 242, 148
+
+
+def mode_of(vehicle: Vehicle) -> str:
+    """Return the name of the flight mode in the vehicle's last HEARTBEAT or CURRENT_MODE."""
+    heartbeat, current = vehicle.latest["HEARTBEAT"], vehicle.latest.get("CURRENT_MODE")
+    newer = current if current is not None and current.received_s > heartbeat.received_s else heartbeat
+    fields = heartbeat.fields
+    return mode_name(int(fields["autopilot"]), int(fields["base_mode"]), int(newer.fields["custom_mode"]))
+
+
+def is_flying(vehicle: Vehicle) -> bool:
+    """Return whether the vehicle is armed and well above its home."""
+    armed = int(vehicle.latest["HEARTBEAT"].fields["base_mode"]) & ARMED_FLAG
+    position = vehicle.latest.get("GLOBAL_POSITION_INT")
+    return bool(armed) and position is not None and position.fields["relative_alt"] * 1e-3 > _FLYING_HEIGHT_M
+
+
+async def home_of(vehicle: Vehicle) -> Home | None:
+    """Return the vehicle's home, requesting it if it was not reported yet."""
+    message = await _requested(vehicle, "HOME_POSITION", _HOME_POSITION_ID)
+    if message is None:
+        return None
+    fields = message.fields
+    return Home(fields["latitude"] * 1e-7, fields["longitude"] * 1e-7, fields["altitude"] * 1e-3)
+
+
+async def release_of(vehicle: Vehicle) -> Release | None:
+    """Return the vehicle's firmware release, None if it does not report it."""
+    message = await _requested(vehicle, "AUTOPILOT_VERSION", _AUTOPILOT_VERSION_ID)
+    return None if message is None else release_in(message.fields)
+
+
+async def _requested(vehicle: Vehicle, name: str, message_id: int) -> Message | None:
+    request = {"command": _REQUEST_MESSAGE, "confirmation": 0, "param1": float(message_id)}
+    request |= {f"param{i}": 0.0 for i in range(2, 8)}
+    for _ in range(_TRIES):
+        if name in vehicle.latest:
+            break
+        waiting = asyncio.ensure_future(vehicle.heard(name, vehicle.answer_s(_ANSWER_S)))
+        await vehicle.tell("COMMAND_LONG", request)
+        await waiting
+    return vehicle.latest.get(name)
