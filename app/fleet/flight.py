@@ -46,6 +46,7 @@ from sidelong.app.link.signing import signing_time
 from sidelong.app.link.transport import Transport
 from sidelong.app.records.journal import Header, JournalWriter
 from sidelong.app.records.run_folder import FleetFolder
+from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.requirement import Side
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 
@@ -262,6 +263,12 @@ class FleetFlight:
         own_ids = {one.session.vehicle.system_id for one in self._aircraft}
         foreign = ForeignAircraft(first.plane, home_m, own_ids, lambda: coordination.now_s)
 
+        def given_up(one: FleetAircraft, message: Message) -> None:
+            if one.controller.phase is Phase.YIELDED:
+                report = foreign.report(message, one.name)
+                if report is not None:
+                    coordination.foreign(report)
+
         def bystander(message: Message) -> None:
             report = foreign.report(message)
             if report is not None:
@@ -283,6 +290,7 @@ class FleetFlight:
                 )
             )
             vehicle.bystanders.append(bystander)
+            vehicle.listeners.append(lambda message, one=one: given_up(one, message))  # type: ignore[misc]
             vehicle.listeners.append(lambda message, name=one.name: coordination.message(name, message))  # type: ignore[misc]
         flights: list[asyncio.Task[None]] = []
         clocks = [asyncio.create_task(coordination.keep_time()), asyncio.create_task(self._until_over(coordination))]

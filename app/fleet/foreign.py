@@ -29,16 +29,23 @@ class ForeignAircraft:
         self._own_ids, self._now_s = own_ids, now_s
         self._told_s: dict[str, float] = {}
 
-    def report(self, message: Message) -> ForeignAircraftReported | None:
-        """Return the aircraft that a message tells of; None where it tells of none, or it was told just now."""
+    def report(self, message: Message, member: str = "") -> ForeignAircraftReported | None:
+        """Return the aircraft that a message reports, None where it reports none or did so within the last second.
+
+        Args:
+            message: A message of any sender.
+            member: Name of the fleet's aircraft that sent it, if this program has yielded it.
+
+        """
         fields, now_s = message.fields, self._now_s()
         if message.name == "GLOBAL_POSITION_INT":
-            if message.system_id in self._own_ids or message.component_id != AUTOPILOT_COMPONENT:
+            own = message.system_id in self._own_ids and not member
+            if own or message.component_id != AUTOPILOT_COMPONENT:
                 return None
-            identity, altitude_mm = f"system {message.system_id}", fields["alt"]
+            identity, altitude_mm = member or f"system {message.system_id}", fields["alt"]
             velocity = fields["vy"] * 1e-2, fields["vx"] * 1e-2
             course_rad, speed_m_s = math.atan2(*velocity), math.hypot(*velocity)
-        elif message.name == "ADSB_VEHICLE":
+        elif message.name == "ADSB_VEHICLE" and not member:
             flags, needed = int(fields["flags"]), _COORDINATES | _ALTITUDE
             if flags & needed != needed:
                 return None
@@ -55,4 +62,5 @@ class ForeignAircraft:
             return None
         self._told_s[identity] = now_s
         height_m = altitude_mm * 1e-3 - self._home_altitude_m
-        return ForeignAircraftReported(identity, now_s, east_m, north_m, height_m, course_rad, speed_m_s)
+        flown = east_m, north_m, height_m, course_rad, speed_m_s
+        return ForeignAircraftReported(identity, now_s, *flown, member=bool(member))

@@ -34,7 +34,7 @@ def advice_to(
             one.member.name, shifted_state(one.report.state, by_s), one.report.height_m, True, one.target, one.role
         )
         for one in fleet
-        if one is not vehicle and one.report is not None
+        if one is not vehicle and one.report is not None and not one.yielded
     ]
     return FleetAdvice(
         now_s + by_s,

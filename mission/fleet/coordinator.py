@@ -190,7 +190,7 @@ class FleetCoordinator:
             case BatteryReported():
                 self._vehicles[event.name].remaining = event.remaining
             case VehicleLost():
-                self._lost(self._vehicles[event.name], event.reason)
+                self._lost(self._vehicles[event.name], event.reason, event.yielded)
             case ForeignAircraftReported():
                 self._foreign[event.identity] = event
             case ReliefRequested():
@@ -238,7 +238,7 @@ class FleetCoordinator:
         if event.watching:
             vehicle.since_s = min(vehicle.since_s, vehicle.report.time_s)
         if vehicle.lost and event.watching:
-            vehicle.lost = ""
+            vehicle.lost, vehicle.yielded = "", False
             self._asked.discard(f"{event.name} is out")
             self._say(event.name, "is back")
         if before is None:
@@ -285,9 +285,9 @@ class FleetCoordinator:
             vehicle.watches, vehicle.nearer = nearest, ("", 0)
             self._say(vehicle.member.name, f"its payload sees {nearest}")
 
-    def _lost(self, vehicle: FleetVehicle, reason: str) -> None:
+    def _lost(self, vehicle: FleetVehicle, reason: str, yielded: bool = False) -> None:
         if not vehicle.lost:
-            vehicle.lost = reason
+            vehicle.lost, vehicle.yielded = reason, yielded
             self._say(vehicle.member.name, f"is out: {reason}")
             self._next_s = -math.inf  # the others close the gap at once
             if not any(one.takes_part for one in self._vehicles.values() if one.target == vehicle.target):

@@ -76,17 +76,21 @@ class BatteryReported:
 class VehicleLost:
     """The link, the autopilot or the pilot's hands: nothing more can be expected of this aircraft for now.
 
-    A later ``VehicleReported`` brings it back.
+    A later ``VehicleReported`` brings it back. yielded: this program commands it no more.
     """
 
     name: str
     mission_time_s: float
     reason: str
+    yielded: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class ForeignAircraftReported:
-    """An aircraft that is not ours (ADSB_VEHICLE, GLOBAL_POSITION_INT of another system). height_m is above home."""
+    """An aircraft that is not ours (ADSB_VEHICLE, GLOBAL_POSITION_INT of another system). height_m is above home.
+
+    member: it belongs to the fleet, but this program has yielded it; ``identity`` is its name.
+    """
 
     identity: str
     mission_time_s: float
@@ -95,6 +99,7 @@ class ForeignAircraftReported:
     height_m: float
     course_rad: float
     speed_m_s: float
+    member: bool = False
 
 
 @dataclass(frozen=True, slots=True)

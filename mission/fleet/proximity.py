@@ -7,7 +7,9 @@ Rules
 2. Two aircraft of the fleet raise an alarm if their circles come within ``min_m`` of each other, heights included,
    for ``AFTER_S``. The control step of the higher one then leaves its circle; see
    :meth:`sidelong.mission.geometry.separation.Separation.crossed`.
-3. Each alarm is one sentence, announced once; so is its end, ``CLEAR_AFTER_S`` after the last report of it.
+3. An aircraft of the fleet that was yielded, to a pilot or to another program that commands the same fleet, raises an
+   alarm if it flies within ``min_m`` of the height of another one for ``AFTER_S``: its plans are not known.
+4. Each alarm is one sentence, announced once; so is its end, ``CLEAR_AFTER_S`` after the last report of it.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ class _Flying:
     name: str
     state: AircraftState
     height_m: float
-    vehicle: FleetVehicle | None  # None: not of the fleet
+    vehicle: FleetVehicle | None  # None: not commanded by this program
+    member: bool = True  # of the fleet
 
 
 @dataclass(slots=True)
@@ -42,7 +45,7 @@ class _Pair:
     lower: str
     begun_s: float
     seen_s: float = -math.inf
-    announced: str = ""  # "near" or "crossing", the most severe announced
+    announced: str = ""  # "near" or "height", the most severe announced
 
 
 class Proximity:
@@ -69,7 +72,8 @@ class Proximity:
 
     def _compare(self, now_s: float, upper: _Flying, lower: _Flying) -> Iterator[tuple[str, str]]:
         apart_m, crosses = _apart_m(now_s, upper, lower), self._crosses(upper, lower)
-        if apart_m >= self._min_m and not crosses:
+        shares = lower.vehicle is None and lower.member and abs(upper.height_m - lower.height_m) < self._min_m
+        if apart_m >= self._min_m and not crosses and not shares:
             return
         key = frozenset((upper.name, lower.name))
         pair = self._pairs.setdefault(key, _Pair(upper.name, lower.name, now_s))
@@ -78,10 +82,14 @@ class Proximity:
             pair.announced = "near"
             text = f"ALARM: only {apart_m:.0f} m from {pair.lower}; {self._min_m:.0f} m are required"
             yield pair.upper, text
-        elif crosses and not pair.announced and now_s - pair.begun_s >= AFTER_S:
-            pair.announced = "crossing"
-            gap_m = upper.height_m - lower.height_m
-            yield pair.upper, f"ALARM: only {gap_m:.0f} m above {pair.lower}, and their circles cross"
+        elif not pair.announced and now_s - pair.begun_s >= AFTER_S:
+            pair.announced = "height"
+            gap_m = abs(upper.height_m - lower.height_m)
+            if shares:
+                text = f"ALARM: in the height layer of {pair.lower} ({gap_m:.0f} m), which was yielded"
+            else:
+                text = f"ALARM: only {gap_m:.0f} m above {pair.lower}, and their circles cross"
+            yield pair.upper, text
 
     def _crosses(self, upper: _Flying, lower: _Flying) -> bool:
         vertical_m = abs(upper.height_m - lower.height_m)
@@ -102,13 +110,13 @@ class Proximity:
 
 def _all_of(fleet: Iterable[FleetVehicle], foreign: Iterable[ForeignAircraftReported]) -> Iterator[_Flying]:
     for one in fleet:
-        if one.report is not None:
+        if one.report is not None and not one.yielded:
             yield _Flying(one.member.name, one.report.state, one.report.height_m, one)
     for other in foreign:
         state = AircraftState(
             other.mission_time_s, other.east_m, other.north_m, other.course_rad, other.speed_m_s, 0.0
         )
-        yield _Flying(other.identity, state, other.height_m, None)
+        yield _Flying(other.identity, state, other.height_m, None, other.member)
 
 
 def _apart_m(now_s: float, one: _Flying, other: _Flying) -> float:

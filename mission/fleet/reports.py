@@ -9,6 +9,7 @@ from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.events import End, LinkReported, MissionChange, Yield
 from sidelong.mission.core.plan import Plan
+from sidelong.mission.exchange.outbox import ExternalControl
 from sidelong.mission.fleet.events import (
     FleetEvent,
     PlansReported,
@@ -19,6 +20,7 @@ from sidelong.mission.fleet.events import (
 )
 
 _EVERY_S = 0.5
+_ONE_PROGRAM = "make sure that only one program commands the fleet"
 
 
 class FleetReporter:
@@ -37,9 +39,12 @@ class FleetReporter:
         mission_time_s: now, on the fleet's clock; it is needed where the vehicle's own stands still.
         """
         found: list[FleetEvent] = [SightingReported(self._name, outcome.sighting) for outcome in controller.sighted]
+        outputs = tuple(outputs)
+        external = any(isinstance(output, ExternalControl) for output in outputs)
         for output in outputs:
             if isinstance(output, Yield | End):
-                found.append(VehicleLost(self._name, mission_time_s, output.reason))
+                reason = f"{output.reason}; {_ONE_PROGRAM}" if external else output.reason
+                found.append(VehicleLost(self._name, mission_time_s, reason, isinstance(output, Yield)))
         if isinstance(event, LinkReported) and not event.connected:
             found.append(VehicleLost(self._name, mission_time_s, "its link is lost"))
         if isinstance(event, MissionChange):

@@ -44,6 +44,7 @@ class FleetVehicle:
     silent_s: float = 0.0  # for so long none has come, whatever time its own clock tells
     plans: PlansReported | None = None
     lost: str = ""
+    yielded: bool = False  # its plans are not known any more
     remaining: float = 1.0
     relief_asked: bool = False
     since_s: float = math.inf  # it watches

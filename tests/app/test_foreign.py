@@ -46,6 +46,15 @@ def test_another_system_is_foreign_and_one_of_the_fleet_is_not(heard):
     assert heard[0].report(position(8, component_id=154)) is None
 
 
+def test_aircraft_of_the_fleet_is_foreign_once_it_was_yielded(heard):
+    foreign, clock = heard
+    told = foreign.report(position(2), "south")
+    assert (told.identity, told.height_m, told.member) == ("south", 100.0, True)
+    clock[0] += 2.0
+    assert foreign.report(adsb(), "south") is None  # that is another aircraft
+    assert not foreign.report(position(7)).member
+
+
 def test_each_is_told_once_a_second(heard):
     foreign, clock = heard
     assert foreign.report(adsb()) is not None

@@ -17,6 +17,7 @@ from sidelong.mission.core.events import Announce, Command, ControlAcquired, End
 from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
+from sidelong.mission.exchange.outbox import ExternalControl
 from sidelong.mission.fleet.assignment import spread_over
 from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
 from sidelong.mission.fleet.events import (
@@ -458,6 +459,30 @@ def test_reported_distance_below_the_required_one_always_raises_an_alarm():
     assert text.startswith("ALARM: only ")
     assert text.endswith(" m from system 9; 50 m are required")
     assert cleared == ("a", "separated from system 9 again")
+
+
+def test_another_program_on_the_same_fleet_is_reported_and_does_not_share_a_layer_silently():
+    fleet = pair()
+    fleet.fly(5.0)
+    taken = fleet.vehicles["b"]
+    stolen = ExternalControl(taken.core.time_s, "another station has changed the mission")
+    outputs = (stolen, *taken.core.step(stolen))
+    for news in taken.reporter.after(taken.core, object(), outputs, fleet.time_s):
+        fleet.tell(news)
+    for height_m in (160.0, 104.0, 104.0, 104.0, 104.0, 104.0, 160.0):
+        report = ForeignAircraftReported("b", fleet.time_s, EAST, 0.0, height_m, 0.0, 15.0, member=True)
+        fleet.tell(report)
+        fleet.fly(1.0, "b")
+    fleet.fly(6.0, "b")
+    assert [(said.name, said.text) for said in fleet.said] == [
+        (
+            "b",
+            "is out: another station has changed the mission; make sure that only one program commands the fleet",
+        ),
+        ("a", "ALARM: in the height layer of b (4 m), which was yielded"),
+        ("a", "separated from b again"),
+    ]
+    assert [one.name for one in fleet.advice["a"].neighbours if one.ours] == []
 
 
 def test_a_foreign_aircraft_counts_as_an_obstacle_while_it_is_heard():
