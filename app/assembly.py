@@ -118,6 +118,8 @@ def controller_of(
             lost_after_s=lost_after_s,
             give_up_after_s=config.planner.give_up_after_s,
             give_up_action=config.planner.at_end,
+            # The coordinator of a fleet calls for relief, and sends an aircraft home.
+            at_low_battery=config.planner.at_low_battery if config.requirement.fleet_size == 1 else "warn",
         ),
         tracker_of(config),
         make_planner,

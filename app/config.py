@@ -152,6 +152,10 @@ class PlannerSection(Section):
     """The mission ends when the target has been unseen for this long, s."""
     at_end: Literal["hold", "return"] = "return"
     """What to do then: hold the circle or fly home."""
+    at_low_battery: Literal["return", "warn"] = "return"
+    """When the flight time left is below 120 % of the time to fly home: fly home, or only raise an alarm."""
+    battery_reserve_percent: float = Field(20.0, ge=0, le=80)
+    """Charge that is to be left in the battery after the flight home, %."""
 
 
 class SensorsSection(Section):

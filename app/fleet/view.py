@@ -14,7 +14,7 @@ from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.state import Json, other_aircraft, other_target
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
-from sidelong.mission.core.events import MissionChange
+from sidelong.mission.core.events import AlarmReported, MissionChange
 from sidelong.mission.core.requirement import Side
 
 
@@ -74,6 +74,8 @@ class FleetView(ViewDisplay):
 
     def _ask_all(self, wish: Wish) -> None:
         """Pass a wish on to all; the side is the coordinator's to give, and the heights are layers."""
+        if isinstance(wish, AlarmReported):  # it names its aircraft
+            return
         if isinstance(wish, MissionChange):
             if wish.height_m is not None:
                 self.note("refused: the heights of a fleet are layers, which are not changed in flight")

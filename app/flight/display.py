@@ -8,9 +8,9 @@ from typing import Protocol
 from sidelong.app.flight.loop import Display
 from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.core.events import MissionChange, OperatorRequest
+from sidelong.mission.core.events import AlarmReported, MissionChange, OperatorRequest
 
-Wish = OperatorRequest | MissionChange
+Wish = OperatorRequest | MissionChange | AlarmReported
 """What a person asks for."""
 
 

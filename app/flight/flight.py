@@ -9,7 +9,11 @@ import math
 import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
 
 from sidelong.app.analysis.score import Moment
 from sidelong.app.analysis.summary import Summary, SummaryCollector, summarise
@@ -20,6 +24,7 @@ from sidelong.app.autopilots.parameter import ParameterTable, RequiredParameter
 from sidelong.app.autopilots.release import Release
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
+from sidelong.app.flight.alarm_watch import AlarmWatch
 from sidelong.app.flight.changes import MissionChanges
 from sidelong.app.flight.display import FlightDisplay, Wish
 from sidelong.app.flight.loop import ControlLoop, Display, Stepped
@@ -34,6 +39,7 @@ from sidelong.app.flight.terrain_server import TerrainServer
 from sidelong.app.flight.wind_tables import WindTables
 from sidelong.app.link.discovery import SETTLING_S
 from sidelong.app.link.key_file import KeyInUse
+from sidelong.app.link.link import LinkError
 from sidelong.app.link.mavsdk_link import FrameListener, MavsdkLink
 from sidelong.app.link.parameters import read_table, temporary_parameters
 from sidelong.app.link.queries import home_of, is_flying, mode_of, release_of
@@ -48,7 +54,14 @@ from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Phase, Snapshot
-from sidelong.mission.core.events import Announce, ControlAcquired, Event, MissionChange, RoundTripReported
+from sidelong.mission.core.events import (
+    AlarmReported,
+    Announce,
+    ControlAcquired,
+    Event,
+    MissionChange,
+    RoundTripReported,
+)
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.outbox import TakeoverFailed
 from sidelong.mission.exchange.reports import TakeoverRequested
@@ -173,6 +186,7 @@ class Flight:
         self._ready: _Ready | None = None
         self._terrain: TerrainServer | None = None
         self._loop: ControlLoop | None = None
+        self._alarms: AlarmWatch | None = None
 
     async def fly(self, stopped: asyncio.Event) -> str:
         """Check, take off if need be, watch for the duration or until ``stopped`` is set; return the outcome."""
@@ -293,10 +307,10 @@ class Flight:
         shared.callback(tables.stop)
         observers.append(tables)
 
-        def request(wish: Wish) -> None:
-            changes.take(wish) if isinstance(wish, MissionChange) else loop.put(wish)
+        alarms = self._alarm_watch(loop)
+        observers.append(alarms)
 
-        self._display.begin(plane, request)
+        self._display.begin(plane, partial(_request, changes, alarms, loop))
         gc.collect()
         gc.freeze()  # what was loaded before is not searched again and again for garbage: 0.1 s each time
         shared.callback(gc.unfreeze)
@@ -305,15 +319,14 @@ class Flight:
         interrupt = asyncio.create_task(stopped.wait())
         flying, mode = is_flying(self._vehicle), mode_of(self._vehicle)
         delay = asyncio.create_task(self._tell_delay(loop))
+        listening = asyncio.create_task(alarms.run())
         arm_period_s, round_trip_s = 1.0 / self._vehicle_rate, self._vehicle.round_trip_s or 0.0
         loop.put(TakeoverRequested(self._telemetry.now_s, loop.link_s, flying, mode, arm_period_s, round_trip_s))
         try:
             await asyncio.wait((running, over, interrupt), return_when=asyncio.FIRST_COMPLETED)
         finally:
-            for task in (over, interrupt, delay):
-                task.cancel()
             loop.stop()
-            await asyncio.gather(running, over, interrupt, delay, return_exceptions=True)
+            await _all_ended(running, over, interrupt, delay, listening)
             shared.close()
         running.result()
         if loop.failed is not None:
@@ -323,6 +336,23 @@ class Flight:
     def _wind_tables(self, loop: ControlLoop) -> WindTables:
         kind, winds = planner_by_name(self._config.planner.name), winds_m_s(self._config)
         return WindTables(kind, self._controller, winds, loop.put, self._display.note)
+
+    def _alarm_watch(self, loop: ControlLoop) -> AlarmWatch:
+        link, sending = self._vehicle.link, set[asyncio.Task[None]]()
+
+        async def send(text: str) -> None:
+            with contextlib.suppress(LinkError):
+                fields = {"severity": mavlink.MAV_SEVERITY_CRITICAL, "text": text, "id": 0, "chunk_seq": 0}
+                await link.send("STATUSTEXT", fields)
+
+        def begin(text: str) -> None:
+            task = asyncio.create_task(send(text))
+            sending.add(task)
+            task.add_done_callback(sending.discard)
+
+        home_m = self.plane.east_north_m(self.home.latitude_deg, self.home.longitude_deg)
+        self._alarms = AlarmWatch(self._config, home_m, self._vehicle_status, loop.put, begin)
+        return self._alarms
 
     async def _tell_delay(self, loop: ControlLoop) -> None:
         watch, rate = RoundTripWatch(), self._vehicle_rate
@@ -336,6 +366,10 @@ class Flight:
                 loop.put(RoundTripReported(self._telemetry.now_s, round_trip_s))
 
     def _status(self) -> VehicleStatus:
+        status = self._vehicle_status()
+        return status if self._alarms is None else self._alarms.describe(status)
+
+    def _vehicle_status(self) -> VehicleStatus:
         return vehicle_status(self._vehicle.latest, self._vehicle.link.recent())
 
     def _acquired(self, acquired: ControlAcquired) -> None:
@@ -404,6 +438,23 @@ class Flight:
             outcome=outcome,
         )
         return judged if begin is None or end is None else replace(judged, battery_percent=(begin, end))
+
+
+async def _all_ended(running: asyncio.Task[None], *beside: asyncio.Task[Any]) -> None:
+    for task in beside:
+        task.cancel()
+    await asyncio.gather(running, *beside, return_exceptions=True)
+
+
+def _request(changes: MissionChanges, alarms: AlarmWatch, loop: ControlLoop, wish: Wish) -> None:
+    """Pass a person's wish on to what takes it."""
+    match wish:
+        case MissionChange():
+            changes.take(wish)
+        case AlarmReported():
+            alarms.acknowledge(wish)
+        case _:
+            loop.put(wish)
 
 
 class _Observed:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from sidelong.app.link.message import Message
 from sidelong.app.link.quality import LinkReport
+from sidelong.mission.control.alarms import Alarm
 
 _FIXES = ("no GPS", "no fix", "2D", "3D", "DGPS", "RTK float", "RTK fixed", "static", "PPP")  # GPS_FIX_TYPE
 _GOOD_FROM, _MIN_SATELLITES = 3, 6
@@ -18,7 +19,8 @@ class VehicleStatus:
     """None: not told.
 
     gps: the fix in words. link_percent: of the frames sent towards us, those that came over the link in use;
-    round_trip_s: of a question over it.
+    round_trip_s: of a question over it. endurance_s: flight time left until the battery's reserve; home_s: to home.
+    alarms: those that are raised.
     """
 
     battery_percent: int | None = None
@@ -27,6 +29,9 @@ class VehicleStatus:
     gps_good: bool | None = None
     link_percent: int | None = None
     round_trip_s: float | None = None
+    endurance_s: float | None = None
+    home_s: float | None = None
+    alarms: tuple[Alarm, ...] = ()
 
 
 def vehicle_status(latest: Mapping[str, Message], links: Sequence[LinkReport]) -> VehicleStatus:
@@ -35,6 +40,9 @@ def vehicle_status(latest: Mapping[str, Message], links: Sequence[LinkReport]) -
     percent = mv = gps = good = None
     if power is not None:
         percent, mv = int(power.fields["battery_remaining"]), int(power.fields["voltage_battery"])
+    battery = latest.get("BATTERY_STATUS")
+    if (percent is None or percent < 0) and battery is not None:
+        percent = int(battery.fields["battery_remaining"])
     if fix is not None:
         kind, satellites = int(fix.fields["fix_type"]), int(fix.fields["satellites_visible"])
         told = satellites != _UNTOLD_SATELLITES

@@ -37,6 +37,8 @@ STYLES = {
     "yield": "bold red",
     "operator": "yellow",
     "end": "bold",
+    "alarm": "bold red",
+    "clear": "green",
 }
 _PHASE_STYLES = {Phase.WATCHING: "green", Phase.HOLDING: "yellow", Phase.YIELDED: "red", Phase.ENDED: "red"}
 _QUALITY_STYLES = {TrackQuality.GOOD: "green", TrackQuality.COASTING: "yellow", TrackQuality.LOST: "bold red"}
@@ -99,6 +101,8 @@ class PanelDisplay:
         self._print(Text(plain(text)))
 
     def say(self, announcement: Announce) -> None:
+        if announcement.kind == "alarm" and not self._quiet and self._console.is_terminal:
+            self._console.bell()
         since = "" if self._start_s is None else clock(max(announcement.time_s - self._start_s, 0.0))
         self._print(Text(f"{since:>7}  {plain(announcement.text)}", style=STYLES.get(announcement.kind, "")))
 

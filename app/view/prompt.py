@@ -81,7 +81,7 @@ class Prompt:
             self._show("", f"not understood: {line!r}; " if line else "")
             return
         asked = self._asked
-        words = describe_change(asked) if isinstance(asked, MissionChange) else asked.action
+        words = describe_change(asked) if isinstance(asked, MissionChange) else line.strip()
         self.text = f"{words}: y does it, any other key leaves it"
 
     def _show(self, line: str | None, before: str = "") -> None:

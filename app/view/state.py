@@ -6,25 +6,23 @@ What is not known is null: JSON has no NaN.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
-from sidelong.app.analysis.score import middle_rad
-from sidelong.app.analysis.target_course import TargetCourse
+from sidelong.app.analysis.present import PresentWatch
 from sidelong.app.config import Config
 from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.estimators.ellipse import confidence_ellipse
-from sidelong.estimators.frames import LocalPlane, wrap_rad
+from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.path import Path
-from sidelong.mission.core.plan import AircraftState, Plan
+from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Requirement
 from sidelong.mission.viewpoint.side_policy import side_words
 
 Json = dict[str, Any]
 
 _LINE_POINTS = 60
-_STANDING_M_S = 0.9  # below this an estimated course is noise: the last one stays
 _ON_TRANSITION = 1.2  # a transition is shown for this share of the time it takes
 
 
@@ -91,7 +89,7 @@ class StateEncoder:
     def __init__(self, airspeed_m_s: float, height_m: float) -> None:
         self._airspeed_m_s, self._height_m = airspeed_m_s, height_m
         self.plane: LocalPlane | None = None  # set once it is known: places are then told in degrees too
-        self._course = TargetCourse(_STANDING_M_S)
+        self._watch = PresentWatch()
         self._thinned: dict[int, tuple[Path, list[list[float]]]] = {}
 
     def state(self, snapshot: Snapshot, silent_s: float, vehicle: VehicleStatus | None = None) -> Json:
@@ -153,15 +151,14 @@ class StateEncoder:
         if estimate is None or aircraft is None:
             return None
         at_m = estimate.position_m(snapshot.time_s)
-        velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
-        self._course.take(snapshot.time_s, velocity_m_s, snapshot.requirement.course_horizon_s)
+        watch = self._watch.of(snapshot)
         ellipse = confidence_ellipse(estimate.covariance[:2, :2])
         return {
             "at_m": _rounded(*at_m),
             "at_deg": self._degrees(*at_m),
             "velocity_m_s": _rounded(estimate.velocity_east_m_s, estimate.velocity_north_m_s),
-            "course_rad": _number(self._course.present_rad, 4),
-            "watch_course_rad": _number(self._watch_course_rad, 4),
+            "course_rad": _number(watch.present_course_rad, 4),
+            "watch_course_rad": _number(watch.course_rad, 4),
             "ellipse": [
                 round(ellipse.semi_major_m, 2),
                 round(ellipse.semi_minor_m, 2),
@@ -170,8 +167,10 @@ class StateEncoder:
             "quality": estimate.quality,
             "why": estimate.reason,
             "unseen_s": _number(snapshot.time_s - estimate.last_sighting_s, 1),
-            "range_m": round(math.hypot(aircraft.east_m - at_m[0], aircraft.north_m - at_m[1]), 1),
-            "angle_rad": _number(self._angle_rad(snapshot, aircraft, at_m), 4),
+            "range_m": _number(watch.range_m, 1),
+            "angle_rad": _number(watch.angle_rad, 4),
+            "in_band": watch.in_band,
+            "on_side": watch.on_side,
         }
 
     def _degrees(self, east_m: float, north_m: float) -> list[float] | None:
@@ -179,19 +178,6 @@ class StateEncoder:
         if self.plane is None:
             return None
         return [round(degrees, 6) for degrees in self.plane.latitude_longitude_deg(east_m, north_m)]
-
-    def _angle_rad(self, snapshot: Snapshot, aircraft: AircraftState, at_m: tuple[float, float]) -> float | None:
-        """Return the observation angle: from where the aircraft should be seen to where it is."""
-        sight_rad = math.atan2(aircraft.east_m - at_m[0], aircraft.north_m - at_m[1])
-        course_rad = math.nan if self._watch_course_rad is None else self._watch_course_rad
-        middle = middle_rad(replace(snapshot.requirement, side=snapshot.side), course_rad)
-        return None if math.isnan(middle) else wrap_rad(sight_rad - middle)
-
-    @property
-    def _watch_course_rad(self) -> float | None:
-        """The course whose sides count, until it is known the present one."""
-        made_good_rad = self._course.made_good_rad
-        return self._course.present_rad if made_good_rad is None else made_good_rad
 
     def _plan(self, plan: Plan | None, time_s: float, *, flown: bool) -> Json | None:
         if plan is None:

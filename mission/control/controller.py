@@ -10,7 +10,7 @@ Rules
 5. An aircraft that has left its transition for some seconds (circling a waypoint that it cannot reach, say) is sent
    to the transition's circle directly.
 6. Any flight mode but the one taken over in means that somebody else flies: Yield, latched.
-7. A target lost for ``give_up_after_s`` ends the mission.
+7. A target lost for ``give_up_after_s`` ends the mission, and so does a low battery: the aircraft flies home.
 8. What a person changes in flight holds from the next decision on: the planner is made anew, and where it stays, the
    present circle is sent again as changed.
 9. Every event passes :mod:`sidelong.mission.control.plausibility` first. While that doubts the aircraft's own
@@ -38,6 +38,7 @@ from sidelong.estimators.sensing.readings import (
 )
 from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.estimators.tracking.tracker import Tracker
+from sidelong.mission.control.alarms import LOW_BATTERY
 from sidelong.mission.control.mission_change import aircraft_after, describe_change, requirement_after
 from sidelong.mission.control.plan_changes import PlanChanges
 from sidelong.mission.control.planning import Planning
@@ -49,7 +50,9 @@ from sidelong.mission.control.target_news import TargetNews
 from sidelong.mission.control.upload_latency import UploadLatency
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
+    AlarmReported,
     Announce,
+    BatteryReported,
     Command,
     ControlAcquired,
     DecisionRecord,
@@ -79,6 +82,7 @@ _WIND_MAX_SHARE = 0.9
 _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
 _SENSED = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading)
 _FLYING = (Phase.WATCHING, Phase.HOLDING)
+_LOW_BATTERY_REPORTS = 2  # in a row
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +96,7 @@ class StandoffSettings:
     lost_after_s: float = 60.0
     give_up_after_s: float = 300.0
     give_up_action: Literal["hold", "return"] = "return"
+    at_low_battery: Literal["return", "warn"] = "return"
 
 
 class StandoffController:
@@ -128,6 +133,8 @@ class StandoffController:
         self._height_asked_m: float | None = None
         self._crossed = 0  # decisions in a row at which another aircraft was too near below the circle
         self._height_m: float | None = None  # the aircraft's, above home
+        self._over = ""  # why the mission was yielded or has ended
+        self._low_battery_reports = 0
 
     def step(self, event: Event) -> tuple[Command, ...]:
         """Take one event; return what is to be done about it, in order."""
@@ -162,6 +169,8 @@ class StandoffController:
                 return self._operator(event)
             case MissionChange():
                 return self._mission_changed(event)
+            case AlarmReported() | BatteryReported():
+                return _announced(event) if isinstance(event, AlarmReported) else self._battery_reported(event)
             case FleetAdvice() | NeighbourPlanned():
                 return self._advised(event)
         return ()
@@ -206,6 +215,7 @@ class StandoffController:
             self._height_asked_m,
             self.planning.target,
             self.planning.turn_payload,
+            self._over,
         )
 
     def _read(self, reading: Reading) -> None:
@@ -254,8 +264,8 @@ class StandoffController:
             return self._upload_circle("plan", present, reason)
         unseen_s = self.time_s - target.last_sighting_s
         if unseen_s > self.settings.give_up_after_s:
-            self._end(Phase.ENDED)
             reason = f"the target has not been seen for {unseen_s:.0f} s"
+            self._end(Phase.ENDED, reason)
             return (End(self.time_s, self.settings.give_up_action, reason),)
         if unseen_s > self.settings.lost_after_s or target.quality is TrackQuality.LOST:
             self.decision = Decision(self.time_s, None, f"holding the circle: target unseen for {unseen_s:.0f} s")
@@ -353,11 +363,11 @@ class StandoffController:
     def _yield(self, time_s: float, reason: str) -> tuple[Command, ...]:
         if self.phase not in _FLYING:
             return ()
-        self._end(Phase.YIELDED)
+        self._end(Phase.YIELDED, reason)
         return (Yield(time_s, reason),)
 
-    def _end(self, phase: Phase) -> None:
-        self.phase = phase
+    def _end(self, phase: Phase, reason: str) -> None:
+        self.phase, self._over = phase, reason
         self.changes.withdraw()
 
     def _link_reported(self, event: LinkReported | RoundTripReported) -> tuple[Command, ...]:
@@ -367,6 +377,16 @@ class StandoffController:
         self._sensor_status.connected = event.connected
         text = "the link is back" if event.connected else "link lost: the aircraft goes on circling"
         return (Announce(event.time_s, "link", text),)
+
+    def _battery_reported(self, event: BatteryReported) -> tuple[Command, ...]:
+        low = event.left_s <= LOW_BATTERY * event.home_s
+        self._low_battery_reports = self._low_battery_reports + 1 if low else 0
+        wanted = self.phase in _FLYING and self.settings.at_low_battery == "return"
+        if not wanted or self._low_battery_reports < _LOW_BATTERY_REPORTS:
+            return ()
+        reason = f"the battery is at {event.percent:.0f} %, home is {event.home_s:.0f} s away"
+        self._end(Phase.ENDED, reason)
+        return (End(event.time_s, "return", reason),)
 
     def _wind_told(self, event: WindReported | WindPrepared) -> tuple[Command, ...]:
         if isinstance(event, WindReported):
@@ -388,7 +408,7 @@ class StandoffController:
         if self.phase not in _FLYING:
             return ()
         if told.role is Role.LEAVE:
-            self._end(Phase.ENDED)
+            self._end(Phase.ENDED, told.reason)
             return (End(told.time_s, "return", told.reason),)
         requirement = self.settings.requirement
         if told.side is requirement.side:
@@ -409,7 +429,7 @@ class StandoffController:
             case "resume":
                 self.phase = Phase.WATCHING
             case "end":
-                self._end(Phase.ENDED)
+                self._end(Phase.ENDED, "ended by the operator")
             case "side" if event.side is None or settings.requirement.sector is not None:
                 why = "no side is named" if event.side is None else "the mission watches from bearings"
                 return (Announce(event.time_s, "operator", f"side refused: {why}"),)
@@ -470,6 +490,16 @@ class StandoffController:
         if cleared.heights is not None:
             reason += f", {cleared.heights.to_m:.0f} m above home"
         return (Announce(self.time_s, "decision", reason), self._upload(cleared, reason))
+
+
+def _announced(event: AlarmReported) -> tuple[Announce]:
+    match event.stage:
+        case "raised":
+            return (Announce(event.time_s, "alarm", f"alarm: {event.text}"),)
+        case "cleared":
+            return (Announce(event.time_s, "clear", f"alarm over: {event.text}"),)
+        case "acknowledged":
+            return (Announce(event.time_s, "operator", f"alarm acknowledged: {event.key}"),)
 
 
 def _state_of(reading: PositionReading, bank_rad: float) -> AircraftState:

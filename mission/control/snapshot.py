@@ -45,3 +45,4 @@ class Snapshot:
     height_m: float | None  # as a person has changed it; None: as configured
     target: str = ""  # which of a fleet's targets it is to watch
     turn_payload: bool = False  # to that target: it looks at another one
+    over: str = ""  # why the mission was yielded or has ended

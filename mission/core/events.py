@@ -142,6 +142,30 @@ class MissionChange:
     who: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class AlarmReported:
+    """An alarm of :mod:`sidelong.mission.control.alarms` was raised or cleared, or a person acknowledged it.
+
+    text: what is wrong and what to do. who: as of ``OperatorRequest``.
+    """
+
+    time_s: float
+    key: str
+    stage: Literal["raised", "cleared", "acknowledged"]
+    text: str = ""
+    who: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryReported:
+    """The battery's charge, the flight time until its reserve by the observed consumption, and the time to home."""
+
+    time_s: float
+    percent: float
+    left_s: float
+    home_s: float
+
+
 Event = (
     PositionReading
     | AttitudeReading
@@ -159,6 +183,8 @@ Event = (
     | YieldRequested
     | OperatorRequest
     | MissionChange
+    | AlarmReported
+    | BatteryReported
     | FleetAdvice
     | NeighbourPlanned
 )
@@ -204,7 +230,20 @@ class Announce:
     """Tell the person in plain words; ``kind`` lets a display colour or filter it."""
 
     time_s: float
-    kind: Literal["decision", "track", "link", "yield", "plan", "operator", "end", "position", "sensor", "takeover"]
+    kind: Literal[
+        "decision",
+        "track",
+        "link",
+        "yield",
+        "plan",
+        "operator",
+        "end",
+        "position",
+        "sensor",
+        "takeover",
+        "alarm",
+        "clear",
+    ]
     text: str
 
 

@@ -1,0 +1,63 @@
+"""How the target is watched at this moment, by the same definitions as the judge of whole flights."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from sidelong.app.analysis.score import STANDING_M_S, allowed_rad, middle_rad
+from sidelong.app.analysis.target_course import TargetCourse
+from sidelong.estimators.estimate import TrackQuality
+from sidelong.estimators.frames import wrap_rad
+from sidelong.mission.control.snapshot import Snapshot
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """The watch at one moment; None: unknown.
+
+    Attributes:
+        range_m: Estimated horizontal range.
+        angle_rad: Observation angle, from the middle of where the target is to be watched from.
+        in_band: Whether the range is the required one.
+        on_side: Whether the side is the required one.
+        course_rad: The target's course that defines the sides.
+        present_course_rad: Its present course.
+
+    """
+
+    range_m: float | None = None
+    angle_rad: float | None = None
+    in_band: bool | None = None
+    on_side: bool | None = None
+    course_rad: float | None = None
+    present_course_rad: float | None = None
+
+
+class PresentWatch:
+    """Judges one snapshot after the other; remembers the target's course through its stops."""
+
+    def __init__(self) -> None:
+        self._course = TargetCourse(STANDING_M_S)
+
+    def of(self, snapshot: Snapshot) -> Watch:
+        """Return how the target is watched. Band and side are unknown while the track is lost or the link is down."""
+        estimate, aircraft, requirement = snapshot.estimate, snapshot.aircraft, snapshot.requirement
+        if estimate is None or aircraft is None:
+            return Watch()
+        velocity_m_s = estimate.velocity_east_m_s, estimate.velocity_north_m_s
+        self._course.take(snapshot.time_s, velocity_m_s, requirement.course_horizon_s)
+        made_good_rad, present_rad = self._course.made_good_rad, self._course.present_rad
+        course_rad = present_rad if made_good_rad is None else made_good_rad
+        target_m = estimate.position_m(snapshot.time_s)
+        east_m, north_m = aircraft.east_m - target_m[0], aircraft.north_m - target_m[1]
+        range_m = math.hypot(east_m, north_m)
+        wanted = replace(requirement, side=snapshot.side)
+        middle = middle_rad(wanted, math.nan if course_rad is None else course_rad)
+        angle_rad = None if math.isnan(middle) else wrap_rad(math.atan2(east_m, north_m) - middle)
+        found = Watch(range_m, angle_rad, course_rad=course_rad, present_course_rad=present_rad)
+        if estimate.quality is TrackQuality.LOST or not snapshot.sensor_status.connected or snapshot.turn_payload:
+            return found
+        in_band = requirement.range_min_m <= range_m <= requirement.range_max_m
+        on_side = None if angle_rad is None else abs(angle_rad) <= allowed_rad(wanted)
+        return replace(found, in_band=in_band, on_side=True if requirement.either_side else on_side)

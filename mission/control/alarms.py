@@ -1,0 +1,255 @@
+"""What an operator has to be alarmed about, and when: a pure function of situations in the order of time."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+_SETTLED_AFTER_S = 120.0  # an aircraft that has not reached band and side by then will be late
+_UNSEEN_S = _SILENT_S = 10.0  # lasers miss for up to 8 s all the time
+_SHARE_OVER_S, _REJECTED_SHARE, _LEAST_SIGHTINGS = 60.0, 0.25, 20
+_RESERVE_PERCENT_WARNED = 25  # where the consumption is not known yet
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """What the alarms depend on, at one moment.
+
+    Attributes:
+        time_s: Of the vehicle's clock.
+        in_hand: Whether sidelong flies the aircraft (watching or holding).
+        connected: Whether the aircraft is received.
+        silent_s: For how long it has not been received.
+        yielded: Why control was given up; '' if it was not.
+        in_band: Whether the range is the required one; None: unknown.
+        on_side: Whether the side is the required one; None: unknown.
+        range_m: The estimated range; NaN: unknown.
+        unseen_s: Time since the last accepted sighting; None: the target was never seen.
+        lost: Whether the track is lost.
+        gives_up_in_s: When the mission will end because the target is lost; None: it will not.
+        at_give_up: What the aircraft then does.
+        laser_s: Age of the latest range, inf before the first one.
+        gimbal_s: Age of the latest line of sight.
+        sightings: Number of sightings so far.
+        rejected: Number of rejected ones.
+        gps: The GPS fix in words; good_gps: whether it is good enough, None: unknown.
+        battery_percent: Charge; None: unknown.
+        endurance_s: Flight time left until the reserve; None: unknown.
+        home_s: Flight time to home; None: unknown.
+
+    """
+
+    time_s: float
+    in_hand: bool = True
+    connected: bool = True
+    silent_s: float = 0.0
+    yielded: str = ""
+    in_band: bool | None = None
+    on_side: bool | None = None
+    range_m: float = math.nan
+    unseen_s: float | None = None
+    lost: bool = False
+    gives_up_in_s: float | None = None
+    at_give_up: str = "return"
+    laser_s: float = math.inf
+    gimbal_s: float = math.inf
+    sightings: int = 0
+    rejected: int = 0
+    gps: str = ""
+    good_gps: bool | None = None
+    battery_percent: float | None = None
+    endurance_s: float | None = None
+    home_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """One active alarm.
+
+    Attributes:
+        key: Its name, such as ``target``.
+        text: What is wrong, now.
+        advice: What to do about it.
+        since_s: When it was raised.
+        countdown_s: Time until the aircraft acts on its own; None: it does not.
+        acknowledged: Whether the operator has seen it.
+
+    """
+
+    key: str
+    text: str
+    advice: str
+    since_s: float
+    countdown_s: float | None = None
+    acknowledged: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    """text: returns what is wrong, '' if nothing is. after_s: how long before it is raised; clear_s: cleared."""
+
+    key: str
+    text: Callable[[Alarms, Situation], str]
+    advice: str
+    after_s: float = 0.0
+    clear_s: float = 2.0
+
+
+class Alarms:
+    """The alarms of one aircraft. ``active`` are those that are raised, in the order of their rules."""
+
+    def __init__(self) -> None:
+        self.active: tuple[Alarm, ...] = ()
+        self._begun_s: float | None = None
+        self._was_in_band = self._was_on_side = False
+        self._counts: deque[tuple[float, int, int]] = deque()
+        self._wrong_since_s: dict[str, float] = {}
+        self._right_since_s: dict[str, float] = {}
+
+    def update(self, now: Situation) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
+        """Take a situation, not before the last one.
+
+        Returns:
+            The alarms that are raised by it, and those that are cleared.
+
+        """
+        self._remember(now)
+        before = {alarm.key: alarm for alarm in self.active}
+        after = {rule.key: self._judged(rule, before.get(rule.key), now) for rule in _RULES}
+        self.active = tuple(alarm for alarm in after.values() if alarm is not None)
+        raised = tuple(alarm for alarm in self.active if alarm.key not in before)
+        return raised, tuple(alarm for key, alarm in before.items() if after[key] is None)
+
+    def acknowledge(self, key: str) -> bool:
+        """Mark an alarm as seen; return whether it was active and not seen."""
+        known = any(alarm.key == key and not alarm.acknowledged for alarm in self.active)
+        self.active = tuple(replace(alarm, acknowledged=True) if alarm.key == key else alarm for alarm in self.active)
+        return known
+
+    def _remember(self, now: Situation) -> None:
+        if now.in_hand and self._begun_s is None:
+            self._begun_s = now.time_s
+        self._was_in_band |= now.in_band is True
+        self._was_on_side |= now.on_side is True
+        self._counts.append((now.time_s, now.sightings, now.rejected))
+        while len(self._counts) > 1 and self._counts[1][0] <= now.time_s - _SHARE_OVER_S:
+            self._counts.popleft()
+
+    def _judged(self, rule: _Rule, before: Alarm | None, now: Situation) -> Alarm | None:
+        if not now.connected and rule.key not in ("link", "yield"):
+            return before  # nothing new is known of it
+        text = rule.text(self, now)
+        countdown_s = now.gives_up_in_s if rule.key == "target" else None
+        if text:
+            self._right_since_s.pop(rule.key, None)
+            wrong_since_s = self._wrong_since_s.setdefault(rule.key, now.time_s)
+            if before is not None:
+                return replace(before, text=text, countdown_s=countdown_s)
+            if now.time_s - wrong_since_s >= rule.after_s:
+                return Alarm(rule.key, text, rule.advice, now.time_s, countdown_s)
+            return None
+        self._wrong_since_s.pop(rule.key, None)
+        right_since_s = self._right_since_s.setdefault(rule.key, now.time_s)
+        settled = not now.in_hand or now.time_s - right_since_s >= rule.clear_s
+        return None if settled else before
+
+    def is_late(self, now: Situation) -> bool:
+        """Return whether the aircraft has had the time to reach band and side."""
+        return self._begun_s is not None and now.time_s - self._begun_s >= _SETTLED_AFTER_S
+
+    @property
+    def was_in_band(self) -> bool:
+        """Whether the target was in the range band since the beginning."""
+        return self._was_in_band
+
+    @property
+    def was_on_side(self) -> bool:
+        """Whether the aircraft was on the required side since the beginning."""
+        return self._was_on_side
+
+    @property
+    def rejected_share(self) -> float:
+        """The share of sightings of the last minute that were rejected, 0..1; 0 where they are few."""
+        _, first, first_rejected = self._counts[0]
+        _, last, last_rejected = self._counts[-1]
+        sightings = last - first
+        return (last_rejected - first_rejected) / sightings if sightings >= _LEAST_SIGHTINGS else 0.0
+
+
+def _link(_alarms: Alarms, now: Situation) -> str:
+    return "" if now.connected else f"nothing received from the aircraft for {now.silent_s:.0f} s; it keeps circling"
+
+
+def _yielded(_alarms: Alarms, now: Situation) -> str:
+    return f"control was given up: {now.yielded}" if now.yielded else ""
+
+
+def _target(_alarms: Alarms, now: Situation) -> str:
+    if not now.in_hand or now.unseen_s is None or not (now.lost or now.unseen_s >= _UNSEEN_S):
+        return ""
+    text = f"the target has not been seen for {now.unseen_s:.0f} s"
+    if now.gives_up_in_s is None:
+        return text
+    does = "flies home" if now.at_give_up == "return" else "stays on its circle and the mission ends"
+    return f"{text}; the aircraft {does} in {max(now.gives_up_in_s, 0.0):.0f} s"
+
+
+def _band(alarms: Alarms, now: Situation) -> str:
+    wrong = now.in_hand and now.in_band is False and (alarms.was_in_band or alarms.is_late(now))
+    return f"the range of {now.range_m:.0f} m is outside the required band" if wrong else ""
+
+
+def _side(alarms: Alarms, now: Situation) -> str:
+    wrong = now.in_hand and now.on_side is False and (alarms.was_on_side or alarms.is_late(now))
+    return "the aircraft is not on the required side" if wrong else ""
+
+
+def _laser(_alarms: Alarms, now: Situation) -> str:
+    silent = now.in_hand and _SILENT_S <= now.laser_s < math.inf
+    return f"no range from the laser for {now.laser_s:.0f} s" if silent else ""
+
+
+def _gimbal(_alarms: Alarms, now: Situation) -> str:
+    silent = now.in_hand and _SILENT_S <= now.gimbal_s < math.inf
+    return f"no line of sight from the gimbal for {now.gimbal_s:.0f} s" if silent else ""
+
+
+def _sightings(alarms: Alarms, now: Situation) -> str:
+    share = alarms.rejected_share
+    wrong = now.in_hand and share > _REJECTED_SHARE
+    return f"{100.0 * share:.0f} % of the sightings of the last minute were rejected" if wrong else ""
+
+
+def _gps(_alarms: Alarms, now: Situation) -> str:
+    return f"GPS: {now.gps}" if now.in_hand and now.good_gps is False else ""
+
+
+def _battery(_alarms: Alarms, now: Situation) -> str:
+    if not now.in_hand or now.battery_percent is None:
+        return ""
+    charge = f"the battery is at {now.battery_percent:.0f} %"
+    if now.endurance_s is None or now.home_s is None:
+        return charge if now.battery_percent < _RESERVE_PERCENT_WARNED else ""
+    if now.endurance_s > LOW_BATTERY * now.home_s:
+        return ""
+    return f"{charge}: {max(now.endurance_s, 0.0) / 60.0:.0f} min left, and home is {now.home_s / 60.0:.1f} min away"
+
+
+LOW_BATTERY = 1.2
+"""The battery is low when the flight time left is below this many times the time to fly home."""
+
+_RULES = (
+    _Rule("yield", _yielded, "you, or another station, fly the aircraft; start launch again to resume the watch"),
+    _Rule("link", _link, "check radio and antenna; to act now use the transmitter", clear_s=0.0),
+    _Rule("battery", _battery, "let it fly home now, or switch to RTL", after_s=2.0),
+    _Rule("target", _target, "point the camera at the target, or press Hold to keep circling here"),
+    _Rule("laser", _laser, "check the laser and its link; the track coasts without it"),
+    _Rule("gimbal", _gimbal, "check the gimbal and its link; the track coasts without it"),
+    _Rule("sightings", _sightings, "laser and line of sight disagree: check the gimbal's mount and units", 5.0),
+    _Rule("gps", _gps, "the positions are uncertain: be ready to take over", after_s=2.0),
+    _Rule("band", _band, "wait for the next relocation, or change the band or the circle", after_s=2.0),
+    _Rule("side", _side, "wait for the next relocation, or change the side", after_s=20.0),
+)
+ALARM_KEYS = tuple(rule.key for rule in _RULES)

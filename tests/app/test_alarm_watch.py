@@ -1,0 +1,157 @@
+"""The alarms of a flight: what reaches the journal, the displays and the ground station."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from sidelong.app.assembly import controller_of
+from sidelong.app.config import Config
+from sidelong.app.flight.alarm_watch import AlarmWatch
+from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.core.events import AlarmReported, BatteryReported, ControlAcquired, End
+
+GOOD = VehicleStatus(80, 12.0, "3D, 11 satellites", True, 99, 0.05)
+
+
+class Rig:
+    """A watch with a wall clock that is set by hand."""
+
+    def __init__(self, config: Config | None = None) -> None:
+        self.status, self.wall_s = GOOD, 0.0
+        self.events: list = []
+        self.texts: list[str] = []
+        self.watch = AlarmWatch(
+            config or Config(),
+            (0.0, 0.0),
+            lambda: self.status,
+            self.events.append,
+            self.texts.append,
+            lambda: self.wall_s,
+        )
+
+    def show(self, snapshot) -> None:
+        self.wall_s += 1.0
+        self.watch.show(snapshot)
+
+    def alarms(self, stage):
+        return [one.key for one in self.events if isinstance(one, AlarmReported) and one.stage == stage]
+
+
+@pytest.fixture
+def rig():
+    return Rig()
+
+
+@pytest.fixture(scope="module")
+def last(flight):
+    for _, _, controller in flight(60.0):
+        end = controller
+    return end.snapshot()
+
+
+def test_a_flight_without_faults_has_no_alarm(flight, rig):
+    for _, _, controller in flight(250.0):
+        rig.show(controller.snapshot())
+    assert rig.events == []
+    assert rig.texts == []
+
+
+def test_a_lost_target_is_raised_sent_and_cleared(rig, last):
+    rig.show(last)
+    for second in range(1, 60):
+        rig.show(replace(last, time_s=last.time_s + second))
+    assert {"target", "laser", "gimbal"} <= set(rig.alarms("raised"))
+    raised = next(one for one in rig.events if one.key == "target")
+    assert 9.0 <= raised.time_s - last.time_s <= 15.0
+    assert "point the camera at the target" in raised.text
+    assert rig.texts
+    assert all(text.startswith("sidelong: ") and len(text) <= 50 for text in rig.texts)
+    back_s = last.time_s + 61.0
+    seen = replace(last.estimate, time_s=back_s, last_sighting_s=back_s)
+    for second in range(6):
+        sensors = last.sensor_status.copy()
+        sensors.range_s = sensors.gimbal_s = back_s + second
+        estimate = replace(seen, last_sighting_s=back_s + second)
+        rig.show(replace(last, time_s=back_s + second, estimate=estimate, sensor_status=sensors))
+    assert set(rig.alarms("cleared")) == set(rig.alarms("raised"))
+
+
+def test_texts_to_the_ground_station_are_rate_limited(rig, last):
+    rig.show(last)
+    for tick in range(1, 200):
+        rig.show(replace(last, time_s=last.time_s + 0.1 * tick))
+    assert len(rig.texts) <= 1 + 20.0 / 5.0
+
+
+def test_after_a_yield_nothing_is_sent(rig, last):
+    rig.show(last)
+    yielded = replace(last, time_s=last.time_s + 1.0, phase=Phase.YIELDED, over="the flight mode was changed to RTL")
+    rig.show(yielded)
+    assert rig.alarms("raised") == ["yield"]
+    assert "start launch again" in rig.events[-1].text
+    assert rig.texts == []
+
+
+def test_an_acknowledgement_is_recorded_once(rig, last):
+    rig.show(last)
+    rig.show(replace(last, time_s=last.time_s + 1.0, phase=Phase.YIELDED, over="RTL"))
+    wish = AlarmReported(last.time_s, "yield", "acknowledged", who="operator")
+    rig.watch.acknowledge(wish)
+    rig.watch.acknowledge(wish)
+    assert rig.events.count(wish) == 1
+    assert rig.watch.describe(GOOD).alarms[0].acknowledged
+
+
+def test_a_silent_link_is_an_alarm_although_the_vehicle_s_clock_stands(rig, last):
+    rig.show(last)
+    sensors = last.sensor_status.copy()
+    sensors.connected = False
+    rig.wall_s += 3.0
+    rig.show(replace(last, sensor_status=sensors))
+    assert rig.alarms("raised") == ["link"]
+    assert "nothing received from the aircraft for 4 s" in rig.events[-1].text
+    rig.show(replace(last, time_s=last.time_s + 9.0))
+    assert "link" in rig.alarms("cleared")
+
+
+def test_the_battery_is_reported_and_shown_with_the_flight_home(rig, last):
+    for second in range(400):
+        rig.status = replace(GOOD, battery_percent=80 - second // 60)
+        estimate = replace(last.estimate, last_sighting_s=last.time_s + second)
+        rig.show(replace(last, time_s=last.time_s + second, estimate=estimate))
+    reported = [one for one in rig.events if isinstance(one, BatteryReported)]
+    assert reported[-1].left_s == pytest.approx((74.0 - 20.0) * 60.0, rel=0.05)
+    assert reported[-1].home_s == pytest.approx(250.0 / 15.0, rel=0.5)
+    shown = rig.watch.describe(GOOD)
+    assert (shown.endurance_s, shown.home_s) == (rig.watch.left_s, rig.watch.home_s)
+
+
+@pytest.mark.parametrize(("action", "ends"), [("return", True), ("warn", False)])
+def test_a_low_battery_ends_the_watch_as_configured(action, ends, snapshot):
+    config = Config.model_validate({"planner": {"name": "paper", "at_low_battery": action}})
+    controller = controller_of(config)
+    controller.step(ControlAcquired(100.0, snapshot.present.circle, "AUTO"))
+    said = [controller.step(BatteryReported(101.0 + k, 22.0, 70.0, 60.0)) for k in range(3)]
+    assert said[0] == ()  # one report is not enough
+    ended = [one for step in said for one in step if isinstance(one, End)]
+    assert [one.action for one in ended] == (["return"] if ends else [])
+    assert controller.phase is (Phase.ENDED if ends else Phase.WATCHING)
+
+
+def test_a_battery_with_enough_left_ends_nothing(snapshot):
+    controller = controller_of(Config.model_validate({"planner": {"name": "paper"}}))
+    controller.step(ControlAcquired(100.0, snapshot.present.circle, "AUTO"))
+    for k in range(5):
+        left_s = 70.0 if k % 2 else 73.0  # 120 % of the flight home, now and then
+        assert controller.step(BatteryReported(101.0 + k, 22.0, left_s, 60.0)) == ()
+
+
+def test_an_alarm_of_the_journal_is_announced_in_the_replay(snapshot):
+    controller = controller_of(Config.model_validate({"planner": {"name": "paper"}}))
+    (said,) = controller.step(AlarmReported(1.0, "laser", "raised", "no range from the laser for 5 s: check it"))
+    assert (said.kind, said.text) == ("alarm", "alarm: no range from the laser for 5 s: check it")
+    (said,) = controller.step(AlarmReported(2.0, "laser", "cleared", "no range from the laser for 6 s"))
+    assert said.kind == "clear"

@@ -1,0 +1,173 @@
+"""Alarms: raised and cleared in time, never by a moment's doubt, and each with what to do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from sidelong.mission.control.alarms import ALARM_KEYS, Alarms, Situation
+
+GOOD = Situation(
+    0.0,
+    in_band=True,
+    on_side=True,
+    range_m=300.0,
+    unseen_s=0.1,
+    gives_up_in_s=299.9,
+    laser_s=0.1,
+    gimbal_s=0.05,
+    gps="3D, 12 satellites",
+    good_gps=True,
+    battery_percent=80.0,
+    endurance_s=3000.0,
+    home_s=60.0,
+)
+CAUSES = {
+    "yield": {"yielded": "the flight mode was changed to LOITER", "in_hand": False},
+    "link": {"connected": False, "silent_s": 3.0},
+    "battery": {"battery_percent": 30.0, "endurance_s": 70.0},
+    "target": {"unseen_s": 12.0, "gives_up_in_s": 288.0},
+    "laser": {"laser_s": 11.0},
+    "gimbal": {"gimbal_s": 11.0},
+    "gps": {"gps": "2D", "good_gps": False},
+    "band": {"in_band": False, "range_m": 80.0},
+    "side": {"on_side": False},
+}
+
+
+def flown(alarms, until_s, since_s=0.0, **change):
+    """Show a situation every half second; return (time, key, raised) of each change."""
+    changes = []
+    for tick in range(int(2 * since_s), int(2 * until_s)):
+        raised, cleared = alarms.update(replace(GOOD, time_s=tick / 2, **change))
+        changes += [(tick / 2, one.key, True) for one in raised] + [(tick / 2, one.key, False) for one in cleared]
+    return changes
+
+
+def test_a_good_watch_raises_nothing():
+    assert flown(Alarms(), 600.0) == []
+
+
+@pytest.mark.parametrize("key", [*CAUSES])
+def test_each_alarm_is_raised_and_cleared_within_five_seconds(key):
+    alarms = Alarms()
+    flown(alarms, 100.0)
+    ((raised_s, raised_key, raised),) = flown(alarms, 140.0, 100.0, **CAUSES[key])
+    assert (raised_key, raised) == (key, True)
+    after_s = 20.0 if key == "side" else 0.0  # it is an alarm only after that time
+    assert raised_s - 100.0 - after_s <= 5.0
+    (alarm,) = alarms.active
+    assert alarm.advice
+    assert alarm.text
+    ((cleared_s, cleared_key, raised),) = flown(alarms, 160.0, 140.0)
+    assert (cleared_key, raised) == (key, False)
+    assert cleared_s - 140.0 <= 5.0
+    assert alarms.active == ()
+
+
+def test_every_alarm_is_tried_here():
+    assert {*CAUSES, "sightings"} == set(ALARM_KEYS)
+
+
+@pytest.mark.parametrize(("key", "moment_s"), [("band", 1.0), ("side", 19.0), ("gps", 1.0), ("battery", 1.0)])
+def test_a_moment_is_no_alarm(key, moment_s):
+    alarms = Alarms()
+    flown(alarms, 100.0)
+    assert flown(alarms, 100.0 + moment_s, 100.0, **CAUSES[key]) == []
+    assert flown(alarms, 130.0, 100.0 + moment_s) == []
+
+
+def test_an_alarm_does_not_flicker():
+    alarms = Alarms()
+    flown(alarms, 100.0)
+    changes = []
+    for tick in range(200, 300):  # in and out of the band every half second
+        raised, cleared = alarms.update(replace(GOOD, time_s=tick / 2, in_band=tick % 5 == 0, range_m=99.0))
+        changes += [*raised, *cleared]
+    assert len(changes) <= 1
+
+
+def test_on_the_way_to_the_first_circle_band_and_side_are_no_alarm():
+    alarms = Alarms()
+    assert flown(alarms, 119.0, in_band=False, on_side=False) == []
+    late = flown(alarms, 150.0, 119.0, in_band=False, on_side=False)
+    assert {key for _, key, raised in late if raised} == {"band", "side"}
+
+
+def test_rejected_sightings_are_an_alarm_within_a_minute():
+    alarms = Alarms()
+    changes = []
+    for tick in range(400):
+        sightings = 2 * tick
+        rejected = max(0, sightings - 400) // 2  # half of them from 100 s on
+        raised, cleared = alarms.update(replace(GOOD, time_s=tick / 2, sightings=sightings, rejected=rejected))
+        changes += [(tick / 2, one.key) for one in (*raised, *cleared)]
+    ((at_s, key),) = changes
+    assert key == "sightings"
+    assert 100.0 < at_s <= 140.0
+
+
+def test_few_sightings_are_no_reason_to_blame_the_gimbal():
+    alarms = Alarms()
+    assert flown(alarms, 60.0, sightings=10, rejected=9) == []
+
+
+def test_a_silent_link_freezes_the_other_alarms():
+    alarms = Alarms()
+    flown(alarms, 100.0)
+    flown(alarms, 110.0, 100.0, in_band=False, range_m=90.0)
+    changes = flown(alarms, 120.0, 110.0, connected=False, silent_s=4.0, in_band=None, on_side=None)
+    assert [key for _, key, _ in changes] == ["link"]
+    assert [alarm.key for alarm in alarms.active] == ["link", "band"]
+
+
+def test_a_lost_target_counts_down_to_the_flight_home_and_holding_stops_it():
+    alarms = Alarms()
+    flown(alarms, 100.0)
+    flown(alarms, 101.0, 100.0, unseen_s=30.0, gives_up_in_s=42.0)
+    (alarm,) = alarms.active
+    assert "flies home in 42 s" in alarm.text
+    assert "press Hold" in alarm.advice
+    assert alarm.countdown_s == 42.0
+    flown(alarms, 102.0, 101.0, unseen_s=31.0, gives_up_in_s=None)
+    assert alarms.active[0].countdown_s is None
+    flown(alarms, 103.0, 102.0, unseen_s=31.0, gives_up_in_s=40.0, at_give_up="hold")
+    assert "stays on its circle" in alarms.active[0].text
+
+
+def test_acknowledging_keeps_the_alarm_until_its_cause_is_gone():
+    alarms = Alarms()
+    flown(alarms, 100.0)
+    flown(alarms, 101.0, 100.0, laser_s=11.0)
+    assert alarms.acknowledge("laser")
+    assert not alarms.acknowledge("laser")
+    assert not alarms.acknowledge("gimbal")
+    flown(alarms, 105.0, 101.0, laser_s=14.0)
+    assert alarms.active[0].acknowledged
+    flown(alarms, 110.0, 105.0)
+    flown(alarms, 111.0, 110.0, laser_s=11.0)
+    assert not alarms.active[0].acknowledged  # it is another one
+
+
+@pytest.mark.parametrize(
+    ("percent", "endurance_s", "home_s", "raised"),
+    [
+        (40.0, 300.0, 200.0, False),
+        (40.0, 239.0, 200.0, True),
+        (90.0, 100.0, math.inf, True),  # the wind does not let it home
+        (30.0, None, None, False),
+        (24.0, None, None, True),
+        (None, None, None, False),
+    ],
+)
+def test_the_battery_is_low_at_120_percent_of_the_flight_home(percent, endurance_s, home_s, raised):
+    alarms = Alarms()
+    flown(alarms, 20.0, battery_percent=percent, endurance_s=endurance_s, home_s=home_s)
+    assert ([alarm.key for alarm in alarms.active] == ["battery"]) is raised
+
+
+def test_before_the_takeover_nothing_is_judged():
+    unknown = {"in_hand": False, "in_band": False, "on_side": False, "unseen_s": 60.0, "laser_s": 60.0}
+    assert flown(Alarms(), 300.0, **unknown, battery_percent=5.0) == []
