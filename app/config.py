@@ -200,6 +200,12 @@ class PayloadSection(Section):
     """Unit of the range that it sends, m; none: the unit in its manual."""
     flip_yaw: bool = False
     """Whether its yaw is positive in the other direction than its manual says."""
+    flip_pitch: bool = False
+    """Whether its pitch is positive in the other direction than its manual says."""
+    range_delay_s: float = Field(0.05, ge=0, le=2)
+    """Age of a range when the payload sends it, s; the default is half the period of a laser of 10 Hz."""
+    angles_delay_s: float = Field(0.0, ge=0, le=2)
+    """Age of the angles when the payload sends them, s."""
     angles_relative_to: Literal["vehicle", "body", "earth"] | None = None
     """Frame of its angles: heading and horizon (vehicle), airframe (body), north (earth); none: as it reports."""
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from sidelong.sitl.pace import Pace
+from sidelong.sitl.payload.devices import OVER_TCP
 from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
 from sidelong.sitl.simulation import STEP_S, Simulation
 
@@ -69,7 +70,7 @@ class _Port:
 
 
 class _DevicePort:
-    """The port of a vehicle's device: it answers whom it hears, and streams to whom it has heard last."""
+    """The port of a vehicle's device: it answers its client, and streams to the latest one."""
 
     def __init__(self, simulation: Simulation, address: Address) -> None:
         self.simulation = simulation
@@ -77,6 +78,11 @@ class _DevicePort:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(address)
         self.socket.setblocking(False)
+
+    @property
+    def sockets(self) -> tuple[socket.socket, ...]:
+        """Those that may become readable."""
+        return (self.socket,)
 
     def send(self) -> None:
         self._send(self.simulation.take_device())
@@ -88,14 +94,68 @@ class _DevicePort:
             except BlockingIOError:
                 return
             except ConnectionError:
-                continue  # who asked has gone
+                continue  # the client has gone
             self._send(self.simulation.receive_device(data))
+
+    def close(self) -> None:
+        self.socket.close()
 
     def _send(self, frames: Sequence[bytes]) -> None:
         for frame in frames:
             if self._peer is not None:
                 with contextlib.suppress(BlockingIOError, ConnectionError):
                     self.socket.sendto(frame, self._peer)
+
+
+class _TcpDevicePort:
+    """The same for a device that is connected to by TCP: one client at a time, the latest."""
+
+    def __init__(self, simulation: Simulation, address: Address) -> None:
+        self.simulation = simulation
+        self._server = socket.create_server(address)
+        self._server.setblocking(False)
+        self._client: socket.socket | None = None
+
+    @property
+    def sockets(self) -> tuple[socket.socket, ...]:
+        """Those that may become readable."""
+        return (self._server,) if self._client is None else (self._server, self._client)
+
+    def send(self) -> None:
+        self._send(self.simulation.take_device())
+
+    def receive(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            client, _ = self._server.accept()
+            self._drop()
+            client.setblocking(False)
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._client = client
+        if self._client is None:
+            return
+        with contextlib.suppress(BlockingIOError):
+            try:
+                data = self._client.recv(_DATAGRAM_MAX)
+            except ConnectionError:
+                data = b""
+            if data:
+                self._send(self.simulation.receive_device(data))
+            else:
+                self._drop()
+
+    def close(self) -> None:
+        self._drop()
+        self._server.close()
+
+    def _send(self, frames: Sequence[bytes]) -> None:
+        if self._client is not None:
+            with contextlib.suppress(BlockingIOError, ConnectionError):
+                self._client.sendall(b"".join(frames))
+
+    def _drop(self) -> None:
+        if self._client is not None:
+            self._client.close()
+            self._client = None
 
 
 def serve(
@@ -115,11 +175,12 @@ def serve(
     pace tells how far it may go. device_address: where the first vehicle's device listens.
     """
     ports: dict[socket.socket, _Port] = {}
-    devices: dict[socket.socket, _DevicePort] = {}
+    devices: list[_DevicePort | _TcpDevicePort] = []
     try:
         if device_address is not None:
-            device = _DevicePort(served[0][0], device_address)
-            devices[device.socket] = device
+            first = served[0][0]
+            port_of = _TcpDevicePort if first.settings.device in OVER_TCP else _DevicePort
+            devices.append(port_of(first, device_address))
         for simulation, stations in served:
             port = _Port(simulation, stations, faults or LinkFaults())
             ports[port.socket] = port
@@ -137,13 +198,14 @@ def serve(
                 goal_s = min(goal_s, pace.limit_s(now_s))
             for port in ports.values():
                 port.advance(min(goal_s, duration_s), now_s)
-            for device in devices.values():
+            for device in devices:
                 device.send()
             next_step_s = begin_s + (clock.time_s + STEP_S) / speed
             next_s = min(max(next_step_s, now_s + _WAKE_MIN_S), *(port.next_s for port in ports.values()))
             wake_s = max(0.0, next_s - time.monotonic())
-            for ready in select.select([*ports, *devices], [], [], wake_s)[0]:
-                (ports[ready] if ready in ports else devices[ready]).receive()
+            of_devices = {one: device for device in devices for one in device.sockets}
+            for ready in select.select([*ports, *of_devices], [], [], wake_s)[0]:
+                (ports[ready] if ready in ports else of_devices[ready]).receive()
     finally:
-        for udp in (*ports, *devices):
-            udp.close()
+        for opened in (*ports, *devices):
+            opened.close()

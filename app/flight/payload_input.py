@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
+from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -15,7 +16,7 @@ from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.app.link.transport import Peer, Transport, opened
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.payload.address import resolved
-from sidelong.app.payload.driver import DriverSettings, Measured
+from sidelong.app.payload.driver import AircraftPose, DriverSettings, Measured
 from sidelong.app.payload.messages import COMPONENT, fields_of, packed
 from sidelong.app.payload.registry import MAVLINK, kind_by_name
 from sidelong.app.payload.session import PayloadSession, PayloadStatus
@@ -64,6 +65,10 @@ class PayloadRunner:
         finally:
             if self._transport is not None:
                 await asyncio.to_thread(self._transport.close)
+
+    def aircraft(self, pose: AircraftPose) -> None:
+        """Let the gimbal know of the aircraft."""
+        self._send(self._session.aircraft(pose, self._driver_s(time.monotonic())))
 
     def point(self, pitch_rad: float, yaw_rad: float) -> None:
         """Point the gimbal; yaw is relative to the aircraft's heading."""
@@ -118,10 +123,13 @@ class PayloadInput:
         self._timeline = VehicleTimeline(rate)
         self._encoder = mavlink.MAVLink(None, vehicle.system_id, COMPONENT)
 
-    def hear(self, message: Message) -> None:
-        """Take a message of the vehicle: its stamp tells the vehicle's time."""
-        if message.component_id == AUTOPILOT_COMPONENT and message.name in _STAMPED:
-            self._timeline.hear(message.fields["time_boot_ms"] * 1e-3, time.monotonic())
+    def hear(self, message: Message) -> AircraftPose | None:
+        """Take a message of the vehicle, whose stamp tells its time; return where it is if that is known."""
+        if message.component_id != AUTOPILOT_COMPONENT or message.name not in _STAMPED:
+            return None
+        self._timeline.hear(message.fields["time_boot_ms"] * 1e-3, time.monotonic())
+        attitude, position = (self._vehicle.latest.get(name) for name in ("ATTITUDE", "GLOBAL_POSITION_INT"))
+        return None if attitude is None or position is None else _pose(attitude.fields, position.fields)
 
     def measured(self, one: Measured, time_s: float) -> None:
         """Hand on a measurement that was made at ``time_s`` of this computer's monotonic clock."""
@@ -137,6 +145,20 @@ class PayloadInput:
             self._encoder.seq = (self._encoder.seq + 1) % 256
             self._on_frame(frame)
         self._vehicle.take(Message(name, self._vehicle.system_id, COMPONENT, fields, time.time()))
+
+
+def _pose(attitude: Mapping[str, Any], position: Mapping[str, Any]) -> AircraftPose:
+    return AircraftPose(
+        attitude["roll"],
+        attitude["pitch"],
+        attitude["yaw"],
+        position["lat"] * 1e-7,
+        position["lon"] * 1e-7,
+        position["alt"] * 1e-3,
+        position["vx"] * 1e-2,
+        position["vy"] * 1e-2,
+        -position["vz"] * 1e-2,
+    )
 
 
 @contextlib.asynccontextmanager
@@ -165,13 +187,27 @@ async def payload_input(
         yield None
         return
     kind = kind_by_name(payload.kind)
-    settings = DriverSettings(payload.range_unit_m, payload.flip_yaw, payload.angles_relative_to)
     rate = 1.0 if config.link.connections else config.simulation.speed
     url = resolved(simulated_url or payload.url or kind.url)
+    settings = DriverSettings(
+        payload.range_unit_m,
+        payload.flip_yaw,
+        payload.flip_pitch,
+        payload.angles_relative_to,
+        over_tcp=url.startswith("tcp:"),
+    )
     reader = PayloadInput(vehicle, rate, on_frame)
-    session = PayloadSession(f"{kind.name} at {url}", kind.make(settings), report)
+    session = PayloadSession(
+        f"{kind.name} at {url}", kind.make(settings), report, payload.range_delay_s, payload.angles_delay_s
+    )
     runner = PayloadRunner(url, session, rate, reader.measured, report)
-    vehicle.listeners.append(reader.hear)
+
+    def hear(message: Message) -> None:
+        pose = reader.hear(message)
+        if pose is not None:
+            runner.aircraft(pose)
+
+    vehicle.listeners.append(hear)
     running = asyncio.create_task(runner.run())
 
     def ended(task: asyncio.Task[None]) -> None:
@@ -182,6 +218,6 @@ async def payload_input(
     try:
         yield runner
     finally:
-        vehicle.listeners.remove(reader.hear)
+        vehicle.listeners.remove(hear)
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.interpreter import helper_command, helper_environment
-from sidelong.app.payload.registry import MAVLINK
+from sidelong.app.payload.registry import MAVLINK, kind_by_name
 
 _READY_S = 30.0
 _STOP_S = 5.0
@@ -47,7 +47,8 @@ class SimulatedVehicles:
         device: tuple[str, ...] = ()
         if config.payload.kind != MAVLINK:
             payload_port = free_udp_port()
-            self.payload_url = f"udp://127.0.0.1:{payload_port}"
+            scheme = kind_by_name(config.payload.kind).url.partition(":")[0]
+            self.payload_url = f"{scheme}://127.0.0.1:{payload_port}"
             device = ("--device", f"{config.payload.kind}@127.0.0.1:{payload_port}")
         self._options = [
             *("--vehicles", str(len(configs))),

@@ -57,13 +57,45 @@ class DriverSettings:
     Attributes:
         range_unit_m: unit of the range that the payload sends, m; None: the unit of its manual.
         flip_yaw: whether the payload's yaw is positive in the other direction than its manual says.
+        flip_pitch: the same of its pitch.
         relative_to: what the payload's angles are relative to; None: what its manual or its mode says.
+        over_tcp: whether the bytes go over TCP, for which some protocols have another frame.
 
     """
 
     range_unit_m: float | None = None
     flip_yaw: bool = False
+    flip_pitch: bool = False
     relative_to: Frame | None = None
+    over_tcp: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class AircraftPose:
+    """The aircraft's attitude and position, which some gimbals want to know.
+
+    Attributes:
+        roll_rad: right wing down.
+        pitch_rad: nose up.
+        yaw_rad: heading, clockwise from north.
+        latitude_deg: WGS-84.
+        longitude_deg: WGS-84.
+        altitude_m: above mean sea level.
+        velocity_north_m_s: over the ground.
+        velocity_east_m_s: over the ground.
+        velocity_up_m_s: climb rate.
+
+    """
+
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    velocity_north_m_s: float
+    velocity_east_m_s: float
+    velocity_up_m_s: float
 
 
 @dataclass(slots=True)
@@ -110,6 +142,10 @@ class PayloadDriver(Protocol):
 
     def receive(self, data: bytes, now_s: float) -> list[Measured]:
         """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
+        ...
+
+    def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
+        """Return what the gimbal is sent of the aircraft; to be called whenever its attitude is known anew."""
         ...
 
     def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from sidelong.app.payload.driver import DriverSettings, PayloadDriver
 from sidelong.app.payload.siyi import SiyiDriver
+from sidelong.app.payload.topotek import TopotekDriver
+from sidelong.app.payload.viewpro import ViewproDriver
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +34,8 @@ MAVLINK = "mavlink"
 
 PAYLOADS: tuple[PayloadKind, ...] = (
     PayloadKind("siyi", "SIYI gimbal cameras (ZT30, ZT6, ZR10, A8 mini)", "udp://192.168.144.25:37260", SiyiDriver),
+    PayloadKind("viewpro", "Viewpro gimbal cameras (ViewLink)", "tcp://192.168.2.119:2000", ViewproDriver),
+    PayloadKind("topotek", "Topotek gimbal cameras", "udp://192.168.144.108:9003", TopotekDriver),
 )
 KIND_NAMES = (MAVLINK, *(kind.name for kind in PAYLOADS))
 

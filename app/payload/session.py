@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from sidelong.app.payload.driver import AnglesMeasured, Identity, Measured, PayloadDriver, RangeMeasured
+from sidelong.app.payload.driver import AircraftPose, AnglesMeasured, Identity, Measured, PayloadDriver, RangeMeasured
 
 LOST_AFTER_S = 2.0
 """Without a measurement for this long the payload counts as lost."""
@@ -51,15 +51,25 @@ class PayloadSession:
         name: how reports call the payload.
         driver: the protocol.
         report: receives each report, one sentence without its full stop.
+        range_delay_s: age of a range when the payload sends it, s.
+        angles_delay_s: the same of the angles, s.
 
     """
 
-    def __init__(self, name: str, driver: PayloadDriver, report: Callable[[str], object]) -> None:
+    def __init__(
+        self,
+        name: str,
+        driver: PayloadDriver,
+        report: Callable[[str], object],
+        range_delay_s: float = 0.0,
+        angles_delay_s: float = 0.0,
+    ) -> None:
         self._name, self._driver, self._report = name, driver, report
+        self._delays_s = {RangeMeasured: range_delay_s, AnglesMeasured: angles_delay_s}
         self._called_s: float | None = None
         self._latest_s = self._range_s = self._restarted_s = -math.inf
         self._is_lost = self._is_rangeless = False
-        self._knows_laser = False
+        self._model = ""
         self._ranges_s: deque[float] = deque()
         self._angles_s: deque[float] = deque()
         self._range: RangeMeasured | None = None
@@ -77,7 +87,9 @@ class PayloadSession:
 
     def receive(self, data: bytes, now_s: float) -> list[Measured]:
         """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
-        measured = self._driver.receive(data, now_s)
+        measured = [
+            replace(one, time_s=one.time_s - self._delays_s[type(one)]) for one in self._driver.receive(data, now_s)
+        ]
         for one in measured:
             if isinstance(one, RangeMeasured):
                 self._range, self._range_s = one, now_s
@@ -92,6 +104,10 @@ class PayloadSession:
             self._returned(now_s)
             self._latest_s = now_s
         return measured
+
+    def aircraft(self, pose: AircraftPose, now_s: float) -> list[bytes]:
+        """Return what the gimbal is sent of the aircraft."""
+        return list(self._driver.aircraft(pose, now_s))
 
     def point(self, pitch_rad: float, yaw_rad: float) -> list[bytes]:
         """Return the commands that point the gimbal; yaw is relative to the aircraft's heading."""
@@ -125,11 +141,11 @@ class PayloadSession:
 
     def _supervise(self, now_s: float) -> None:
         identity = self._driver.identity
-        if identity.model and identity.has_laser is not None and not self._knows_laser:
-            self._knows_laser = True
-            firmware = f", firmware {identity.firmware}" if identity.firmware else ""
-            no_laser = "" if identity.has_laser else "; it has no laser, so the range has to come from elsewhere"
-            self._report(f"payload {self._name}: {identity.model}{firmware}{no_laser}")
+        if identity.model and identity.model != self._model:
+            self._model = identity.model
+            no_laser = ", which has no laser: the range has to come from elsewhere"
+            no_laser = no_laser if identity.has_laser is False else ""
+            self._report(f"payload {self._name}: {identity.model}{no_laser}")
         silent_s = now_s - self._latest_s
         if silent_s > LOST_AFTER_S:
             if not self._is_lost:

@@ -15,7 +15,15 @@ import struct
 from binascii import crc_hqx
 from collections.abc import Sequence
 
-from sidelong.app.payload.driver import AnglesMeasured, DriverSettings, Frame, Identity, Measured, RangeMeasured
+from sidelong.app.payload.driver import (
+    AircraftPose,
+    AnglesMeasured,
+    DriverSettings,
+    Frame,
+    Identity,
+    Measured,
+    RangeMeasured,
+)
 from sidelong.app.payload.framing import Framer
 from sidelong.app.payload.requests import Period, RoundTrips
 from sidelong.estimators.frames import wrap_rad
@@ -26,6 +34,7 @@ _HEAD = struct.Struct("<2sBHHB")
 _CRC_BYTES, _DATA_MAX_BYTES = 2, 64
 _ACK_WANTED = 1
 _FIRMWARE, _HARDWARE_ID, _CONFIGURATION, _ATTITUDE, _SET_ANGLES, _RANGE, _STREAM = 1, 2, 0x0A, 0x0D, 0x0E, 0x15, 0x25
+_AIRCRAFT = 0x22
 _STREAMS = {_ATTITUDE: b"\x01\x05", _RANGE: b"\x02\x04"}  # kind and frequency: 20 Hz and 10 Hz
 _MODELS = {0x6B: "ZR10", 0x73: "A8 mini", 0x75: "A2 mini", 0x78: "ZR30", 0x7A: "ZT30", 0x83: "ZT6"}
 _WITH_LASER = ("ZT30",)
@@ -36,6 +45,7 @@ _UPSIDE_DOWN = 2
 _RANGE_UNIT_M, _RANGE_MIN_M = 0.1, 5.0
 _RANGE_NONE = 0xFFFF
 _ANGLES_PERIOD_S, _RANGE_PERIOD_S, _IDENTITY_PERIOD_S = 0.05, 0.1, 1.0
+_AIRCRAFT_PERIOD_S = 0.1
 _STREAMING_S = 0.5  # without a measurement for this long, they are polled
 
 
@@ -50,7 +60,7 @@ class SiyiDriver:
         self._sequence = 0
         self._frame: Frame = "vehicle"
         self._upside_down = False
-        self._identity_due = Period(_IDENTITY_PERIOD_S)
+        self._identity_due, self._aircraft_due = Period(_IDENTITY_PERIOD_S), Period(_AIRCRAFT_PERIOD_S)
         self._poll_due = {_ATTITUDE: Period(_ANGLES_PERIOD_S), _RANGE: Period(_RANGE_PERIOD_S)}
         self._streamed_s: dict[int, float] = {}  # when a stream was requested, or brought a measurement
 
@@ -98,11 +108,19 @@ class SiyiDriver:
         measured = (self._measured(frame, now_s) for frame in self._framer.feed(data))
         return [one for one in measured if one is not None]
 
+    def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
+        """Return the aircraft's attitude for the gimbal's own stabilisation, at 10 Hz."""
+        if not self._aircraft_due.is_due(now_s):
+            return ()
+        angles = struct.pack("<Ifff12x", round(1000.0 * now_s), pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
+        return (self._frame_of(_AIRCRAFT, angles),)
+
     def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:
         """Return the command that turns the gimbal, within the model's limits."""
         yaw_max_rad = _YAW_MAX_RAD.get(self.identity.model, math.pi)
         yaw_rad = min(max(wrap_rad(yaw_rad), -yaw_max_rad), yaw_max_rad)
         pitch_rad = min(max(pitch_rad, _PITCH_MIN_RAD), _PITCH_MAX_RAD)
+        pitch_rad = -pitch_rad if self._settings.flip_pitch else pitch_rad
         data = struct.pack("<hh", *map(_tenths_deg, (self._yaw_sign * yaw_rad, pitch_rad)))
         return (self._frame_of(_SET_ANGLES, data),)
 
@@ -151,6 +169,7 @@ class SiyiDriver:
     def _angles(self, time_s: float, data: bytes) -> AnglesMeasured:
         yaw_rad, pitch_rad, roll_rad = (math.radians(0.1 * tenths) for tenths in struct.unpack_from("<hhh", data))
         yaw_rad *= self._yaw_sign
+        pitch_rad = -pitch_rad if self._settings.flip_pitch else pitch_rad
         if self._upside_down:
             pitch_rad, yaw_rad = -wrap_rad(pitch_rad + math.pi), -yaw_rad
         turned = multiply(from_roll_pitch_yaw(0.0, 0.0, yaw_rad), from_roll_pitch_yaw(roll_rad, 0.0, 0.0))

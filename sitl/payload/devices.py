@@ -8,6 +8,15 @@ import numpy as np
 
 from sidelong.sitl.payload.device import Device
 from sidelong.sitl.payload.siyi import SimulatedSiyi
+from sidelong.sitl.payload.topotek import SimulatedTopotek
+from sidelong.sitl.payload.viewpro import SimulatedViewpro
 from sidelong.sitl.settings import Quirks
 
-DEVICES: dict[str, Callable[[Quirks, np.random.Generator], Device]] = {"siyi": SimulatedSiyi}
+OVER_TCP = ("viewpro",)
+"""Those that listen for a TCP connection; the others take datagrams."""
+
+DEVICES: dict[str, Callable[[Quirks, np.random.Generator], Device]] = {
+    "siyi": SimulatedSiyi,
+    "viewpro": SimulatedViewpro,
+    "topotek": SimulatedTopotek,
+}

@@ -20,7 +20,9 @@ from tests.payload.wiring import Wired
 NO_QUIRKS = Quirks()
 _SUBSTEPS = 10
 _LEAN = 0.05
-_SCENARIO = Scenario(seed=5, flavour="arduplane", duration_s=600.0)
+_RANGE_DELAY_S = 0.05  # mean age of the latest of ten ranges a second
+_SCENARIO = Scenario(seed=5, flavour="arduplane", duration_s=300.0)
+_UNPLUGGED = Scenario(seed=5, flavour="px4", duration_s=300.0)
 
 
 class DeviceLoop(ClosedLoop):
@@ -28,7 +30,7 @@ class DeviceLoop(ClosedLoop):
 
     def __init__(self, scenario: Scenario, kind: str, quirks: Quirks = NO_QUIRKS, delay_s: float = 0.02) -> None:
         super().__init__(scenario)
-        self.wired = Wired(kind, quirks, delay_s=delay_s)
+        self.wired = Wired(kind, quirks, delay_s=delay_s, range_delay_s=_RANGE_DELAY_S)
         self.unplugged_s: tuple[tuple[float, float], ...] = ()
         self.ranges_s: list[float] = []
         self._before: tuple[float, Seen] | None = None
@@ -59,10 +61,10 @@ class DeviceLoop(ClosedLoop):
 
 
 def _between(a: Seen, b: Seen, share: float) -> Seen:
-    """Return what is seen between two moments; the laser's echo is the one of the later."""
+    """Return what is seen between two moments; the laser's latest echo is that of the earlier."""
     turned_rad = math.remainder(b.bearing_rad - a.bearing_rad, math.tau)
     return Seen(
-        b.range_m,
+        a.range_m,
         a.bearing_rad + share * turned_rad,
         a.elevation_rad + share * (b.elevation_rad - a.elevation_rad),
         a.lean_rad + share * (b.lean_rad - a.lean_rad),
@@ -72,6 +74,12 @@ def _between(a: Seen, b: Seen, share: float) -> Seen:
 @cache
 def by_mavlink():
     return ClosedLoop(_SCENARIO).fly()
+
+
+def error_m(flown) -> float:
+    """Return the root of the mean squared error of the estimate, m."""
+    errors_m = np.array([decided.target_error_m for decided in flown.decided])
+    return float(np.sqrt(np.nanmean(errors_m**2)))
 
 
 def shares(flown) -> tuple[float, float]:
@@ -88,12 +96,13 @@ def test_watch_with_the_payloads_own_protocol_is_as_good_as_with_mavlink(kind):
     side, band = shares(flown)
     side_by_mavlink, band_by_mavlink = shares(by_mavlink())
     assert band >= band_by_mavlink - 1.0
-    assert side >= side_by_mavlink - 1.0
+    assert side >= side_by_mavlink - 5.0  # one flight: of several the mean is compared, in tests/bench
+    assert error_m(flown) <= 1.3 * error_m(by_mavlink())
 
 
 def test_watch_goes_on_while_the_payload_is_unplugged_ten_times():
-    loop = DeviceLoop(_SCENARIO, "siyi")
-    loop.unplugged_s = tuple((40.0 + 50.0 * time, 48.0 + 50.0 * time) for time in range(10))
+    loop = DeviceLoop(_UNPLUGGED, "siyi")
+    loop.unplugged_s = tuple((20.0 + 27.0 * time, 26.0 + 27.0 * time) for time in range(10))
     flown = loop.fly()
     assert flown.yielded is None
     assert flown.ended is None
@@ -102,4 +111,4 @@ def test_watch_goes_on_while_the_payload_is_unplugged_ten_times():
     assert sum("data again" in text for text in texts) == 10
     for _, back_s in loop.unplugged_s:
         assert any(back_s <= time_s <= back_s + 3.0 for time_s in loop.ranges_s)
-    assert shares(flown)[1] >= shares(by_mavlink())[1] - 3.0
+    assert shares(flown)[1] >= 97.0

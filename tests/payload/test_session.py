@@ -46,7 +46,7 @@ def test_target_beyond_reach_leaves_angles_and_is_reported(kind):
     assert sum("no range" in text for _, text in wired.reports) == 1
     assert any("no range" in text for text in wired.session.status(wired.now_s).missing)
     assert [one for one in wired.run(2.0, looking(200.0, 0.0, -30.0)) if isinstance(one, RangeMeasured)]
-    assert "ranges again" in wired.reports[-1][1]
+    assert any("ranges again" in text for _, text in wired.reports)
 
 
 @pytest.mark.parametrize("kind", DEVICES)
@@ -55,7 +55,7 @@ def test_damaged_frames_cost_their_measurements_and_nothing_else(kind):
     measured = wired.run(20.0, SEES)
     ranges = [one.slant_range_m for one in measured if isinstance(one, RangeMeasured)]
     assert len(ranges) > 100
-    assert wired.driver.damaged > 50
+    assert wired.driver.damaged > 15
     assert not [text for _, text in wired.reports if "no data" in text]
 
 

@@ -36,17 +36,21 @@ class Wired:
         settings: DriverSettings = AS_IN_THE_MANUAL,
         delay_s: float = 0.0,
         seed: int = 1,
+        range_delay_s: float = 0.0,
     ) -> None:
         self.driver = kind_by_name(kind).make(settings)
         self.device = DEVICES[kind](quirks, np.random.default_rng(seed))
         self.reports: list[tuple[float, str]] = []
-        self.session = PayloadSession(kind, self.driver, lambda text: self.reports.append((self.now_s, text)))
+        self.session = PayloadSession(kind, self.driver, self._note, range_delay_s)
         self.now_s = 0.0
         self.plugged = True
         self._delay_s = delay_s
         self._steps = 0
         self._order = itertools.count()
         self._flying: list[tuple[float, int, bool, bytes]] = []
+
+    def _note(self, text: str) -> None:
+        self.reports.append((self.now_s, text))
 
     def step(self, seen: Seen) -> list[Measured]:
         """Go on by 10 ms and return what was measured."""

@@ -1,0 +1,170 @@
+"""Topotek gimbal cameras: frames of text.
+
+Frame: ``#TP`` (``#tp`` where the data have no fixed length), source and destination, number of data characters as one
+hex digit, ``r`` or ``w``, three letters of the command, data, and the sum of all bytes before as two hex digits.
+
+Source: ArduPilot ``AP_Mount_Topotek`` (Plane-4.6.3). The gimbal counts pitch downwards.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from sidelong.app.payload.driver import (
+    AircraftPose,
+    AnglesMeasured,
+    DriverSettings,
+    Identity,
+    Measured,
+    RangeMeasured,
+)
+from sidelong.app.payload.framing import Framer
+from sidelong.app.payload.requests import Period, RoundTrips
+from sidelong.estimators.frames import wrap_rad
+from sidelong.estimators.rotations import from_roll_pitch_yaw
+
+_HEADERS = (b"#TP", b"#tp")
+_HEAD_BYTES, _CHECKSUM_BYTES = 10, 2
+_HEX = b"0123456789ABCDEF"
+_GIMBAL, _LENS, _SYSTEM = "G", "M", "D"
+_ANGLES_MESSAGES = (b"GIA", b"GIC")
+_ANGLE_UNIT_RAD = math.radians(0.01)
+_SPEED = 99  # the greatest
+_IDENTITY_PERIOD_S, _ANGLES_PERIOD_S, _RANGE_PERIOD_S, _RANGING_PERIOD_S = 1.0, 1.0, 0.1, 5.0
+_PUSHED_S = 0.5  # without a range for this long, it is polled
+
+
+class TopotekDriver:
+    """State of one connection to a Topotek gimbal camera."""
+
+    def __init__(self, settings: DriverSettings) -> None:
+        self.identity = Identity()
+        self._settings = settings
+        self._framer = Framer(_HEADERS, _length, _is_intact)
+        self._trips = RoundTrips()
+        self._identity_due, self._angles_due = Period(_IDENTITY_PERIOD_S), Period(_ANGLES_PERIOD_S)
+        self._range_due, self._ranging_due = Period(_RANGE_PERIOD_S), Period(_RANGING_PERIOD_S)
+        self._pushed_s = self._range_s = -math.inf
+        self._follows = False
+
+    @property
+    def damaged(self) -> int:
+        """Number of byte sequences that began like a frame and were none."""
+        return self._framer.damaged
+
+    @property
+    def round_trip_s(self) -> float | None:
+        """Shortest recent time between a request and its reply, s."""
+        return self._trips.shortest_s
+
+    def restart(self, now_s: float) -> None:
+        """Request identification, angles and ranging again."""
+        self._framer.clear()
+        self._trips.clear()
+        self.identity = Identity()
+        self._follows = False
+        for period in (self._identity_due, self._angles_due, self._ranging_due):
+            period.restart()
+
+    def due(self, now_s: float) -> list[bytes]:
+        """Return the requests to send now. Angles, and the range of most firmware, then come unasked for a while."""
+        requests: list[bytes] = []
+        if self._identity_due.is_due(now_s):
+            if not self.identity.model:
+                requests.append(encode(_GIMBAL, "r", "PA2", "00"))
+            self._trips.sent(b"VSN", now_s)
+            requests.append(encode(_SYSTEM, "r", "VSN", "00"))
+        if self._angles_due.is_due(now_s):
+            requests.append(encode(_GIMBAL, "w", "GIA", "01"))
+        if self._ranging_due.is_due(now_s) and now_s - self._range_s > _RANGING_PERIOD_S:
+            self._pushed_s = now_s
+            requests.append(encode(_LENS, "w", "LRF", "03"))
+        pushed = now_s - self._pushed_s <= _PUSHED_S
+        if not pushed and not self._trips.awaits(b"LRF", now_s) and self._range_due.is_due(now_s):
+            self._trips.sent(b"LRF", now_s)
+            requests.append(encode(_LENS, "r", "LRF", "00"))
+        return requests
+
+    def receive(self, data: bytes, now_s: float) -> list[Measured]:
+        """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
+        measured = (self._measured(frame, now_s) for frame in self._framer.feed(data))
+        return [one for one in measured if one is not None]
+
+    def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
+        """Return nothing: angles are relative to the aircraft, for which the gimbal needs no position."""
+        return ()
+
+    def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:
+        """Return the commands that turn the gimbal, in its mode of following the aircraft."""
+        commands = []
+        if not self._follows:
+            self._follows = True
+            commands.append(encode(_GIMBAL, "w", "PTZ", "07"))
+        yaw_rad = -yaw_rad if self._settings.flip_yaw else yaw_rad
+        pitch_rad = pitch_rad if self._settings.flip_pitch else -pitch_rad
+        commands.append(encode(_GIMBAL, "w", "GAY", f"{_hundredths(yaw_rad):04X}{_SPEED:02X}", fixed=False))
+        commands.append(encode(_GIMBAL, "w", "GIP", f"{_hundredths(pitch_rad):04X}{_SPEED:02X}", fixed=False))
+        return commands
+
+    def _measured(self, frame: bytes, now_s: float) -> Measured | None:
+        command, data = frame[7:_HEAD_BYTES], frame[_HEAD_BYTES:-_CHECKSUM_BYTES]
+        if command == b"LRF" and not self._trips.awaits(command, now_s):
+            self._pushed_s = now_s
+        time_s = self._trips.measured_s(command, now_s)
+        if command in _ANGLES_MESSAGES and len(data) == 12:
+            return self._angles(time_s, data)
+        if command == b"LRF":
+            return self._range(time_s, now_s, data)
+        text = data.decode("ascii", "replace").strip()
+        if command == b"PA2":
+            self.identity.model = text or "Topotek"
+        elif command == b"VSN":
+            self.identity.firmware = text
+        return None
+
+    def _angles(self, time_s: float, data: bytes) -> AnglesMeasured | None:
+        try:
+            yaw, pitch, roll = (int(data[at : at + 4], 16) for at in (0, 4, 8))
+        except ValueError:
+            return None
+        yaw_rad, pitch_rad, roll_rad = (wrap_rad(_signed(count) * _ANGLE_UNIT_RAD) for count in (yaw, pitch, roll))
+        yaw_rad = -yaw_rad if self._settings.flip_yaw else yaw_rad
+        pitch_rad = pitch_rad if self._settings.flip_pitch else -pitch_rad
+        quaternion = from_roll_pitch_yaw(roll_rad, pitch_rad, yaw_rad)
+        return AnglesMeasured(time_s, quaternion, self._settings.relative_to or "vehicle")
+
+    def _range(self, time_s: float, now_s: float, data: bytes) -> RangeMeasured | None:
+        whole, _, tenth = data.partition(b".")  # 12345.6, or ERR
+        if not (whole.isdigit() and tenth.isdigit()):
+            return None
+        slant_range_m = float(data) * (self._settings.range_unit_m or 1.0)
+        if slant_range_m <= 0.0:
+            return None
+        self._range_s, self.identity.has_laser = now_s, True
+        return RangeMeasured(time_s, slant_range_m)
+
+
+def encode(destination: str, control: str, command: str, data: str, *, fixed: bool = True) -> bytes:
+    """Return a frame from the serial line (U) to a part of the camera."""
+    body = f"{'#TP' if fixed else '#tp'}U{destination}{len(data):X}{control}{command}{data}".encode("ascii")
+    return body + b"%02X" % (sum(body) & 0xFF)
+
+
+def _length(buffer: bytes) -> int | None:
+    if len(buffer) < 6:
+        return None
+    data_bytes = _HEX.find(buffer[5:6])
+    return _HEAD_BYTES + data_bytes + _CHECKSUM_BYTES if data_bytes >= 0 else 0
+
+
+def _is_intact(frame: bytes) -> bool:
+    return frame[-_CHECKSUM_BYTES:] == b"%02X" % (sum(frame[:-_CHECKSUM_BYTES]) & 0xFF)
+
+
+def _signed(count: int) -> int:
+    return count - 65536 if count >= 32768 else count
+
+
+def _hundredths(angle_rad: float) -> int:
+    return round(wrap_rad(angle_rad) / _ANGLE_UNIT_RAD) & 0xFFFF
