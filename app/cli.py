@@ -30,6 +30,7 @@ Begin with: sidelong launch
 COMMANDS = {
     "launch": ("sidelong.app.commands.launch", "Fly beside a moving target, in simulation or a real vehicle."),
     "connect": ("sidelong.app.commands.connect", "Tell what is there and what is not ready yet."),
+    "payload": ("sidelong.app.commands.payload", "Read a payload by its own protocol, publish it as MAVLink."),
     "replay": ("sidelong.app.commands.replay", "Run filter and planner over a recorded flight."),
     "report": ("sidelong.app.commands.report", "Write one HTML page about a flight."),
     "export": ("sidelong.app.commands.export", "Write a flight for other programs."),

@@ -10,11 +10,13 @@ import typer
 from rich.table import Table
 
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
+from sidelong.app.commands.payload_status import payload_lines, payload_values
 from sidelong.app.config import Config, load_config
 from sidelong.app.errors import InputError
 from sidelong.app.event_loop import run
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 from sidelong.app.flight.flight import connected
+from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.preflight import Check, checks
 from sidelong.app.flight.source_rates import SourceRates
 from sidelong.app.flight.source_use import describe_use
@@ -22,6 +24,8 @@ from sidelong.app.flight.streams import ask_for_streams
 from sidelong.app.link.parameters import read_table
 from sidelong.app.link.queries import home_of, mode_of
 from sidelong.app.link.url import checked_url
+from sidelong.app.payload.address import read_payload
+from sidelong.app.payload.registry import KIND_NAMES
 
 
 def connect(
@@ -38,6 +42,14 @@ def connect(
     system_id: Annotated[
         int | None, typer.Option(min=1, max=255, help="MAVLink system id of the vehicle.", show_default=False)
     ] = None,
+    payload: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND://HOST[:PORT]",
+            help=f"Read the payload by its own protocol: {', '.join(KIND_NAMES)}.",
+            show_default=False,
+        ),
+    ] = None,
     signing_key: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Key of the link's signing.", show_default=False)
     ] = None,
@@ -50,10 +62,15 @@ def connect(
     For example:
       sidelong connect udpin://0.0.0.0:14540
       sidelong connect serial:///dev/ttyUSB0:57600 --config mission.toml
+      sidelong connect udpin://0.0.0.0:14540 --payload siyi://192.168.144.25
       sidelong connect --config fleet.toml
     """
     checked_output(json)
-    overrides = {"link": {"heartbeat_timeout_s": timeout, "signing_key_file": signing_key, "system_id": system_id}}
+    payload_kind, payload_url = (None, None) if payload is None else read_payload("--payload", payload)
+    overrides: dict[str, dict[str, Any]] = {
+        "payload": {"kind": payload_kind, "url": payload_url},
+        "link": {"heartbeat_timeout_s": timeout, "signing_key_file": signing_key, "system_id": system_id},
+    }
     if not names_a_fleet(config):
         settings = load_config(config, overrides)
         links = urls or _links(settings)
@@ -87,13 +104,16 @@ def _links(settings: Config) -> list[str]:
 async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str, Any]:
     console.print(f"waiting for a heartbeat on {' and '.join(urls)}")
     link = config.link
-    async with connected(
-        urls,
-        link.heartbeat_timeout_s,
-        key=link.signing_key_file,
-        note=console.print,
-        system_id=link.system_id,
-    ) as session:
+    async with (
+        connected(
+            urls,
+            link.heartbeat_timeout_s,
+            key=link.signing_key_file,
+            note=console.print,
+            system_id=link.system_id,
+        ) as session,
+        payload_input(config, session.vehicle, console.print) as payload,
+    ):
         vehicle, autopilot = session.vehicle, session.autopilot
         await ask_for_streams(vehicle)
         sources = SourceRates(vehicle)
@@ -125,6 +145,9 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
             for rate in of_kind:
                 uses[str(rate)] = described[rate.source]
                 console.print(f"{kind}: {rate}: {described[rate.source]}", soft_wrap=True)
+        status = None if payload is None else payload.status()
+        for line in () if status is None else payload_lines(config.payload.kind, status):
+            console.print(line, soft_wrap=True)
         return {
             "autopilot": autopilot.name,
             "release": None if session.release is None else str(session.release),
@@ -134,5 +157,6 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
             "checks": [asdict(check) for check in found],
             "parameters": {note.name: note.value for note in notes},
             "limits": asdict(autopilot.limits(values)),
+            "payload": None if status is None else payload_values(status),
             "sources": [{**asdict(rate), "use": uses[str(rate)]} for rate in rates],
         }

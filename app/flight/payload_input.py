@@ -10,7 +10,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sidelong.app.config import Config
+from sidelong.app.config import Config, PayloadSection
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.app.link.transport import Peer, Transport, opened
@@ -155,10 +155,29 @@ def _pose(attitude: Mapping[str, Any], position: Mapping[str, Any]) -> AircraftP
         position["lat"] * 1e-7,
         position["lon"] * 1e-7,
         position["alt"] * 1e-3,
+        position["relative_alt"] * 1e-3,
         position["vx"] * 1e-2,
         position["vy"] * 1e-2,
         -position["vz"] * 1e-2,
     )
+
+
+def driver_of(
+    payload: PayloadSection, report: Callable[[str], object], simulated_url: str | None = None
+) -> tuple[str, str, PayloadSession]:
+    """Return name, URL and session of a payload with a driver. Raises InputError for a host that is not known."""
+    kind = kind_by_name(payload.kind)
+    url = resolved(simulated_url or payload.url or kind.url)
+    settings = DriverSettings(
+        payload.range_unit_m,
+        payload.flip_yaw,
+        payload.flip_pitch,
+        payload.angles_relative_to,
+        over_tcp=url.startswith("tcp:"),
+    )
+    name = f"{kind.name} at {url}"
+    driver = kind.make(settings)
+    return name, url, PayloadSession(name, driver, report, payload.range_delay_s, payload.angles_delay_s)
 
 
 @contextlib.asynccontextmanager
@@ -182,24 +201,12 @@ async def payload_input(
         InputError: the payload's host is not known.
 
     """
-    payload = config.payload
-    if payload.kind == MAVLINK:
+    if config.payload.kind == MAVLINK:
         yield None
         return
-    kind = kind_by_name(payload.kind)
-    rate = 1.0 if config.link.connections else config.simulation.speed
-    url = resolved(simulated_url or payload.url or kind.url)
-    settings = DriverSettings(
-        payload.range_unit_m,
-        payload.flip_yaw,
-        payload.flip_pitch,
-        payload.angles_relative_to,
-        over_tcp=url.startswith("tcp:"),
-    )
+    rate = 1.0 if simulated_url is None else config.simulation.speed
     reader = PayloadInput(vehicle, rate, on_frame)
-    session = PayloadSession(
-        f"{kind.name} at {url}", kind.make(settings), report, payload.range_delay_s, payload.angles_delay_s
-    )
+    name, url, session = driver_of(config.payload, report, simulated_url)
     runner = PayloadRunner(url, session, rate, reader.measured, report)
 
     def hear(message: Message) -> None:
@@ -212,7 +219,7 @@ async def payload_input(
 
     def ended(task: asyncio.Task[None]) -> None:
         if not task.cancelled() and (error := task.exception()) is not None:
-            report(f"payload {kind.name}: internal error, no more data from it: {error!r}")
+            report(f"payload {name}: internal error, no more data from it: {error!r}")
 
     running.add_done_callback(ended)
     try:

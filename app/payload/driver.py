@@ -81,6 +81,7 @@ class AircraftPose:
         latitude_deg: WGS-84.
         longitude_deg: WGS-84.
         altitude_m: above mean sea level.
+        height_m: above home.
         velocity_north_m_s: over the ground.
         velocity_east_m_s: over the ground.
         velocity_up_m_s: climb rate.
@@ -93,6 +94,7 @@ class AircraftPose:
     latitude_deg: float
     longitude_deg: float
     altitude_m: float
+    height_m: float
     velocity_north_m_s: float
     velocity_east_m_s: float
     velocity_up_m_s: float

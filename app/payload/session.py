@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from sidelong.app.payload.consistency import Consistency
 from sidelong.app.payload.driver import AircraftPose, AnglesMeasured, Identity, Measured, PayloadDriver, RangeMeasured
 
 LOST_AFTER_S = 2.0
@@ -30,7 +31,8 @@ class PayloadStatus:
         damaged: frames refused since the beginning.
         range: the latest range, None before the first.
         angles: the latest attitude, None before the first.
-        missing: what is not delivered, in words; empty where nothing is missing.
+        missing: what is not delivered or does not agree, in words; empty where nothing is wrong.
+        height_ratio: height by range and angles over the autopilot's height; None while it is not known.
 
     """
 
@@ -42,6 +44,7 @@ class PayloadStatus:
     range: RangeMeasured | None
     angles: AnglesMeasured | None
     missing: tuple[str, ...]
+    height_ratio: float | None
 
 
 class PayloadSession:
@@ -70,6 +73,9 @@ class PayloadSession:
         self._latest_s = self._range_s = self._restarted_s = -math.inf
         self._is_lost = self._is_rangeless = False
         self._model = ""
+        self._consistency = Consistency()
+        self._pose: AircraftPose | None = None
+        self._fault = ""
         self._ranges_s: deque[float] = deque()
         self._angles_s: deque[float] = deque()
         self._range: RangeMeasured | None = None
@@ -94,6 +100,7 @@ class PayloadSession:
             if isinstance(one, RangeMeasured):
                 self._range, self._range_s = one, now_s
                 self._ranges_s.append(now_s)
+                self._consistency.add(one, self._angles, self._pose)
             else:
                 self._angles = one
                 self._angles_s.append(now_s)
@@ -106,7 +113,8 @@ class PayloadSession:
         return measured
 
     def aircraft(self, pose: AircraftPose, now_s: float) -> list[bytes]:
-        """Return what the gimbal is sent of the aircraft."""
+        """Take the aircraft's pose and return what the gimbal is sent of it."""
+        self._pose = pose
         return list(self._driver.aircraft(pose, now_s))
 
     def point(self, pitch_rad: float, yaw_rad: float) -> list[bytes]:
@@ -128,6 +136,8 @@ class PayloadSession:
             missing.append(f"the {self._driver.identity.model} has no laser: no range")
         elif angles_hz and not range_hz:
             missing.append("no range arrives: the laser is off, or nothing reflects within its reach")
+        if self._consistency.fault:
+            missing.append(self._consistency.fault)
         return PayloadStatus(
             self._driver.identity,
             range_hz,
@@ -137,6 +147,7 @@ class PayloadSession:
             self._range,
             self._angles,
             tuple(missing),
+            self._consistency.ratio,
         )
 
     def _supervise(self, now_s: float) -> None:
@@ -146,6 +157,10 @@ class PayloadSession:
             no_laser = ", which has no laser: the range has to come from elsewhere"
             no_laser = no_laser if identity.has_laser is False else ""
             self._report(f"payload {self._name}: {identity.model}{no_laser}")
+        fault = self._consistency.fault
+        if fault and fault[:20] != self._fault[:20]:
+            self._report(f"payload {self._name}: {fault}")
+        self._fault = fault
         silent_s = now_s - self._latest_s
         if silent_s > LOST_AFTER_S:
             if not self._is_lost:

@@ -84,7 +84,7 @@ def test_measurements_agree_with_what_the_gimbal_sees(over_tcp):
 
 def test_aircraft_attitude_is_sent_as_ardupilot_sends_it():
     gimbal = SimulatedViewpro(Quirks(), np.random.default_rng(1))
-    pose = AircraftPose(0.3, -0.1, 4.0, 47.4, 8.5, 520.0, 10.0, -11.0, 0.5)
+    pose = AircraftPose(0.3, -0.1, 4.0, 47.4, 8.5, 520.0, 100.0, 10.0, -11.0, 0.5)
     for frame in driver().aircraft(pose, 0.0):
         gimbal.receive(frame, 0.0, Seen(300.0, 0.0, 0.0))
     assert gimbal.aircraft_deg == pytest.approx(

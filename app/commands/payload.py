@@ -1,0 +1,123 @@
+"""``sidelong payload``: one payload driver alone, for tools that read MAVLink."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import re
+import socket
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from pymavlink.dialects.v20 import common as mavlink
+
+from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
+from sidelong.app.commands.payload_status import payload_lines, payload_values
+from sidelong.app.config import Config, load_config
+from sidelong.app.errors import InputError
+from sidelong.app.event_loop import run
+from sidelong.app.flight.payload_input import PayloadRunner, driver_of
+from sidelong.app.link.transport import Transport, opened
+from sidelong.app.payload.address import read_payload
+from sidelong.app.payload.driver import Measured
+from sidelong.app.payload.messages import COMPONENT, fields_of, packed
+from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
+
+_TO = re.compile(r"udpout:(?://)?([^:/]+):(\d{1,5})")
+_STATUS_EVERY_S, _HEARTBEAT_EVERY_S = 5.0, 1.0
+
+
+def payload(
+    device: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="KIND://HOST[:PORT]",
+            help=f"The payload, also KIND:///dev/NAME[:BAUD]; KIND: {', '.join(KIND_NAMES[1:])}.",
+            show_default=False,
+        ),
+    ] = None,
+    to: Annotated[
+        str | None, typer.Option(metavar="udpout:HOST:PORT", help="Publish as MAVLink there.", show_default=False)
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="Configuration (TOML) with a [payload].")] = None,
+    system_id: Annotated[int, typer.Option(min=1, max=255, help="MAVLink system id to publish as.")] = 1,
+    duration: Annotated[
+        float | None, typer.Option(min=0.5, help="End after this long, s; without it when interrupted.")
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Read one payload by its own protocol and print what it delivers; with --to, publish it as MAVLink.
+
+    Published are DISTANCE_SENSOR and GIMBAL_DEVICE_ATTITUDE_STATUS of component 154, stamped with the time since the
+    start. Nothing is commanded but what the payload needs to measure.
+
+    For example:
+      sidelong payload siyi://192.168.144.25
+      sidelong payload siyi://192.168.144.25 --to udpout:127.0.0.1:14550
+      sidelong payload viewpro:///dev/ttyUSB0:115200
+    """
+    checked_output(json)
+    kind, url = (None, None) if device is None else read_payload("payload", device)
+    settings = load_config(config, {"payload": {"kind": kind, "url": url}})
+    if settings.payload.kind == MAVLINK:
+        raise InputError(
+            "name a payload with a driver, such as siyi://192.168.144.25, or a --config with payload.kind."
+        )
+    target = None if to is None else _opened(to)
+    status: dict[str, Any] = {}
+    with contextlib.suppress(KeyboardInterrupt):
+        run(_serve(settings, target, system_id, duration, status))
+    write_json(json, status)
+
+
+def _opened(to: str) -> Transport:
+    match = _TO.fullmatch(to)
+    if match is None or not 0 < int(match[2]) < 65536:
+        raise InputError(f"--to {to!r:.80}: give udpout:HOST:PORT.")
+    try:
+        return opened(f"udpout://{socket.gethostbyname(match[1])}:{match[2]}")
+    except OSError as error:
+        raise InputError(f"--to {to!r:.80}: {error.strerror or error}.") from error
+
+
+async def _serve(
+    settings: Config, target: Transport | None, system_id: int, duration_s: float | None, status: dict[str, Any]
+) -> None:
+    begun_s = time.monotonic()
+    encoder = mavlink.MAVLink(None, system_id, COMPONENT)
+
+    def publish(data: bytes | None) -> None:
+        if target is not None and data is not None:
+            encoder.seq = (encoder.seq + 1) % 256
+            target.send(data)
+
+    def measured(one: Measured, time_s: float) -> None:
+        publish(packed(*fields_of(one, max(time_s - begun_s, 0.001)), encoder))
+
+    name, url, session = driver_of(settings.payload, console.print)
+    console.print(f"reading {name}; end with Ctrl-C")
+    runner = PayloadRunner(url, session, 1.0, measured, console.print)
+    running = asyncio.create_task(runner.run())
+    try:
+        next_status_s = begun_s + _STATUS_EVERY_S
+        while duration_s is None or time.monotonic() < begun_s + duration_s:
+            await asyncio.sleep(_HEARTBEAT_EVERY_S if duration_s is None else min(_HEARTBEAT_EVERY_S, duration_s))
+            heartbeat = mavlink.MAVLink_heartbeat_message(
+                mavlink.MAV_TYPE_GIMBAL, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+            )
+            publish(heartbeat.pack(encoder))
+            status.clear()
+            status.update(payload_values(runner.status()))
+            if time.monotonic() >= next_status_s:
+                next_status_s += _STATUS_EVERY_S
+                for line in payload_lines(name, runner.status()):
+                    console.print(line, soft_wrap=True)
+    finally:
+        for line in payload_lines(name, runner.status()):
+            console.print(line, soft_wrap=True)
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+        if target is not None:
+            target.close()
