@@ -22,7 +22,7 @@ from typing import Any, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
 _ROOT = Path(__file__).resolve().parents[1]
-_FOLDERS = ("estimators", "mission", "app/analysis", "app/study")
+_FOLDERS = ("estimators", "mission", "app/analysis", "app/simulation", "app/study")
 _UNUSED_S = 30 * 86_400.0
 
 

@@ -35,13 +35,14 @@ from sidelong.app.study.processes import on_processes
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.report import (
     HEADINGS_EXPLAINED,
+    study_fidelity,
     study_json,
     study_table,
     study_title,
     sweep_json,
     sweep_table,
 )
-from sidelong.app.study.settings import AUTOPILOTS, Hills, PlannerName, StudySettings
+from sidelong.app.study.settings import AUTOPILOTS, MISSION_PLANNERS, Fidelity, Hills, PlannerName, StudySettings
 from sidelong.app.study.store import ResultStore
 from sidelong.app.study.study import Study, table_of
 from sidelong.app.terrain.elevation_data import elevation_data
@@ -79,7 +80,8 @@ def study(
     ] = None,
     wind: Annotated[float | None, typer.Option(help="Steady wind, m/s.")] = None,
     autopilot: Annotated[
-        str | None, typer.Option(help="Latency and lag as measured of this autopilot: arduplane or px4.")
+        str | None,
+        typer.Option(help="Latency and lag as measured of this autopilot, or the one simulated: arduplane or px4."),
     ] = None,
     latency: Annotated[float | None, typer.Option(help="From a decision to the earliest departure, s; 0.2.")] = None,
     lag: Annotated[float | None, typer.Option(help="Time constant of the aircraft's bank, s; 0.")] = None,
@@ -91,6 +93,10 @@ def study(
     duration: Annotated[
         float | None, typer.Option(help="Of each run at most, s: 1200, or a recorded target's whole track.")
     ] = None,
+    fidelity: Annotated[
+        Fidelity,
+        typer.Option(help="kinematic: filter and planner, fast; closed-loop: the whole product and a vehicle."),
+    ] = Fidelity.KINEMATIC,
     perfect_sensors: Annotated[
         bool, typer.Option("--perfect-sensors", help="Let the planners know the truth.")
     ] = False,
@@ -133,11 +139,18 @@ def study(
       sidelong study --targets tracks --airspeed 12 --radius 40 --target-speed-max 5
       sidelong study --sweep aircraft.airspeed_m_s=12,15,18 --store sweep.db --report sweep.html
       sidelong study --autopilot arduplane --wind 4
+      sidelong study --fidelity closed-loop --runs 50 --jobs 2
       sidelong study --fleet 2 --runs 50
       sidelong study --terrain dem --home 36.59,-84.24 --runs 50
       sidelong study --runs 10000 --scheduler tcp://HOST:8786 --store study.db
     """
     checked_output(json)
+    flown_kinematically = {
+        "--perfect-sensors": perfect_sensors,
+        "--terrain": terrain is not None,
+        "--fleet": fleet > 1,
+    }
+    planners = _planners(fidelity, planner, latency, flown_kinematically)
     latency, lag = _answer(autopilot, latency, lag)
     _checked_file("--out", out, _FIGURES)
     _checked_file("--export", export, exporting.SUFFIXES)
@@ -161,13 +174,15 @@ def study(
         None if varied else given["aircraft"].get("airspeed_m_s", 10.0), target_speed_max, wind, duration
     )
     base = StudySettings(
-        planners=tuple(dict.fromkeys(planner)) if planner else tuple(PlannerName),
+        planners=planners,
         runs=20 if runs is None else runs,
         seed=seed,
         legs_s=_legs(legs),
         perfect_sensors=perfect_sensors,
         duration_s=1200.0 if duration is None else duration,
         noise_draws=noise_draws,
+        fidelity=fidelity,
+        autopilot=autopilot or "arduplane",
     )
     if terrain is not None:
         base = replace(base, planners=(PlannerName.PREDICTIVE,), hills=_hills(terrain, home, planner, fleet))
@@ -196,6 +211,8 @@ def study(
         lag=lag,
         legs=legs if targets is None else None,
         duration=duration,
+        fidelity=fidelity if fidelity is Fidelity.CLOSED_LOOP else None,
+        autopilot=autopilot if fidelity is Fidelity.CLOSED_LOOP else None,
         perfect_sensors=perfect_sensors or None,
         terrain=terrain,
         home=home if terrain is not None else None,
@@ -217,6 +234,23 @@ def study(
                 _written("--report", report, lambda: page.write_page(whole, words, report))
     finally:
         kept.close()
+
+
+def _planners(
+    fidelity: Fidelity, chosen: list[PlannerName] | None, latency_s: float | None, options: dict[str, bool]
+) -> tuple[PlannerName, ...]:
+    """Return the planners to compare. Raises InputError for what a closed loop cannot fly, ``options`` among it."""
+    if fidelity is Fidelity.KINEMATIC:
+        return tuple(dict.fromkeys(chosen or PlannerName))
+    laws = [one for one in chosen or () if one not in MISSION_PLANNERS]
+    if laws:
+        raise InputError(f"--planner: {laws[0]} has no plans to upload; with --fidelity closed-loop leave it out.")
+    if latency_s is not None:
+        raise InputError("--latency: a closed loop has the latency of its uploads; leave it out.")
+    for option, given in options.items():
+        if given:
+            raise InputError(f"{option}: a closed loop does not fly that; leave out --fidelity.")
+    return tuple(dict.fromkeys(chosen or MISSION_PLANNERS))
 
 
 def _hills(terrain: Path, home: str | None, planners: list[PlannerName] | None, fleet: int) -> Hills:
@@ -252,6 +286,7 @@ def _fly_fleet(
         console.print(f"skipped {name}: {reason}")
     if str(json) != "-":
         console.print(f"{settings.fleet} aircraft on each target, {settings.layer_m:g} m of height apart")
+        console.print(study_fidelity(settings))
         print_whole(fleet_table(flown))
     write_json(json, fleet_json(flown))
 
@@ -267,7 +302,8 @@ def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:
         console.print(f"{study.total - missing} of {study.total} runs are in {study.store.file} already")
     if not missing:
         return
-    if scheduler is None and not is_cached(advance_flight):
+    kinematic = study.designs[0].settings.fidelity is Fidelity.KINEMATIC
+    if scheduler is None and kinematic and not is_cached(advance_flight):
         console.print("compiling the flights, once for this version of the program: up to a minute")
     processes = jobs or os.cpu_count() or 1
     with runs_progress(missing) as (advance, computing):
@@ -296,6 +332,7 @@ def _tell(study: Study, json: Path | None) -> None:
     swept = len(study.designs) > 1
     if str(json) != "-":
         console.print(study_title(first))
+        console.print(study_fidelity(first.settings))
         print_whole(sweep_table(study) if swept else study_table(first))
         if swept:
             console.print(HEADINGS_EXPLAINED)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sidelong.app.study.judging import RunResult
 from sidelong.app.study.run import run
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.settings import Fidelity, PlannerName, StudySettings
 from sidelong.mission.predictive.value_table import ValueTable
 
 Designs = tuple[StudySettings, ...]
@@ -37,6 +37,11 @@ def one_flown(
     settings: StudySettings, planner: PlannerName, number: int, table: ValueTable | None, keep_track: bool = False
 ) -> RunResult:
     """Fly one run, over flat ground or over hills."""
+    if settings.fidelity is Fidelity.CLOSED_LOOP:
+        # What is compiled takes a second to load.
+        from sidelong.app.study.closed_loop import run_closed_loop  # noqa: PLC0415
+
+        return run_closed_loop(settings, planner, number, table, keep_track)
     if settings.hills is None:
         return run(settings, planner, number, table, keep_track)
     from sidelong.app.study.hills import run_over  # noqa: PLC0415  # what is compiled takes a second to load

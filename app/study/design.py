@@ -130,7 +130,7 @@ def configured(config: Config) -> Overrides:
     return found
 
 
-def _base_config(base: StudySettings) -> Config:
+def config_of(base: StudySettings) -> Config:
     """Return the settings as a configuration."""
     flat = {"wind_speed_m_s": base.wind_speed_m_s, "radius_m": base.radius_m}
     values: Overrides = {
@@ -143,7 +143,7 @@ def _base_config(base: StudySettings) -> Config:
 def _settings(base: StudySettings, given: Overrides, name: str) -> StudySettings:
     """Return the settings; every value is checked as the configuration's."""
     own = given.get("study", {})
-    config = with_values(_base_config(base), {k: v for k, v in given.items() if k != "study"}, name)
+    config = with_values(config_of(base), {k: v for k, v in given.items() if k != "study"}, name)
     aircraft, wanted, wind_m_s = config.aircraft, config.requirement, config.simulation.wind_speed_m_s
     airspeed_m_s = aircraft.airspeed_m_s
     if wind_m_s > 0.7 * airspeed_m_s:

@@ -15,8 +15,8 @@ from functools import partial
 
 import numpy as np
 
+from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.study import fleet_kernel as kernel
-from sidelong.app.study.airframe import KinematicAircraft
 from sidelong.app.study.flight_kernel import (
     CHANGES,
     COMING,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from sidelong.app.study.airframe_kernel import Airframe, Body, stepped
+from sidelong.app.simulation.airframe_kernel import Airframe, Body, stepped
 from sidelong.app.study.flight_kernel import (
     CHANGES,
     COMING,

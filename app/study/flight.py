@@ -14,8 +14,10 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from sidelong.app.simulation.airframe import KinematicAircraft
+from sidelong.app.simulation.payload import PayloadErrors
+from sidelong.app.simulation.target import TargetTruth
 from sidelong.app.study import flight_kernel as kernel
-from sidelong.app.study.airframe import KinematicAircraft
 from sidelong.app.study.flight_kernel import (
     COMING_HEIGHT_M,
     COMMAND_PER_M,
@@ -39,8 +41,7 @@ from sidelong.app.study.flight_kernel import (
     Target,
 )
 from sidelong.app.study.pilots import DECISION_PERIOD_S, LAW_PERIOD_S, TIMED_EVERY, GuidanceLaw, StopWatch
-from sidelong.app.study.sensors import PayloadErrors, PayloadSensing
-from sidelong.app.study.target import TargetTruth
+from sidelong.app.study.sensors import PayloadSensing
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Biases
 from sidelong.estimators.filters.imm import TargetImm, drift_per_s

@@ -2,8 +2,8 @@
 
 It calls the same compiled functions as the classes that fly, in the same order:
 :class:`sidelong.estimators.tracking.track.Track`, :class:`sidelong.app.study.pilots.PlanPilot` and
-:class:`sidelong.app.study.airframe.KinematicAircraft`. What is rare is left to them: the loop pauses where the track
-may have to begin anew, and where a decision is not its own or is to be timed.
+:class:`sidelong.app.simulation.airframe.KinematicAircraft`. What is rare is left to them: the loop pauses where the
+track may have to begin again, and where a decision is not its own or is to be timed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.app.study.airframe_kernel import Airframe, Body, stepped
+from sidelong.app.simulation.airframe_kernel import Airframe, Body, stepped
 from sidelong.estimators.compiled import compiled
 from sidelong.estimators.filters.imm_kernel import Seen, predict, update
 from sidelong.estimators.filters.mixture_kernel import Densities, combine

@@ -13,7 +13,7 @@ from sidelong.app.report import html
 from sidelong.app.report.plot_style import BAD, figure, legend_above, styled
 from sidelong.app.study.design import Design
 from sidelong.app.study.figure import draw_paths
-from sidelong.app.study.report import HEADINGS_EXPLAINED, study_title, summary_headings, summary_row
+from sidelong.app.study.report import HEADINGS_EXPLAINED, study_fidelity, study_title, summary_headings, summary_row
 from sidelong.app.study.settings import PlannerName
 from sidelong.app.study.store import RunId
 from sidelong.app.study.study import PlannerResult, Study, StudyResult, flown_again
@@ -51,7 +51,8 @@ def write_page(study: Study, command: str, file: Path) -> None:
     title = (
         study_title(study.result(study.designs[0])) if len(study.designs) == 1 else f"{len(study.designs)} designs"
     )
-    head = f"<h1>Study</h1><p>{escape(title)}.</p><p><code>{escape(command)}</code></p>"
+    parts_flown = study_fidelity(study.designs[0].settings)
+    head = f"<h1>Study</h1><p>{escape(title)}; {escape(parts_flown)}.</p><p><code>{escape(command)}</code></p>"
     file.write_text(html.document("sidelong study", head + "\n".join(parts)), encoding="utf-8")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sidelong.app.errors import InputError
-from sidelong.app.study.target import TargetTruth
+from sidelong.app.simulation.target import TargetTruth
 from sidelong.sitl.world.track import Track, TrackError, read_track
 
 FloatArray = npt.NDArray[np.float64]
@@ -65,7 +65,7 @@ class RecordedTarget:
         return np.stack([east, north, *(v[k] for v in self._velocity_m_s), self._course_rad[k]], axis=1)
 
     def at(self, time_s: float) -> TargetTruth:
-        """See :class:`sidelong.app.study.target.Target`."""
+        """See :class:`sidelong.app.simulation.target.Target`."""
         return TargetTruth(*map(float, self.sampled(np.array([time_s]))[0]))
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from rich import box
 from rich.table import Table
 
-from sidelong.app.study.settings import StudySettings
+from sidelong.app.study.settings import PARTS, Fidelity, StudySettings
 from sidelong.app.study.study import PlannerResult, Study, StudyResult
 
 FloatArray = npt.NDArray[np.float64]
@@ -48,6 +48,12 @@ def study_title(result: StudyResult) -> str:
         f"{runs} at {s.airspeed_m_s:g} m/s on circles of {s.radius_m:g} m; target {target}; "
         f"wind {s.wind_speed_m_s:g} m/s; {'perfect sensors' if s.perfect_sensors else 'noisy laser and gimbal'}"
     )
+
+
+def study_fidelity(settings: StudySettings) -> str:
+    """Return one line that names the fidelity and the parts that were flown."""
+    autopilot = f", {settings.autopilot}" if settings.fidelity is Fidelity.CLOSED_LOOP else ""
+    return f"fidelity {settings.fidelity}{autopilot}: {PARTS[settings.fidelity]}"
 
 
 def study_table(result: StudyResult) -> Table:
@@ -133,6 +139,8 @@ def targets_json(settings: StudySettings) -> dict[str, Any]:
         "runs": settings.runs,
         "noise_draws": settings.noise_draws,
         "seed": settings.seed,
+        "fidelity": str(settings.fidelity),
+        "parts": PARTS[settings.fidelity],
         "targets": settings.runs,
         "skipped": len(settings.skipped),
         "skipped_targets": [{"file": file, "reason": reason} for file, reason in settings.skipped],

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 from sidelong.app.assembly import tracker_settings
-from sidelong.app.study.airframe import KinematicAircraft
+from sidelong.app.simulation.airframe import KinematicAircraft
+from sidelong.app.simulation.payload import PayloadErrors
 from sidelong.app.study.flight import CompiledFlight, Flown, Sensed
 from sidelong.app.study.judging import RunResult, judged
 from sidelong.app.study.pilots import GuidanceLaw
 from sidelong.app.study.scene import Scene, scene
-from sidelong.app.study.sensors import PayloadErrors
 from sidelong.app.study.settings import PlannerName, StudySettings
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.mission.core.circle import Circle

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sidelong.app.simulation.target import RandomTarget
 from sidelong.app.study.recorded import RecordedTarget
 from sidelong.app.study.settings import StudySettings
-from sidelong.app.study.target import RandomTarget
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from sidelong.app.study.target import TargetTruth
+from sidelong.app.simulation.payload import PayloadErrors, sight_quaternion
+from sidelong.app.simulation.target import TargetTruth
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
@@ -15,15 +15,6 @@ from sidelong.mission.core.plan import AircraftState
 
 _LASER = Source("DISTANCE_SENSOR", 154, 1, 100)
 _GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
-
-
-@dataclass(frozen=True, slots=True)
-class PayloadErrors:
-    """One standard deviation of each reading; the yaw bias is constant."""
-
-    range_sigma_m: float = 0.8
-    angle_sigma_rad: float = math.radians(0.35)
-    yaw_bias_rad: float = math.radians(0.4)
 
 
 class PayloadSensing:
@@ -58,17 +49,10 @@ class PayloadSensing:
         drop_m = height_m - target_height_m
         yaw_rad = math.atan2(east_m, north_m) + self._errors.yaw_bias_rad + self._errors.angle_sigma_rad * yaw_noise
         pitch_rad = -math.atan2(drop_m, horizontal_m) + self._errors.angle_sigma_rad * pitch_noise
-        self.tracker.add(GimbalReading(time_s, _quaternion(yaw_rad, pitch_rad), "earth", _GIMBAL))
+        self.tracker.add(GimbalReading(time_s, sight_quaternion(yaw_rad, pitch_rad), "earth", _GIMBAL))
         slant_m = math.hypot(horizontal_m, drop_m) + self._errors.range_sigma_m * range_noise
         self.tracker.add(RangeReading(time_s, slant_m, _LASER, quality=0.9))
 
     def estimate(self, time_s: float) -> TargetEstimate | None:
         """Return the estimate at a time no earlier than the last sighting."""
         return self.tracker.estimate(time_s)
-
-
-def _quaternion(yaw_rad: float, pitch_rad: float) -> tuple[float, float, float, float]:
-    """Return ned_from_sight for a level line of sight's yaw, then pitch."""
-    cos_y, sin_y = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
-    cos_p, sin_p = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
-    return cos_y * cos_p, -sin_y * sin_p, cos_y * sin_p, sin_y * cos_p

@@ -26,6 +26,26 @@ class PlannerName(StrEnum):
     PARK = "park"
 
 
+class Fidelity(StrEnum):
+    """How much of the product a study flies; ``PARTS`` lists it."""
+
+    KINEMATIC = "kinematic"
+    CLOSED_LOOP = "closed-loop"
+
+
+PARTS = {
+    Fidelity.KINEMATIC: "filter and planner in a compiled loop; the aircraft flies each plan from its departure, "
+    "without checks of the input, control step, exchange or autopilot",
+    Fidelity.CLOSED_LOOP: "MAVLink decoding, plausibility checks, filter, planner, control step and exchange with "
+    "the autopilot; a kinematic vehicle flies the mission items that were uploaded",
+}
+"""What a study consists of."""
+
+
+MISSION_PLANNERS = (PlannerName.PREDICTIVE, PlannerName.PAPER)
+"""The planners that a closed loop flies; guidance laws have no plans to upload."""
+
+
 @dataclass(frozen=True, slots=True)
 class AutopilotAnswer:
     """latency_s: what a flight counts with from a decision to the earliest departure. lag_s: of the bank."""
@@ -59,6 +79,8 @@ class StudySettings:
     alone. tracks: recorded targets in place of random ones, as many as runs, each flown to its end or for
     duration_s; skipped: (file, reason) of others. only: numbers of the runs to be flown, not all. fleet: aircraft on
     each target, each layer_m above the one before.
+
+    fidelity: what is flown; autopilot: whose vehicle, in a closed loop.
 
     hills: what targets and aircraft move over, None: flat ground. terrain: whether planner and filter know it.
     clearance_m, climb_m_s and descent_m_s are as a mission's.
@@ -98,6 +120,8 @@ class StudySettings:
     climb_m_s: float = 3.0
     descent_m_s: float = 2.0
     sensors: SensorsSection = STUDIED_SENSORS
+    fidelity: Fidelity = Fidelity.KINEMATIC
+    autopilot: str = "arduplane"
 
     @property
     def numbers(self) -> Sequence[int]:

@@ -82,14 +82,10 @@ class LineTracking:
         for step in range(math.ceil(duration_s / _STEP_S) + 1):
             rows.append((step * _STEP_S, *at))
             speed_m_s = self._ground_speed_m_s(course_rad)
-            while leg < len(waypoints) and self._done(at, previous, waypoints[leg]):
+            while leg < len(waypoints) and self.is_done(at, previous, waypoints[leg]):
                 previous, leg = waypoints[leg], leg + 1
-            if leg == len(waypoints):
-                wanted_per_m = self._to_circle(at, course_rad, circle, speed_m_s)
-            elif previous is None:
-                wanted_per_m = self._pursue(_bearing_rad(at, waypoints[leg]) - course_rad, speed_m_s)
-            else:
-                wanted_per_m = self._to_line(at, course_rad, previous, waypoints[leg], speed_m_s)
+            goal = circle if leg == len(waypoints) else waypoints[leg]
+            wanted_per_m = self.wanted_per_m(at, course_rad, speed_m_s, previous, goal)
             tightest_per_m = GRAVITY_M_S2 * math.tan(self.bank_max_rad) / speed_m_s**2
             wanted_per_m = max(-tightest_per_m, min(tightest_per_m, wanted_per_m))
             ramp_per_m = GRAVITY_M_S2 * self.roll_rate_max_rad_s / speed_m_s**2 * _STEP_S
@@ -105,13 +101,33 @@ class LineTracking:
             curvature_per_m += change_per_m
         return np.array(rows)
 
+    def wanted_per_m(
+        self, at: Point, course_rad: float, speed_m_s: float, previous: Point | None, goal: Point | Circle
+    ) -> float:
+        """Return the curvature that the guidance asks for, without limits.
+
+        Args:
+            at: where the aircraft is, (east, north) in metres.
+            course_rad: its course over the ground.
+            speed_m_s: its ground speed.
+            previous: where the leg begins; None: the goal itself is steered for.
+            goal: the waypoint at the end of the leg, or the circle to fly.
+
+        """
+        if isinstance(goal, Circle):
+            return self._to_circle(at, course_rad, goal, speed_m_s)
+        if previous is None:
+            return self._pursue(_bearing_rad(at, goal) - course_rad, speed_m_s)
+        return self._to_line(at, course_rad, previous, goal, speed_m_s)
+
     def _ground_speed_m_s(self, course_rad: float) -> float:
         sine, cosine = math.sin(course_rad), math.cos(course_rad)
         along_m_s = self.wind.east_m_s * sine + self.wind.north_m_s * cosine
         across_m_s = self.wind.east_m_s * cosine - self.wind.north_m_s * sine
         return max(along_m_s + math.sqrt(max(self.airspeed_m_s**2 - across_m_s**2, 0.0)), 1.0)
 
-    def _done(self, at: Point, previous: Point | None, waypoint: Point) -> bool:
+    def is_done(self, at: Point, previous: Point | None, waypoint: Point) -> bool:
+        """Return whether a leg ends here: near its waypoint, or abreast of it."""
         if math.dist(at, waypoint) <= self.switch_m:
             return True
         if previous is None:

@@ -30,7 +30,7 @@ BUILD = AirframeParameters(turn_efficiency=0.78)
 _INITIAL_HEADING_RAD = math.radians(353.0)
 _TAKEOFF_OVERSHOOT_M = 10.0  # the climb is kept up until the height is passed
 _DEFAULT_AIRSPEED = -2.0
-_MANNERS = ProtocolQuirks(
+QUIRKS = ProtocolQuirks(
     asks_with_int=False,
     retry_s=1.0,
     timeout_s=8.0,
@@ -68,7 +68,7 @@ class ArduPlane(Autopilot):
     unknown_interval_result = DENIED
     unknown_request_result = FAILED
     arming_refusal = (FAILED, "Arm: AHRS: waiting for home")
-    quirks = _MANNERS
+    quirks = QUIRKS
     default_interval_s = DEFAULT_INTERVAL_S
 
     def __init__(self, settings: Settings) -> None:

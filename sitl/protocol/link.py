@@ -27,7 +27,7 @@ class FaultyLink(Generic[T]):
     """One direction. What is put in comes out when its time has come."""
 
     def __init__(self, faults: LinkFaults, rng: np.random.Generator) -> None:
-        self._faults = faults
+        self.faults = faults
         self._rng = rng
         self._waiting: list[tuple[float, int, T]] = []
         self._count = 0
@@ -36,18 +36,18 @@ class FaultyLink(Generic[T]):
 
     def put(self, datagram: T, now_s: float, size_bytes: int = 0) -> None:
         lost, doubled = self._rng.random(2)
-        bytes_per_s = self._faults.baud / _BITS_PER_BYTE
+        bytes_per_s = self.faults.baud / _BITS_PER_BYTE
         waiting_s = max(0.0, self._free_s - now_s)
         if waiting_s * bytes_per_s > _BUFFER_BYTES:
             return
         sent_s = now_s + waiting_s + size_bytes / bytes_per_s
         self._free_s = sent_s
-        if lost < self._faults.loss:
+        if lost < self.faults.loss:
             return
-        for _ in range(2 if doubled < self._faults.duplicate else 1):
+        for _ in range(2 if doubled < self.faults.duplicate else 1):
             self._count += 1
-            jitter_s = self._faults.jitter_s * self._rng.random() if self._faults.jitter_s else 0.0
-            due_s = sent_s + self._faults.delay_s + jitter_s
+            jitter_s = self.faults.jitter_s * self._rng.random() if self.faults.jitter_s else 0.0
+            due_s = sent_s + self.faults.delay_s + jitter_s
             if not jitter_s:  # in order, even where the delay has become shorter
                 due_s = self._latest_s = max(due_s, self._latest_s)
             heapq.heappush(self._waiting, (due_s, self._count, datagram))

@@ -24,7 +24,7 @@ from sidelong.sitl.settings import Settings
 from sidelong.sitl.world.airframe import AirframeParameters
 from sidelong.sitl.world.place import Place
 
-_MANNERS = ProtocolQuirks(
+QUIRKS = ProtocolQuirks(
     asks_with_int=True,
     retry_s=0.25,
     timeout_s=5.0,
@@ -60,7 +60,7 @@ class Px4(Autopilot):
     unknown_interval_result = FAILED
     unknown_request_result = DENIED
     arming_refusal = (REJECTED, "Arming denied: Resolve system health failures first\t")
-    quirks = _MANNERS
+    quirks = QUIRKS
     default_interval_s = DEFAULT_INTERVAL_S
     unsigned_messages = Autopilot.unsigned_messages | {
         mavlink.MAVLINK_MSG_ID_HEARTBEAT,

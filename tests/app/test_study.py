@@ -52,7 +52,7 @@ def test_the_summary_has_every_key(small):
     summary = json.loads(json.dumps(study_json(result), allow_nan=False))
     assert set(summary) == {
         *("planners", "runs", "seed", "simulated_s", "wall_s"),
-        *("noise_draws", "targets", "skipped", "skipped_targets"),
+        *("noise_draws", "targets", "skipped", "skipped_targets", "fidelity", "parts"),
     }
     assert (summary["runs"], summary["targets"], summary["skipped"]) == (3, 3, 0)
     assert summary["simulated_s"] == 3 * 3 * 150.0

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sidelong.app.simulation.target import TargetTruth
 from sidelong.app.study import flight as compiled_flight
 from sidelong.app.study import run as study_run
 from sidelong.app.study.flight import can_fly
 from sidelong.app.study.run import run
 from sidelong.app.study.settings import PlannerName, StudySettings
-from sidelong.app.study.target import TargetTruth
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.mission.predictive.planner import table_configuration
 from sidelong.mission.predictive.value_iteration import compute

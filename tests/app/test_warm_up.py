@@ -8,7 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 FLIGHT = """
 from sidelong.estimators.compiled import KERNELS
-from sidelong.app.study.airframe import KinematicAircraft
+from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
 from tests.faults.flight import ClosedLoop, Scenario

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sidelong.app.study.airframe import KinematicAircraft
+from sidelong.app.simulation.airframe import KinematicAircraft
+from sidelong.app.simulation.payload import PayloadErrors
+from sidelong.app.simulation.target import RandomTarget
 from sidelong.app.study.flight import CompiledFlight, Sensed
-from sidelong.app.study.sensors import PayloadErrors
 from sidelong.app.study.settings import PlannerName, StudySettings
 from sidelong.app.study.study import run_study
-from sidelong.app.study.target import RandomTarget
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState

@@ -18,8 +18,8 @@ from sidelong.app.assembly import controller_of, settle
 from sidelong.app.config import Config
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.study.airframe import KinematicAircraft
-from sidelong.app.study.target import RandomTarget
+from sidelong.app.simulation.airframe import KinematicAircraft
+from sidelong.app.simulation.target import RandomTarget
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Phase

@@ -12,7 +12,7 @@ import pytest
 from matplotlib import cbook
 from scipy.ndimage import gaussian_filter
 
-from sidelong.app.study.target import RandomTarget
+from sidelong.app.simulation.target import RandomTarget
 from sidelong.app.terrain.elevation_data import ElevationData
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import GimbalReading, PositionReading, RangeReading, Source

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from sidelong.app.study.airframe_kernel import Airframe, Body, stepped
+from sidelong.app.simulation.airframe_kernel import Airframe, Body, stepped
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Wind
 
@@ -22,6 +22,7 @@ class KinematicAircraft:
         lag_s: float = 0.0,
     ) -> None:
         """lag_s: time constant of the bank towards its command, within the roll rate; 0: the roll rate alone."""
+        self.airspeed_m_s = airspeed_m_s
         self._limits = (airspeed_m_s, bank_max_rad, roll_rate_max_rad_s)
         self._lag_s, self._wind = lag_s, wind
         self.state = start

@@ -1,4 +1,4 @@
-"""The inner loop of :mod:`sidelong.app.study.airframe`."""
+"""The inner loop of :mod:`sidelong.app.simulation.airframe`."""
 
 from __future__ import annotations
 

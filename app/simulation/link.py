@@ -1,0 +1,88 @@
+"""One direction of a simulated link: loss, delay, jitter, duplicates, silences, and faults of single packets."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
+
+P = TypeVar("P")
+NO_FAULTS = LinkFaults()
+
+Change = Callable[[P, float], Iterable[tuple[float, P]]]
+"""Returns what becomes of a packet that is sent at a time: copies, each with its delay in seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """A time in which nothing comes through, in seconds of the link's clock."""
+
+    begin_s: float
+    end_s: float
+
+
+class Link(Generic[P]):
+    """Carries packets of any kind; a packet that is sent twice or late comes out of ``take`` so.
+
+    Args:
+        faults: loss, duplicates, delay, jitter and baud rate.
+        rng: randomness of the faults.
+        silences: when nothing comes through.
+        change: what becomes of each packet before it meets the link; None: nothing.
+
+    """
+
+    def __init__(
+        self,
+        faults: LinkFaults,
+        rng: np.random.Generator,
+        silences: tuple[Silence, ...] = (),
+        change: Change[P] | None = None,
+    ) -> None:
+        self._link: FaultyLink[P] = FaultyLink(faults, rng)
+        self._silences, self._change = silences, change
+        self._held_up: list[tuple[float, int, P]] = []  # by a change
+        self._count = itertools.count()
+        self._at_once: list[P] = []  # of a link without faults
+
+    @property
+    def faults(self) -> LinkFaults:
+        """The faults of what is sent from now on."""
+        return self._link.faults
+
+    @faults.setter
+    def faults(self, faults: LinkFaults) -> None:
+        self._link.faults = faults
+
+    def put(self, packet: P, now_s: float, size_bytes: int = 0) -> None:
+        """Send a packet."""
+        if any(one.begin_s <= now_s < one.end_s for one in self._silences):
+            return
+        if self._change is None:
+            self._send(packet, now_s, size_bytes)
+            return
+        for delay_s, changed in self._change(packet, now_s):
+            if delay_s > 0.0:
+                heapq.heappush(self._held_up, (now_s + delay_s, next(self._count), changed))
+            else:
+                self._send(changed, now_s, size_bytes)
+
+    def take(self, now_s: float) -> list[P]:
+        """Return what has arrived by now, in the order of arrival."""
+        taken, self._at_once = self._at_once, []
+        taken += self._link.take(now_s)
+        while self._held_up and self._held_up[0][0] <= now_s:
+            taken.append(heapq.heappop(self._held_up)[2])
+        return taken
+
+    def _send(self, packet: P, now_s: float, size_bytes: int) -> None:
+        if self._link.faults == NO_FAULTS:
+            self._at_once.append(packet)
+        else:
+            self._link.put(packet, now_s, size_bytes)

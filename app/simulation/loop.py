@@ -1,0 +1,176 @@
+"""The closed loop: what the vehicle sends becomes events, the core's outputs become frames, on one fake clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from types import SimpleNamespace
+from typing import Generic, Protocol, TypeVar, cast
+
+import numpy as np
+
+from sidelong.app.link.link import Link as AnyLink
+from sidelong.app.link.message import Message
+from sidelong.app.link.reports import VehicleReports
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.simulation.link import NO_FAULTS, Link
+from sidelong.app.simulation.wire import OWN_ID, Packer
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.exchange.mission_controller import InboundEvent, MissionController, Output
+from sidelong.mission.exchange.outbox import SendMessage
+from sidelong.mission.exchange.reports import TakeoverRequested, TimerExpired
+
+P = TypeVar("P")
+
+_TIMERS_MAX = 4  # in one tick: a timer that is asked for at once comes again
+_START_WITHIN_S = 60.0
+
+
+class SimulatedVehicle(Protocol[P]):
+    """A vehicle that sends packets of some kind and receives frames, on a clock that the loop moves."""
+
+    @property
+    def system_id(self) -> int:
+        """Its MAVLink system id."""
+        ...
+
+    @property
+    def tick_s(self) -> float:
+        """The time by which the loop moves its clock."""
+        ...
+
+    @property
+    def time_s(self) -> float:
+        """Its clock, which the loop moves; not the clock in its messages."""
+        ...
+
+    def advance(self, to_s: float) -> None:
+        """Fly until a time."""
+        ...
+
+    def receive(self, frame: bytes) -> None:
+        """Take a frame from sidelong."""
+        ...
+
+    def take(self) -> Sequence[P]:
+        """Return what it has sent since the last call."""
+        ...
+
+    def messages(self, packet: P, received_s: float) -> Iterable[Message]:
+        """Decode what it sent, after the link."""
+        ...
+
+
+class ClosedLoop(Generic[P]):
+    """One flight: :meth:`start`, then :meth:`step` or :meth:`run`.
+
+    Args:
+        simulated: the vehicle, and what it carries.
+        to_us: the link from the vehicle.
+        to_vehicle: the link to the vehicle, None: without faults.
+        rate: seconds of the vehicle's clock in one of the link's.
+
+    Attributes:
+        core: what flies, None before :meth:`start`.
+        listeners: called with each event and the outputs that it led to.
+
+    """
+
+    def __init__(
+        self,
+        simulated: SimulatedVehicle[P],
+        to_us: Link[P] | None = None,
+        to_vehicle: Link[bytes] | None = None,
+        rate: float = 1.0,
+    ) -> None:
+        self.simulated, self.rate = simulated, rate
+        unused = np.random.default_rng(0)
+        self.to_us: Link[P] = to_us or Link(NO_FAULTS, unused)
+        self.to_vehicle: Link[bytes] = to_vehicle or Link(NO_FAULTS, unused)
+        self.vehicle = Vehicle(cast(AnyLink, SimpleNamespace(system_id=simulated.system_id, own_id=OWN_ID)))
+        self.telemetry, self.reports = Telemetry(simulated.system_id), VehicleReports(self.vehicle)
+        self.core: MissionController | None = None
+        self.listeners: list[Callable[[InboundEvent, tuple[Output, ...]], object]] = []
+        self._packer = Packer()
+        self._start_s = simulated.time_s
+
+    @property
+    def link_s(self) -> float:
+        """The receiver's clock, by which retries run."""
+        return (self.simulated.time_s - self._start_s) / self.rate
+
+    def start(self, make_core: Callable[[LocalPlane], MissionController], flying_mode: str = "") -> None:
+        """Wait until position and mode are known, and take the aircraft over.
+
+        Args:
+            make_core: makes the core for the plane that the first position sets.
+            flying_mode: the mode in which it flies already; empty: it stands on the ground.
+
+        Raises:
+            TimeoutError: the vehicle sends neither position nor heartbeat.
+
+        """
+        while self.telemetry.plane is None or "HEARTBEAT" not in self.vehicle.latest:
+            if self.link_s > _START_WITHIN_S:
+                raise TimeoutError("the simulated vehicle sends no position or no heartbeat")
+            self.step()
+        self.core = make_core(self.telemetry.plane)
+        self.put(TakeoverRequested(self.telemetry.now_s, self.link_s, bool(flying_mode), flying_mode))
+
+    def run(self, duration_s: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Fly for a time of the vehicle's clock or until something holds; return whether it does."""
+        end_s = self.simulated.time_s + duration_s - 1e-6
+        while self.simulated.time_s < end_s:
+            self.step()
+            if until():
+                return True
+        return False
+
+    def step(self) -> None:
+        """Move the clock by one tick, and hand over all that is due."""
+        simulated = self.simulated
+        for frame in self.to_vehicle.take(self.link_s):
+            simulated.receive(frame)
+        simulated.advance(simulated.time_s + simulated.tick_s)
+        link_s = self.link_s
+        for packet in simulated.take():
+            self.to_us.put(packet, link_s)
+        for packet in self.to_us.take(link_s):
+            for message in simulated.messages(packet, link_s):
+                self.hear(message)
+        self.expire()
+
+    def hear(self, message: Message) -> None:
+        """Take a message that has arrived."""
+        self.vehicle.take(message)
+        event: InboundEvent | None = self.telemetry.event(message)
+        if self.core is None:
+            return
+        if event is None:
+            event = self.reports.report(message, self.telemetry.now_s, self.link_s)
+        if event is not None:
+            self.put(event)
+
+    def expire(self) -> None:
+        """Fire the timers that the core asked for."""
+        core = self.core
+        for _ in range(_TIMERS_MAX):
+            if core is None or core.next_timer_s > self.link_s:
+                return
+            self.put(TimerExpired(self.telemetry.now_s, self.link_s))
+
+    def put(self, event: InboundEvent) -> tuple[Output, ...]:
+        """Step the core with an event, and send what it wants sent."""
+        assert self.core is not None
+        outputs = self.core.step(event)
+        for output in outputs:
+            if isinstance(output, SendMessage):
+                self.send(output)
+        for listener in self.listeners:
+            listener(event, outputs)
+        return outputs
+
+    def send(self, message: SendMessage) -> None:
+        """Send one of the core's messages."""
+        frame = self._packer.frame(message.name, message.fields, self.simulated.system_id)
+        self.to_vehicle.put(frame, self.link_s, len(frame))

@@ -1,0 +1,115 @@
+"""The simulated payload: readings of laser and gimbal with noise, outliers and dropouts, as MAVLink messages."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sidelong.app.link.message import Message
+
+PAYLOAD_COMPONENT = 154  # MAV_COMP_ID_GIMBAL
+_LOCKED_IN_EARTH_FRAME = 4 | 8 | 16 | 64  # roll, pitch and yaw lock; yaw counts from north
+_RANGE_MIN_M, _RANGE_MAX_M = 1.0, 655.0
+_ORIENTATION_CUSTOM, _COVARIANCE_UNKNOWN, _GOOD_QUALITY = 100, 255, 90
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadErrors:
+    """Errors of the readings.
+
+    Attributes:
+        range_sigma_m: one standard deviation of the slant range.
+        angle_sigma_rad: one standard deviation of yaw and pitch of the line of sight.
+        yaw_bias_rad: constant error of the yaw.
+        outliers: share of the ranges that are wrong by up to ``outlier_max_m``.
+        outlier_max_m: greatest error of those.
+        dropouts_per_s: how often the laser begins to miss.
+        dropout_s: for how long it misses.
+
+    """
+
+    range_sigma_m: float = 0.8
+    angle_sigma_rad: float = math.radians(0.35)
+    yaw_bias_rad: float = math.radians(0.4)
+    outliers: float = 0.0
+    outlier_max_m: float = 90.0
+    dropouts_per_s: float = 0.0
+    dropout_s: float = 3.0
+
+
+class Payload:
+    """Laser and gimbal of one aircraft, both looking at the target.
+
+    Args:
+        errors: of the readings.
+        rng: their noise.
+        system_id: of the vehicle that carries them.
+
+    """
+
+    def __init__(self, errors: PayloadErrors, rng: np.random.Generator, system_id: int = 1) -> None:
+        self._errors, self._rng, self._system_id = errors, rng, system_id
+        self._dropout_s = (0.0, 0.0)  # begin and end
+
+    def measure(
+        self, time_s: float, boot_ms: int, east_m: float, north_m: float, up_m: float, *, with_range: bool = True
+    ) -> list[Message]:
+        """Return the readings of one moment.
+
+        Args:
+            time_s: the simulation's time.
+            boot_ms: the vehicle's clock, in milliseconds.
+            east_m: from the aircraft to the target.
+            north_m: from the aircraft to the target.
+            up_m: from the aircraft to the target, negative below.
+            with_range: whether the laser measures now.
+
+        """
+        errors, level_m = self._errors, math.hypot(east_m, north_m)
+        range_noise, yaw_noise, pitch_noise = self._rng.standard_normal(3).tolist()
+        yaw_rad = math.atan2(east_m, north_m) + errors.yaw_bias_rad + errors.angle_sigma_rad * yaw_noise
+        pitch_rad = math.atan2(up_m, level_m) + errors.angle_sigma_rad * pitch_noise
+        gimbal = self._message(
+            "GIMBAL_DEVICE_ATTITUDE_STATUS",
+            time_boot_ms=boot_ms,
+            q=list(sight_quaternion(yaw_rad, pitch_rad)),
+            flags=_LOCKED_IN_EARTH_FRAME,
+            gimbal_device_id=0,
+        )
+        range_m = math.hypot(level_m, up_m) + errors.range_sigma_m * range_noise
+        if errors.outliers and self._rng.random() < errors.outliers:
+            range_m += self._rng.uniform(-errors.outlier_max_m, errors.outlier_max_m)
+        if not with_range or self._is_dropped(time_s) or not _RANGE_MIN_M <= range_m <= _RANGE_MAX_M:
+            return [gimbal]
+        laser = self._message(
+            "DISTANCE_SENSOR",
+            time_boot_ms=boot_ms,
+            min_distance=round(100.0 * _RANGE_MIN_M),
+            max_distance=round(100.0 * _RANGE_MAX_M),
+            current_distance=round(100.0 * range_m),
+            id=1,
+            orientation=_ORIENTATION_CUSTOM,
+            covariance=_COVARIANCE_UNKNOWN,
+            signal_quality=_GOOD_QUALITY,
+            quaternion=[1.0, 0.0, 0.0, 0.0],
+        )
+        return [gimbal, laser]
+
+    def _is_dropped(self, time_s: float) -> bool:
+        rate_per_s = self._errors.dropouts_per_s
+        while rate_per_s and time_s >= self._dropout_s[1]:
+            begin_s = self._dropout_s[1] + float(self._rng.exponential(1.0 / rate_per_s))
+            self._dropout_s = begin_s, begin_s + self._errors.dropout_s
+        return self._dropout_s[0] <= time_s < self._dropout_s[1]
+
+    def _message(self, name: str, **fields: object) -> Message:
+        return Message(name, self._system_id, PAYLOAD_COMPONENT, fields, 0.0)
+
+
+def sight_quaternion(yaw_rad: float, pitch_rad: float) -> tuple[float, float, float, float]:
+    """Return ned_from_sight for a level line of sight's yaw, then pitch."""
+    cos_y, sin_y = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
+    cos_p, sin_p = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
+    return cos_y * cos_p, -sin_y * sin_p, cos_y * sin_p, sin_y * cos_p
