@@ -59,10 +59,12 @@ def _checksum(body: bytes, message_id: int) -> bytes:
 class FrameSplitter:
     """Finds the frames in what comes in, in pieces of any size.
 
-    Bytes that belong to no whole frame of a known message are passed over.
+    Bytes that belong to no whole frame of a known message are passed over; ``damaged`` counts those that began like a
+    frame.
     """
 
     def __init__(self) -> None:
+        self.damaged = 0
         self._rest = b""
 
     def split(self, data: bytes) -> list[Frame]:
@@ -81,6 +83,7 @@ class FrameSplitter:
                 found.append(Frame(data[at : at + size]))
                 at += size
             else:
+                self.damaged += 1
                 at += 1
         self._rest = data[at:]
         return found

@@ -230,12 +230,10 @@ class Telemetry:
         quaternion = _quaternion(fields["q"])
         if quaternion is None:
             return None
-        flags = int(fields["flags"])
-        in_earth_frame = flags & _YAW_IN_EARTH_FRAME or (not flags & _YAW_IN_VEHICLE_FRAME and flags & _YAW_LOCK)
-        frame = "earth" if in_earth_frame else "vehicle" if flags & _ROLL_OR_PITCH_LOCK else "body"
+        frame = gimbal_frame(int(fields["flags"]))
         device_id = int(fields.get("gimbal_device_id") or 0)
         source = _source(message.name, message.component_id, device_id)
-        return GimbalReading(self._payload_seconds(fields["time_boot_ms"]), quaternion, frame, source)  # type: ignore[arg-type]
+        return GimbalReading(self._payload_seconds(fields["time_boot_ms"]), quaternion, frame, source)
 
     def _target_fix(self, message: Message) -> Event | None:
         fields = message.fields
@@ -246,6 +244,13 @@ class Telemetry:
         east_m, north_m = self.plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
         source = _source(message.name, message.component_id)
         return TargetFixReading(self.now_s, east_m, north_m, fields["h_acc"], source)
+
+
+def gimbal_frame(flags: int) -> Literal["earth", "vehicle", "body"]:
+    """Return what a gimbal's attitude is relative to, by its GIMBAL_DEVICE_FLAGS."""
+    if flags & _YAW_IN_EARTH_FRAME or (not flags & _YAW_IN_VEHICLE_FRAME and flags & _YAW_LOCK):
+        return "earth"
+    return "vehicle" if flags & _ROLL_OR_PITCH_LOCK else "body"
 
 
 def has_fix(fields: Fields) -> bool:

@@ -29,12 +29,19 @@ class PayloadKind:
     make: Callable[[DriverSettings], PayloadDriver]
 
 
+def _gremsy(settings: DriverSettings) -> PayloadDriver:
+    from sidelong.app.payload.gremsy import GremsyDriver  # noqa: PLC0415  # a configuration is read without MAVLink
+
+    return GremsyDriver(settings)
+
+
 MAVLINK = "mavlink"
 """The value of ``payload.kind`` for a payload that speaks MAVLink itself, or through the autopilot: no driver."""
 
 PAYLOADS: tuple[PayloadKind, ...] = (
     PayloadKind("siyi", "SIYI gimbal cameras (ZT30, ZT6, ZR10, A8 mini)", "udp://192.168.144.25:37260", SiyiDriver),
     PayloadKind("viewpro", "Viewpro gimbal cameras (ViewLink)", "tcp://192.168.2.119:2000", ViewproDriver),
+    PayloadKind("gremsy", "Gremsy payloads with a laser (VIO, Orus-L)", "udp://192.168.55.1:14566", _gremsy),
     PayloadKind("topotek", "Topotek gimbal cameras", "udp://192.168.144.108:9003", TopotekDriver),
 )
 KIND_NAMES = (MAVLINK, *(kind.name for kind in PAYLOADS))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sidelong.sitl.payload.device import Device
+from sidelong.sitl.payload.gremsy import SimulatedGremsy
 from sidelong.sitl.payload.siyi import SimulatedSiyi
 from sidelong.sitl.payload.topotek import SimulatedTopotek
 from sidelong.sitl.payload.viewpro import SimulatedViewpro
@@ -18,5 +19,6 @@ OVER_TCP = ("viewpro",)
 DEVICES: dict[str, Callable[[Quirks, np.random.Generator], Device]] = {
     "siyi": SimulatedSiyi,
     "viewpro": SimulatedViewpro,
+    "gremsy": SimulatedGremsy,
     "topotek": SimulatedTopotek,
 }

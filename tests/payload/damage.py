@@ -5,7 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.generator.mavcrc import x25crc
 
+from sidelong.app.payload.driver import DriverSettings
+from sidelong.app.payload.gremsy import GremsyDriver
 from sidelong.sitl.payload.device import Seen
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.settings import Quirks
@@ -14,6 +18,7 @@ from tests.payload.golden import SIYI_REQUESTS
 _REQUESTS = {
     "siyi": b"".join(bytes.fromhex(frame) for *_, frame in SIYI_REQUESTS),
     "viewpro": bytes.fromhex("55 AA DC 05 1C 40 00 59 55 AA DC 04 00 00 04"),
+    "gremsy": b"".join(GremsyDriver(DriverSettings()).due(0.0)),
     "topotek": b"#TPUM2wLRF0359#TPUM2rLRF0051#TPUG2wGIA013E",
 }
 
@@ -64,10 +69,22 @@ def _is_frame(kind: str, data: bytes, at: int) -> bool:
         for byte in data[at + 3 : end]:
             check ^= byte
         return at + 6 <= end <= len(data) and check == 0
+    if kind == "gremsy":
+        return _is_mavlink(data, at)
     if data[at : at + 3].upper() != b"#TP" or data[at + 5 : at + 6] not in b"0123456789ABCDEF":
         return False
     end = at + 10 + int(data[at + 5 : at + 6] or b"0", 16)
     return data[end : end + 2] == b"%02X" % (sum(data[at:end]) % 256)
+
+
+def _is_mavlink(data: bytes, at: int) -> bool:
+    number = int.from_bytes(data[at + 7 : at + 10], "little")
+    if data[at] != 0xFD or number not in mavlink.mavlink_map:
+        return False
+    end = at + 10 + data[at + 1]
+    checksum = x25crc(data[at + 1 : end])
+    checksum.accumulate(bytes((mavlink.mavlink_map[number].crc_extra,)))
+    return data[end : end + 2] == checksum.crc.to_bytes(2, "little")
 
 
 def _crc(frame: bytes) -> int:
