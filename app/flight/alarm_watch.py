@@ -143,6 +143,7 @@ class AlarmWatch:
             connected=sensors.connected,
             silent_s=self._clock_s() - self._heard_at_s,
             yielded=snapshot.over if snapshot.phase is Phase.YIELDED else "",
+            separation=snapshot.separation,
             in_band=watch.in_band,
             on_side=watch.on_side,
             range_m=math.nan if watch.range_m is None else watch.range_m,

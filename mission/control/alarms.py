@@ -22,6 +22,7 @@ class Situation:
         in_hand: Whether sidelong flies the aircraft (watching or holding).
         connected: Whether the aircraft is received.
         silent_s: For how long it has not been received.
+        separation: Which other aircraft is too near, in words; '' where none is.
         yielded: Why control was given up; '' if it was not.
         in_band: Whether the range is the required one; None: unknown.
         on_side: Whether the side is the required one; None: unknown.
@@ -46,6 +47,7 @@ class Situation:
     connected: bool = True
     silent_s: float = 0.0
     yielded: str = ""
+    separation: str = ""
     in_band: bool | None = None
     on_side: bool | None = None
     range_m: float = math.nan
@@ -186,6 +188,10 @@ def _yielded(_alarms: Alarms, now: Situation) -> str:
     return f"control was given up: {now.yielded}" if now.yielded else ""
 
 
+def _separation(_alarms: Alarms, now: Situation) -> str:
+    return now.separation
+
+
 def _target(_alarms: Alarms, now: Situation) -> str:
     if not now.in_hand or now.unseen_s is None or not (now.lost or now.unseen_s >= _UNSEEN_S):
         return ""
@@ -242,6 +248,7 @@ LOW_BATTERY = 1.2
 
 _RULES = (
     _Rule("yield", _yielded, "you, or another station, fly the aircraft; start launch again to resume the watch"),
+    _Rule("separation", _separation, "change the height of one of the two, or take over", clear_s=0.0),
     _Rule("link", _link, "check radio and antenna; to act now use the transmitter", clear_s=0.0),
     _Rule("battery", _battery, "let it fly home now, or switch to RTL", after_s=2.0),
     _Rule("target", _target, "point the camera at the target, or press Hold to keep circling here"),

@@ -216,6 +216,7 @@ class StandoffController:
             self.planning.target,
             self.planning.turn_payload,
             self._over,
+            self.planning.too_near(self.time_s),
         )
 
     def _read(self, reading: Reading) -> None:

@@ -75,6 +75,11 @@ class Planning:
         """Whether the payload looks at another target than that."""
         return self._advice is not None and self._advice.turn_payload
 
+    def too_near(self, time_s: float) -> str:
+        """Return which other aircraft is too near, in words; '' where none is, and without fresh advice."""
+        advice = self._advice
+        return "" if advice is None or time_s - advice.time_s > _ADVICE_S else advice.separation
+
     def watch_from(self, requirement: Requirement) -> None:
         """Plan for the side that the fleet has given out, of which a cooperative planner is told by advice."""
         if isinstance(self.planner, CooperativePlanner):

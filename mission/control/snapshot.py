@@ -46,3 +46,4 @@ class Snapshot:
     target: str = ""  # which of a fleet's targets it is to watch
     turn_payload: bool = False  # to that target: it looks at another one
     over: str = ""  # why the mission was yielded or has ended
+    separation: str = ""  # which other aircraft is too near, in words

@@ -44,7 +44,8 @@ class FleetAdvice:
 
     estimate: the joint one of that target, None before it was seen. height_m: of the layer to fly in. reason: why
     this differs from the advice before, '' where it does not. turn_payload: its payload looks at another target.
-    course_rad: of the target, whose sides the fleet shares out; None before anybody watches.
+    course_rad: of the target, whose sides the fleet shares out; None before anybody watches. separation: which
+    aircraft is too near, in words; '' where none is.
     """
 
     time_s: float
@@ -57,6 +58,7 @@ class FleetAdvice:
     reason: str = ""
     turn_payload: bool = False
     course_rad: float | None = None
+    separation: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

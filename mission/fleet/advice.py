@@ -21,8 +21,12 @@ def advice_to(
     fleet: Iterable[FleetVehicle],
     foreign: Iterable[ForeignAircraftReported],
     course_rad: float | None = None,
+    separation: str = "",
 ) -> FleetAdvice:
-    """Return an aircraft's advice at mission time ``now_s``; wanted, course_rad: side and course of its target."""
+    """Return an aircraft's advice at mission time ``now_s``; wanted, course_rad: side and course of its target.
+
+    separation: which other aircraft is too near, in words.
+    """
     by_s = -vehicle.clock.offset_s
     told = (vehicle.role, vehicle.target)
     reason = "" if told == vehicle.told else _reason(vehicle.role)
@@ -47,6 +51,7 @@ def advice_to(
         reason,
         vehicle.watches != vehicle.target,
         course_rad,
+        separation,
     )
 
 

@@ -339,8 +339,7 @@ class FleetCoordinator:
         for name in self._targets:
             self._assign_roles(name, estimates[name])
         self._relieve(estimates)
-        for name, text in self._proximity.watch(self._now_s, self._vehicles.values(), self._foreign.values()):
-            self._say(name, text)
+        too_near = self._proximity.watch(self._now_s, self._vehicles.values(), self._foreign.values())
         self._foreign = {
             key: one for key, one in self._foreign.items() if self._now_s - one.mission_time_s < _FOREIGN_FORGOTTEN_S
         }
@@ -349,7 +348,8 @@ class FleetCoordinator:
                 target, fleet, foreign = vehicle.target, self._vehicles.values(), self._foreign.values()
                 wanted = self._targets[target].requirement.side
                 course_rad = self._judges.course_rad(target)
-                advice = advice_to(vehicle, self._now_s, wanted, estimates[target], fleet, foreign, course_rad)
+                near = too_near.get(vehicle.member.name, "")
+                advice = advice_to(vehicle, self._now_s, wanted, estimates[target], fleet, foreign, course_rad, near)
                 self._out.append(Tell(vehicle.member.name, advice))
 
     def _tell_refusals(self) -> None:

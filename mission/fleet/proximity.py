@@ -9,7 +9,9 @@ Rules
    :meth:`sidelong.mission.geometry.separation.Separation.crossed`.
 3. An aircraft of the fleet that was yielded, to a pilot or to another program that commands the same fleet, raises an
    alarm if it flies within ``min_m`` of the height of another one for ``AFTER_S``: its plans are not known.
-4. Each alarm is one sentence, announced once; so is its end, ``CLEAR_AFTER_S`` after the last report of it.
+4. Each alarm belongs to one of the two, the higher one of the fleet's. It ends ``CLEAR_AFTER_S`` after its last
+   reason. That aircraft receives it by its advice, and announces its beginning and its end; see
+   :mod:`sidelong.mission.control.alarms`.
 """
 
 from __future__ import annotations
@@ -41,11 +43,12 @@ class _Flying:
 
 @dataclass(slots=True)
 class _Pair:
+    """upper: the aircraft that the alarm belongs to; text: the alarm in words, '' until it is raised."""
+
     upper: str
-    lower: str
     begun_s: float
     seen_s: float = -math.inf
-    announced: str = ""  # "near" or "height", the most severe announced
+    text: str = ""
 
 
 class Proximity:
@@ -57,39 +60,35 @@ class Proximity:
 
     def watch(
         self, now_s: float, fleet: Iterable[FleetVehicle], foreign: Iterable[ForeignAircraftReported]
-    ) -> Iterator[tuple[str, str]]:
-        """Yield (name of the aircraft, sentence) for each alarm that begins or ends at mission time ``now_s``."""
+    ) -> dict[str, str]:
+        """Return the alarms of mission time ``now_s`` in words, by the name of the aircraft that each belongs to."""
         flying = [one for one in _all_of(fleet, foreign) if one.height_m >= _AIRBORNE_M]
         flying.sort(key=lambda one: (one.vehicle is None, -one.height_m, one.name))
         for upper, lower in combinations(flying, 2):
             if upper.vehicle is not None:
-                yield from self._compare(now_s, upper, lower)
-        for key, pair in list(self._pairs.items()):
-            if now_s - pair.seen_s >= CLEAR_AFTER_S:
-                del self._pairs[key]
-                if pair.announced:
-                    yield pair.upper, f"separated from {pair.lower} again"
+                self._compare(now_s, upper, lower)
+        self._pairs = {key: one for key, one in self._pairs.items() if now_s - one.seen_s < CLEAR_AFTER_S}
+        raised: dict[str, str] = {}
+        for one in self._pairs.values():
+            if one.text:
+                raised[one.upper] = f"{raised[one.upper]}; {one.text}" if one.upper in raised else one.text
+        return raised
 
-    def _compare(self, now_s: float, upper: _Flying, lower: _Flying) -> Iterator[tuple[str, str]]:
+    def _compare(self, now_s: float, upper: _Flying, lower: _Flying) -> None:
         apart_m, crosses = _apart_m(now_s, upper, lower), self._crosses(upper, lower)
-        shares = lower.vehicle is None and lower.member and abs(upper.height_m - lower.height_m) < self._min_m
-        if apart_m >= self._min_m and not crosses and not shares:
+        gap_m = abs(upper.height_m - lower.height_m)
+        shares = lower.vehicle is None and lower.member and gap_m < self._min_m
+        near = apart_m < self._min_m
+        if not (near or crosses or shares):
             return
-        key = frozenset((upper.name, lower.name))
-        pair = self._pairs.setdefault(key, _Pair(upper.name, lower.name, now_s))
+        pair = self._pairs.setdefault(frozenset((upper.name, lower.name)), _Pair(upper.name, now_s))
         pair.seen_s = now_s
-        if apart_m < self._min_m and pair.announced != "near":
-            pair.announced = "near"
-            text = f"ALARM: only {apart_m:.0f} m from {pair.lower}; {self._min_m:.0f} m are required"
-            yield pair.upper, text
-        elif not pair.announced and now_s - pair.begun_s >= AFTER_S:
-            pair.announced = "height"
-            gap_m = abs(upper.height_m - lower.height_m)
-            if shares:
-                text = f"ALARM: in the height layer of {pair.lower} ({gap_m:.0f} m), which was yielded"
-            else:
-                text = f"ALARM: only {gap_m:.0f} m above {pair.lower}, and their circles cross"
-            yield pair.upper, text
+        other = lower.name if pair.upper == upper.name else upper.name
+        if near:
+            pair.text = f"only {apart_m:.0f} m from {other}; {self._min_m:.0f} m are required"
+        elif pair.text or now_s - pair.begun_s >= AFTER_S:
+            why = "and their circles cross" if crosses else "which was yielded and may come here"
+            pair.text = f"the height differs by only {gap_m:.0f} m from that of {other}, {why}"
 
     def _crosses(self, upper: _Flying, lower: _Flying) -> bool:
         vertical_m = abs(upper.height_m - lower.height_m)

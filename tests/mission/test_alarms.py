@@ -26,6 +26,7 @@ GOOD = Situation(
 )
 CAUSES = {
     "yield": {"yielded": "the flight mode was changed to LOITER", "in_hand": False},
+    "separation": {"separation": "only 42 m from south; 50 m are required"},
     "link": {"connected": False, "silent_s": 3.0},
     "battery": {"battery_percent": 30.0, "endurance_s": 70.0},
     "target": {"unseen_s": 12.0, "gives_up_in_s": 288.0},
