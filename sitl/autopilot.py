@@ -23,6 +23,7 @@ from sidelong.sitl.world.geodesy import HomePlane
 from sidelong.sitl.world.place import Place
 
 _ALTITUDE_GAIN_PER_S = 0.4
+_TEXT_BYTES = 50
 _LIFT_OFF_FRACTION = 0.85  # of the cruise airspeed
 
 
@@ -39,6 +40,7 @@ class Autopilot(ABC):
     unknown_interval_result: ClassVar[int]  # of a message that there is not
     unknown_request_result: ClassVar[int]
     arming_refusal: ClassVar[tuple[int, str]]  # result and text of an arming that comes too early
+    preflight_failure: ClassVar[str]  # until then, where the checks are asked for
     quirks: ClassVar[ProtocolQuirks]
     default_interval_s: ClassVar[Mapping[int, float]]
     mission_types: ClassVar[tuple[int, ...]] = (
@@ -65,6 +67,7 @@ class Autopilot(ABC):
         self.mode = int(self.first_mode)
         self.reboot_ordered = False
         self._home_told = False
+        self._texts = 0  # that were too long for one message
         self.silenced: set[int] = set()  # messages withheld, as if the sender of them had died
         self.armed = False
         self.lifting_off = False
@@ -78,6 +81,7 @@ class Autopilot(ABC):
         self._builders: dict[int, Builder] = {}
         self._handlers: dict[int, Handler] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._on_arm,
+            mavlink.MAV_CMD_RUN_PREARM_CHECKS: self._on_checks,
             mavlink.MAV_CMD_DO_SET_MODE: self._on_set_mode,
             mavlink.MAV_CMD_DO_SET_ROI_LOCATION: self._on_roi,
             mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._on_reboot,
@@ -237,7 +241,15 @@ class Autopilot(ABC):
     # Talking.
 
     def say(self, severity: int, text: str) -> None:
-        self.radio.broadcast(mavlink.MAVLink_statustext_message(severity, text.encode()[:50], 0, 0))
+        """Send a text, in chunks where it is longer than a message holds."""
+        data = text.encode()
+        chunks = [data[at : at + _TEXT_BYTES] for at in range(0, len(data), _TEXT_BYTES)] or [b""]
+        number = 0
+        if len(chunks) > 1:
+            self._texts += 1
+            number = self._texts
+        for sequence, chunk in enumerate(chunks):
+            self.radio.broadcast(mavlink.MAVLink_statustext_message(severity, chunk, number, sequence))
 
     def messages(self, message_id: int) -> list[Any]:
         """Build the telemetry of an id; empty if there is none or nothing to tell now."""
@@ -374,6 +386,13 @@ class Autopilot(ABC):
         if self.craft.flying and not forced:
             return FAILED
         self.disarm()
+        return ACCEPTED
+
+    def _on_checks(self, _command: Command) -> int:
+        if self.armed:
+            return FAILED
+        if not self.ready:
+            self.say(mavlink.MAV_SEVERITY_CRITICAL, self.preflight_failure)
         return ACCEPTED
 
     def arm(self) -> int:

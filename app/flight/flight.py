@@ -44,6 +44,7 @@ from sidelong.app.link.mavsdk_link import FrameListener, MavsdkLink
 from sidelong.app.link.parameters import read_table, temporary_parameters
 from sidelong.app.link.queries import home_of, is_flying, mode_of, release_of
 from sidelong.app.link.senders import SenderCheck
+from sidelong.app.link.status_texts import StatusText
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.transport import Transport
 from sidelong.app.link.vehicle import Vehicle
@@ -181,8 +182,9 @@ class Flight:
         self._controller, self._senders = controller, session.senders
         self._beside = session.beside
         self._collector = SummaryCollector(config.requirement.requirement())
-        self._start_s = math.inf
+        self._start_s, self._takeover_s = math.inf, math.inf
         self._battery_percent: int | None = None  # when watching began
+        self._warnings: set[str] = set()  # of the autopilot, that were shown
         self._ready: _Ready | None = None
         self._terrain: TerrainServer | None = None
         self._loop: ControlLoop | None = None
@@ -317,11 +319,9 @@ class Flight:
         running = asyncio.create_task(loop.run())
         over = asyncio.create_task(self._until_over(ended))
         interrupt = asyncio.create_task(stopped.wait())
-        flying, mode = is_flying(self._vehicle), mode_of(self._vehicle)
         delay = asyncio.create_task(self._tell_delay(loop))
         listening = asyncio.create_task(alarms.run())
-        arm_period_s, round_trip_s = 1.0 / self._vehicle_rate, self._vehicle.round_trip_s or 0.0
-        loop.put(TakeoverRequested(self._telemetry.now_s, loop.link_s, flying, mode, arm_period_s, round_trip_s))
+        loop.put(self._takeover(loop.link_s))
         try:
             await asyncio.wait((running, over, interrupt), return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -332,6 +332,15 @@ class Flight:
         if loop.failed is not None:
             raise self._failure(loop.failed)
         return loop.outcome or ("interrupted" if stopped.is_set() else "completed")
+
+    def _takeover(self, link_s: float) -> TakeoverRequested:
+        """Return the request to take over, and show the autopilot's warnings from now on."""
+        vehicle = self._vehicle
+        self._takeover_s = vehicle.latest["HEARTBEAT"].received_s
+        vehicle.texts.listeners.append(self._warned)
+        arm_period_s, round_trip_s = 1.0 / self._vehicle_rate, vehicle.round_trip_s or 0.0
+        flying, mode = is_flying(vehicle), mode_of(vehicle)
+        return TakeoverRequested(self._telemetry.now_s, link_s, flying, mode, arm_period_s, round_trip_s)
 
     def _wind_tables(self, loop: ControlLoop) -> WindTables:
         kind, winds = planner_by_name(self._config.planner.name), winds_m_s(self._config)
@@ -372,7 +381,13 @@ class Flight:
     def _vehicle_status(self) -> VehicleStatus:
         return vehicle_status(self._vehicle.latest, self._vehicle.link.recent())
 
+    def _warned(self, text: StatusText) -> None:
+        if text.is_warning and text.text not in self._warnings:
+            self._warnings.add(text.text)
+            self._display.note(f'the autopilot reports "{text.text}"')
+
     def _acquired(self, acquired: ControlAcquired) -> None:
+        self._vehicle.texts.listeners.remove(self._warned)
         self._start_s, self._battery_percent = acquired.time_s, self._status().battery_percent
         self._display.engage(self._start_s, self._duration_s)
         self._display.note("circling: the target is watched from now on")
@@ -380,9 +395,8 @@ class Flight:
     def _failure(self, failed: TakeoverFailed) -> Exception:
         if failed.wrong_input:
             return InputError(f"{failed.reason}.")
-        said = self._vehicle.latest.get("STATUSTEXT")
-        last_words = f": {said.fields['text']}" if said is not None else ""
-        return FlightError(f"{failed.reason}{last_words}.")
+        texts = [f'"{text}"' for text in self._vehicle.texts.warnings(self._takeover_s)]
+        return FlightError(": ".join((failed.reason, *([", ".join(texts)] if texts else ()))) + ".")
 
     @property
     def _vehicle_rate(self) -> float:

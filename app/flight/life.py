@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.link.message import Message
 from sidelong.app.link.modes import ARMED_FLAG
-from sidelong.app.link.queries import mode_of
+from sidelong.app.link.queries import is_flying, mode_of
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.shutdown import ends_within
@@ -125,7 +125,8 @@ def describe_aircraft(vehicle: Vehicle, autopilot: Autopilot, snapshot: Snapshot
     elif not int(vehicle.latest["HEARTBEAT"].fields["base_mode"]) & ARMED_FLAG:
         does = "the aircraft is not armed"
     elif mode_of(vehicle) not in (autopilot.mission_mode, autopilot.circle_mode):
-        does = f"the aircraft flies on in {mode_of(vehicle)}"
+        flies, mode = is_flying(vehicle), mode_of(vehicle)
+        does = f"the aircraft flies on in {mode}" if flies else f"the aircraft is armed on the ground in {mode}"
     elif snapshot.phase is not Phase.WAITING:
         does = "the aircraft goes on circling where it is"
     else:

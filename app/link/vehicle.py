@@ -11,6 +11,7 @@ from typing import Any
 
 from sidelong.app.link.link import Link
 from sidelong.app.link.message import Message
+from sidelong.app.link.status_texts import StatusTexts
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.mission.exchange.vehicle_command import describe_result
 
@@ -46,6 +47,7 @@ class Vehicle:
         self.link = link
         self.system_id = link.system_id
         self.latest: dict[str, Message] = {}
+        self.texts = StatusTexts()  # of the autopilot
         self.listeners: list[Listener] = []
         self.bystanders: list[Listener] = []  # hear what other systems say, too
         self._waiting: list[tuple[Callable[[Message], bool], asyncio.Future[Message]]] = []
@@ -63,6 +65,8 @@ class Vehicle:
             return
         if message.component_id == AUTOPILOT_COMPONENT:
             self.latest[message.name] = message
+            if message.name == "STATUSTEXT":
+                self.texts.take(message)
         for wanted, future in self._waiting:
             if not future.done() and wanted(message):
                 future.set_result(message)

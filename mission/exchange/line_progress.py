@@ -12,6 +12,7 @@ from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.exchange.layout import MissionLayout
 from sidelong.mission.exchange.raw_item import RawItem
 
+_NEAR_M = 100.0  # off its line, an aircraft passes a waypoint at such a distance
 SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
 
 
@@ -35,6 +36,23 @@ def flown_after(
     east_m, north_m = _place(layout.items[index], plane)
     off_m = math.hypot(east_m - aircraft.east_m, north_m - aircraft.north_m)
     return index + (off_m < SWITCH_M + aircraft.ground_speed_m_s * duration_s)
+
+
+def is_skipped(layout: MissionLayout, seq: int, aircraft: AircraftState, plane: LocalPlane, flown_m: float) -> bool:
+    """Return whether ``seq`` is flown although the aircraft cannot have passed the waypoint before it.
+
+    Args:
+        layout: The line that is flown.
+        seq: Item that is flown now.
+        aircraft: Where the aircraft is.
+        plane: Local plane.
+        flown_m: How far it may have flown since it passed that waypoint.
+
+    """
+    if seq - 1 not in layout or seq not in layout:
+        return False
+    east_m, north_m = _place(layout.items[seq - 1], plane)
+    return math.hypot(east_m - aircraft.east_m, north_m - aircraft.north_m) > _NEAR_M + flown_m
 
 
 def _place(item: RawItem, plane: LocalPlane) -> tuple[float, float]:

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.events import ActivatePlan, PlanStatus, UploadPlan
+from sidelong.mission.core.events import ActivatePlan, Announce, PlanStatus, UploadPlan
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.activation import Activation, Answer
 from sidelong.mission.exchange.dialect import AutopilotDialect
 from sidelong.mission.exchange.layout import MissionLayout
-from sidelong.mission.exchange.line_progress import first_ahead, flown_after
+from sidelong.mission.exchange.line_progress import first_ahead, flown_after, is_skipped
 from sidelong.mission.exchange.mission_ownership import MissionOwnership
 from sidelong.mission.exchange.mission_read import MissionRead
 from sidelong.mission.exchange.mission_upload import MissionUpload
@@ -33,7 +33,7 @@ from sidelong.mission.upload.items import NAV_LOITER_UNLIM, NAV_WAYPOINT, Unflya
 
 _LATE_MAX_S = 5.0
 _FIRST_UPLOAD_S, _UPLOAD_S, _USELESS_S, _READ_S = 30.0, 8.0, 2.0, 5.0
-_NEGLIGIBLE_S = 0.3
+_NEGLIGIBLE_S, _MISSED_S = 0.3, 1.0  # a report may have been missed before
 _REPEAT_AHEAD_S, _REPEAT_ROUND_TRIPS = 1.0, 1.5  # a repeated request may arrive so late
 
 
@@ -325,8 +325,9 @@ class MissionItemBackend:
         self._waits = self._waits or (frozen and not self._ownership.frozen)
 
     def _on_current(self, report: MissionCurrentReported) -> None:
-        self._current = report
+        previous, self._current = self._current, report
         change = self._change
+        self._look_for_skipped(previous, report)
         if change is not None and change.activation is not None:
             change.activation.current(report.seq)
             self._judge_activation(change)
@@ -336,7 +337,18 @@ class MissionItemBackend:
             self._taken_after_all(report.seq)
         if report.seq in self._layout:
             self._left = None
-        self._ownership.current(report, (self._layout, self._left))
+        self._ownership.current(report, self._layout, self._left)
+
+    def _look_for_skipped(self, previous: MissionCurrentReported | None, report: MissionCurrentReported) -> None:
+        """Announce that another station has chosen a later item of our line: it is flown."""
+        layout, aircraft = self._layout, self._aircraft
+        if previous is None or layout is None or aircraft is None or report.seq <= previous.seq:
+            return
+        since_s = report.link_s - previous.link_s + self._upload.round_trip_s
+        flown_m = aircraft.ground_speed_m_s * (_MISSED_S + self._outbox.vehicle_s(since_s))
+        if previous.seq in layout and is_skipped(layout, report.seq, aircraft, self._settings.plane, flown_m):
+            text = f"another station has chosen item {report.seq} of the mission: flying on from there"
+            self._outbox.report(Announce(self._outbox.time_s, "plan", text))
 
     def _judge_activation(self, change: _Change) -> None:
         activation = change.activation

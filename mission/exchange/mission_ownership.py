@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
 
 from sidelong.mission.exchange.dialect import ProtocolQuirks
 from sidelong.mission.exchange.layout import MissionLayout
@@ -40,6 +39,7 @@ class MissionOwnership:
         self._in_doubt = False
         self._begun = False
         self._audit_s = math.inf
+        self._flown = -1  # the farthest item of the present line that was reported since the latest upload
 
     @property
     def frozen(self) -> bool:
@@ -83,6 +83,7 @@ class MissionOwnership:
     def written(self, items: tuple[RawItem, ...], mission_id: int, accepted: bool) -> None:
         """Have written a mission, or perhaps written it."""
         self._call_off()
+        self._flown = -1  # a list that is taken whole begins at the item that was marked
         self._in_doubt = self._begun and not accepted and not self._quirks.stores_items_one_by_one
         self._written.append((items, accepted))
         self._identity.written(len(items) - self._quirks.home_at_zero, mission_id, accepted)
@@ -92,9 +93,20 @@ class MissionOwnership:
     def switched(self) -> None:
         """Have switched to another line: what comes late belongs to the one before."""
         self._reports.forget()
+        self._flown = -1
 
-    def current(self, report: MissionCurrentReported, lines: Iterable[MissionLayout | None]) -> None:
-        """Take a MISSION_CURRENT; lines are those that may be flown."""
+    def current(
+        self, report: MissionCurrentReported, present: MissionLayout | None, left: MissionLayout | None
+    ) -> None:
+        """Take a MISSION_CURRENT.
+
+        Args:
+            report: What the autopilot reports.
+            present: The line that is flown. An item before one that was flown already is another station's choice.
+            left: The line before, while late reports of it may come.
+
+        """
+        lines = (present, left)
         if not self._begun:
             return
         if self._identity.is_open(report.total, report.mission_id):
@@ -110,10 +122,12 @@ class MissionOwnership:
         self._in_doubt = False
         if not self._identity.is_ours(report.total, report.mission_id):
             self._suspect(self._reports, _CHANGED)
-        elif not any(line is not None and report.seq in line for line in lines):
+        elif report.seq < self._flown or not any(line is not None and report.seq in line for line in lines):
             self._suspect(self._reports, f"another station has chosen item {report.seq} of the mission")
         else:
             self._reports.fits()
+            if present is not None and report.seq in present:
+                self._flown = report.seq
 
     def _call_off(self) -> None:
         if self._read is not None:

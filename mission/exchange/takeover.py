@@ -24,9 +24,11 @@ from sidelong.mission.exchange.reports import CommandAcknowledged, TakeoverReque
 from sidelong.mission.exchange.vehicle_command import CommandExchange, VehicleCommand, describe_result
 
 _TAKE_OFF, _RELATIVE = 22, 3  # MAV_CMD_NAV_TAKEOFF, MAV_FRAME_GLOBAL_RELATIVE_ALT
+_RUN_PREARM_CHECKS = 401  # reports by STATUSTEXT what prevents arming
 _TAKE_OFF_HEIGHT_M = 50.0
 _ARM_WITHIN_S, _TAKE_OFF_WITHIN_S = 120.0, 240.0  # of the vehicle's time
 _MODE_WITHIN_S, _REPORTED_WITHIN_S, _START_AGAIN_S = 5.0, 2.0, 0.5  # of the link's clock
+_STARTED_S = 2.0  # a mode that was accepted is reported so soon, of the link's clock
 _HIGH_ENOUGH = 0.7  # of the height wanted, to begin watching
 _AT_HEIGHT_M = 5.0
 _LIKE_OURS = (0.7, 1.3)  # a circle flown already with a radius within this share of ours was commanded by us
@@ -279,28 +281,37 @@ class Takeover:
 
     def _arm(self) -> Script:
         self._note("arming")
-        deadline_s = self._outbox.time_s + _ARM_WITHIN_S
+        deadline_s, reasons_asked = self._outbox.time_s + _ARM_WITHIN_S, False
         while True:
             yield from self._commanded(self._dialect.arm())
             assert self._command is not None
             if self._command.accepted:
                 return
-            if self._outbox.time_s > deadline_s:
-                raise _FailedError(f"the autopilot does not arm ({self._answer()})")
+            if self._command.stuck or self._outbox.time_s > deadline_s:
+                reason = f"the autopilot did not arm ({self._answer()})"
+                if self._command.unsettled:
+                    yield from self._commanded(self._dialect.disarm())
+                raise _FailedError(reason)
+            if not reasons_asked:
+                reasons_asked = True
+                yield from self._commanded(VehicleCommand(_RUN_PREARM_CHECKS, ()))
             yield from self._until(lambda: False, self._arm_period_s)
 
     def _start_mission(self) -> Script:
         link_end_s = self._outbox.link_s + _MODE_WITHIN_S
-        yield from self._commanded(self._dialect.start_mission())
-        assert self._command is not None
-        # PX4 looks whether its new mission is one to fly some time after it has taken it.
-        while self._command.refused_for_now and self._outbox.link_s < link_end_s:
-            yield from self._until(lambda: False, _START_AGAIN_S)
-            yield from self._commanded(self._dialect.start_mission())
-        # An accepted command proves nothing: PX4 accepts, and stays in HOLD with a mission it does not like.
         mode = self._dialect.mission_mode
-        if self._command.accepted:
-            yield from self._until(lambda: self._mode == mode, _MODE_WITHIN_S)
+        while True:
+            yield from self._commanded(self._dialect.start_mission())
+            assert self._command is not None
+            # PX4 checks a new mission some time after it has taken it. Until then it refuses the mode, or accepts the
+            # command and stays in HOLD.
+            if self._command.accepted:
+                yield from self._until(lambda: self._mode == mode, _STARTED_S)
+            if self._mode == mode or self._outbox.link_s >= link_end_s:
+                break
+            if not (self._command.accepted or self._command.refused_for_now):
+                break
+            yield from self._until(lambda: False, _START_AGAIN_S)
         if not self._command.accepted or self._mode != mode:
             raise _FailedError(f"the mission was not started ({self._answer()})")
 

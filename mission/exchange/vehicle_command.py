@@ -9,7 +9,8 @@ from sidelong.mission.exchange.outbox import Outbox
 from sidelong.mission.exchange.reports import CommandAcknowledged
 
 _ANSWER_S, _TRIES = 1.0, 4
-_ACCEPTED, _NOT_NOW, _IN_PROGRESS, _IN_PROGRESS_S = 0, 1, 5, 10.0
+_ACCEPTED, _NOT_NOW, _IN_PROGRESS = 0, 1, 5
+_IN_PROGRESS_S, _IN_PROGRESS_MAX_S = 10.0, 30.0  # after each such answer; after the first one
 _RESULTS = {
     0: "accepted",
     1: "temporarily rejected",
@@ -42,7 +43,13 @@ def describe_result(result: int | None) -> str:
 
 
 class CommandExchange:
-    """``result`` is a MAV_RESULT once ``done``, None when nothing was heard."""
+    """One command until it is answered.
+
+    Attributes:
+        done: Whether it has ended.
+        result: MAV_RESULT once ``done``; None: no answer; 5: in progress for longer than is waited for.
+
+    """
 
     def __init__(self, outbox: Outbox, command: VehicleCommand) -> None:
         self._outbox, self._command = outbox, command
@@ -50,6 +57,7 @@ class CommandExchange:
         self.done = False
         self.result: int | None = None
         self.next_timer_s = math.inf
+        self._in_progress_until_s = math.inf
         self._send()
 
     @property
@@ -62,20 +70,35 @@ class CommandExchange:
         """Whether it was answered that another time might be better."""
         return self.done and self.result == _NOT_NOW
 
+    @property
+    def stuck(self) -> bool:
+        """Whether the autopilot kept answering that it is in progress."""
+        return self.done and self.result == _IN_PROGRESS
+
+    @property
+    def unsettled(self) -> bool:
+        """Whether it ended without a final answer: it may have been carried out."""
+        return self.stuck or (self.done and self.result is None)
+
     def receive(self, report: CommandAcknowledged) -> None:
         """Take an acknowledgement."""
         if self.done or report.command != self._command.command:
             return
         if report.result == _IN_PROGRESS:
-            self.next_timer_s = self._outbox.link_s + _IN_PROGRESS_S
+            now_s = self._outbox.link_s
+            self._in_progress_until_s = min(self._in_progress_until_s, now_s + _IN_PROGRESS_MAX_S)
+            self.next_timer_s = min(now_s + _IN_PROGRESS_S, self._in_progress_until_s)
             return
         self.done, self.result, self.next_timer_s = True, report.result, math.inf
 
     def expire(self) -> None:
         """Repeat the command, or give up."""
-        if self.done or self._outbox.link_s < self.next_timer_s:
+        now_s = self._outbox.link_s
+        if self.done or now_s < self.next_timer_s:
             return
-        if self._sends < _TRIES:
+        if now_s >= self._in_progress_until_s:
+            self.done, self.result, self.next_timer_s = True, _IN_PROGRESS, math.inf
+        elif self._sends < _TRIES:
             self._send()
         else:
             self.done, self.next_timer_s = True, math.inf

@@ -67,6 +67,7 @@ class ArduPlane(Autopilot):
     ready_s = 22.9
     unknown_interval_result = DENIED
     unknown_request_result = FAILED
+    preflight_failure = "PreArm: AHRS: waiting for home"
     arming_refusal = (FAILED, "Arm: AHRS: waiting for home")
     quirks = QUIRKS
     default_interval_s = DEFAULT_INTERVAL_S

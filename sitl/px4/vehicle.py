@@ -59,6 +59,7 @@ class Px4(Autopilot):
     ready_s = 8.0
     unknown_interval_result = FAILED
     unknown_request_result = DENIED
+    preflight_failure = "Preflight Fail: ekf2 missing data\t"
     arming_refusal = (REJECTED, "Arming denied: Resolve system health failures first\t")
     quirks = QUIRKS
     default_interval_s = DEFAULT_INTERVAL_S

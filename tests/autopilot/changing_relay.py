@@ -109,6 +109,15 @@ class ChangingRelay(Relay):
         message = mavlink.MAVLink_command_long_message(self.system_id, 1, number, 0, *values)
         return self.ask(message, "COMMAND_ACK")
 
+    def has_parameter(self, name: str) -> bool:
+        """Return whether the autopilot answers for a parameter of that name."""
+        for _ in range(_ASKS):
+            self.say(mavlink.MAVLink_param_request_read_message(self.system_id, 1, name.encode(), -1))
+            answer = self.answer("PARAM_VALUE")
+            if answer is not None and answer.param_id == name:
+                return True
+        return False
+
     def set_parameter(self, name: str, value: float, kind: int = mavlink.MAV_PARAM_TYPE_REAL32) -> None:
         """Set a parameter; value as it goes over the link."""
         while self._answers.qsize():

@@ -35,6 +35,13 @@ WATCHED = "watched from now on"
 GOES_ON = "the aircraft goes on circling where it is."
 NO_MORE = "commanding nothing more"
 MISSION_MODE = {"arduplane": 10, "px4": 0x04040000}
+RECEIVER = {  # the parameter that switches the simulated one, its type, and its values off and on
+    "arduplane": (
+        ("SIM_GPS1_ENABLE", mavlink.MAV_PARAM_TYPE_INT8, 0.0, 1.0),
+        ("SIM_GPS_DISABLE", mavlink.MAV_PARAM_TYPE_INT8, 1.0, 0.0),  # before 4.7
+    ),
+    "px4": (("SIM_GPS_USED", mavlink.MAV_PARAM_TYPE_INT32, 0.0, 1.4e-44),),
+}
 PILOTS_MODE = {"arduplane": (12, "LOITER"), "px4": (0x03040000, "LOITER")}
 
 
@@ -230,10 +237,7 @@ def test_single_wrong_words_mislead_nobody(flown, watching):
 
 
 def test_a_receiver_without_a_fix_holds_the_circle(flown, watching):
-    name, kind, off, on = {
-        "arduplane": ("SIM_GPS1_ENABLE", mavlink.MAV_PARAM_TYPE_INT8, 0.0, 1.0),
-        "px4": ("SIM_GPS_USED", mavlink.MAV_PARAM_TYPE_INT32, 0.0, 1.4e-44),
-    }[flown.flavour]
+    name, kind, off, on = next(one for one in RECEIVER[flown.flavour] if flown.relay.has_parameter(one[0]))
     watching.wait_for("the target is in sight")
     flown.relay.set_parameter(name, off, kind)
     try:

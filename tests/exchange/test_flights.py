@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
+from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.analysis.replay import JournalReplay
 from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
-from sidelong.mission.core.events import ActivatePlan, Command, PlanStatus, UploadPlan, Yield
+from sidelong.mission.core.events import ActivatePlan, Announce, Command, PlanStatus, UploadPlan, Yield
 from sidelong.mission.exchange.mission_controller import DERIVED
 from sidelong.mission.exchange.outbox import ExternalControl, SendMessage, TakeoverFailed
 from sidelong.sitl.protocol.link import LinkFaults
@@ -46,6 +48,7 @@ def test_a_replay_repeats_uploads_and_switches_to_the_last_bit(in_the_air, tmp_p
     flight.run(60.0)
     assert len(statuses(flight, "departed")) >= 2
     assert not flight.found(Yield)
+    assert not [one for one in flight.found(Announce) if "another station" in one.text]
     replay = replayed(flight, tmp_path / "journal.jsonl")
     assert replay.difference is None
     assert replay.compared >= len(flight.found((SendMessage, Command, *DERIVED, TakeoverFailed)))
@@ -196,6 +199,73 @@ def test_another_stations_mission_is_somebody_else(in_the_air, flavour):
     items = flight.autopilot.mission.items()
     store(flight.autopilot.mission, [*items, items[-1]])
     assert "another station" in yielded(flight, 15.0)
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_another_station_goes_back_in_our_own_line(in_the_air, flavour):
+    flight = in_the_air(flavour, faults=BAD)
+
+    def passed() -> int:
+        layout = flight.core._backend._layout
+        return flight.autopilot.mission.index - layout.first if flight.autopilot.mission.index in layout else 0
+
+    assert flight.run(120.0, lambda: passed() >= 2)
+    flight.run(0.5)
+    flight.autopilot.set_current_item(flight.core._backend.line_first)
+    assert "another station has chosen item" in yielded(flight, 6.0)
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_another_station_that_skips_waypoints_of_our_line_is_reported(in_the_air, flavour):
+    flight = in_the_air(flavour, faults=BAD)
+
+    def skips():
+        return [one for one in flight.found(Announce) if "another station has chosen item" in one.text]
+
+    def begun() -> bool:
+        layout, here = flight.core._backend._layout, flight.autopilot.here
+        if layout.end - layout.first < 4 or flight.autopilot.mission.index != layout.first:
+            return False
+        last = layout.items[layout.end - 2]
+        east_m, north_m = flight.telemetry.plane.east_north_m(last.x * 1e-7, last.y * 1e-7)
+        return math.hypot(east_m - here.east_m, north_m - here.north_m) > 180.0
+
+    assert flight.run(600.0, lambda: begun() and flight.core._backend._change is None)
+    assert not skips()
+    flight.autopilot.set_current_item(flight.core._backend._layout.end - 1)
+    assert flight.run(3.0, lambda: bool(skips()))
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_arming_that_is_in_progress_for_ever_is_given_up_and_disarmed(fly, flavour):
+    flight = fly(flavour, begin=False)
+    hear, lowered = flight.vehicle.take, mavlink.MAV_RESULT_IN_PROGRESS
+
+    def take(message):
+        if message.name == "COMMAND_ACK":
+            message.fields["result"] = lowered
+        hear(message)
+
+    flight.vehicle.take = take
+    flight.take_over()
+    assert flight.run(90.0, lambda: flight.found(TakeoverFailed))
+    (failed,) = flight.found(TakeoverFailed)
+    assert "did not arm (in progress)" in failed.reason
+    assert not flight.autopilot.armed
+
+
+@pytest.mark.parametrize("flavour", ["arduplane", "px4"])
+def test_the_failed_checks_are_asked_for_when_arming_is_refused(fly, flavour):
+    flight = fly(flavour, begin=False)
+    flight.autopilot.__class__ = type("Unready", (type(flight.autopilot),), {"ready": False})
+    flight.take_over()
+    assert flight.run(20.0, lambda: flight.vehicle.texts.warnings(0.0))
+    flight.run(3.0)
+    texts = flight.vehicle.texts.warnings(0.0)
+    assert flight.autopilot.preflight_failure.strip() in texts
+    assert flight.autopilot.arming_refusal[1].strip() in texts
+    asked = [one for one in flight.found(SendMessage) if dict(one.fields).get("command") == 401]
+    assert len(asked) == 1
 
 
 def test_an_upload_under_way_stops_with_the_mode_change(in_the_air):
