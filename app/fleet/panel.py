@@ -41,6 +41,11 @@ class AircraftDisplay:
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         self._request = request
 
+    @property
+    def status(self) -> VehicleStatus:
+        """The vehicle's status as received last."""
+        return self._status() if self._status is not None else VehicleStatus()
+
     def ask(self, wish: Wish) -> None:
         """Pass a person's wish on to the aircraft, at its own time."""
         if self._request is not None and self.snapshot is not None and math.isfinite(self.snapshot.time_s):

@@ -11,7 +11,7 @@ from sidelong.app.fleet.panel import AircraftDisplay, FleetPanel
 from sidelong.app.flight.display import FlightDisplay, Wish
 from sidelong.app.view.address import Address
 from sidelong.app.view.display import ViewDisplay
-from sidelong.app.view.state import Json, other_aircraft, other_target
+from sidelong.app.view.state import Json, alarms_of, other_aircraft, other_target
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.events import AlarmReported, MissionChange
@@ -65,12 +65,16 @@ class FleetView(ViewDisplay):
         self._request = self._ask_all
 
     def _pressed(self, press: Json) -> None:
+        if press["action"] == "acknowledge":
+            one = self._aircraft.get(press["aircraft"], self._first)
+            one.ask(AlarmReported(0.0, press["alarm"], "acknowledged", who=press["who"]))
+            return
         if press["action"] != "relieve":
             super()._pressed(press)
             return
         name = press["name"]
         refused = self.requests.relieve(name, press["who"]) if name in self._aircraft else "there is no such aircraft"
-        self.note(f"relieving {name} refused: {refused}" if refused else f"relieve {name} by {press['who']}")
+        self._answer(f"relieving {name} refused: {refused}" if refused else f"relieve {name} by {press['who']}")
 
     def _ask_all(self, wish: Wish) -> None:
         """Pass a wish on to all; the side is the coordinator's to give, and the heights are layers."""
@@ -78,17 +82,16 @@ class FleetView(ViewDisplay):
             return
         if isinstance(wish, MissionChange):
             if wish.height_m is not None:
-                self.note("refused: the heights of a fleet are layers, which are not changed in flight")
+                self._answer("refused: the heights of a fleet are layers, which are not changed in flight")
                 return
             if wish.side is not None:
-                self.note("refused: change the side of a fleet by itself")
+                self._answer("refused: change the side of a fleet by itself")
                 return
         elif wish.action == "side" and wish.side is not None:
             refused = self.requests.watch_from(wish.side, wish.who)
             if not refused:
                 self._wanted, self._sides = wish.side, dict.fromkeys(self._sides, wish.side)
-            if refused:
-                self.note(f"refused: {refused}")
+            self._answer(f"refused: {refused}" if refused else f"watching from the {wish.side}")
             return
         for one in self._aircraft.values():
             one.ask(wish)
@@ -109,6 +112,7 @@ class FleetView(ViewDisplay):
         if len(self._sides) > 1 and state["target"] is not None:
             state["target"]["name"] = snapshot.target
         asked = state["asked"] | {"side": wanted}
+        state["alarms"] = [alarm for name, one in self._aircraft.items() for alarm in alarms_of(name, one.status)]
         return state | {"others": others, "targets": targets, "wanted": wanted, "asked": asked}
 
     def _other_targets(self, shown: str) -> list[Json]:

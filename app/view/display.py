@@ -22,7 +22,7 @@ from sidelong.app.view.shading import Shading
 from sidelong.app.view.state import Json, StateEncoder, setting
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
-from sidelong.mission.core.events import Announce, MissionChange, OperatorRequest
+from sidelong.mission.core.events import AlarmReported, Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Side
 
 _SEND_EVERY_S = 0.125
@@ -211,12 +211,20 @@ class ViewDisplay:
     def _state(self, snapshot: Snapshot, silent_s: float) -> Json:
         return self._encoder.state(snapshot, silent_s, self._vehicle)
 
+    def _answer(self, text: str) -> None:
+        """Answer a request of the page, on the terminal too."""
+        self._inner.note(text)
+        self._said.append([None, "operator", text])
+
     def _pressed(self, press: Json) -> None:
         if self._request is None or self._snapshot is None or not math.isfinite(self._snapshot.time_s):
-            self.note(f"{press['action']} refused: nothing is flown yet")
+            self._answer(f"{press['action']} refused: nothing is flown yet")
             return
         self.note(f"{press['action']} by {press['who']}")
         time_s, who = self._snapshot.time_s, press["who"]
+        if press["action"] == "acknowledge":
+            self._request(AlarmReported(time_s, press["alarm"], "acknowledged", who=who))
+            return
         if press["action"] == "change":
             # JSON's whole numbers come as int: what is compiled for floats would be compiled anew for them.
             given: Json = press["values"]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Sequence
@@ -38,6 +39,8 @@ _MEDIA = {
     "replay.js": "text/javascript",
     "map.js": "text/javascript",
     "plots.js": "text/javascript",
+    "alarms.js": "text/javascript",
+    "watch.js": "text/javascript",
 }
 _HEADERS = {
     "Content-Security-Policy": (
@@ -57,6 +60,7 @@ _TRAIL_KEPT, _SERIES_KEPT, _WORDS_KEPT = 2400, 2400, 500  # 20 minutes of trail
 _UNSENT_MAX = 50  # states; a browser that is further behind is made to begin anew
 _ACTIONS: dict[str, set[str | None]] = {"hold": {None}, "resume": {None}, "end": {None}, "side": {"left", "right"}}
 _NUMBERS, _NUMBER_MAX, _WORDS_MAX = ("radius_m", "range_min_m", "range_max_m", "height_m"), 1e5, 20  # of a change
+_ALARM = re.compile("[a-z]{1,20}")
 _SERIES = ("nis", "range_age_s", "gimbal_age_s", "link_age_s")
 
 
@@ -319,6 +323,11 @@ def button_of(press: Json, fleet: frozenset[str] = frozenset()) -> Json:
         if name not in fleet:
             raise ValueError(f"{name!r} is not an aircraft of this flight")
         return {"action": action, "name": name}
+    if action == "acknowledge":
+        alarm, aircraft = press["alarm"], press["aircraft"]
+        if not _ALARM.fullmatch(alarm) or aircraft not in {"", *fleet}:
+            raise ValueError
+        return {"action": action, "alarm": alarm, "aircraft": aircraft}
     if action != "change":
         side = press.get("side")
         if side not in _ACTIONS[action]:

@@ -6,11 +6,13 @@ What is not known is null: JSON has no NaN.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import Any
 
-from sidelong.app.analysis.present import PresentWatch
-from sidelong.app.config import Config
+from pydantic import BaseModel
+
+from sidelong.app.analysis.present import PresentWatch, Watch
+from sidelong.app.config import AircraftSection, Config, RequirementSection
 from sidelong.app.link.vehicle_status import VehicleStatus
 from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.frames import LocalPlane
@@ -22,7 +24,19 @@ from sidelong.mission.viewpoint.side_policy import side_words
 
 Json = dict[str, Any]
 
+
+def _limits(section: type[BaseModel], name: str) -> list[float]:
+    """Return the least and the greatest value of a configuration's field."""
+    limits = section.model_fields[name].metadata
+    return [next(getattr(one, key) for one in limits if hasattr(one, key)) for key in ("ge", "le")]
+
+
+_LIMITS = {name: _limits(AircraftSection, name) for name in ("radius_m", "height_m")} | {
+    name: _limits(RequirementSection, name) for name in ("range_min_m", "range_max_m")
+}
+
 _LINE_POINTS = 60
+_SHARE_GAP_S = 5.0  # a longer time between two states counts as unknown
 _ON_TRANSITION = 1.2  # a transition is shown for this share of the time it takes
 
 
@@ -43,6 +57,7 @@ def setting(config: Config, plane: LocalPlane | None, name: str, requirement: Re
         "band_m": [requirement.range_min_m, requirement.range_max_m],
         "sector_rad": None if sector is None else [sector.from_rad, sector.to_rad],
         "either_side": requirement.either_side,
+        "limits": _LIMITS,
         "bank_max_rad": math.radians(config.aircraft.bank_max_deg),
         "keep_in": outlines(config.fences.keep_in),
         "keep_out": outlines(config.fences.keep_out),
@@ -83,6 +98,34 @@ def other_target(name: str, at_m: tuple[float, float]) -> Json:
     return {"name": name, "at_m": _rounded(*at_m)}
 
 
+def alarms_of(name: str, vehicle: VehicleStatus) -> list[Json]:
+    """Return the alarms of an aircraft; its name is '' where there is one only."""
+    return [{"aircraft": name, **asdict(alarm)} for alarm in vehicle.alarms]
+
+
+def _vehicle(vehicle: VehicleStatus) -> Json:
+    status = {field.name: getattr(vehicle, field.name) for field in fields(vehicle) if field.name != "alarms"}
+    return status | {name: _number(status[name], 0) for name in ("endurance_s", "home_s")}
+
+
+class _Share:
+    """The share of the time in which something held, of that in which it was known."""
+
+    def __init__(self) -> None:
+        self._known_s = self._held_s = 0.0
+        self._last: tuple[float, bool | None] = (math.inf, None)
+
+    def share(self, time_s: float, held: bool | None) -> float | None:
+        """Return the share until now, None before anything is known; ``held`` counts from now on."""
+        since_s, before = self._last
+        self._last = time_s, held
+        step_s = time_s - since_s
+        if before is not None and 0.0 < step_s <= _SHARE_GAP_S:
+            self._known_s += step_s
+            self._held_s += step_s * before
+        return round(self._held_s / self._known_s, 3) if self._known_s > 0.0 else None
+
+
 class StateEncoder:
     """Turns snapshots into states; remembers the target's course through its stops, and lines already thinned."""
 
@@ -90,18 +133,19 @@ class StateEncoder:
         self._airspeed_m_s, self._height_m = airspeed_m_s, height_m
         self.plane: LocalPlane | None = None  # set once it is known: places are then told in degrees too
         self._watch = PresentWatch()
+        self._in_band, self._on_side = _Share(), _Share()
         self._thinned: dict[int, tuple[Path, list[list[float]]]] = {}
 
     def state(self, snapshot: Snapshot, silent_s: float, vehicle: VehicleStatus | None = None) -> Json:
         """Return the state; silent_s is how long the vehicle has said nothing."""
-        sensor_status, time_s = snapshot.sensor_status, snapshot.time_s
+        sensor_status, time_s, watch = snapshot.sensor_status, snapshot.time_s, self._watch.of(snapshot)
         return {
             "time_s": _number(time_s, 2),
             "phase": snapshot.phase,
             "mode": snapshot.mode,
             "side": snapshot.side,
             "aircraft": self._aircraft(snapshot),
-            "target": self._target(snapshot),
+            "target": self._target(snapshot, watch),
             "present": self._plan(snapshot.present, time_s, flown=True),
             "proposed": self._plan(snapshot.decision.plan if snapshot.decision else None, time_s, flown=False),
             "coming": self._plan(snapshot.coming, time_s, flown=False),
@@ -119,7 +163,11 @@ class StateEncoder:
             "upload_failures": snapshot.upload_failures,
             "latency_s": _number(snapshot.latency_s, 2),
             "asked": self._asked(snapshot),
-            "vehicle": None if vehicle is None else asdict(vehicle),
+            "vehicle": None if vehicle is None else _vehicle(vehicle),
+            "alarms": [] if vehicle is None else alarms_of("", vehicle),
+            "over": snapshot.over,
+            "share_in_band": self._in_band.share(time_s, watch.in_band),
+            "share_on_side": self._on_side.share(time_s, watch.on_side),
         }
 
     def _asked(self, snapshot: Snapshot) -> Json:
@@ -146,12 +194,11 @@ class StateEncoder:
             "height_m": _number(snapshot.sensor_status.height_m, 1),
         }
 
-    def _target(self, snapshot: Snapshot) -> Json | None:
+    def _target(self, snapshot: Snapshot, watch: Watch) -> Json | None:
         estimate, aircraft = snapshot.estimate, snapshot.aircraft
         if estimate is None or aircraft is None:
             return None
         at_m = estimate.position_m(snapshot.time_s)
-        watch = self._watch.of(snapshot)
         ellipse = confidence_ellipse(estimate.covariance[:2, :2])
         return {
             "at_m": _rounded(*at_m),

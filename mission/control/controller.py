@@ -500,7 +500,7 @@ def _announced(event: AlarmReported) -> tuple[Announce]:
         case "cleared":
             return (Announce(event.time_s, "clear", f"alarm over: {event.text}"),)
         case "acknowledged":
-            return (Announce(event.time_s, "operator", f"alarm acknowledged: {event.key}"),)
+            return (Announce(event.time_s, "clear", f"alarm acknowledged: {event.key}"),)
 
 
 def _state_of(reading: PositionReading, bank_rad: float) -> AircraftState:

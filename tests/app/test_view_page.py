@@ -19,9 +19,11 @@ from sidelong.app.view.address import Address
 from sidelong.app.view.clock import clock
 from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.panel import PanelDisplay
+from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.alarms import Alarm
 from sidelong.mission.control.snapshot import Phase
-from sidelong.mission.core.events import Announce, MissionChange, OperatorRequest
+from sidelong.mission.core.events import AlarmReported, Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Side
 
 START_S = 100.0
@@ -30,6 +32,14 @@ FENCES = {
     "keep_in": [[PLANE.latitude_longitude_deg(*c) for c in ((-500, -500), (1500, -500), (1500, 900), (-500, 900))]],
     "keep_out": [[PLANE.latitude_longitude_deg(*c) for c in ((600, 100), (800, 100), (800, 0))]],
 }
+
+
+STATUS = VehicleStatus(19, 10.9, "3D, 11 satellites", True, 97, 0.12, endurance_s=1200.0, home_s=100.0)
+LOST = Alarm(
+    "target", "the target has not been seen for 33 s; it flies home in 267 s", "point the camera", 100.0, 267.0
+)
+
+SEEN = replace(LOST, key="laser", acknowledged=True)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +55,7 @@ def snapshots(flight):
 def display_of(snapshots):
     config = Config.model_validate({"planner": {"name": "paper"}, "fences": FENCES})
     with ViewDisplay(PanelDisplay(Console(), quiet=True), config, Address(port=0)) as display:
-        display.connected(lambda: VehicleStatus(19, 10.9, "3D, 11 satellites", True, 97, 0.12))
+        display.connected(lambda: STATUS)
         display.begin(PLANE, lambda _request: None)
         display.engage(START_S, None)
         for tick, (snapshot, said) in enumerate(snapshots):
@@ -119,7 +129,7 @@ def centre(box) -> tuple[float, float]:
 
 
 def test_everything_lies_within_the_window_and_nothing_on_top_of_anything(page):
-    boxes = [page.locator(name).bounding_box() for name in ("header", "#where", "#said", "aside")]
+    boxes = [page.locator(name).bounding_box() for name in ("header", "#watch", "#where", "#said", "aside")]
     assert all(box["x"] >= 0 and box["x"] + box["width"] <= 1400 for box in boxes)
     assert all(box["y"] >= 0 and box["y"] + box["height"] <= 860 for box in boxes)
     for n, a in enumerate(boxes):
@@ -181,16 +191,23 @@ def test_decisions_are_told_in_plain_words_newest_first(page, snapshots):
 def test_the_range_on_the_tile_is_that_of_the_flight(page, snapshots):
     last = snapshots[-1][0]
     range_m = math.hypot(last.aircraft.east_m - last.estimate.east_m, last.aircraft.north_m - last.estimate.north_m)
-    shown = page.locator("#tiles div", has_text="range").locator("dd").inner_text()
+    shown = page.locator("#key-tiles div", has_text="range").locator("dd").inner_text()
     assert float(shown.removesuffix(" m")) == pytest.approx(range_m, abs=4.0)
 
 
 @pytest.mark.parametrize(
     ("name", "text", "look"),
-    [("battery", "19 %, 10.9\u00a0V", "bad"), ("GPS", "3D, 11 satellites", ""), ("link", "97 %, 120\u00a0ms", "")],
+    [
+        ("battery", "19 %", "bad"),
+        ("must leave in", "18 min", ""),
+        ("voltage", "10.9\u00a0V", ""),
+        ("GPS", "3D, 11 satellites", ""),
+        ("link", "97 %, 120\u00a0ms", ""),
+    ],
 )
 def test_the_vehicle_s_state_is_on_tiles(page, name, text, look):
-    tile = page.locator("#tiles div", has=page.locator("dt", has_text=re.compile(f"^{name}$"))).locator("dd")
+    page.locator("#more summary").click()
+    tile = page.locator(".tiles div", has=page.locator("dt", has_text=re.compile(f"^{name}$"))).locator("dd")
     assert (tile.inner_text(), tile.get_attribute("class")) == (text, look)
 
 
@@ -363,11 +380,210 @@ def test_the_map_is_moved_by_keys(page):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("size", [(1440, 900), (1024, 768), (390, 844)], ids="{0[0]}".format)
-def test_everybody_can_read_it(browser, display, scheme, size):
-    with opened(browser, display, size, scheme) as page:
+@pytest.mark.parametrize("size", [(1920, 1080), (1280, 800), (390, 844)], ids="{0[0]}".format)
+@pytest.mark.parametrize("alarms", [(), (LOST, SEEN)], ids=["calm", "alarms"])
+def test_everybody_can_read_it(browser, display, scheme, size, alarms):
+    with alarmed(display, *alarms), opened(browser, display, size, scheme) as page:
+        assert page.locator("#alarms > div").count() == len(alarms)
         page.locator("#engineers summary").click()
+        page.locator("#more summary").click()
         found = Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]})
         assert found.violations_count == 0, found.generate_report()
         width = page.evaluate("document.documentElement.scrollWidth")
         assert width <= size[0]
+
+
+# -- what matters first ---------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def alarmed(display, *alarms):
+    """Show alarms as long as the context lasts."""
+    status = replace(STATUS, alarms=alarms)
+    display.connected(lambda: status)
+    display._vehicle_at_s = -math.inf
+    display.pump()
+    yield
+    display.connected(lambda: STATUS)
+    display._vehicle_at_s = -math.inf
+    display.pump()
+
+
+def shown_from(display, snapshot, bearing_deg, range_m):
+    """Show the aircraft elsewhere, as seen from the target, which drives east."""
+    east_m, north_m = snapshot.estimate.position_m(snapshot.time_s)
+    bearing_rad = math.radians(bearing_deg)
+    at_m = {"east_m": east_m + range_m * math.sin(bearing_rad), "north_m": north_m + range_m * math.cos(bearing_rad)}
+    display.show(replace(snapshot, aircraft=replace(snapshot.aircraft, **at_m)))
+    display.pump()
+
+
+@pytest.mark.parametrize(
+    ("bearing_deg", "range_m", "band", "side"),
+    [
+        (
+            0.0,
+            300.0,
+            ("good", "IN BAND", "now: 300 m"),
+            ("good", "ON SIDE", "required: left; now: left, 0° off abeam"),
+        ),
+        (0.0, 80.0, ("bad", "OUT OF BAND", "now: 80 m"), ("good", "ON SIDE", "now: left")),
+        (170.0, 300.0, ("good", "IN BAND", ""), ("bad", "OFF SIDE", "required: left; now: right, 17")),
+        (95.0, 600.0, ("bad", "OUT OF BAND", "now: 600 m"), ("bad", "OFF SIDE", "now: right, 9")),
+    ],
+)
+def test_band_and_side_are_told_as_they_are(page, display, snapshots, bearing_deg, range_m, band, side):
+    shown_from(display, snapshots[-1][0], bearing_deg, range_m)
+    page.locator("#band span", has_text=f"{range_m:.0f} m").wait_for()
+    for name, (look, state, fact) in {"#band": band, "#side": side}.items():
+        assert page.locator(name).get_attribute("class") == f"indicator {look}"
+        assert page.locator(f"{name} strong").inner_text() == state
+        assert fact in page.locator(f"{name} span").inner_text()
+        assert "required: " in page.locator(f"{name} span").inner_text()
+
+
+@pytest.mark.parametrize("unknown", ["lost", "silent", "unseen"])
+def test_what_is_not_known_is_grey(page, display, snapshots, unknown):
+    last = snapshots[-1][0]
+    sensors = replace(last.sensor_status, connected=unknown != "silent")
+    quality = TrackQuality.LOST if unknown == "lost" else TrackQuality.GOOD
+    estimate = None if unknown == "unseen" else replace(last.estimate, quality=quality)
+    display.show(replace(last, estimate=estimate, sensor_status=sensors))
+    display.pump()
+    page.locator("#band.unknown").wait_for()
+    assert page.locator("#side.unknown strong").inner_text() == "SIDE UNKNOWN"
+    assert page.locator("#phase").get_attribute("class") == ("chip good" if unknown == "unseen" else "chip bad")
+
+
+CONTRAST = """element => {
+  const channel = (v) => (v /= 255) <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+  const luminance = (text) => {
+    const [r, g, b] = text.match(/[\\d.]+/g).map(Number).map(channel);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const style = getComputedStyle(element);
+  const [a, b] = [luminance(style.color), luminance(style.backgroundColor)];
+  return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+}"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_indicators_and_alarms_are_readable_in_the_sun(browser, display, scheme):
+    with alarmed(display, LOST), opened(browser, display, (1280, 800), scheme) as page:
+        for look in ("good", "bad", "unknown"):
+            page.evaluate(f"document.getElementById('band').className = 'indicator {look}'")
+            assert page.locator("#band").evaluate(CONTRAST) >= 7.0  # AAA
+        assert page.locator("#alarms > div").evaluate(CONTRAST) >= 7.0
+
+
+@pytest.mark.parametrize("size", [(1920, 1080), (1280, 800), (390, 844)], ids="{0[0]}".format)
+def test_fingers_and_eyes_find_it(browser, display, size):
+    with alarmed(display, LOST), opened(browser, display, size) as page:
+        for name in ("#engineers", "#more"):
+            page.locator(f"{name} summary").click()
+        low = page.evaluate(
+            "[...document.querySelectorAll('button, summary, select, input')].filter(e => e.offsetParent)"
+            ".filter(e => e.getBoundingClientRect().height < 44).map(e => e.textContent)"
+        )
+        assert low == []
+        small = page.evaluate(
+            "[...document.querySelectorAll('body *')].filter(e => e.getClientRects().length)"
+            ".filter(e => [...e.childNodes].some(n => n.nodeType === 3 && n.textContent.trim()))"
+            ".filter(e => parseFloat(getComputedStyle(e).fontSize) < 14).map(e => e.textContent)"
+        )
+        assert small == []
+        for name in ("#band", "#side", "#key-tiles"):  # above the fold, alarms or not
+            box = page.locator(name).bounding_box()
+            assert box["y"] + box["height"] <= size[1]
+
+
+# -- alarms ---------------------------------------------------------------------------------------------------------
+
+
+def test_an_alarm_has_a_banner_a_title_and_what_to_do(page, display):
+    assert not page.locator("#alarms").is_visible()
+    with alarmed(display, LOST):
+        banner = page.locator("#alarms > div")
+        banner.wait_for()
+        assert "The target has not been seen for 33 s" in banner.inner_text()
+        assert "Point the camera" in banner.inner_text()
+        assert page.title().startswith("⚠ the target has not been seen")
+    page.locator("#alarms").wait_for(state="hidden")
+    assert page.title() == "sidelong: live map"
+
+
+def test_an_alarm_is_acknowledged_by_a_click(page, display):
+    got = []
+    display.begin(PLANE, got.append)
+    with alarmed(display, LOST):
+        page.get_by_role("button", name="Acknowledge").click()
+        while not got:
+            display.pump()
+        (wish,) = got
+        assert isinstance(wish, AlarmReported)
+        assert (wish.key, wish.stage, wish.who) == ("target", "acknowledged", "operator at this machine")
+    with alarmed(display, replace(LOST, acknowledged=True)):
+        page.locator("#alarms > div.seen").wait_for()
+        assert not page.get_by_role("button", name="Acknowledge").is_visible()
+        assert page.title() == "sidelong: live map"
+
+
+def test_instead_of_flying_home_the_circle_can_be_held(page, display):
+    got = []
+    display.begin(PLANE, got.append)
+    with alarmed(display, LOST):
+        page.get_by_role("button", name="Hold instead").click()
+        while not got:
+            display.pump()
+        assert got[0].action == "hold"
+    with alarmed(display, replace(LOST, countdown_s=None)):
+        page.locator("#alarms > div").wait_for()
+        assert not page.get_by_role("button", name="Hold instead").is_visible()
+
+
+def test_an_alarm_sounds_until_it_is_muted_or_acknowledged(page, display):
+    page.evaluate(
+        "() => { window.tones = 0; const make = AudioContext.prototype.createOscillator;"
+        "AudioContext.prototype.createOscillator = function () { window.tones += 1; return make.call(this); } }"
+    )
+    page.locator("#map").click()  # a browser makes no sound before
+    with alarmed(display, LOST):
+        page.wait_for_function("window.tones > 0")
+        page.get_by_role("button", name="Sound on").click()
+        assert page.get_by_role("button", name="Sound off").get_attribute("aria-pressed") == "true"
+
+
+def test_a_yield_is_explained_with_what_to_do_next(page, display, snapshots):
+    display.show(replace(snapshots[-1][0], phase=Phase.YIELDED, over="the flight mode was changed to RTL"))
+    display.pump()
+    line = page.locator("#over")
+    line.wait_for()
+    assert "the flight mode was changed to RTL" in line.inner_text()
+    assert "start launch again to take over" in line.inner_text()
+
+
+# -- requests -------------------------------------------------------------------------------------------------------
+
+
+def test_a_request_is_pending_until_it_is_answered_and_replaces_an_older_refusal(page, display):
+    display.begin(PLANE, lambda _request: None)
+    display.say(Announce(START_S, "operator", "radius 5 m refused: the circle is too tight"))
+    display.pump()
+    page.locator("#answer.refused", has_text="too tight").wait_for()
+    page.get_by_role("button", name="Hold", exact=True).click()
+    page.locator("#ask").get_by_role("button", name="Yes").click()
+    page.locator("#answer.pending", has_text="hold: pending").wait_for()
+    assert "too tight" not in page.locator("#answer").inner_text()
+    display.say(Announce(START_S, "operator", "operator: hold"))
+    display.pump()
+    page.locator("#answer.accepted", has_text="operator: hold").wait_for()
+
+
+def test_the_form_knows_the_limits(page):
+    page.get_by_role("button", name="Change…").click()
+    radius = page.get_by_label("Radius of the circle, m")
+    assert (radius.get_attribute("min"), radius.get_attribute("max")) == ("10", "2000")
+    radius.fill("5")
+    page.get_by_role("button", name="Change", exact=True).click()
+    assert page.locator("#change").is_visible()  # the browser refuses it
+    page.locator("#change").get_by_role("button", name="Leave as it is").click()

@@ -158,7 +158,7 @@ def test_a_change_is_passed_on(shown):
 def test_a_button_before_anything_flies_is_answered_in_words(capsys):
     with display_at("127.0.0.1") as display:
         said: list[str] = []
-        display.note = said.append
+        display._inner.note = said.append
         press(display, {"action": "hold"})
         while not said:
             display.pump()

@@ -1,14 +1,17 @@
 // The page: takes the flight's stream, shows it, and sends the buttons back.
 
+import { AlarmList } from "./alarms.js";
 import { FlightMap } from "./map.js";
 import { Plots } from "./plots.js";
 import { ReplayBar } from "./replay.js";
+import { showWatch } from "./watch.js";
 
 const byId = (id) => document.getElementById(id);
 const degrees = (radians) => Math.round(((radians * 180) / Math.PI + 360) % 360);
 const LOG_KEPT = 300;
 const SILENT_MS = 2000;
-const ANSWER_MS = 12000;
+const ANSWER_MS = { accepted: 12000, refused: 60000 };
+const NO_ANSWER_MS = 120000;
 const CHANGES = { radius_m: "radius", range_min_m: "least range", range_max_m: "greatest range", height_m: "height", side: "side" };
 const IN_HAND = new Set(["watching", "holding"]);
 const PHASE_LOOKS = { watching: "good", holding: "warn", yielded: "bad", ended: "bad" };
@@ -16,6 +19,7 @@ const QUALITY_LOOKS = { good: "good", coasting: "warn", lost: "bad" };
 
 const map = new FlightMap(byId("map"), byId("follow"), byId("measure"), byId("cursor"));
 const plots = new Plots(byId("plots"), byId("inner-plots"));
+const alarms = new AlarmList(byId("alarms"), byId("mute"), (body) => press(body));
 const bar = new ReplayBar(byId("replay"), (body) => press(body));
 let state = null;
 let startS = 0;
@@ -23,6 +27,7 @@ let heardAt = performance.now();
 let over = false;
 let drawn = true;
 let answered = 0;
+let pending = null; // the request that waits for an answer: {text, since}
 
 function clock(timeS) {
   const since = Math.max(0, timeS - startS);
@@ -61,7 +66,10 @@ function set(setting) {
   map.drawFences();
   byId("legend").querySelector(".fence").hidden = !(setting.keep_in.length + setting.keep_out.length);
   byId("name").textContent = byId("name").title = setting.name;
-  byId("buttons").hidden = Boolean(setting.replay);
+  byId("buttons").hidden = byId("mute").hidden = Boolean(setting.replay);
+  for (const [name, [least, most]] of Object.entries(setting.limits ?? {})) {
+    Object.assign(byId("change").querySelector(`[name=${name}]`), { min: least, max: most });
+  }
   for (const name of setting.fleet ?? []) relief(name);
   if (setting.replay) {
     bar.set(setting.replay, startS);
@@ -89,12 +97,33 @@ function say(timeS, kind, text) {
   while (byId("log").childElementCount > LOG_KEPT) byId("log").lastChild.remove();
 }
 
-// What became of the person's last wish, where nobody overlooks it.
+// What became of the operator's last request. A new request replaces the answer to an older one at once.
 function answer(text) {
-  byId("answer").hidden = false;
-  byId("answer").textContent = text;
+  pending = null;
+  const look = /refused|not passed on/.test(text) ? "refused" : "accepted";
+  showAnswer(text, look);
   clearTimeout(answered);
-  answered = setTimeout(() => { byId("answer").hidden = true; }, ANSWER_MS);
+  answered = setTimeout(() => { byId("answer").hidden = true; }, ANSWER_MS[look]);
+}
+
+function showAnswer(text, look) {
+  byId("answer").hidden = false;
+  byId("answer").className = look;
+  byId("answer").textContent = text;
+}
+
+function wait(text) {
+  clearTimeout(answered);
+  pending = { text, since: performance.now() };
+  showPending();
+}
+
+function showPending() {
+  if (!pending) return;
+  const waited = performance.now() - pending.since;
+  const seconds = Math.round(waited / 1000);
+  if (waited > NO_ANSWER_MS) answer(`${pending.text}: not passed on, no answer for ${seconds} s`);
+  else showAnswer(`${pending.text}: pending${seconds > 1 ? `, ${seconds} s` : ""}`, "pending");
 }
 
 // -- showing it ----------------------------------------------------------------------------------------------
@@ -111,13 +140,33 @@ const known = (value, text) => (value === null || value === undefined ? "–" : 
 // What stands has no course that means anything.
 const moves = (target) => target && Math.hypot(...target.velocity_m_s) >= 0.2;
 
-// [name, text, look] of what an operator reads.
+const share = (value) => known(value, (v) => `${Math.round(100 * v)} %`);
+
+// [name, text, look] of what an operator reads first.
+function keyTiles() {
+  const { target, vehicle } = state;
+  const look = (good) => (good === false ? "bad" : "");
+  return [
+    ["range", known(target?.range_m, (v) => `${Math.round(v)} m`), look(target?.in_band)],
+    ["off abeam", known(target?.angle_rad, (v) => `${Math.round((v * 180) / Math.PI)}°`), look(target?.on_side)],
+    ["time on side", share(state.share_on_side), ""],
+    ["time in band", share(state.share_in_band), ""],
+    ["battery", known(vehicle?.battery_percent, (v) => `${v} %`), vehicle?.battery_percent < 25 ? "bad" : ""],
+    ["must leave in", leaves(vehicle), leaves(vehicle) === "now" ? "bad" : ""],
+  ];
+}
+
+// When 120 % of the energy for the flight home are left.
+function leaves(vehicle) {
+  if (!vehicle || vehicle.endurance_s === null || vehicle.home_s === null) return "–";
+  const left = vehicle.endurance_s - 1.2 * vehicle.home_s;
+  return left <= 0 ? "now" : left < 3600 ? `${Math.round(left / 60)} min` : `${(left / 3600).toFixed(1)} h`;
+}
+
+// The other readings.
 function tiles() {
   const { target, aircraft, vehicle } = state;
   return [
-    ["range", known(target?.range_m, (v) => `${Math.round(v)} m`), inBand(target?.range_m) ? "" : "bad"],
-    ["angle from abeam", known(target?.angle_rad, (v) => `${Math.round((v * 180) / Math.PI)}°`), ""],
-    ["watched from", state.side, ""],
     ["target's speed", target ? `${Math.hypot(...target.velocity_m_s).toFixed(1)} m/s` : "–", ""],
     ["target's course", moves(target) ? known(target.course_rad, (v) => `${degrees(v)}°`) : "–", ""],
     ["course made good", known(target?.watch_course_rad, (v) => `${degrees(v)}°`), ""],
@@ -126,7 +175,7 @@ function tiles() {
     ["height", known(aircraft?.height_m, (v) => `${Math.round(v)} m`), ""],
     ["wind", `${Math.hypot(...state.wind_m_s).toFixed(1)} m/s`, ""],
     ...(vehicle ? [
-      ["battery", known(vehicle.battery_percent, (v) => `${v} %${volts(vehicle.battery_v)}`), vehicle.battery_percent < 25 ? "bad" : ""],
+      ["voltage", known(vehicle.battery_v, (v) => `${v.toFixed(1)}\u00a0V`), ""],
       ["GPS", known(vehicle.gps, (v) => v), vehicle.gps_good === false ? "bad" : ""],
       ["link", known(vehicle.link_percent, (v) => `${v} %${delay(vehicle.round_trip_s)}`), vehicle.link_percent < 80 ? "warn" : ""],
     ] : []), // a recording does not tell
@@ -134,7 +183,6 @@ function tiles() {
 }
 
 // A number stays beside its unit.
-const volts = (value) => (value === null ? "" : `, ${value.toFixed(1)}\u00a0V`);
 const delay = (seconds) => (seconds === null ? "" : `, ${Math.round(seconds * 1000)}\u00a0ms`);
 
 // The same for engineers.
@@ -194,9 +242,15 @@ function places() {
 // The aircraft and the target by their names, where they are of several.
 const called = (what) => (what === "aircraft" ? map.setting.fleet?.[0] : state.target?.name) || what;
 
-function inBand(range) {
-  const band = map.setting.band_m;
-  return range === null || range === undefined || !band || (range >= band[0] && range <= band[1]);
+// What the mission's end means and how to go on.
+function ended() {
+  const line = byId("over");
+  const next = {
+    yielded: "sidelong commands nothing more; start launch again to take over.",
+    ended: "Nothing more is commanded; start launch again to watch on.",
+  }[state.phase];
+  line.hidden = !next;
+  line.textContent = next ? `The mission has ${state.phase}${state.over ? `: ${state.over}` : ""}. ${next}` : "";
 }
 
 function draw() {
@@ -205,13 +259,18 @@ function draw() {
   map.state = state;
   map.draw();
   plots.draw();
-  chip("phase", state.phase, PHASE_LOOKS[state.phase] ?? "");
+  const lost = state.phase === "watching" && (!state.connected || state.target?.quality === "lost");
+  chip("phase", state.phase, lost ? "bad" : PHASE_LOOKS[state.phase] ?? "");
   chip("quality", state.target ? `track ${state.target.quality}` : "no target yet", QUALITY_LOOKS[state.target?.quality] ?? "");
   chip("link", state.connected ? "" : "link lost", "bad");
   byId("clock").textContent = state.time_s === null || state.phase === "waiting" ? "" : clock(state.time_s);
   byId("quality").title = state.target?.why ?? "";
   byId("phase").title = state.reason;
   chip("mode", state.mode ? `mode ${state.mode}` : "", "");
+  alarms.show(over ? [] : state.alarms ?? []);
+  ended();
+  showWatch(byId("band"), byId("side"), state, map.setting);
+  lay(byId("key-tiles"), keyTiles());
   lay(byId("tiles"), tiles());
   lay(byId("inner-tiles"), innerTiles());
   seen();
@@ -231,6 +290,7 @@ function buttons() {
 }
 
 setInterval(() => {
+  showPending();
   const silent = performance.now() - heardAt;
   const news = byId("news");
   news.hidden = !over && silent < SILENT_MS;
@@ -276,10 +336,19 @@ function described(values) {
   return Object.entries(values).map(([name, value]) => `${CHANGES[name]} ${unit(value)} instead of ${unit(state.asked[name])}`);
 }
 
+const ANSWERED = new Set(["hold", "resume", "side", "change", "end", "relieve"]);
+
 async function press(body) {
+  if (ANSWERED.has(body.action)) wait(requested(body));
   const headers = { "Content-Type": "application/json" };
   const got = await fetch("press", { method: "POST", headers, body: JSON.stringify(body) });
   if (!got.ok) answer(`${body.action} was not passed on: ${await got.text()}`);
+}
+
+// A request in words.
+function requested({ action, side, values, name }) {
+  if (action === "change") return described(values).join(", ");
+  return { side: `watch from the ${side}`, relieve: `relieve ${name}` }[action] ?? action;
 }
 
 byId("buttons").addEventListener("click", async ({ target: button }) => {

@@ -1,0 +1,29 @@
+// What matters first: whether the target is within the range band and watched from the required side.
+
+const degrees = (radians) => Math.round((radians * 180) / Math.PI);
+
+function indicator(root, known, good, states, facts) {
+  root.className = `indicator ${known ? (good ? "good" : "bad") : "unknown"}`;
+  root.querySelector("strong").textContent = known ? (good ? states[0] : states[1]) : states[2];
+  root.querySelector("span").textContent = facts;
+}
+
+// Where the aircraft is, seen from the target: left or right of its course, or a bearing where a sector is required.
+function place(target, requirement, sectorRad) {
+  if (target.angle_rad === null) return "unknown until the target has moved";
+  const off = `${Math.abs(degrees(target.angle_rad))}° off ${sectorRad ? "the middle" : "abeam"}`;
+  if (sectorRad) return off;
+  const other = requirement === "left" ? "right" : "left";
+  return `${Math.abs(target.angle_rad) <= Math.PI / 2 ? requirement : other}, ${off}`;
+}
+
+export function showWatch(band, side, state, setting) {
+  const { target, asked } = state;
+  const inBand = target?.in_band ?? null;
+  const onSide = target?.on_side ?? null;
+  const range = target ? `${Math.round(target.range_m)} m` : "unknown";
+  indicator(band, inBand !== null, inBand, ["In band", "Out of band", "Band unknown"],
+    `required: ${asked.range_min_m} to ${asked.range_max_m} m; now: ${range}`);
+  const now = target ? place(target, state.side, setting.sector_rad) : "unknown";
+  indicator(side, onSide !== null, onSide, ["On side", "Off side", "Side unknown"], `required: ${asked.side}; now: ${now}`);
+}
