@@ -134,7 +134,7 @@ def launch(
         ),
     ] = None,
     point_gimbal: Annotated[
-        bool, typer.Option("--point-gimbal", help="Tell the vehicle's gimbal where the target is.")
+        bool, typer.Option("--point-gimbal", help="Point the gimbal at the target, by the vehicle or by --payload.")
     ] = False,
     report: Annotated[bool, typer.Option("--report", help="Write report.html into the run folder.")] = False,
     guidance: Annotated[

@@ -124,11 +124,11 @@ async def _fly(
         display.note(f"connected to {session.autopilot.name}, system {session.vehicle.system_id}")
         recording.follow(session.vehicle.system_id)
         simulated_url = None if simulated is None else simulated.payload_url
-        await stack.enter_async_context(
+        payload = await stack.enter_async_context(
             payload_input(config, session.vehicle, display.note, recording.frame, simulated_url)
         )
         life.watch(session.vehicle)
-        flight = Flight(session, config, controller, recording, display, duration_s, sharing)
+        flight = Flight(session, config, controller, recording, display, duration_s, sharing, payload)
         if simulated is not None:
             pace = asyncio.create_task(simulated.keep_pace(lambda: flight.come_to_s))
             stack.callback(pace.cancel)

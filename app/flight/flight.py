@@ -29,7 +29,9 @@ from sidelong.app.flight.changes import MissionChanges
 from sidelong.app.flight.display import FlightDisplay, Wish
 from sidelong.app.flight.loop import ControlLoop, Display, Stepped
 from sidelong.app.flight.outputs import open_beacon, outputs
+from sidelong.app.flight.payload_input import PayloadRunner
 from sidelong.app.flight.point_gimbal import GimbalPointer
+from sidelong.app.flight.point_payload import PayloadPointer
 from sidelong.app.flight.preflight import autopilot_of, check_release, checks
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.round_trip import RoundTripWatch
@@ -174,7 +176,9 @@ class Flight:
         display: FlightDisplay,
         duration_s: float | None,
         sharing: Sharing = Sharing(),
+        payload: PayloadRunner | None = None,
     ) -> None:
+        self._payload = payload
         self._vehicle, self._autopilot, self._telemetry = session.vehicle, session.autopilot, session.telemetry
         self._release = session.release
         self._config, self._recording, self._display = config, recording, display
@@ -285,12 +289,7 @@ class Flight:
         for output in outputs(self._config.sharing, plane, home.altitude_m, self._vehicle.latest, self._display.note):
             shared.callback(output.stop)
             observers.append(output)
-        if self._sharing.point_gimbal or self._sharing.turn_payload:
-            pointer = GimbalPointer(
-                self._vehicle, plane, home.altitude_m, self._display.note, self._sharing.point_gimbal
-            )
-            shared.callback(pointer.stop)
-            observers.append(pointer)
+        observers += self._pointers(plane, home, shared)
         if self._terrain is not None:
             shared.callback(self._terrain.stop)
         observed = _Observed(observers, self._collector)
@@ -373,6 +372,21 @@ class Flight:
             round_trip_s = watch.news(self._vehicle.link.recent(), rate)
             if round_trip_s is not None:
                 loop.put(RoundTripReported(self._telemetry.now_s, round_trip_s))
+
+    def _pointers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Display]:
+        """Return what points the gimbal, by the payload's own protocol or by the vehicle."""
+        if self._payload is not None and self._sharing.point_gimbal:
+            return [PayloadPointer(self._payload.point, self._heading_rad)]
+        if not (self._sharing.point_gimbal or self._sharing.turn_payload):
+            return []
+        always, note = self._sharing.point_gimbal, self._display.note
+        pointer = GimbalPointer(self._vehicle, plane, home.altitude_m, note, always)
+        shared.callback(pointer.stop)
+        return [pointer]
+
+    def _heading_rad(self) -> float | None:
+        attitude = self._vehicle.latest.get("ATTITUDE")
+        return None if attitude is None else float(attitude.fields["yaw"])
 
     def _status(self) -> VehicleStatus:
         status = self._vehicle_status()
