@@ -1,4 +1,4 @@
-"""Common airframes with the airspeed, bank limit and loiter radius that their published parameter files set.
+"""Presets: common airframes by their published parameter files, and payloads by their factory addresses.
 
 The range band goes with the radius: about ten radii to Dmax is what the transitions between circles need. Roll rate
 and height are left at the defaults; a preset is where to begin, the aircraft's own figures come first.
@@ -61,4 +61,56 @@ PRESETS = {
         50.0,
         850.0,
     ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadPreset:
+    """A payload's protocol and its address as delivered.
+
+    Attributes:
+        about: what it is, in half a line.
+        kind: value of ``payload.kind``.
+        url: value of ``payload.url``.
+        source: where the address is published.
+
+    """
+
+    about: str
+    kind: str
+    url: str
+    source: str
+
+    def values(self) -> dict[str, dict[str, str]]:
+        """Return the keys that it sets, by section."""
+        return {"payload": {"kind": self.kind, "url": self.url}}
+
+
+PAYLOAD_PRESETS = {
+    "siyi-zt30": PayloadPreset(
+        "SIYI ZT30, four sensors with laser", "siyi", "udp://192.168.144.25:37260", "SIYI's manuals"
+    ),
+    "siyi-zt6": PayloadPreset(
+        "SIYI ZT6, no laser: angles only", "siyi", "udp://192.168.144.25:37260", "SIYI's manuals"
+    ),
+    "siyi-a8-mini": PayloadPreset(
+        "SIYI A8 mini, no laser: angles only", "siyi", "udp://192.168.144.25:37260", "A8 mini manual v1.5"
+    ),
+    "viewpro-tcp": PayloadPreset(
+        "Viewpro with a laser, by Ethernet", "viewpro", "tcp://192.168.2.119:2000", "Viewpro's TCP control document"
+    ),
+    "viewpro-serial": PayloadPreset(
+        "Viewpro with a laser, by a serial line",
+        "viewpro",
+        "serial:///dev/ttyUSB0:115200",
+        "ArduPilot AP_Mount_Viewpro",
+    ),
+    "topotek-serial": PayloadPreset(
+        "Topotek with a laser, by a serial line",
+        "topotek",
+        "serial:///dev/ttyUSB0:115200",
+        "ArduPilot AP_Mount_Topotek",
+    ),
+    "gremsy-vio": PayloadPreset("Gremsy VIO, laser", "gremsy", "udp://192.168.55.1:14566", "Gremsy PayloadSdk"),
+    "gremsy-orus-l": PayloadPreset("Gremsy Orus-L, laser", "gremsy", "udp://192.168.55.1:14566", "Gremsy PayloadSdk"),
 }

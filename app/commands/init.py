@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -16,7 +16,7 @@ from sidelong.app.commands.output import console
 from sidelong.app.config import MAX_AIRCRAFT, AircraftSection, Config
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import LAYER_M, FleetAircraftSection, TargetSection
-from sidelong.app.presets import PRESETS, Preset
+from sidelong.app.presets import PAYLOAD_PRESETS, PRESETS, PayloadPreset, Preset
 
 _WIDTH = 112
 # What a key that is not set, or an empty list, would look like.
@@ -62,7 +62,12 @@ _FLEET_EXAMPLES = {
 def init(
     file: Annotated[Path, typer.Argument(help="The file to write.")] = Path("sidelong.toml"),
     preset: Annotated[
-        str | None, typer.Option(help=f"Begin with an airframe: {', '.join(PRESETS)}.", show_default=False)
+        str | None,
+        typer.Option(
+            metavar="NAME[,NAME]",
+            help=f"Begin with an airframe ({', '.join(PRESETS)}), a payload ({', '.join(PAYLOAD_PRESETS)}), or both.",
+            show_default=False,
+        ),
     ] = None,
     fleet: Annotated[
         int | None,
@@ -74,12 +79,10 @@ def init(
 
     For example:
       sidelong init
-      sidelong init x8.toml --preset skywalker-x8
+      sidelong init x8.toml --preset skywalker-x8,siyi-zt30
       sidelong init fleet.toml --fleet 2
     """
-    if preset is not None and preset not in PRESETS:
-        known = "; ".join(f"{name} ({known.about})" for name, known in PRESETS.items())
-        raise InputError(f"--preset {preset!r} is not known; there are: {known}.")
+    _check_preset(preset, fleet)
     if not file.parent.is_dir():
         raise InputError(f"{file}: there is no folder {file.parent}; create it or give another file.")
     try:
@@ -92,17 +95,38 @@ def init(
     console.print(f"wrote {file}; then: sidelong check {file}; sidelong launch {file}", soft_wrap=True)
 
 
+def _check_preset(preset: str | None, fleet: int | None) -> None:
+    """Raise InputError for a preset that is not known, two of one kind, or a payload for a fleet."""
+    names = [] if preset is None else preset.split(",")
+    for name in names:
+        if name not in PRESETS and name not in PAYLOAD_PRESETS:
+            known = "; ".join(f"{name} ({one.about})" for name, one in (PRESETS | PAYLOAD_PRESETS).items())
+            raise InputError(f"--preset {name!r} is not known; there are: {known}.")
+    for kind, known_names in (("airframe", PRESETS.keys()), ("payload", PAYLOAD_PRESETS.keys())):
+        if sum(name in known_names for name in names) > 1:
+            raise InputError(f"--preset {preset!r} names more than one {kind}; name one.")
+    if fleet is not None and any(name in PAYLOAD_PRESETS for name in names):
+        raise InputError("--preset: a fleet reads payloads by MAVLink; leave it out, see docs/payloads.md.")
+
+
 def config_text(preset: str | None = None, fleet: int | None = None) -> str:
-    """Return the file's text, with the values of a preset where one is named; fleet: of so many aircraft."""
-    chosen = PRESETS[preset] if preset is not None else None
-    return "\n".join(_lines(preset, chosen, fleet)) + "\n"
+    """Return the file's text.
+
+    Args:
+        preset: names of presets, separated by commas; None: only defaults.
+        fleet: number of aircraft; None: the file is of one aircraft.
+
+    """
+    presets = {name: (PRESETS | PAYLOAD_PRESETS)[name] for name in (preset.split(",") if preset is not None else ())}
+    return "\n".join(_lines(presets, fleet)) + "\n"
 
 
-def _lines(name: str | None, preset: Preset | None, fleet: int | None) -> Iterator[str]:
+def _lines(presets: Mapping[str, Preset | PayloadPreset], fleet: int | None) -> Iterator[str]:
     yield "# Configuration of sidelong. Every key may be left out; it then has the default told beside it."
-    if preset is not None:
-        yield from _comment(f"Preset {name}: {preset.about}. Figures from {preset.source}.")
-    values = preset.values() if preset is not None else {}
+    values: dict[str, dict[str, Any]] = {}
+    for name, preset in presets.items():
+        yield from _comment(f"Preset {name}: {preset.about}. Values from {preset.source}.")
+        values |= preset.values()
     for section, about in Config.model_fields.items():
         kind: Any = about.annotation
         if section == "aircraft" and fleet is not None:
@@ -143,14 +167,14 @@ def _fleet_lines(values: dict[str, float], count: int) -> Iterator[str]:
         yield f"{key} = {_toml(field.default)}" if field.default is not None else f"# {key} = {_FLEET_EXAMPLES[key]}"
 
 
-def _entry(path: str, key: str, field: FieldInfo, chosen: float | None) -> Iterator[str]:
+def _entry(path: str, key: str, field: FieldInfo, chosen: Any) -> Iterator[str]:
     default = field.get_default(call_default_factory=True, validated_data={})
     example = _EXAMPLES.get(path)
     told = [field.description or "", _limits(field)]
-    if chosen is not None and chosen != default:
+    if chosen is not None and default not in (None, chosen):
         told.append(f"Default {_toml(default)}.")
     yield from _comment(" ".join(filter(None, told)))
-    if default is None or default == []:
+    if chosen is None and default in (None, []):
         yield f"# {key} = {example}"
     else:
         yield f"{key} = {_toml(default if chosen is None else chosen)}"

@@ -12,7 +12,7 @@ import pytest
 from sidelong.app.commands.init import config_text, init
 from sidelong.app.config import Config, check_flyable, load_config
 from sidelong.app.errors import InputError
-from sidelong.app.presets import PRESETS
+from sidelong.app.presets import PAYLOAD_PRESETS, PRESETS
 from sidelong.mission.core.requirement import GRAVITY_M_S2
 
 
@@ -77,6 +77,29 @@ def test_a_file_that_is_there_is_kept(tmp_path):
     assert file.read_text(encoding="utf-8") == "[aircraft]\n"
     init(file, force=True)
     assert tomllib.loads(file.read_text(encoding="utf-8"))["aircraft"]["radius_m"] == 50.0
+
+
+@pytest.mark.parametrize("name", PAYLOAD_PRESETS)
+def test_a_payload_preset_loads_back_alone_and_with_an_airframe(name, tmp_path):
+    for number, names in enumerate((name, f"skywalker-x8,{name}")):
+        file = tmp_path / f"{number}.toml"
+        init(file, preset=names)
+        config, preset = load_config(file), PAYLOAD_PRESETS[name]
+        assert (config.payload.kind, config.payload.url) == (preset.kind, preset.url)
+        assert (config.aircraft.airspeed_m_s == PRESETS["skywalker-x8"].airspeed_m_s) == (number == 1)
+
+
+@pytest.mark.parametrize(
+    ("preset", "fleet", "reason"),
+    [
+        ("siyi-zt30,gremsy-vio", None, "more than one payload"),
+        ("skywalker-x8,3dr-aero", None, "more than one airframe"),
+        ("siyi-zt30", 2, "fleet"),
+    ],
+)
+def test_presets_that_do_not_go_together_are_refused(preset, fleet, reason, tmp_path):
+    with pytest.raises(InputError, match=reason):
+        init(tmp_path / "mission.toml", preset=preset, fleet=fleet)
 
 
 def test_an_unknown_preset_names_those_there_are(tmp_path):
