@@ -73,6 +73,7 @@ def tracker_settings(sensors: SensorsSection, lost_after_s: float) -> TrackerSet
         range_bias_sigma_m=sensors.range_bias_sigma_m,
         range_source=chosen(sensors.range_component),
         gimbal_source=chosen(sensors.gimbal_component),
+        gimbal_frame=sensors.gimbal_frame,
         coasting_after_s=_COASTING_AFTER_S,
         lost_after_s=lost_after_s,
     )

@@ -171,6 +171,8 @@ class SensorsSection(Section):
     """MAVLink component of the laser; found by itself when not given."""
     gimbal_component: int | None = Field(None, ge=0, le=255)
     """MAVLink component of the gimbal; found by itself when not given."""
+    gimbal_frame: Literal["earth", "vehicle", "body"] | None = None
+    """What the gimbal's angles are relative to, where its frame flags are wrong: north, heading or airframe."""
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Where the gimbal sits from the autopilot: forward, right, down, m."""
     mount_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)

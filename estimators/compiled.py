@@ -1,7 +1,7 @@
 """Compile the inner loops with numba and cache the machine code, one folder for each version of the code.
 
 numba notices a change of a function's own file, but not of a function or constant it uses from another file. The name
-of the folder therefore contains a digest of all code that kernels are made of.
+of the folder therefore contains a digest of all kernels and of the modules that they import.
 
 The folder is below ``NUMBA_CACHE_DIR`` if that is set, else in the user's cache (``XDG_CACHE_HOME`` or ``~/.cache``).
 If it cannot be written, a folder for this user below the system's temporary folder is used.
@@ -13,6 +13,7 @@ import contextlib
 import fcntl
 import hashlib
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
@@ -24,6 +25,26 @@ F = TypeVar("F", bound=Callable[..., Any])
 _ROOT = Path(__file__).resolve().parents[1]
 _FOLDERS = ("estimators", "mission", "app/analysis", "app/simulation", "app/study")
 _UNUSED_S = 30 * 86_400.0
+
+
+_IMPORTS = re.compile(r"^from sidelong\.([\w.]+) import \(?([\w, ]*)", re.MULTILINE)
+
+
+def _kernel_digest() -> str:
+    """Return twelve hexadecimal digits that change with any kernel, and any module that a kernel imports."""
+    files = {file for folder in _FOLDERS for file in (_ROOT / folder).rglob("*_kernel.py")} | {Path(__file__)}
+    digest, waiting = hashlib.sha256(), sorted(files)
+    while waiting:
+        file = waiting.pop()
+        for module, names in _IMPORTS.findall(file.read_text()):
+            path = _ROOT / module.replace(".", "/")
+            found = {path.with_suffix(".py"), *(path / f"{name.strip()}.py" for name in names.split(","))}
+            new = {one for one in found if one.is_file()} - files
+            files |= new
+            waiting += new
+    for file in sorted(files):
+        digest.update(file.name.encode() + file.read_bytes())
+    return digest.hexdigest()[:12]
 
 
 @cache
@@ -45,7 +66,7 @@ def _chosen_folder() -> Path:
     if os.environ.get("NUMBA_CACHE_DIR"):
         candidates.insert(0, Path(os.environ["NUMBA_CACHE_DIR"]))
     for base in candidates:
-        folder = base / f"kernels-{code_digest()}"
+        folder = base / f"kernels-{_kernel_digest()}"
         try:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             os.utime(folder)  # used now

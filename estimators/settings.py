@@ -55,6 +55,8 @@ class TrackerSettings:
     """How much earlier than their stamps range and line of sight were measured."""
     range_source: SourceChoice | None = None
     gimbal_source: SourceChoice | None = None
+    gimbal_frame: Literal["earth", "vehicle", "body"] | None = None
+    """What the gimbal's angles are relative to, where its frame flags are wrong; None: as flagged."""
     fix_source: SourceChoice | None = None
     """None chooses by itself; a camera's fixes are then used only while no laser is heard."""
     lever_arm_body_m: tuple[float, float, float] = (0.0, 0.0, 0.0)

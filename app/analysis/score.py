@@ -10,6 +10,9 @@ Definitions:
 - **Observation angle**: from that normal, or from the middle of the sector, to the line from target to aircraft.
 - **Move**: a departure to another circle. **Reversal**: a move within 10 s of the last one.
 
+- **Unknown**: a moment in which an input was missing or contradicted the others, by the flight's own estimate; and
+  what a moment lasts beyond ``GAP_MAX_S``. It counts neither as in band nor as on side.
+
 A moment counts until the next one.
 """
 
@@ -33,6 +36,7 @@ Angle = TypeVar("Angle", float, FloatArray)
 
 STANDING_M_S = 0.3  # below this speed the target keeps its present course
 _REVERSAL_S = 10.0
+GAP_MAX_S = 3.0
 
 Asked = Sequence[tuple[float, Requirement]]
 """(since, requirement) in order of time, at least one: an operator may change it in flight."""
@@ -65,7 +69,13 @@ def allowed_rad(requirement: Requirement) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Aircraft and target at one time, in the plane, with the target's velocity. target: its name in a fleet."""
+    """Aircraft and target at one time, in the plane, with the target's velocity.
+
+    Attributes:
+        target: its name in a fleet.
+        known: whether the inputs were complete and consistent; always, where the truth is known.
+
+    """
 
     time_s: float
     aircraft_east_m: float
@@ -75,6 +85,7 @@ class Moment:
     target_velocity_east_m_s: float
     target_velocity_north_m_s: float
     target: str = ""
+    known: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,6 +161,7 @@ class Score:
         min_range_m: least horizontal range.
         max_range_m: greatest horizontal range.
         source: what the target's positions are: the truth, or the estimate of the flight itself.
+        time_unknown: fraction of time in which the flight could not judge itself.
         time_on_side_now: as ``time_on_side``, by the target's present course.
         moves: departures to another circle within the judged time.
         reversals: moves within 10 s of the last one.
@@ -165,6 +177,7 @@ class Score:
     time_on_side_now: float | None = None
     moves: int = 0
     reversals: int = 0
+    time_unknown: float | None = None
 
 
 def judge(samples: Samples, asked: Asked) -> Judgement:
@@ -202,6 +215,7 @@ def score(
     source: Literal["truth", "estimate"],
     departures_s: Sequence[float] = (),
     end_s: float | None = None,
+    known: BoolArray | None = None,
 ) -> Score:
     """Sum up a judgement.
 
@@ -210,6 +224,7 @@ def score(
         source: what the target's positions are.
         departures_s: when plans departed to another circle, ascending.
         end_s: until when the last moment counts; None: it does not count.
+        known: whether each moment's inputs were sound, shape (n,); None: the truth is known.
 
     """
     if not judged.time_s.size:
@@ -219,14 +234,15 @@ def score(
     total_s, known_s = step_s.sum(), step_s[judged.side_known].sum()
     if total_s <= 0.0:
         return Score(0.0, None, None, None, None, source)
+    sure_s = step_s if known is None else np.where(known, np.minimum(step_s, GAP_MAX_S), 0.0)
     gaps_s = np.diff([time_s for time_s in departures_s if time_s >= begin_s], prepend=-math.inf)
     on_side, now = (
-        float(step_s[judged.side_known & held].sum() / known_s) if known_s > 0.0 else None
+        float(sure_s[judged.side_known & held].sum() / known_s) if known_s > 0.0 else None
         for held in (judged.on_side, judged.on_side_now)
     )
     return Score(
         float(total_s),
-        float(step_s[judged.in_band].sum() / total_s),
+        float(sure_s[judged.in_band].sum() / total_s),
         on_side,
         float(judged.range_m.min()),
         float(judged.range_m.max()),
@@ -234,6 +250,7 @@ def score(
         now,
         gaps_s.size,
         int((gaps_s < _REVERSAL_S - 1e-6).sum()),
+        float(1.0 - sure_s.sum() / total_s),
     )
 
 

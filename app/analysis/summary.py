@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+import numpy as np
 from rich.table import Table
 
 from sidelong.app.analysis.score import Moment, Score, from_band, judge_moments, score
@@ -18,6 +19,7 @@ from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.requirement import Requirement
 
 _TRUTH_STEP_S = 0.5
+_UNKNOWN_MAX = 0.05
 _EYE_M = 1.0  # of the target over its ground
 
 
@@ -44,6 +46,8 @@ class Summary:
     """By the target's present course; ``time_on_side`` is by the course it made good."""
     reversals: int | None = None
     """Moves within 10 s of the last one; None in summaries of earlier versions."""
+    time_unknown: float | None = None
+    """Share of the time in which missing or contradicting inputs made the judgement unknown."""
     battery_percent: tuple[int, int] | None = None
     """When watching began, and at the end."""
     links: tuple[dict[str, Any], ...] = ()
@@ -57,11 +61,15 @@ class Summary:
     def table(self) -> Table:
         """Return the summary as a table for the terminal."""
         table = Table(show_header=False, box=None, pad_edge=False)
+        if self.time_unknown is not None and self.time_unknown > _UNKNOWN_MAX:
+            share = _percent(self.time_unknown)
+            table.add_row("attention", f"{share} of the time is unknown: inputs were missing or contradictory")
         for name, text in (
             ("outcome", self.outcome),
             ("watched", f"{self.duration_s:.0f} s"),
             ("time in band", _percent(self.time_in_band)),
             ("time on side", _percent(self.time_on_side)),
+            ("time unknown", _percent(self.time_unknown)),
             ("by the target's present course", _percent(self.time_on_side_now)),
             ("range", _between(self.min_range_m, self.max_range_m)),
             *self._ground_rows(),
@@ -111,11 +119,13 @@ class SummaryCollector:
         self._asked: list[tuple[float, Requirement]] = [(-math.inf, requirement)]
         self.judged_s = -math.inf  # time of the latest estimate that was taken
         self._departures_s: list[float] = []
+        self._silent_s = 0.0  # how long the vehicle's clock has stood still at the end
         self._over_ground: list[tuple[float, bool, float]] = []  # time, whether the target is seen, clearance
         self.ground: Ground | None = None  # what they are over, once it is known
 
     def observe(self, snapshot: Snapshot) -> None:
         """Take a snapshot; only departures are taken from those without a new estimate."""
+        self._silent_s = snapshot.silent_s
         self._departures_s += [snapshot.time_s] * (snapshot.moves - len(self._departures_s))
         aircraft, estimate = snapshot.aircraft, snapshot.estimate
         if aircraft is None or estimate is None or estimate.time_s <= self.judged_s or snapshot.turn_payload:
@@ -133,6 +143,7 @@ class SummaryCollector:
                 estimate.velocity_east_m_s,
                 estimate.velocity_north_m_s,
                 snapshot.target,
+                not snapshot.unknown,
             )
         )
         if self.ground is not None:
@@ -181,8 +192,12 @@ class SummaryCollector:
     def scored(self, truth: Truth | None, plane: LocalPlane | None, start_s: float) -> Score:
         """Score from the first moment in the band after ``start_s``."""
         moments, source = self.moments(truth, plane, start_s)
-        judged = judge_moments(from_band(moments, self._asked), self._asked)
-        return score(judged, source, self._departures_s)
+        moments = from_band(moments, self._asked)
+        judged = judge_moments(moments, self._asked)
+        if source == "truth" or not moments:
+            return score(judged, source, self._departures_s)
+        known = np.array([one.known for one in moments])
+        return score(judged, source, self._departures_s, moments[-1].time_s + self._silent_s, known)
 
 
 def summarise(

@@ -22,6 +22,7 @@ _WIDTH = 112
 # What a key that is not set, or an empty list, would look like.
 _EXAMPLES = {
     "sensors.range_component": "154",
+    "sensors.gimbal_frame": '"earth"',
     "sensors.gimbal_component": "154",
     "payload.url": '"udp://192.168.144.25:37260"',
     "payload.range_unit_m": "0.1",

@@ -36,7 +36,7 @@ from sidelong.app.flight.preflight import autopilot_of, check_release, checks
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.round_trip import RoundTripWatch
 from sidelong.app.flight.source_rates import SourceRates
-from sidelong.app.flight.streams import ask_for_streams, is_slow
+from sidelong.app.flight.streams import StreamKeeper, ask_for_streams, is_slow
 from sidelong.app.flight.terrain_server import TerrainServer
 from sidelong.app.flight.wind_tables import WindTables
 from sidelong.app.link.discovery import SETTLING_S
@@ -208,7 +208,8 @@ class Flight:
         link = self._config.link
         few = is_slow(link.connections) if link.few_messages is None else link.few_messages
         # Beside one another: over a slow link each waits for its answers. Rates may be confirmed later.
-        self._beside.add(asyncio.create_task(ask_for_streams(self._vehicle, few, self._terrain is not None)))
+        self._request_streams = partial(ask_for_streams, self._vehicle, few, self._terrain is not None)
+        self._beside.add(asyncio.create_task(self._request_streams()))
         sources = SourceRates(self._vehicle)
         parameters, _ = await asyncio.gather(
             read_table(self._vehicle, self._autopilot, self._release), home_of(self._vehicle)
@@ -284,16 +285,22 @@ class Flight:
         self._collector.ground = settle(self._controller, self._config, plane, home_deg)
         self._recording.begin(plane, home_deg, self._autopilot.name, home.altitude_m)
         core = mission_controller_of(self._config, self._controller, self._autopilot, plane, home)
-        observers: list[Display] = [self._display]
         shared = contextlib.ExitStack()
-        for output in outputs(self._config.sharing, plane, home.altitude_m, self._vehicle.latest, self._display.note):
-            shared.callback(output.stop)
-            observers.append(output)
-        observers += self._pointers(plane, home, shared)
-        if self._terrain is not None:
-            shared.callback(self._terrain.stop)
+        observers = self._observers(plane, home, shared)
+        streams = StreamKeeper(self._request_streams, self._display.note)
+        shared.callback(streams.stop)
+        observers.append(streams)
         observed = _Observed(observers, self._collector)
-        loop = ControlLoop(self._vehicle, self._telemetry, core, self._recording, observed, self._acquired, stepped)
+        loop = ControlLoop(
+            self._vehicle,
+            self._telemetry,
+            core,
+            self._recording,
+            observed,
+            self._acquired,
+            stepped,
+            streams.health_changed,
+        )
         self._loop = loop
         beacon = await open_beacon(
             self._config.sharing, plane, lambda: self._telemetry.now_s, loop.put, self._display.note
@@ -312,9 +319,7 @@ class Flight:
         observers.append(alarms)
 
         self._display.begin(plane, partial(_request, changes, alarms, loop))
-        gc.collect()
-        gc.freeze()  # what was loaded before is not searched again and again for garbage: 0.1 s each time
-        shared.callback(gc.unfreeze)
+        shared.callback(_without_garbage_searches())
         running = asyncio.create_task(loop.run())
         over = asyncio.create_task(self._until_over(ended))
         interrupt = asyncio.create_task(stopped.wait())
@@ -340,6 +345,17 @@ class Flight:
         arm_period_s, round_trip_s = 1.0 / self._vehicle_rate, vehicle.round_trip_s or 0.0
         flying, mode = is_flying(vehicle), mode_of(vehicle)
         return TakeoverRequested(self._telemetry.now_s, link_s, flying, mode, arm_period_s, round_trip_s)
+
+    def _observers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Display]:
+        """Return all who watch the flight; ``shared`` stops them."""
+        observers: list[Display] = [self._display]
+        for output in outputs(self._config.sharing, plane, home.altitude_m, self._vehicle.latest, self._display.note):
+            shared.callback(output.stop)
+            observers.append(output)
+        observers += self._pointers(plane, home, shared)
+        if self._terrain is not None:
+            shared.callback(self._terrain.stop)
+        return observers
 
     def _wind_tables(self, loop: ControlLoop) -> WindTables:
         kind, winds = planner_by_name(self._config.planner.name), winds_m_s(self._config)
@@ -444,8 +460,16 @@ class Flight:
         if ended is not None:
             await ended.wait()
             return
-        while self._duration_s is None or self._telemetry.now_s < self._start_s + self._duration_s:
+        standing_s = 0.0  # seconds of this computer in which the vehicle's clock stood still
+        before_s, wall_s = self._telemetry.now_s, time.monotonic()
+        while self._duration_s is None or self._telemetry.now_s + standing_s < self._start_s + self._duration_s:
             await asyncio.sleep(_POLL_S)
+            now_s, now_wall_s = self._telemetry.now_s, time.monotonic()
+            if now_s == before_s and self._start_s < math.inf:
+                standing_s += now_wall_s - wall_s
+            elif abs(now_s - before_s) > standing_s > 0.0:  # its clock went on unnoticed meanwhile
+                standing_s = 0.0
+            before_s, wall_s = now_s, now_wall_s
 
     def moments(self, truth: Truth | None) -> Sequence[Moment]:
         """Return what the flight is judged by, since watching began: by the truth where that is known."""
@@ -483,6 +507,13 @@ def _request(changes: MissionChanges, alarms: AlarmWatch, loop: ControlLoop, wis
             alarms.acknowledge(wish)
         case _:
             loop.put(wish)
+
+
+def _without_garbage_searches() -> Callable[[], None]:
+    """Take what was loaded so far out of garbage collection (0.1 s each time); return what puts it back."""
+    gc.collect()
+    gc.freeze()
+    return gc.unfreeze
 
 
 class _Observed:

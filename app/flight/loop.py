@@ -7,6 +7,7 @@ a replay of the journal repeats the flight.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -19,9 +20,11 @@ from sidelong.app.link.vehicle import Vehicle
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.events import (
     Announce,
+    ClockTick,
     ControlAcquired,
     DecisionRecord,
     End,
+    HealthChanged,
     LinkReported,
     PlanStatus,
     Yield,
@@ -32,6 +35,7 @@ from sidelong.mission.exchange.reports import ExchangeEvent, ShutdownRequested, 
 
 _LINK_SILENCE_S = 3.0
 _LINK_CHECK_S = 0.5
+_TICK_CHECKS = 2  # a tick of the clock is a second
 _FINISH_S = 3.0  # so long what is under way may go on after the end
 
 
@@ -57,7 +61,16 @@ Stepped = Callable[[InboundEvent, Sequence[Output]], object]
 class ControlLoop:
     """Runs the core on what the vehicle reports, until ``stop`` or the end of the mission.
 
-    acquired is called when the aircraft is ours; ``failed`` then tells why it never was. stepped hears of each step.
+    Args:
+        vehicle: sends messages and reports what it receives.
+        telemetry: decodes what the vehicle reports.
+        controller: the core.
+        log: keeps every event and command.
+        display: shows announcements and snapshots.
+        acquired: called once control of the aircraft is confirmed; ``failed`` holds the reason if it never is.
+        stepped: called after each step with its event and outputs.
+        health_changed: called with each change of an input's state.
+
     """
 
     def __init__(
@@ -69,6 +82,7 @@ class ControlLoop:
         display: Display,
         acquired: Callable[[ControlAcquired], object],
         stepped: Stepped = lambda _event, _outputs: None,
+        health_changed: Callable[[HealthChanged], object] = lambda _change: None,
     ) -> None:
         self.controller = controller
         self.outcome: str | None = None
@@ -76,7 +90,7 @@ class ControlLoop:
         self._vehicle, self._telemetry = vehicle, telemetry
         self._executor, self._reports = CommandExecutor(vehicle), VehicleReports(vehicle)
         self._log, self._display = log, display
-        self._acquired, self._stepped = acquired, stepped
+        self._acquired, self._stepped, self._health_changed = acquired, stepped, health_changed
         self._queue: asyncio.Queue[InboundEvent] = asyncio.Queue()
         self._start_s = self._heard_s = time.monotonic()
         self._timer: asyncio.TimerHandle | None = None
@@ -156,6 +170,9 @@ class ControlLoop:
                 self.outcome = f"yielded: {output.reason}"
                 text = f"yielding: {output.reason}; commanding nothing more"
                 self._display.say(Announce(output.time_s, "yield", text))
+            case HealthChanged():
+                self._health_changed(output)
+                self._display.say(Announce(output.time_s, "health", output.text))
             case End():
                 self._executor.drop()
                 self.outcome = f"ended: {output.reason}"
@@ -184,8 +201,10 @@ class ControlLoop:
 
     async def _watch_link(self) -> None:
         # Silence has no time stamp of the vehicle, so it is measured on the wall clock.
-        while True:
+        for check in itertools.count(1):
             await asyncio.sleep(_LINK_CHECK_S)
+            if check % _TICK_CHECKS == 0:
+                self.put(ClockTick(self._telemetry.now_s, self.link_s))
             connected = time.monotonic() - self._heard_s < _LINK_SILENCE_S
             if connected != self._connected:
                 self._connected = connected

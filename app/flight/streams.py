@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 
 from sidelong.app.link.vehicle import Vehicle
+from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.core.events import Announce, HealthChanged
+from sidelong.mission.core.inputs import Input, InputState
 
 _SLOW_BAUD = 57_600
+_AGAIN_S = 10.0
+_SLOWED_SHARE, _SLOWED_EVERY_S = 0.5, 30.0
 _RATES_HZ = {
     1: 1.0,
     2: 1.0,
@@ -52,3 +58,67 @@ async def ask_for_streams(vehicle: Vehicle, few: bool = False, terrain: bool = F
     await vehicle.set_rates((_FEW_HZ if few else _RATES_HZ) | (_TERRAIN_HZ if terrain else {}))
     if few:
         await vehicle.set_rates(_UNUSED_HZ, rounds=1)  # some may have been lost
+
+
+class StreamKeeper:
+    """Requests the streams again while one is silent, and when another ground station has slowed one down.
+
+    It is a display, as it looks at the rates in the snapshots.
+
+    Args:
+        request: requests all streams.
+        note: reports a sentence to the operator.
+
+    """
+
+    def __init__(self, request: Callable[[], Awaitable[None]], note: Callable[[str], object]) -> None:
+        self._request, self._note = request, note
+        self._stale: set[Input] = set()
+        self._task: asyncio.Task[None] | None = None
+        self._best_hz: dict[Input, float] = {}
+        self._look_s = float("-inf")
+
+    def health_changed(self, change: HealthChanged) -> None:
+        """Request again for as long as an input of the autopilot is stale."""
+        if change.input not in (Input.POSITION, Input.ATTITUDE, Input.HEARTBEAT):
+            return
+        if change.state is InputState.STALE:
+            self._stale.add(change.input)
+        else:
+            self._stale.discard(change.input)
+        self._start()
+
+    def say(self, announcement: Announce) -> None:
+        """Nothing: announcements are for people."""
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Look at the rates from time to time."""
+        if abs(snapshot.time_s - self._look_s) < _SLOWED_EVERY_S:
+            return
+        self._look_s = snapshot.time_s
+        for one in snapshot.health:
+            if one.input not in (Input.POSITION, Input.ATTITUDE) or not one.rate_hz > 0.0:
+                continue
+            best_hz = self._best_hz[one.input] = max(one.rate_hz, self._best_hz.get(one.input, 0.0))
+            if one.rate_hz < _SLOWED_SHARE * best_hz and one.state is InputState.OK:
+                self._note(
+                    f"the autopilot sends its {one.input} {one.rate_hz:.1f} times a second, before it was "
+                    f"{best_hz:.1f}: requesting the rate again"
+                )
+                self._start()
+
+    def stop(self) -> None:
+        """Request nothing more."""
+        if self._task is not None:
+            self._task.cancel()
+
+    def _start(self) -> None:
+        if self._task is None or self._task.done():
+            self._task = asyncio.get_running_loop().create_task(self._keep_requesting())
+
+    async def _keep_requesting(self) -> None:
+        await self._request()
+        while self._stale:
+            await asyncio.sleep(_AGAIN_S)
+            if self._stale:
+                await self._request()

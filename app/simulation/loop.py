@@ -16,6 +16,7 @@ from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.simulation.link import NO_FAULTS, Link
 from sidelong.app.simulation.wire import OWN_ID, Packer
 from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.events import ClockTick
 from sidelong.mission.exchange.mission_controller import InboundEvent, MissionController, Output
 from sidelong.mission.exchange.outbox import SendMessage
 from sidelong.mission.exchange.reports import TakeoverRequested, TimerExpired
@@ -24,6 +25,7 @@ P = TypeVar("P")
 
 _TIMERS_MAX = 4  # in one tick: a timer that is asked for at once comes again
 _START_WITHIN_S = 60.0
+_CLOCK_TICK_S = 1.0
 
 
 class SimulatedVehicle(Protocol[P]):
@@ -93,6 +95,7 @@ class ClosedLoop(Generic[P]):
         self.listeners: list[Callable[[InboundEvent, tuple[Output, ...]], object]] = []
         self._packer = Packer()
         self._start_s = simulated.time_s
+        self._tick_s = 0.0  # when the next tick of this computer's clock is due
 
     @property
     def link_s(self) -> float:
@@ -138,6 +141,9 @@ class ClosedLoop(Generic[P]):
         for packet in self.to_us.take(link_s):
             for message in simulated.messages(packet, link_s):
                 self.hear(message)
+        if self.core is not None and self.link_s >= self._tick_s:
+            self._tick_s = self.link_s + _CLOCK_TICK_S
+            self.put(ClockTick(self.telemetry.now_s, self.link_s))
         self.expire()
 
     def hear(self, message: Message) -> None:

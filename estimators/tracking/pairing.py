@@ -40,7 +40,7 @@ class Pairing:
         self._gimbals: History[GimbalReading] = History(_SPAN_S)
         self._ranges: History[RangeReading] = History(_SPAN_S)
         self._has_arm = any(settings.lever_arm_body_m)
-        self._parent_from_mount = from_roll_pitch_yaw(*settings.mount_roll_pitch_yaw_rad)
+        self.parent_from_mount = from_roll_pitch_yaw(*settings.mount_roll_pitch_yaw_rad)
         self._paired_s = -math.inf
         self._alone: list[float] = []  # times of lines of sight that go without a range
         self.ground: Ground | None = None
@@ -112,7 +112,7 @@ class Pairing:
         attitude = self._poses.attitude_at(time_s) if needs_attitude else None
         if attitude is None and needs_attitude:
             return None
-        sight = line_of_sight(gimbal, attitude, self._parent_from_mount)
+        sight = line_of_sight(gimbal, attitude, self.parent_from_mount)
         arm_m = (0.0, 0.0, 0.0) if attitude is None else lever_arm_plane_m(settings.lever_arm_body_m, attitude)
         aircraft_m = position.east_m + arm_m[0], position.north_m + arm_m[1], position.height_m + arm_m[2]
         range_m, range_sigma_m = told_m or (self._to_ground_m(aircraft_m, sight), _UNKNOWN_M)

@@ -7,7 +7,8 @@ more as the autopilot forwards it. Of each kind exactly one source is listened t
 - a payload component comes before the autopilot (component 1), which may only repeat it;
 - a range of custom orientation (100), being on a gimbal, comes before one of a fixed orientation;
 - a gimbal comes before the quaternion that a range sensor may carry;
-- when the source in use falls silent for ``silent_after_s``, the next that speaks takes its place until it returns.
+- if the source in use is silent for ``silent_after_s``, the next one that agrees with the track takes its place
+  until the first returns; one that contradicts the track is refused.
 
 An explicit choice replaces all of these but the last.
 """
@@ -24,6 +25,7 @@ from sidelong.estimators.settings import SourceChoice
 _AUTOPILOT_COMPONENT = 1
 LOOKS_DOWN = 25
 _CUSTOM_ORIENTATION = 100
+_REFUSED_MAX = 8
 
 Rank = Callable[[Source], int | None]
 
@@ -50,11 +52,19 @@ class SourceSelector:
     choice: SourceChoice | None = None
     silent_after_s: float = 10.0
     chosen: Source | None = None
+    refused: list[Source] = field(default_factory=list)
     heard_s: float = -math.inf  # when the chosen one last spoke
     _ranks: dict[Source, int | None] = field(default_factory=dict)
 
-    def accepts(self, source: Source, time_s: float) -> bool:
-        """Tell whether to use a reading of this source."""
+    def accepts(self, source: Source, time_s: float, agrees: Callable[[], bool] = lambda: True) -> bool:
+        """Return whether to use a reading of this source.
+
+        Args:
+            source: who sent it.
+            time_s: when, on the vehicle's clock.
+            agrees: whether the reading agrees with the track; asked before another source is replaced.
+
+        """
         if source is not self.chosen and source != self.chosen:
             rank = self._rank_of(source)
             if rank is None:
@@ -63,7 +73,13 @@ class SourceSelector:
             better = present is None or rank < present
             if not better and time_s - self.heard_s < self.silent_after_s:
                 return False
+            if self.chosen is not None and not agrees():
+                if source not in self.refused and len(self.refused) < _REFUSED_MAX:
+                    self.refused.append(source)
+                return False
             self.chosen = source
+            if source in self.refused:
+                self.refused.remove(source)
         self.heard_s = max(self.heard_s, time_s)
         return True
 

@@ -7,6 +7,7 @@ before its time and repeating what came after.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from sidelong.estimators.terrain.ground import Ground
 
 _HISTORY_S, _REPEATED_MAX = 5.0, 60
+_KEPT, _KEPT_EVERY_S = 40, 1.0  # filters to go back to when sightings turn out to have been wrong
 # Longer predictions go by steps, so that the motion models can mix on the way; the longest by so many larger ones.
 _STEP_MAX_S, _STEPS_MAX = 1.0, 60
 
@@ -59,6 +61,24 @@ class Track:
         self._astray: list[AnySighting] = []  # beyond the gate, since the last one within
         self._last_rejection = ""
         self._last_sighting_s = -math.inf
+        self._begins_again = False
+        self._kept: deque[tuple[float, TargetFilter]] = deque(maxlen=_KEPT)
+
+    def forget_since(self, time_s: float) -> None:
+        """Undo all sightings since a time; without any earlier one the track begins again."""
+        while self._kept and self._kept[-1][0] > time_s:
+            self._kept.pop()
+        if self._kept:
+            kept_s, kept = self._kept[-1]
+            self.resume(kept, kept_s, [])
+        else:
+            self._filter = self._coasted = None
+            self._steps.clear()
+            self._astray.clear()
+
+    def begin_again(self) -> None:
+        """Restart position and motion with the next sighting; the payload's errors are kept."""
+        self._begins_again = True
 
     def stand_on(self, ground: Ground) -> None:
         """Take the target to stand on a ground from now on."""
@@ -91,7 +111,8 @@ class Track:
         if self._filter is None:
             self._restart([sighting], Biases.prior(settings))
             return SightingOutcome(sighting, True, math.nan, "first sighting")
-        if sighting.time_s - self._last_sighting_s > settings.lost_after_s:
+        if self._begins_again or sighting.time_s - self._last_sighting_s > settings.lost_after_s:
+            self._begins_again = False
             self._restart([sighting], self._filter.biases())
             return SightingOutcome(sighting, True, math.nan, "first sighting after the track was lost")
         if sighting.time_s < self._filter.time_s:
@@ -136,6 +157,8 @@ class Track:
         self._astray.clear()
         self._last_rejection = ""
         self._last_sighting_s = max(self._last_sighting_s, sighting.time_s)
+        if not self._kept or after.time_s - self._kept[-1][0] >= _KEPT_EVERY_S:
+            self._kept.append((after.time_s, after))
         if self._steps[0].sighting.time_s < self._last_sighting_s - 2 * _HISTORY_S:
             keep_s = self._last_sighting_s - _HISTORY_S
             self._steps = [step for step in self._steps if step.sighting.time_s >= keep_s]
@@ -189,6 +212,10 @@ class Track:
             self._last_sighting_s,
             reason,
         )
+
+    def drop_m(self, height_m: float) -> float:
+        """Return how far the target's ground is below a height of the aircraft; 0 before the first sighting."""
+        return 0.0 if self._filter is None else height_m - self._filter.height_m
 
     def _coasted_to(self, last: TargetFilter, now_s: float) -> TargetFilter:
         """Return the filter moved on to ``now_s``, the same whenever it was asked for before."""

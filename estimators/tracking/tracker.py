@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
-from sidelong.estimators.estimate import TargetEstimate
+from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Calibration
+from sidelong.estimators.frames import wrap_rad
+from sidelong.estimators.rotations import Quaternion
 from sidelong.estimators.sensing.beacon import BeaconErrors
+from sidelong.estimators.sensing.line_of_sight import line_of_sight
 from sidelong.estimators.sensing.pose import PoseHistory
 from sidelong.estimators.sensing.readings import (
     BEACON_MESSAGES,
@@ -29,6 +34,8 @@ if TYPE_CHECKING:
     from sidelong.estimators.terrain.ground import Ground
 
 __all__ = ["SourceChoice", "Tracker", "TrackerSettings"]
+
+_AGREES_RAD, _AGREES_M, _AGREES_SIGMAS = math.radians(10.0), 30.0, 4.0
 
 _Stamped = TypeVar("_Stamped", GimbalReading, RangeReading)
 
@@ -67,8 +74,47 @@ class Tracker:
         return tuple(map(self._take, self._pairing.completed()))
 
     def _add_gimbal(self, reading: GimbalReading) -> None:
-        if self._gimbals.accepts(reading.source, reading.time_s):
+        reading = self.as_configured(reading)
+        if self._gimbals.accepts(reading.source, reading.time_s, lambda: self._points_at_track(reading)):
             self._pairing.add_gimbal(self._measured(reading))
+
+    def as_configured(self, reading: GimbalReading) -> GimbalReading:
+        """Return a line of sight with the configured frame in place of the flagged one."""
+        frame = self._settings.gimbal_frame
+        return reading if frame is None or reading.frame == frame else replace(reading, frame=frame)
+
+    @property
+    def parent_from_mount(self) -> Quaternion:
+        """How the gimbal's base is turned against the airframe."""
+        return self._pairing.parent_from_mount
+
+    def _points_at_track(self, reading: GimbalReading) -> bool:
+        """Return whether a line of sight points at the tracked target; True where there is no track to compare."""
+        expected = self._expected(reading.time_s)
+        attitude = self._poses.attitudes.newest()
+        if expected is None or (attitude is None and reading.frame != "earth"):
+            return True
+        sight = line_of_sight(reading, attitude, self._pairing.parent_from_mount)
+        bearing_rad, slant_range_m, sigma_m = expected
+        off_rad = abs(wrap_rad(sight.bearing_rad - bearing_rad))
+        return off_rad <= _AGREES_RAD + _AGREES_SIGMAS * sigma_m / slant_range_m
+
+    def _measures_track(self, reading: RangeReading) -> bool:
+        """Return whether a range is that of the tracked target; True where there is no track to compare."""
+        expected = self._expected(reading.time_s)
+        return expected is None or (
+            abs(reading.slant_range_m - expected[1]) <= _AGREES_M + _AGREES_SIGMAS * expected[2]
+        )
+
+    def _expected(self, time_s: float) -> tuple[float, float, float] | None:
+        """Return bearing, range and position sigma of the tracked target as it should be seen now."""
+        estimate, position = self._track.estimate(time_s), self._poses.positions.newest()
+        if estimate is None or estimate.quality is TrackQuality.LOST or position is None:
+            return None
+        east, north = estimate.east_m - position.east_m, estimate.north_m - position.north_m
+        height_m = self._track.drop_m(position.height_m)
+        sigma_m = math.sqrt(float(max(estimate.covariance[0, 0], estimate.covariance[1, 1])))
+        return math.atan2(east, north), max(math.hypot(east, north, height_m), 1.0), sigma_m
 
     def _measured(self, reading: _Stamped) -> _Stamped:
         """Return the reading at the time it was really measured."""
@@ -76,7 +122,7 @@ class Tracker:
         return replace(reading, time_s=reading.time_s - latency_s) if latency_s else reading
 
     def _add_range(self, reading: RangeReading) -> None:
-        if not self._ranges.accepts(reading.source, reading.time_s):
+        if not self._ranges.accepts(reading.source, reading.time_s, lambda: self._measures_track(reading)):
             return
         pointing = reading.sensor_quaternion_wxyz
         # The null rotation is what senders put there who know no better.
@@ -126,6 +172,24 @@ class Tracker:
     def gimbal_source(self) -> Source | None:
         """The gimbal in use, None before the first."""
         return self._gimbals.chosen
+
+    @property
+    def refused_ranges(self) -> Sequence[Source]:
+        """Lasers that were refused in place of a silent one, as they contradict the track."""
+        return self._ranges.refused
+
+    @property
+    def refused_gimbals(self) -> Sequence[Source]:
+        """The same of gimbals."""
+        return self._gimbals.refused
+
+    def forget_since(self, time_s: float) -> None:
+        """Undo all sightings since a time: the payload has turned out to be wrong since then."""
+        self._track.forget_since(time_s)
+
+    def begin_again(self) -> None:
+        """Restart the track with the next sighting: what it was made from has turned out to be wrong."""
+        self._track.begin_again()
 
     @property
     def unpaired(self) -> int:

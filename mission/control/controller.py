@@ -15,7 +15,10 @@ Rules
    present circle is sent again as changed.
 9. Every event passes :mod:`sidelong.mission.control.plausibility` first. While that doubts the aircraft's own
    position, the circle is held: nothing is decided, and no plan departs.
-10. In a fleet the joint estimate, the target and the side come with ``FleetAdvice`` while that is fresh; without it
+10. Every input has a health state (:mod:`sidelong.mission.health.health`). Readings of a laser or gimbal that
+    contradicts the other inputs are not used, and the sightings made with them are undone: the target counts as not
+    seen since then. Without heartbeat nothing new is commanded.
+11. In a fleet the joint estimate, the target and the side come with ``FleetAdvice`` while that is fresh; without it
     the aircraft goes on by its own. A plan that comes too near to another aircraft counts as one that breaks a fence.
 
 The clock is the vehicle's: the latest time of a position reading.
@@ -58,6 +61,7 @@ from sidelong.mission.core.events import (
     DecisionRecord,
     End,
     Event,
+    HealthChanged,
     LinkReported,
     MissionChange,
     ModeReported,
@@ -72,14 +76,18 @@ from sidelong.mission.core.events import (
 )
 from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned, Role
 from sidelong.mission.core.heights import ClimbRates, Heights, OneHeight
+from sidelong.mission.core.inputs import Input
 from sidelong.mission.core.plan import AircraftState, Decision, Plan, PlannerFactory, settled_m
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
 from sidelong.mission.geometry.escape import escapes
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
+from sidelong.mission.health.health import Health
 
 # A stronger wind, as a share of the airspeed, is not flown in: one that is reported all the same is not believed.
 _WIND_MAX_SHARE = 0.9
 _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
+_SILENT_S = 2.0
+_UNSEEN_S = 20.0  # afterwards the estimate is too old to judge the watch by
 _SENSED = (AttitudeReading, RangeReading, GimbalReading, TargetFixReading)
 _FLYING = (Phase.WATCHING, Phase.HOLDING)
 _LOW_BATTERY_REPORTS = 2  # in a row
@@ -121,6 +129,7 @@ class StandoffController:
         self.sighted: tuple[SightingOutcome, ...] = ()
         self.aircraft: AircraftState | None = None  # as it was last reported
         self.door = Plausibility(_WIND_MAX_SHARE * settings.aircraft.airspeed_m_s)
+        self.health = Health(tracker.parent_from_mount)
         self.latency = UploadLatency(settings.latency_s)
         self.changes = PlanChanges(self.door, self.latency)
         self.planning = Planning(make_planner, settings.aircraft, settings.requirement)
@@ -139,15 +148,37 @@ class StandoffController:
     def step(self, event: Event) -> tuple[Command, ...]:
         """Take one event; return what is to be done about it, in order."""
         self.sighted = ()
+        told: tuple[Command, ...]
         admitted, told = self.door.admit(event)
+        due = self.health.received(event, self.door.clock.now_s)
+        if due:
+            told += self._health_changes()
+            self.door.vehicle_silent = self.health.silent_s >= _SILENT_S
         if admitted is None:
             return told
         commands = self._admitted(admitted)
         return told + commands if told else commands
 
+    def _health_changes(self) -> tuple[HealthChanged, ...]:
+        """Return which inputs have changed their state; a payload that agrees again starts a new track."""
+        health, tracker, now_s = self.health, self.tracker, self.door.clock.now_s
+        if now_s == -math.inf:
+            return ()
+        had_fault = health.payload_fault
+        changes = health.changes(
+            now_s, tracker.range_source, tracker.gimbal_source, tracker.refused_ranges, tracker.refused_gimbals
+        )
+        if had_fault and not health.payload_fault:
+            tracker.begin_again()
+        elif health.payload_fault and not had_fault:
+            tracker.forget_since(health.payload.wrong_since_s)
+        if changes:
+            self.door.no_heartbeat = not health.is_usable(Input.HEARTBEAT)
+        return changes
+
     def _admitted(self, event: Event) -> tuple[Command, ...]:
         if isinstance(event, _SENSED):  # most of all events
-            self._read(event)
+            self._sense(event)
             return ()
         match event:
             case PositionReading():
@@ -217,10 +248,40 @@ class StandoffController:
             self.planning.turn_payload,
             self._over,
             self.planning.too_near(self.time_s),
+            self.health.reports,
+            self._unknown(),
+            self.health.silent_s,
         )
+
+    def _unknown(self) -> str:
+        unseen_s = math.inf if self.estimate is None else self.time_s - self.estimate.last_sighting_s
+        unseen = f"the target has not been seen for {unseen_s:.0f} s" if _UNSEEN_S < unseen_s < math.inf else ""
+        return self.health.unknown or self.door.doubt or unseen
+
+    def _sense(self, reading: Reading) -> None:
+        """Take a reading in unless the payload check finds it unfit."""
+        if self._is_sound(reading):
+            self._read(reading)
+
+    def _is_sound(self, reading: Reading) -> bool:
+        payload = self.health.payload
+        match reading:
+            case AttitudeReading():
+                payload.attitude(reading)
+            case GimbalReading():
+                if self.tracker.gimbal_source in (None, reading.source):
+                    payload.gimbal(self.tracker.as_configured(reading))
+                return not payload.gimbal_fault or reading.source != self.tracker.gimbal_source
+            case RangeReading():
+                if self.tracker.range_source in (None, reading.source):
+                    payload.range(reading)
+                return not payload.laser_fault or reading.source != self.tracker.range_source
+        return True
 
     def _read(self, reading: Reading) -> None:
         self.sighted = self.tracker.add(reading)
+        if self.sighted:
+            self.health.sighted(reading.time_s, self.sighted)
         self._sensor_status.note(reading, self.sighted, self.tracker)
 
     # -- the aircraft's position is the tick ---------------------------------------------------------------
@@ -228,6 +289,7 @@ class StandoffController:
     def _position(self, reading: PositionReading) -> tuple[Command, ...]:
         if self.door.place_is_known:
             self._read(reading)
+        self.health.payload.position(reading)
         if reading.time_s <= self.time_s:
             return ()  # overtaken on the way: it has helped the tracker, the clock stays
         self.time_s, self._height_m = reading.time_s, reading.height_m
@@ -245,6 +307,9 @@ class StandoffController:
             return told + self.changes.activate_due(self.time_s, watching=self.phase is Phase.WATCHING)
         if self.door.doubt is not None:
             self.decision = Decision(self.time_s, None, f"holding the circle: {self.door.doubt}")
+            return told
+        if self.door.no_heartbeat:
+            self.decision = Decision(self.time_s, None, "holding the circle: no heartbeat from the autopilot")
             return told
         if self.door.faulty:
             return told

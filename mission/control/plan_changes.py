@@ -97,7 +97,7 @@ class PlanChanges:
             self.under_way = None
             return ()
         late_s = now_s - due_s
-        if self._door.faulty and late_s <= _LATE_S:
+        if (self._door.faulty or self._door.no_heartbeat) and late_s <= _LATE_S:
             return ()
         if self._door.doubt is not None or late_s > _LATE_S:
             self.under_way = None

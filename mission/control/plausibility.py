@@ -72,12 +72,15 @@ class Plausibility:
     """One flight's door. wind_max_m_s: no wind above is believed.
 
     doubt: why nothing may be decided now, in words, or None. dead_reckoned: whether the latest position was. The
-    latest position is ``position.believed``.
+    latest position is ``position.believed``. no_heartbeat and vehicle_silent are set by the health model: whether the
+    flight mode is too old to command by, and whether the vehicle's clock stands still.
     """
 
     def __init__(self, wind_max_m_s: float = math.inf) -> None:
         self.doubt: str | None = None
         self.dead_reckoned = False
+        self.no_heartbeat = False
+        self.vehicle_silent = False
         self.two_vehicles: str | None = None
         self.clock = VehicleClock()
         self.position = PositionCheck()
@@ -258,6 +261,8 @@ class Plausibility:
 
     def _payload(self, reading: Payload) -> Event | None:
         if self.clock.now_s == -math.inf or self.clock.in_question_s is not None or not self._credible(reading):
+            return None
+        if self.vehicle_silent:  # its clock stands still: nothing to compare a payload's clock with
             return None
         if reading.time_s == 0.0:
             return replace(reading, time_s=self.clock.now_s)

@@ -7,6 +7,7 @@ from enum import StrEnum
 
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.control.sensor_status import SensorStatus
+from sidelong.mission.core.inputs import InputReport
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Requirement, Side, Wind
 
@@ -47,3 +48,8 @@ class Snapshot:
     turn_payload: bool = False  # to that target: it looks at another one
     over: str = ""  # why the mission was yielded or has ended
     separation: str = ""  # which other aircraft is too near, in words
+    health: tuple[InputReport, ...] = ()
+    unknown: str = ""
+    """Why it is not known how well the target is watched; empty while it is known."""
+    silent_s: float = 0.0
+    """For how long the vehicle's clock has stood still, seconds of this computer."""

@@ -19,6 +19,7 @@ from sidelong.estimators.sensing.readings import (
 )
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.fleet import FleetAdvice, NeighbourPlanned
+from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Side, Wind
 
@@ -94,6 +95,20 @@ class LinkReported:
 
     time_s: float
     connected: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ClockTick:
+    """A second of this computer has passed: shows the silence of a vehicle whose own clock stands still.
+
+    Attributes:
+        time_s: the vehicle's clock.
+        link_s: this computer's clock.
+
+    """
+
+    time_s: float
+    link_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +194,7 @@ Event = (
     | ControlAcquired
     | PlanStatus
     | LinkReported
+    | ClockTick
     | RoundTripReported
     | YieldRequested
     | OperatorRequest
@@ -243,7 +259,26 @@ class Announce:
         "takeover",
         "alarm",
         "clear",
+        "health",
     ]
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class HealthChanged:
+    """The state of an input has changed.
+
+    Attributes:
+        time_s: the vehicle's clock.
+        input: which input.
+        state: its new state.
+        text: what has happened and what to do, in one sentence.
+
+    """
+
+    time_s: float
+    input: Input
+    state: InputState
     text: str
 
 
@@ -264,4 +299,4 @@ class End:
     reason: str
 
 
-Command = DecisionRecord | UploadPlan | ActivatePlan | Announce | Yield | End
+Command = DecisionRecord | UploadPlan | ActivatePlan | Announce | HealthChanged | Yield | End

@@ -38,18 +38,23 @@ def outer(folder, script="caller.py", **environment):
     return done.stdout.split()
 
 
-def test_change_of_the_package_uses_another_folder(tmp_path):
-    script = "from sidelong.estimators.compiled import FOLDER, code_digest\nprint(FOLDER.name, code_digest())"
-    (tmp_path / "caller.py").write_text(script)
-    folder, digest = outer(tmp_path)
-    assert folder == f"kernels-{digest}"
-    copy = tmp_path / "copy"
-    shutil.copytree(ROOT / "estimators", copy / "sidelong" / "estimators")
-    (copy / "sidelong" / "__init__.py").touch()
-    with (copy / "sidelong" / "estimators" / "frames.py").open("a") as frames:
-        frames.write("# another version\n")
-    other, _ = outer(tmp_path, PYTHONPATH=str(copy))
-    assert other not in (folder, "")
+def test_change_of_a_kernel_or_of_what_it_imports_uses_another_folder(tmp_path):
+    (tmp_path / "caller.py").write_text("from sidelong.estimators.compiled import FOLDER\nprint(FOLDER.name)")
+    package = tmp_path / "copy" / "sidelong"
+    for room in ("estimators", "mission"):
+        shutil.copytree(ROOT / room, package / room)
+    (package / "__init__.py").touch()
+
+    def folder_after_a_change_of(file):
+        with (package / file).open("a") as code:
+            code.write("# another version\n")
+        return outer(tmp_path, PYTHONPATH=str(tmp_path / "copy"))[0]
+
+    unrelated = folder_after_a_change_of("estimators/ellipse.py")
+    imported = folder_after_a_change_of("mission/core/requirement.py")
+    kernel = folder_after_a_change_of("estimators/filters/imm_kernel.py")
+    assert folder_after_a_change_of("estimators/ellipse.py") == kernel
+    assert len({unrelated, imported, kernel}) == 3
 
 
 def test_second_start_loads_the_cached_code(tmp_path):

@@ -27,11 +27,13 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     ActivatePlan,
     Announce,
+    ClockTick,
     Command,
     ControlAcquired,
     DecisionRecord,
     End,
     Event,
+    HealthChanged,
     PlanStatus,
     UploadPlan,
     Yield,
@@ -43,6 +45,7 @@ from sidelong.mission.geometry.wind import ground_speed_m_s
 from tests.faults.flight_faults import Fault
 
 STEP_S = 0.1
+_TICK_STEPS, _SURE_M = 10, 5.0
 HOME_DEG = (47.4, 8.5)
 _PLANE = LocalPlane(*HOME_DEG)
 _HEIGHT_M = 100.0
@@ -101,6 +104,9 @@ class Flown:
     outside_fence_m: float = 0.0
     decided: list[Decided] = field(default_factory=list)
     told: list[tuple[float, str]] = field(default_factory=list)
+    health: list[tuple[float, HealthChanged]] = field(default_factory=list)
+    unknown_s: float = 0.0
+    wrongly_in_band_s: float = 0.0
     yielded: tuple[float, str] | None = None
     ended: str | None = None
     slowest_step_s: float = 0.0
@@ -163,6 +169,8 @@ class ClosedLoop:
                 event = self._telemetry.event(heapq.heappop(self._arriving)[2])
                 if event is not None:
                     self._step(event, now_s)
+            if step % _TICK_STEPS == 0:
+                self._step(ClockTick(self._telemetry.now_s, now_s), now_s)
             if not acquired and now_s >= _ACQUIRED_S:
                 acquired = True
                 self._step(ControlAcquired(self._telemetry.now_s, self._circle, self._flavour.mode_name), now_s)
@@ -199,6 +207,9 @@ class ClosedLoop:
                 heapq.heappush(self._reports, (now_s + _ACTIVATION_S, command.number, "departed"))
             case Announce():
                 flown.told.append((now_s, command.text))
+            case HealthChanged():
+                flown.told.append((now_s, command.text))
+                flown.health.append((now_s, command))
             case Yield():
                 flown.yielded = flown.yielded or (now_s, command.reason)
             case End():
@@ -224,8 +235,25 @@ class ClosedLoop:
         self.flown.range_m.append(math.hypot(east_m, north_m))
         off_rad = math.atan2(east_m, north_m) - (truth.course_rad - math.pi / 2)
         self.flown.on_side.append(abs(math.remainder(off_rad, math.tau)) <= math.pi / 2)
+        self._judge_reported(now_s, state, truth)
         outside_m = max(abs(state.east_m), abs(state.north_m)) - _FENCE_M
         self.flown.outside_fence_m = max(self.flown.outside_fence_m, outside_m)
+
+    def _judge_reported(self, now_s: float, state: AircraftState, truth) -> None:
+        """Compare what the flight claims of itself with the truth, once a second."""
+        if round(now_s / STEP_S) % _TICK_STEPS:
+            return
+        snapshot, requirement = self.controller.snapshot(), self._config.requirement.requirement()
+        estimate = snapshot.estimate
+        if snapshot.unknown or estimate is None:
+            self.flown.unknown_s += 1.0
+            return
+        own = snapshot.aircraft
+        claimed_m = math.hypot(own.east_m - estimate.east_m, own.north_m - estimate.north_m)
+        true_m = math.hypot(state.east_m - truth.east_m, state.north_m - truth.north_m)
+        claims = requirement.range_min_m <= claimed_m <= requirement.range_max_m
+        is_true = requirement.range_min_m - _SURE_M <= true_m <= requirement.range_max_m + _SURE_M
+        self.flown.wrongly_in_band_s += claims and not is_true
 
     # -- the aircraft --------------------------------------------------------------------------------------
 

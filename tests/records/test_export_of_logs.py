@@ -57,7 +57,7 @@ def test_an_export_that_is_broken_off_leaves_the_file_of_before(tmp_path, monkey
     out = tmp_path / "out.mcap"
     out.write_bytes(b"before")
 
-    def broken_off(_source, log):
+    def broken_off(_source, log, *_progress):
         feed(NO_LASER, log)
         raise KeyboardInterrupt
 

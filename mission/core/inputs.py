@@ -1,0 +1,55 @@
+"""The words of the health model: inputs, their states, and a change of one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Input(StrEnum):
+    """What the control step lives on."""
+
+    POSITION = "position"
+    ATTITUDE = "attitude"
+    HEARTBEAT = "heartbeat"
+    LASER = "laser"
+    GIMBAL = "gimbal"
+    SIGHTINGS = "sightings"  # laser and gimbal together, against the track
+    LINK = "link"
+    NEIGHBOURS = "neighbours"
+
+
+class InputState(StrEnum):
+    """How an input is.
+
+    ``ok``: fresh and in agreement. ``stale``: it was received and no longer is. ``missing``: it was never received.
+    ``inconsistent``: it contradicts the other inputs. ``switched``: fresh, from another device than before.
+    """
+
+    OK = "ok"
+    STALE = "stale"
+    MISSING = "missing"
+    INCONSISTENT = "inconsistent"
+    SWITCHED = "switched"
+
+
+@dataclass(frozen=True, slots=True)
+class InputReport:
+    """The present state of one input, for displays.
+
+    Attributes:
+        input: which input.
+        state: how it is.
+        since_s: since when, on the vehicle's clock.
+        source: the device it comes from, in words; empty where there is only one.
+        rate_hz: readings per second of the vehicle's clock over the last seconds; NaN before it is known.
+        text: the sentence of the last change.
+
+    """
+
+    input: Input
+    state: InputState
+    since_s: float
+    source: str
+    rate_hz: float
+    text: str

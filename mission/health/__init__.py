@@ -1,0 +1,1 @@
+"""Whether every input is there, is fresh, and agrees with the others."""

@@ -1,0 +1,251 @@
+"""The health model: for every input its source, age and rate, and whether it agrees with the others.
+
+Ages are counted on the vehicle's clock. Where that stands still, seconds of this computer (``ClockTick``) count.
+While the link is down nothing else is judged: the loss of the link is reported by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from sidelong.estimators.rotations import Quaternion
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.sensing.sighting import SightingOutcome
+from sidelong.mission.core.events import ClockTick, Event, HealthChanged, LinkReported, ModeReported
+from sidelong.mission.core.inputs import Input, InputReport, InputState
+from sidelong.mission.health.payload_check import PayloadCheck
+
+_AGE_MAX_S = {
+    Input.POSITION: 3.0,
+    Input.ATTITUDE: 3.0,
+    Input.HEARTBEAT: 5.0,
+    Input.LASER: 20.0,
+    Input.GIMBAL: 5.0,
+}
+_TICKS_MARGIN = 1  # a tick may come right after a reading
+_EVALUATE_EVERY_S, _RATE_OVER_S = 0.5, 5.0
+_KINDS: dict[type, Input] = {
+    PositionReading: Input.POSITION,
+    AttitudeReading: Input.ATTITUDE,
+    ModeReported: Input.HEARTBEAT,
+    RangeReading: Input.LASER,
+    GimbalReading: Input.GIMBAL,
+}
+_STALE = {
+    Input.POSITION: "no position from the autopilot for {age:.0f} s: holding the circle and requesting it again",
+    Input.ATTITUDE: "no attitude from the autopilot for {age:.0f} s: requesting it again",
+    Input.HEARTBEAT: "no heartbeat from the autopilot for {age:.0f} s: nothing new is commanded",
+    Input.LASER: "no range from the laser for {age:.0f} s: check that it is on and looks at the target",
+    Input.GIMBAL: "no orientation from the gimbal for {age:.0f} s: check its power and its connection",
+}
+_WORDS = {
+    Input.POSITION: "the aircraft's position",
+    Input.ATTITUDE: "the aircraft's attitude",
+    Input.HEARTBEAT: "the autopilot's heartbeat",
+    Input.LASER: "the laser",
+    Input.GIMBAL: "the gimbal",
+    Input.SIGHTINGS: "laser and line of sight",
+}
+
+
+class _Received:
+    """One input: when it was last received, how often, and its present state."""
+
+    __slots__ = ("count", "last_s", "rate_hz", "rated_count", "rated_s", "since_s", "state", "text", "tick")
+
+    def __init__(self) -> None:
+        self.last_s = self.rated_s = -math.inf
+        self.count = self.rated_count = self.tick = 0
+        self.rate_hz = math.nan
+        self.state, self.since_s, self.text = InputState.MISSING, -math.inf, ""
+
+
+class Health:
+    """The states of all inputs. Every change is returned once by ``changes``.
+
+    Attributes:
+        payload: the check of laser and gimbal.
+        reports: the state of every input that was ever received.
+        unknown: why it is not known how well the target is watched; empty while it is.
+
+    """
+
+    def __init__(self, parent_from_mount: Quaternion = (1.0, 0.0, 0.0, 0.0)) -> None:
+        self.payload = PayloadCheck(parent_from_mount)
+        self._inputs = {one: _Received() for one in _WORDS}
+        self._by_kind = {kind: self._inputs[one] for kind, one in _KINDS.items()}
+        self.reports: tuple[InputReport, ...] = ()
+        self.unknown = ""
+        self._now_s = -math.inf
+        self._evaluate_s = -math.inf
+        self._ticks, self._moved_tick = 0, 0  # and when the vehicle's clock last went on
+        self._connected = True
+        self._sources: dict[Input, Source | None] = {Input.LASER: None, Input.GIMBAL: None}
+        self._refused: set[Source] = set()
+
+    def received(self, event: Event, now_s: float) -> bool:
+        """Note that an event came, whatever it says; return whether the states are due to be judged.
+
+        Args:
+            event: as it was received.
+            now_s: the vehicle's clock.
+
+        """
+        one = self._by_kind.get(type(event))
+        if one is not None:
+            one.last_s, one.tick = now_s, self._ticks
+            one.count += 1
+        elif isinstance(event, ClockTick):
+            self._ticks += 1
+            if now_s != self._now_s:
+                self._moved_tick = self._ticks
+            self._now_s = now_s
+            return True
+        elif isinstance(event, LinkReported):
+            self._connected = event.connected
+            if event.connected:  # ages begin again
+                for each in self._inputs.values():
+                    if each.count:
+                        each.last_s, each.tick = now_s, self._ticks
+            return False
+        return now_s >= self._evaluate_s or now_s < self._evaluate_s - 10.0
+
+    @property
+    def silent_s(self) -> float:
+        """For how many seconds of this computer the vehicle's clock has stood still."""
+        return float(max(self._ticks - self._moved_tick - _TICKS_MARGIN, 0))
+
+    def is_usable(self, one: Input) -> bool:
+        """Return whether an input is neither stale nor inconsistent; one never received is not judged."""
+        return self._inputs[one].state not in (InputState.STALE, InputState.INCONSISTENT)
+
+    @property
+    def payload_fault(self) -> str:
+        """What is wrong with laser or gimbal so that their readings are not used, in words; empty: nothing."""
+        for one in (Input.LASER, Input.GIMBAL):
+            if self._inputs[one].state is InputState.INCONSISTENT:
+                return self._inputs[one].text
+        return ""
+
+    def _made_unknown(self) -> str:
+        for one in (Input.POSITION, Input.LASER, Input.GIMBAL, Input.SIGHTINGS):
+            state = self._inputs[one].state
+            if state is InputState.INCONSISTENT or (one is Input.POSITION and state is InputState.STALE):
+                return self._inputs[one].text
+        return ""
+
+    def sighted(self, time_s: float, outcomes: Sequence[SightingOutcome]) -> None:
+        """Take what became of sightings."""
+        if outcomes:
+            self.payload.sightings(time_s, outcomes)
+
+    def changes(
+        self,
+        now_s: float,
+        laser: Source | None,
+        gimbal: Source | None,
+        refused_lasers: Sequence[Source] = (),
+        refused_gimbals: Sequence[Source] = (),
+    ) -> tuple[HealthChanged, ...]:
+        """Judge all inputs and return what has changed since the last call.
+
+        Args:
+            now_s: the vehicle's clock.
+            laser: the source in use, None before the first reading.
+            gimbal: the same of the line of sight.
+            refused_lasers: those that spoke in place of a silent one and contradict the track.
+            refused_gimbals: the same of gimbals.
+
+        """
+        self._evaluate_s = now_s + _EVALUATE_EVERY_S
+        if not self._connected:
+            return ()
+        changed = self._changes(now_s, laser, gimbal, refused_lasers, refused_gimbals)
+        # Displays ask at every event; what they get is made twice a second.
+        self.reports, self.unknown = self._made_reports(), self._made_unknown()
+        return changed
+
+    def _changes(
+        self,
+        now_s: float,
+        laser: Source | None,
+        gimbal: Source | None,
+        refused_lasers: Sequence[Source],
+        refused_gimbals: Sequence[Source],
+    ) -> tuple[HealthChanged, ...]:
+        changed: list[HealthChanged] = []
+        for kind in _KINDS.values():
+            self._rate(self._inputs[kind], now_s)
+            self._judge_age(kind, now_s, changed)
+        for kind, fault in self.payload.faults().items():
+            one = self._inputs[kind]
+            if one.state in (InputState.STALE, InputState.MISSING) and kind is not Input.SIGHTINGS:
+                continue
+            if fault and one.state is not InputState.INCONSISTENT:
+                changed.append(self._set(kind, InputState.INCONSISTENT, now_s, f"{_WORDS[kind]}: {fault}"))
+            elif not fault and one.state is InputState.INCONSISTENT:
+                changed.append(self._set(kind, InputState.OK, now_s, f"{_WORDS[kind]} agree{_s(kind)} again"))
+        for kind, source in ((Input.LASER, laser), (Input.GIMBAL, gimbal)):
+            self._judge_source(kind, source, now_s, changed)
+        for kind, refused in ((Input.LASER, refused_lasers), (Input.GIMBAL, refused_gimbals)):
+            for source in refused:
+                if source not in self._refused:
+                    self._refused.add(source)
+                    text = f"{_device(source)} contradicts the track: it is not used in place of {_WORDS[kind]}"
+                    changed.append(HealthChanged(now_s, kind, self._inputs[kind].state, text))
+        return tuple(changed)
+
+    def _made_reports(self) -> tuple[InputReport, ...]:
+        return tuple(
+            InputReport(kind, one.state, one.since_s, _device(self._sources.get(kind)), one.rate_hz, one.text)
+            for kind, one in self._inputs.items()
+            if one.state is not InputState.MISSING
+        )
+
+    def _rate(self, one: _Received, now_s: float) -> None:
+        passed_s = now_s - one.rated_s
+        if not 0.0 <= passed_s < _RATE_OVER_S:
+            one.rate_hz = (one.count - one.rated_count) / passed_s if 0.0 < passed_s < math.inf else math.nan
+            one.rated_s, one.rated_count = now_s, one.count
+
+    def _judge_age(self, kind: Input, now_s: float, changed: list[HealthChanged]) -> None:
+        one, limit_s = self._inputs[kind], _AGE_MAX_S[kind]
+        if not one.count:
+            return
+        ticks = self._ticks - one.tick
+        age_s = now_s - one.last_s
+        # On a vehicle's clock that runs faster than ours a tick is long, so that both have to be over the limit,
+        # unless the vehicle's clock stands still.
+        stands = self.silent_s >= limit_s
+        if (age_s > limit_s and ticks > _TICKS_MARGIN) or (stands and ticks > limit_s + _TICKS_MARGIN):
+            if one.state is not InputState.STALE:
+                text = _STALE[kind].format(age=max(age_s, float(ticks) if stands else 0.0))
+                changed.append(self._set(kind, InputState.STALE, now_s, text))
+        elif one.state is InputState.MISSING:
+            self._set(kind, InputState.OK, now_s, "")  # the first reading is no news
+        elif one.state is InputState.STALE:
+            changed.append(self._set(kind, InputState.OK, now_s, f"{_WORDS[kind]} is received again"))
+
+    def _judge_source(self, kind: Input, source: Source | None, now_s: float, changed: list[HealthChanged]) -> None:
+        before, self._sources[kind] = self._sources[kind], source
+        if before is None or source is None or before == source:
+            return
+        self._refused.discard(source)
+        one = self._inputs[kind]
+        text = f"{_WORDS[kind]} in use is now {_device(source)}, before it was {_device(before)}"
+        state = InputState.SWITCHED if one.state in (InputState.OK, InputState.SWITCHED) else one.state
+        changed.append(self._set(kind, state, now_s, text))
+
+    def _set(self, kind: Input, state: InputState, now_s: float, text: str) -> HealthChanged:
+        one = self._inputs[kind]
+        one.state, one.since_s, one.text = state, now_s, text
+        return HealthChanged(now_s, kind, state, text)
+
+
+def _s(kind: Input) -> str:
+    return "" if kind is Input.SIGHTINGS else "s"
+
+
+def _device(source: Source | None) -> str:
+    return "" if source is None else f"component {source.component_id} ({source.message} {source.sensor_id})"

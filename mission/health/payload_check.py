@@ -1,0 +1,214 @@
+"""Whether laser and gimbal agree with each other, with the aircraft's motion and with the track.
+
+Rules
+-----
+1. A laser whose range stays the same to ``_SAME_RANGE_M`` while the aircraft turns by ``_TURNED_RAD`` is stuck.
+2. A gimbal whose orientation stays the same to ``_SAME_SIGHT`` meanwhile is frozen: in a turn, a line of sight to
+   a target turns relative to north as well as to the aircraft.
+3. Of the ways to read the gimbal's frame and the laser's unit, the right one makes the target move straight
+   (:mod:`sidelong.mission.health.motion_fit`).
+4. If more than ``_REJECTED_SHARE`` of the sightings of 30 s are rejected, laser and line of sight do not agree.
+
+While rules 1 to 3 find a fault, the device's readings are not used.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+from sidelong.estimators.frames import wrap_rad
+from sidelong.estimators.rotations import Quaternion
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.sensing.sighting import SightingOutcome
+from sidelong.mission.core.inputs import Input
+from sidelong.mission.health.motion_fit import FACTORS, SOUND, WINDOW_S, MotionFit
+
+_SAME_RANGE_M, _SAME_SIGHT = 0.5, 5e-4
+_SAME_S, _TURNED_RAD, _SAME_COUNT = 5.0, 0.8, 5
+_MOVES_AGAIN = 3
+_SAMPLE_EVERY_S, _JUDGE_EVERY_S, _FRESH_S = 0.45, 1.0, 0.6
+_MARGIN_S = 1.0
+_FOUND_AFTER, _CLEARED_AFTER = 2, 6  # judgements in a row
+_FLYING_M_S = 5.0
+_REJECTED_SHARE, _ACCEPTED_AGAIN, _WINDOW_S, _SIGHTINGS_MIN = 0.25, 0.15, 30.0, 40
+
+
+class _Repeats:
+    """Notices a value that stays the same while the aircraft turns."""
+
+    def __init__(self) -> None:
+        self._anchor: tuple[float, ...] | None = None
+        self.since_s = self._turned_rad = 0.0
+        self._count = self._moved = 0
+        self.found = False
+
+    def note(self, values: tuple[float, ...], same: float, time_s: float, turned_rad: float) -> None:
+        anchor = self._anchor
+        if anchor is not None and all(abs(a - b) <= same for a, b in zip(anchor, values, strict=True)):
+            self._count += 1
+            self._moved = 0
+            self.found |= (
+                self._count >= _SAME_COUNT
+                and time_s - self.since_s >= _SAME_S
+                and turned_rad - self._turned_rad >= _TURNED_RAD
+            )
+            return
+        self._moved += 1
+        if not self.found or self._moved >= _MOVES_AGAIN:
+            self.found = False
+            self._anchor, self.since_s, self._turned_rad, self._count = values, time_s, turned_rad, 0
+
+
+class PayloadCheck:
+    """Finds what is wrong with laser and gimbal.
+
+    Attributes:
+        laser_fault: what is wrong with the laser and what to do, in one sentence; empty while nothing is.
+        gimbal_fault: the same of the gimbal.
+        sightings_fault: the same of both together, against the track.
+        wrong_since_s: since when the readings may have been wrong, while there is a fault of laser or gimbal.
+
+    """
+
+    def __init__(self, parent_from_mount: Quaternion = (1.0, 0.0, 0.0, 0.0)) -> None:
+        self.laser_fault = self.gimbal_fault = self.sightings_fault = ""
+        self.wrong_since_s = math.inf
+        self._fit = MotionFit(parent_from_mount)
+        self._range_repeats, self._sight_repeats = _Repeats(), _Repeats()
+        self._position: PositionReading | None = None
+        self._attitude: AttitudeReading | None = None
+        self._range: RangeReading | None = None
+        self._gimbal_source: Source | None = None
+        self._course_rad: float | None = None
+        self._turned_rad = 0.0
+        self._sampled_s = self._judged_s = -math.inf
+        self._agreeing = 0
+        self._verdict = self._established = SOUND
+        self._frame_fault = self._unit_fault = ""
+        self._rejected: deque[tuple[float, int, int]] = deque()  # second, sightings, rejected
+
+    def attitude(self, reading: AttitudeReading) -> None:
+        """Take the aircraft's attitude."""
+        self._attitude = reading
+
+    def position(self, reading: PositionReading) -> None:
+        """Take the aircraft's position; its course tells how far it has turned."""
+        self._position = reading
+        east_m_s, north_m_s = reading.velocity_east_m_s, reading.velocity_north_m_s
+        if east_m_s * east_m_s + north_m_s * north_m_s < _FLYING_M_S**2:
+            self._course_rad = None
+            return
+        course_rad = math.atan2(east_m_s, north_m_s)
+        if self._course_rad is not None:
+            self._turned_rad += abs(wrap_rad(course_rad - self._course_rad))
+        self._course_rad = course_rad
+
+    def range(self, reading: RangeReading) -> None:
+        """Take a range of the laser in use."""
+        if self._range is not None and reading.source != self._range.source:
+            self._range_repeats = _Repeats()
+            self._begin_fit()
+        self._range = reading
+        self._range_repeats.note((reading.slant_range_m,), _SAME_RANGE_M, reading.time_s, self._turned_rad)
+        self._settle()
+
+    def gimbal(self, reading: GimbalReading) -> None:
+        """Take a line of sight of the gimbal in use."""
+        if reading.source != self._gimbal_source:
+            self._gimbal_source = reading.source
+            self._sight_repeats = _Repeats()
+            self._begin_fit()
+        self._sight_repeats.note(reading.quaternion_wxyz, _SAME_SIGHT, reading.time_s, self._turned_rad)
+        position, attitude, slant = self._position, self._attitude, self._range
+        if (
+            reading.time_s - self._sampled_s < _SAMPLE_EVERY_S
+            or position is None
+            or attitude is None
+            or slant is None
+        ):
+            if reading.time_s < self._sampled_s:  # the clock was set back
+                self._sampled_s = self._judged_s = -math.inf
+            return
+        if max(abs(reading.time_s - one.time_s) for one in (position, attitude, slant)) > _FRESH_S:
+            return
+        self._sampled_s = reading.time_s
+        if self._range_repeats.found or self._sight_repeats.found:
+            self._fit.clear()
+        else:
+            self._fit.add(position, attitude, reading, slant.slant_range_m, self._turned_rad)
+        if reading.time_s - self._judged_s >= _JUDGE_EVERY_S:
+            self._judged_s = reading.time_s
+            self._judge(reading.frame)
+        self._settle()
+
+    def sightings(self, time_s: float, outcomes: Sequence[SightingOutcome]) -> None:
+        """Take what became of sightings."""
+        second = math.floor(time_s)
+        rejected = sum(not one.accepted for one in outcomes)
+        if self._rejected and self._rejected[-1][0] == second:
+            _, count, before = self._rejected[-1]
+            self._rejected[-1] = (second, count + len(outcomes), before + rejected)
+            return
+        self._rejected.append((second, len(outcomes), rejected))
+        while self._rejected[0][0] < second - _WINDOW_S or self._rejected[0][0] > second:
+            self._rejected.popleft()
+        total = sum(count for _, count, _ in self._rejected)
+        share = sum(count for _, _, count in self._rejected) / total if total >= _SIGHTINGS_MIN else 0.0
+        covered = second - self._rejected[0][0] >= 0.8 * _WINDOW_S
+        if share > _REJECTED_SHARE and covered and not self.sightings_fault:
+            self.sightings_fault = (
+                f"{100.0 * share:.0f} % of the sightings of {_WINDOW_S:.0f} s were rejected: laser and line of sight "
+                "do not agree; check the gimbal's frame flags and mounting and the laser's unit"
+            )
+        elif share < _ACCEPTED_AGAIN:
+            self.sightings_fault = ""
+
+    def _begin_fit(self) -> None:
+        """Judge another device afresh."""
+        self._fit.clear()
+        self._established = self._verdict = SOUND
+        self._frame_fault = self._unit_fault = ""
+
+    def _judge(self, flagged: str) -> None:
+        verdict = self._fit.verdict(self._established)
+        if verdict is None:
+            return
+        # Just after a change half of the samples are older: several judgements have to agree.
+        self._agreeing = self._agreeing + 1 if verdict == self._verdict else 1
+        self._verdict = verdict
+        if self._agreeing < (_CLEARED_AFTER if verdict == SOUND else _FOUND_AFTER):
+            return
+        self._established = verdict
+        self._frame_fault = self._unit_fault = ""
+        if verdict.frame is not None:
+            self._frame_fault = (
+                f"its frame flags are wrong: they mean {_FRAME_WORDS[flagged]}, but the angles are "
+                f'{_FRAME_WORDS[verdict.frame]}; correct the flags, or set sensors.gimbal_frame = "{verdict.frame}"'
+            )
+        elif verdict != SOUND:
+            self._unit_fault = f"it reports {FACTORS[verdict.factor]}; correct its unit"
+
+    def _settle(self) -> None:
+        repeats = "it repeats the same range while the aircraft turns: check its power, its lens and its driver"
+        frozen = "its orientation is frozen while the aircraft turns: check its power, its mode and its driver"
+        had_fault = self.laser_fault or self.gimbal_fault
+        self.laser_fault = repeats if self._range_repeats.found else self._unit_fault
+        self.gimbal_fault = frozen if self._sight_repeats.found else self._frame_fault
+        if not had_fault and (self.laser_fault or self.gimbal_fault):
+            since_s = [one.since_s for one in (self._range_repeats, self._sight_repeats) if one.found]
+            if self._frame_fault or self._unit_fault:
+                since_s.append(self._judged_s - WINDOW_S)
+            self.wrong_since_s = min(since_s) - _MARGIN_S
+
+    def faults(self) -> dict[Input, str]:
+        """Return the faults by input; empty text where there is none."""
+        return {Input.LASER: self.laser_fault, Input.GIMBAL: self.gimbal_fault, Input.SIGHTINGS: self.sightings_fault}
+
+
+_FRAME_WORDS = {
+    "earth": "relative to north",
+    "vehicle": "relative to the aircraft's heading",
+    "body": "relative to the airframe",
+}

@@ -1,0 +1,179 @@
+"""Inputs that are silent, stuck or contradict each other are reported, and the flight does not follow them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sidelong.app.link.message import Message
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.mission.core.events import ClockTick, LinkReported, ModeReported
+from sidelong.mission.core.inputs import Input, InputState
+from sidelong.mission.health.health import Health
+from tests.faults.flight import ClosedLoop, Scenario
+from tests.faults.flight_faults import Fault, only, with_fields
+
+LASER, GIMBAL = ("DISTANCE_SENSOR",), ("GIMBAL_DEVICE_ATTITUDE_STATUS",)
+BEGIN_S, DURATION_S = 60.0, 150.0
+
+
+def repeated(names, field, noise=0):
+    first = {}
+
+    def change(message, _since_s, rng):
+        value = first.setdefault(message.name, message.fields[field])
+        return with_fields(message, **{field: value + int(rng.integers(-noise, noise + 1)) if noise else value})
+
+    return only(names, change)
+
+
+def scaled(factor):
+    return only(
+        LASER, lambda m, _s, _r: with_fields(m, current_distance=round(m.fields["current_distance"] * factor))
+    )
+
+
+def flagged(flags):
+    return only(GIMBAL, lambda m, _s, _r: with_fields(m, flags=flags))
+
+
+def pointing_north(message, _since_s, _rng):
+    return Message(message.name, 1, 171, {**message.fields, "q": [1.0, 0.0, 0.0, 0.0]}, 0.0)
+
+
+PAYLOAD_FAULTS = {
+    "stuck laser": (repeated(LASER, "current_distance"), Input.LASER, "repeats the same range"),
+    "stuck laser with 1 cm of noise": (repeated(LASER, "current_distance", 1), Input.LASER, "repeats the same range"),
+    "range in a tenth": (scaled(0.1), Input.LASER, "a tenth of the distance"),
+    "range in feet": (scaled(0.3048), Input.LASER, "feet"),
+    "flags of the vehicle frame": (flagged(44), Input.GIMBAL, 'sensors.gimbal_frame = "earth"'),
+    "flags of the body frame": (flagged(32), Input.GIMBAL, 'sensors.gimbal_frame = "earth"'),
+    "frozen gimbal": (repeated(GIMBAL, "q"), Input.GIMBAL, "frozen"),
+}
+
+
+@pytest.mark.parametrize("name", PAYLOAD_FAULTS)
+def test_contradictory_payload_is_reported_and_not_followed(name):
+    change, input_, words = PAYLOAD_FAULTS[name]
+    flown = ClosedLoop(Scenario(1, "px4", DURATION_S), [Fault(name, BEGIN_S, math.inf, change)]).fly()
+    found = [
+        (time_s, one)
+        for time_s, one in flown.health
+        if one.input is input_ and one.state is InputState.INCONSISTENT and words in one.text
+    ]
+    assert BEGIN_S < found[0][0] <= BEGIN_S + 15.0
+    assert len(found) == 1
+    assert min(flown.range_m) > 80.0
+    assert flown.wrongly_in_band_s <= 0.02 * DURATION_S
+    # Afterwards the flight does not know how well it watches.
+    assert flown.unknown_s >= DURATION_S - found[0][0] - 1.0
+
+
+def test_gimbal_that_takes_the_place_of_a_silent_one_has_to_agree_with_the_track():
+    change = only(GIMBAL, pointing_north)
+    flown = ClosedLoop(Scenario(1, "px4", 100.0), [Fault("other", BEGIN_S, math.inf, change)]).fly()
+    texts = [one.text for _, one in flown.health]
+    assert any("component 171" in text and "contradicts the track" in text for text in texts)
+    assert not any("in use is now" in text for text in texts)
+
+
+def test_second_gimbal_that_agrees_is_used_and_the_change_reported():
+    def moved(message, _since_s, _rng):
+        return message._replace(component_id=171)
+
+    change = only(GIMBAL, moved)
+    flown = ClosedLoop(Scenario(1, "px4", 100.0), [Fault("other", BEGIN_S, math.inf, change)]).fly()
+    (switched,) = [one for _, one in flown.health if one.state is InputState.SWITCHED]
+    assert "component 171" in switched.text
+    assert "component 154" in switched.text
+
+
+@pytest.mark.parametrize(
+    ("names", "input_"),
+    [
+        (("GLOBAL_POSITION_INT",), Input.POSITION),
+        (("GLOBAL_POSITION_INT", "ATTITUDE"), Input.POSITION),
+        (("HEARTBEAT",), Input.HEARTBEAT),
+    ],
+)
+def test_silent_input_is_reported_once_and_its_return_as_well(names, input_):
+    fault = Fault("silent", BEGIN_S, BEGIN_S + 30.0, only(names, lambda _m, _s, _r: None))
+    flown = ClosedLoop(Scenario(1, "px4", 140.0), [fault]).fly()
+    (gone_s, gone), (back_s, back) = [(at_s, one) for at_s, one in flown.health if one.input is input_]
+    assert gone.state is InputState.STALE
+    assert gone_s <= BEGIN_S + 7.0
+    assert back.state is InputState.OK
+    assert BEGIN_S + 30.0 <= back_s <= BEGIN_S + 32.0
+    assert not any("clock is" in text for at_s, text in flown.told if at_s > BEGIN_S)  # nobody else is blamed
+    assert flown.yielded is None
+    assert any(decided.time_s > BEGIN_S + 35.0 for decided in flown.decided)
+
+
+def test_nothing_new_is_commanded_without_heartbeat():
+    fault = Fault("silent", BEGIN_S, math.inf, only(("HEARTBEAT",), lambda _m, _s, _r: None))
+    flown = ClosedLoop(Scenario(1, "px4", DURATION_S), [fault]).fly()
+    assert not any(decided.time_s > BEGIN_S + 8.0 for decided in flown.decided)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_undisturbed_flight_raises_no_alarm(seed):
+    flown = ClosedLoop(Scenario(seed, ("px4", "arduplane")[seed % 2], 200.0)).fly()
+    assert flown.health == []
+    assert flown.wrongly_in_band_s == 0.0
+
+
+def test_age_counts_by_this_computer_while_the_vehicle_clock_stands_still():
+    health = Health()
+    health.received(PositionReading(10.0, 0.0, 0.0, 100.0, 15.0, 0.0, 0.0), 10.0)
+    states = []
+    for second in range(8):
+        assert health.received(ClockTick(10.0, float(second)), 10.0)
+        states += [one.state for one in health.changes(10.0, None, None)]
+    assert states == [InputState.STALE]
+    assert not health.is_usable(Input.POSITION)
+    assert health.silent_s >= 5.0
+
+
+def test_lost_link_is_not_reported_as_silent_inputs():
+    health = Health()
+    health.received(ModeReported(10.0, "AUTO", armed=True), 10.0)
+    health.received(LinkReported(10.0, connected=False), 10.0)
+    for second in range(20):
+        health.received(ClockTick(10.0, float(second)), 10.0)
+        assert health.changes(10.0, None, None) == ()
+    health.received(LinkReported(30.0, connected=True), 30.0)
+    assert health.changes(30.0, None, None) == ()
+
+
+def test_rate_and_source_of_each_input_are_known():
+    health, laser = Health(), Source("DISTANCE_SENSOR", 154, 1, 100)
+    for k in range(200):
+        now_s = 0.1 * k
+        health.received(RangeReading(now_s, 200.0 + k, laser), now_s)
+        health.changes(now_s, laser, None)
+    (report,) = health.reports
+    assert report.input is Input.LASER
+    assert report.rate_hz == pytest.approx(10.0, rel=0.05)
+    assert "component 154" in report.source
+
+
+def test_target_that_turns_does_not_look_like_a_wrong_frame():
+    """A car that drives a U-turn while the aircraft circles keeps the verdict clear."""
+    health, source = Health(), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
+    laser = Source("DISTANCE_SENSOR", 154)
+    for k in range(600):
+        time_s = 0.1 * k
+        course_rad = 0.25 * time_s
+        east_m, north_m = 60.0 * math.sin(course_rad - math.pi / 2), 60.0 * math.cos(course_rad - math.pi / 2)
+        speed = (15.0 * math.sin(course_rad), 15.0 * math.cos(course_rad))
+        turn_rad = min(max(time_s - 25.0, 0.0) * 0.5, math.pi)
+        target = np.array((250.0 + 10.0 * math.sin(turn_rad), 8.0 * min(time_s, 25.0) + 10.0 * math.cos(turn_rad)))
+        dx, dy = target - (east_m, north_m)
+        yaw_rad, pitch_rad = math.atan2(dx, dy), -math.atan2(80.0, math.hypot(dx, dy))
+        cy, sy, cp, sp = (f(a / 2) for a in (yaw_rad, pitch_rad) for f in (math.cos, math.sin))
+        payload = health.payload
+        payload.attitude(AttitudeReading(time_s, 0.4, 0.0, course_rad))
+        payload.position(PositionReading(time_s, east_m, north_m, 80.0, *speed, 0.0))
+        payload.range(RangeReading(time_s, math.sqrt(dx * dx + dy * dy + 6400.0), laser))
+        payload.gimbal(GimbalReading(time_s, (cy * cp, -sy * sp, cy * sp, sy * cp), "earth", source))
+        assert not any(payload.faults().values()), time_s
