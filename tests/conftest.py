@@ -12,6 +12,8 @@ from collections.abc import Callable
 import pytest
 from hypothesis import settings
 
+from tests.autopilot.matrix import pytest_runtest_makereport, pytest_terminal_summary  # noqa: F401  # hooks
+
 # Where it decides over a change, the same examples are tried each time; at a desk Hypothesis may look for new ones.
 settings.register_profile("ci", derandomize=True, deadline=None, print_blob=True)
 if os.environ.get("CI"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,6 +18,7 @@ class Release:
         minor: Second number.
         patch: Third number.
         stage: dev, alpha, beta or rc; "" for an official release. Releases are compared without it.
+        commit: First digits of the source's commit, "" where it is not reported. Releases are compared without it.
 
     """
 
@@ -25,6 +26,7 @@ class Release:
     minor: int
     patch: int = 0
     stage: str = field(default="", compare=False)
+    commit: str = field(default="", compare=False)
 
     def __str__(self) -> str:
         return f"{self.major}.{self.minor}.{self.patch}" + (f"-{self.stage}" if self.stage else "")
@@ -45,4 +47,13 @@ def release_in(fields: Mapping[str, Any]) -> Release | None:
     version = int(fields["flight_sw_version"])
     if not version >> 8:
         return None
-    return Release(version >> 24, version >> 16 & 0xFF, version >> 8 & 0xFF, _STAGES.get(version & 0xFF, ""))
+    numbers = version >> 24, version >> 16 & 0xFF, version >> 8 & 0xFF
+    return Release(*numbers, _STAGES.get(version & 0xFF, ""), _commit(fields.get("flight_custom_version") or ()))
+
+
+def _commit(data: Sequence[int]) -> str:
+    """Return the commit: ArduPilot sends its digits as text, PX4 as a number, its lowest byte first."""
+    text = bytes(data).rstrip(b"\0")
+    if all(digit in b"0123456789abcdef" for digit in text):
+        return text.decode()
+    return bytes(reversed(data)).hex()[:8]

@@ -151,6 +151,7 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
         return {
             "autopilot": autopilot.name,
             "release": None if session.release is None else str(session.release),
+            "commit": None if session.release is None else session.release.commit,
             "system_id": vehicle.system_id,
             "mode": mode_of(vehicle),
             "ready": all(check.ready for check in found),

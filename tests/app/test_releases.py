@@ -183,6 +183,18 @@ def test_a_version_number_is_read_as_release_and_stage(version, text):
     assert str(release_in({"flight_sw_version": version})) == text
 
 
+@pytest.mark.parametrize(
+    ("data", "commit"),
+    [
+        (list(b"3fc7011a"), "3fc7011a"),
+        ([0x12, 0xFC, 0xFF, 0x5D, 0xFC, 0x55, 0xF0, 0x54], "54f055fc"),
+        ([0] * 8, ""),
+    ],
+)
+def test_the_commit_is_read_as_each_autopilot_sends_it(data, commit):
+    assert release_in({"flight_sw_version": 1 << 24, "flight_custom_version": data}).commit == commit
+
+
 def test_a_version_of_zero_names_no_release():
     assert release_in({"flight_sw_version": 0}) is None
 

@@ -6,28 +6,63 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
 AIRCRAFT = {"arduplane": (22, 80, 60), "px4": (15, 60, 45)}  # of the stock simulators: m/s, m, degrees
-FLAVOURS = tuple(AIRCRAFT)
 _SECOND_PORT = {"arduplane": 3, "px4": 14030 - 14540}  # from that of the first link; the payload has another one
 _ENDS_WITHIN_S = 20.0
 
 
+class Program(str):
+    """A flavour with the SITL program that flies it.
+
+    Attributes:
+        path: The program; None: there is none, and its tests are skipped.
+        label: What it is called before it reports its version.
+
+    """
+
+    path: Path | None
+    label: str
+
+    def __new__(cls, flavour: str, path: Path | None, label: str) -> Program:
+        """Return the flavour with its program."""
+        program = super().__new__(cls, flavour)
+        program.path, program.label = path, label
+        return program
+
+
+def programs(environment: Mapping[str, str]) -> list[Any]:
+    """Return the programs as parameters of tests: those in the folder SIDELONG_PROGRAMS, or one of each flavour."""
+    folder = environment.get("SIDELONG_PROGRAMS")
+    if folder is None:
+        named = [(one, environment.get(f"SIDELONG_{one.upper()}")) for one in AIRCRAFT]
+        return [pytest.param(Program(one, Path(path) if path else None, one), id=one) for one, path in named]
+    found = sorted(path for path in Path(folder).rglob("*") if path.name in AIRCRAFT and path.is_file())
+    labels = [str(path.relative_to(folder)) for path in found]
+    return [
+        pytest.param(Program(path.name, path, label), id=label) for path, label in zip(found, labels, strict=True)
+    ]
+
+
+FLAVOURS = programs(os.environ)
+
+
 class RealVehicle:
-    """The program that SIDELONG_ARDUPLANE or SIDELONG_PX4 names; skips where none is named. Use as ``with``.
+    """A SITL program with payload and target; skips where none is named. Use as ``with``.
 
     ``urls``: of its first and its second link, as the program serves them; ``payload_urls``: of a payload that has to
     be met by itself.
     """
 
-    def __init__(self, flavour: str, *options: object) -> None:
-        name = f"SIDELONG_{flavour.upper()}"
-        if not os.environ.get(name):
-            pytest.skip(f"{name} does not name a SITL program")
+    def __init__(self, flavour: Program, *options: object) -> None:
+        if flavour.path is None:
+            pytest.skip(f"SIDELONG_{flavour.upper()} does not name a SITL program")
         command = (
             sys.executable,
             "-m",
@@ -35,7 +70,7 @@ class RealVehicle:
             "--autopilot",
             flavour,
             "--binary",
-            os.environ[name],
+            flavour.path,
             *options,
         )
         self._command, self._second_port = list(map(str, command)), _SECOND_PORT[flavour]

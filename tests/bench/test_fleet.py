@@ -26,9 +26,9 @@ from sidelong.app.analysis.truth import Truth, read_truth
 from sidelong.app.config import load_config
 from sidelong.app.flight.simulated import free_udp_port
 from sidelong.estimators.frames import LocalPlane
-from tests.autopilot.real_vehicle import AIRCRAFT, FLAVOURS
+from tests.autopilot.real_vehicle import AIRCRAFT
 
-PROGRAMS = [os.environ.get(f"SIDELONG_{flavour.upper()}", "") for flavour in FLAVOURS]
+PROGRAMS = [os.environ.get(f"SIDELONG_{flavour.upper()}", "") for flavour in AIRCRAFT]
 SPEED, SEED = float(os.environ.get("SPEED", "1" if all(PROGRAMS) else "4")), int(os.environ.get("SEED", "1"))
 DURATION_S = float(os.environ.get("DURATION", "1200"))
 REQUIREMENT = load_config(None).requirement.requirement()
@@ -62,7 +62,7 @@ class World:
             options = [f"--binary={program}" for program in PROGRAMS]
         self._process = subprocess.Popen(
             [
-                *(sys.executable, "-m", "sidelong.sitl", "--autopilot", ",".join(FLAVOURS), "--speed", f"{SPEED:g}"),
+                *(sys.executable, "-m", "sidelong.sitl", "--autopilot", ",".join(AIRCRAFT), "--speed", f"{SPEED:g}"),
                 *("--seed", str(SEED), "--while-input", *options),
                 *(f"--truth={truth}" for truth in self.truths),
             ],
@@ -74,7 +74,7 @@ class World:
         assert said is not None
         if own:
             urls = list(itertools.islice((found[1] for line in said if (found := re.match('url = "(.*)"', line))), 2))
-            stock = ["airspeed_m_s = {}\nradius_m = {}\nbank_max_deg = {}".format(*AIRCRAFT[one]) for one in FLAVOURS]
+            stock = ["airspeed_m_s = {}\nradius_m = {}\nbank_max_deg = {}".format(*AIRCRAFT[one]) for one in AIRCRAFT]
         else:
             assert said.readline().startswith("ready")
             urls, stock = [f"udpin://127.0.0.1:{port}" for port in ports], ["", ""]

@@ -33,6 +33,7 @@ from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.settings import StudySettings
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import ControlAcquired, PlanStatus, UploadPlan
+from tests.autopilot.matrix import flight_row, upload_s
 from tests.autopilot.real_vehicle import FLAVOURS, ROOT, RealVehicle, configured
 
 RATE, DRAWS = float(os.environ.get("RATE", "4")), 5
@@ -66,7 +67,7 @@ class Watched:
 @pytest.mark.parametrize("target", TARGETS, ids=lambda path: path.stem)
 @pytest.mark.parametrize("guidance", ["mission", "command"])
 @pytest.mark.parametrize("flavour", FLAVOURS)
-def test_a_flight_is_as_its_study_foretells(flavour, guidance, target, tmp_path):
+def test_a_flight_is_as_its_study_foretells(flavour, guidance, target, tmp_path, record_property):
     played = tmp_path / "target.csv"
     vehicle = RealVehicle(flavour, *simulated(flavour, played, tmp_path / "truth.csv"))
     requirement = f"[requirement]\ntarget_speed_max_m_s = {TARGET_SPEED_MAX_M_S[flavour]}\n"
@@ -85,6 +86,8 @@ def test_a_flight_is_as_its_study_foretells(flavour, guidance, target, tmp_path)
     if "RECORDS" in os.environ:
         shutil.copytree(tmp_path, Path(os.environ["RECORDS"]) / f"{flavour}-{guidance}-{target.stem}")
     print(f"\n{flavour} {guidance} {target.stem}\n  flown   {flight}\n  studied {study}")
+    cells = flight.side, flight.band, flight.moves, upload_s(run / "journal.jsonl")
+    record_property("flight", flight_row(f"{guidance}, {target.stem}", *cells))
     assert flight.side >= study.side - SIDE_MAX
     assert flight.moves <= MOVES_MAX * study.moves
     assert flight.band >= BAND_MIN
