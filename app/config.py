@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 else:
     PlannerName, PayloadName = Literal[PLANNER_NAMES], Literal[KIND_NAMES]
 
+DEMONSTRATION = "demo"  # the target of a launch without a configuration
 MAX_AIRCRAFT = 8  # of a fleet
 _COT_TYPE = r"^[a-z](-[A-Za-z0-9.]+)+$"
 # A circle that is chosen by itself is flown round in 22 s, as recorded targets are watched best, if the band

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,7 +21,7 @@ from sidelong.app.commands.output import (
 from sidelong.app.commands.page_options import BoundsOption, MapOption, PortOption
 from sidelong.app.commands.radius import warn_of_little_room
 from sidelong.app.commands.report import write_fleet_report, write_report
-from sidelong.app.config import MAX_AIRCRAFT, Config, check_flyable, load_config
+from sidelong.app.config import DEMONSTRATION, MAX_AIRCRAFT, Config, check_flyable, load_config
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
 from sidelong.app.flight.outputs import check_sharing
@@ -32,7 +33,7 @@ from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.mcap_writer import mcap_writer_class
 from sidelong.app.records.run_folder import check_space
 from sidelong.app.terrain.elevation_data import elevation_data
-from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, page_address
+from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, free_port, is_desktop, page_address
 
 if TYPE_CHECKING:
     from sidelong.app.commands.launch_one import FlightEnded
@@ -90,7 +91,10 @@ def launch(
         typer.Option(help="Simulated autopilot: arduplane or px4; of a fleet in turn: a,b.", show_default=False),
     ] = None,
     planner: Annotated[str | None, typer.Option(help=f"{' or '.join(PLANNER_NAMES)}.", show_default=False)] = None,
-    view: Annotated[bool, typer.Option("--view", help="Show a live map in the browser.")] = False,
+    view: Annotated[
+        bool | None,
+        typer.Option("--view/--no-view", help="Show a live map in the browser; by default in a desktop session."),
+    ] = None,
     view_port: PortOption = DEFAULT_PORT,
     view_host: Annotated[
         str, typer.Option(help="Address the live map is served at; anything but loopback asks for a token.")
@@ -181,7 +185,7 @@ def launch(
             "system_id": system_id,
         },
         "simulation": {
-            "target": target,
+            "target": target if target or config or connect else DEMONSTRATION,
             "speed": speed,
             "seed": seed,
             "autopilot": autopilot,
@@ -194,7 +198,9 @@ def launch(
     }
     if mcap:
         mcap_writer_class()
-    address = page_address(view, view_host, view_port, view_cert, view_key, map_file, map_bounds)
+    address = _page_address(
+        _is_unasked(view, quiet, json), view, view_host, view_port, view_cert, view_key, map_file, map_bounds
+    )
     if fleet is not None or names_a_fleet(config):
         several = load_fleet(config, overrides, fleet)
         if len(several.aircraft) > 1:
@@ -238,6 +244,28 @@ def launch(
             _write_mcap(ended.folder.path)
         if report:
             write_report(ended.folder.path, ended.folder.path / "report.html")
+
+
+def _is_unasked(view: bool | None, quiet: bool, json: Path | None) -> bool:
+    """Return whether the map is shown although nobody asked for it: in a desktop session."""
+    return view is None and is_desktop() and not quiet and str(json) != "-"
+
+
+def _page_address(
+    unasked: bool,
+    view: bool | None,
+    host: str,
+    port: int,
+    cert: Path | None,
+    key: Path | None,
+    map_file: Path | None,
+    map_bounds: str | None,
+) -> Address | None:
+    """Return where the page is served; a page that nobody asked for takes another port where that one is in use."""
+    if not unasked:
+        return page_address(bool(view), host, port, cert, key, map_file, map_bounds)
+    address = page_address(True, host, free_port(port), cert, key, map_file, map_bounds)
+    return address and replace(address, opens_browser=address.is_local)
 
 
 def _check_input(settings: Config, point_gimbal: bool) -> None:

@@ -17,7 +17,7 @@ from sidelong.app.commands.expected import warn_of_prediction
 from sidelong.app.commands.flying import kept_if_armed, run_flight
 from sidelong.app.commands.output import console, warn
 from sidelong.app.commands.progress import table_progress
-from sidelong.app.config import Config
+from sidelong.app.config import DEMONSTRATION, Config
 from sidelong.app.errors import FlightError, InputError, Interrupted
 from sidelong.app.flight.display import FlightDisplay
 from sidelong.app.flight.flight import Flight, Sharing, connected
@@ -80,7 +80,7 @@ def _with_records_lost(ended: FlightEnded, lost: str) -> FlightEnded:
 @contextlib.asynccontextmanager
 async def _displayed(config: Config, quiet: bool, address: Address | None) -> AsyncIterator[FlightDisplay]:
     """Show the flight on the terminal, and in the browser if it has an address there."""
-    with PanelDisplay(console, quiet, keyboard_descriptor()) as panel:
+    with PanelDisplay(console, quiet, keyboard_descriptor(), calm=config.simulation.target == DEMONSTRATION) as panel:
         if address is None:
             yield panel
             return

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import socket
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +22,7 @@ DEFAULT_PORT = 8420
 class Address:
     """Anything but loopback asks for a token, which the printed address then carries. Port 0 takes a free one.
 
+    opens_browser: whether a browser of this desktop is opened.
     map: what lies under the flight. cert, key: PEM files of the server's certificate and its key; with them the page
     is served by TLS. Raises InputError for an empty host, and for one file without the other.
     """
@@ -28,6 +32,7 @@ class Address:
     cert: Path | None = None
     key: Path | None = None
     map: Background | None = None
+    opens_browser: bool = False
 
     def __post_init__(self) -> None:
         if not self.host.strip():
@@ -46,6 +51,22 @@ class Address:
     @property
     def scheme(self) -> str:
         return "http" if self.cert is None else "https"
+
+
+def is_desktop() -> bool:
+    """Return whether a person at a desktop has started the program, so that a browser can be opened."""
+    has_display = sys.platform == "darwin" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return has_display and sys.stdout.isatty()
+
+
+def free_port(port: int) -> int:
+    """Return a port of the loopback interface if it is free, else 0, which takes any."""
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        try:
+            probe.bind((LOOPBACK[0], port))
+        except OSError:
+            return 0
+    return port
 
 
 def page_address(

@@ -7,6 +7,7 @@ import contextlib
 import json
 import math
 import time
+import webbrowser
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Sequence
 from types import TracebackType
@@ -99,6 +100,11 @@ class ViewDisplay:
     def encrypted(self) -> bool:
         """Whether the page is served by TLS."""
         return self._address.cert is not None
+
+    @property
+    def opens_browser(self) -> bool:
+        """Whether a browser of this desktop is to show the page."""
+        return self._address.opens_browser
 
     async def keep_fresh(self) -> None:
         """Go on telling the page how things stand while nothing happens, until cancelled."""
@@ -240,6 +246,7 @@ async def served(view: View, tell: Callable[[str], object]) -> AsyncIterator[Vie
     """Serve a page meanwhile; ``tell`` hears where it is."""
     with view:
         tell(f"live map: {view.url}")
+        opening = asyncio.create_task(asyncio.to_thread(webbrowser.open, view.url)) if view.opens_browser else None
         if view.viewer_url != view.url:
             tell(f"to watch only: {view.viewer_url}")
             if not view.encrypted:
@@ -249,3 +256,5 @@ async def served(view: View, tell: Callable[[str], object]) -> AsyncIterator[Vie
             yield view
         finally:
             fresh.cancel()
+            if opening is not None:
+                opening.cancel()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import TracebackType
@@ -27,6 +28,9 @@ from sidelong.mission.core.requirement import Requirement
 
 REFRESH_HZ = 4.0
 _PLAIN_LINE_EVERY_S = 60.0  # of the vehicle's time
+_QUIET_S = 10.0  # of the wall clock: least time between two plain lines of a simulation that runs fast
+_CALM = frozenset({"decision", "track", "plan", "sensor"})  # kinds of announcements that may be left out
+_STANDING_M_S = 0.3
 _GAUGE_CELLS = 24
 _LOW_BATTERY_PERCENT, _POOR_LINK_PERCENT = 25, 80
 _OLD_S = 2.0  # a sensor silent for longer is marked
@@ -47,11 +51,20 @@ _QUALITY_STYLES = {TrackQuality.GOOD: "green", TrackQuality.COASTING: "yellow", 
 class PanelDisplay:
     """A ``FlightDisplay`` on the terminal. Use as ``with``. Quiet, it says nothing.
 
-    keyboard: the file descriptor of the terminal where a person may type changes; None: there is none.
+    keyboard: the file descriptor of the terminal where a person may type changes; None: there is none. calm: without
+    a panel, print what is not urgent once in ten seconds at most; the live map and the journal have it all.
     """
 
-    def __init__(self, console: Console, quiet: bool = False, keyboard: int | None = None) -> None:
+    def __init__(
+        self,
+        console: Console,
+        quiet: bool = False,
+        keyboard: int | None = None,
+        calm: bool = False,
+        clock_s: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._console, self._quiet, self._descriptor = console, quiet, keyboard
+        self._calm, self._clock_s, self._printed_s = calm, clock_s, -math.inf
         self._keyboard: Keyboard | None = None
         self._prompt: Prompt | None = None
         self._start_s: float | None = None  # None: not taken over yet, and times mean nothing to a person
@@ -103,16 +116,23 @@ class PanelDisplay:
     def say(self, announcement: Announce) -> None:
         if announcement.kind == "alarm" and not self._quiet and self._console.is_terminal:
             self._console.bell()
+        if announcement.kind in _CALM and self._is_too_soon():
+            return
         since = "" if self._start_s is None else clock(max(announcement.time_s - self._start_s, 0.0))
         self._print(Text(f"{since:>7}  {plain(announcement.text)}", style=STYLES.get(announcement.kind, "")))
 
     def show(self, snapshot: Snapshot) -> None:
         self._snapshot = snapshot
-        if self._live is None and snapshot.time_s - self._plain_s >= _PLAIN_LINE_EVERY_S:
+        due = self._live is None and snapshot.time_s - self._plain_s >= _PLAIN_LINE_EVERY_S
+        if due and not self._is_too_soon():
             self._plain_s = snapshot.time_s
             self._print(Text(self.line(snapshot)))
 
+    def _is_too_soon(self) -> bool:
+        return self._calm and self._live is None and self._clock_s() < self._printed_s + _QUIET_S
+
     def _print(self, text: Text) -> None:
+        self._printed_s = self._clock_s()
         if not self._quiet:
             self._console.print(text, soft_wrap=self._live is None)
 
@@ -229,4 +249,6 @@ def target_range_m(shown: Snapshot) -> float | None:
 
 def target_motion(shown: Snapshot) -> str:
     assert shown.estimate is not None
+    if shown.estimate.speed_m_s < _STANDING_M_S:
+        return "standing"  # its course is noise
     return f"{shown.estimate.speed_m_s:.1f} m/s to {math.degrees(shown.estimate.course_rad) % 360.0:03.0f}°"

@@ -98,6 +98,18 @@ def _u_turn(speed_m_s: float, _rng: np.random.Generator) -> Iterator[Leg]:
     return itertools.cycle((Leg(120.0, speed_m_s), Leg(half_turn_s, speed_m_s, math.pi / half_turn_s)))
 
 
+def _demo(speed_m_s: float, _rng: np.random.Generator) -> Iterator[Leg]:
+    """Everything within three minutes: walk, bend, stop for a while, turn back; and so on."""
+    legs = (
+        Leg(60.0, speed_m_s),
+        Leg(60.0, speed_m_s, turn_before_rad=math.radians(60.0)),
+        Leg(15.0, 0.0),
+        Leg(90.0, speed_m_s, turn_before_rad=math.pi),
+        Leg(75.0, 0.6 * speed_m_s, turn_before_rad=math.radians(-70.0)),
+    )
+    return itertools.cycle(legs)
+
+
 def _circle(speed_m_s: float, _rng: np.random.Generator) -> Iterator[Leg]:
     return itertools.repeat(Leg(math.inf, speed_m_s, speed_m_s / 60.0))
 
@@ -110,6 +122,7 @@ MOTIONS: dict[str, Callable[[float, np.random.Generator], Iterator[Leg]]] = {
     "walk": _walk,
     "u-turn": _u_turn,
     "circle": _circle,
+    "demo": _demo,
 }
 
 

@@ -45,6 +45,15 @@ def test_a_u_turn_comes_back():
     assert away_m[1500:].min() < 20.0
 
 
+def test_the_demonstration_walks_stops_and_turns_back_within_three_minutes():
+    points = path(built_in_motion("demo", START_M, 3.0, np.random.default_rng(1)), 180.0)
+    speed = speeds(points)
+    away_m = np.hypot(*(points - START_M).T)
+    assert speed[:1190].min() == pytest.approx(3.0)
+    assert (speed < 1e-9).sum() == pytest.approx(150, abs=2)  # 15 s
+    assert away_m[-1] < away_m[1300] - 100.0  # it is on its way back
+
+
 def test_a_circle_closes():
     points = path(built_in_motion("circle", START_M, 3.0, np.random.default_rng(1)), 2 * math.pi * 60.0 / 3.0 + 0.1)
     assert math.dist(points[-1], START_M) < 0.4
