@@ -41,7 +41,7 @@ class PresentWatch:
         self._course = TargetCourse(STANDING_M_S)
 
     def of(self, snapshot: Snapshot) -> Watch:
-        """Return how the target is watched. Band and side are unknown while the track is lost or the link is down."""
+        """Return how the target is watched. Band and side are unknown while an input or the link fails."""
         estimate, aircraft, requirement = snapshot.estimate, snapshot.aircraft, snapshot.requirement
         if estimate is None or aircraft is None:
             return Watch()
@@ -56,7 +56,8 @@ class PresentWatch:
         middle = middle_rad(wanted, math.nan if course_rad is None else course_rad)
         angle_rad = None if math.isnan(middle) else wrap_rad(math.atan2(east_m, north_m) - middle)
         found = Watch(range_m, angle_rad, course_rad=course_rad, present_course_rad=present_rad)
-        if estimate.quality is TrackQuality.LOST or not snapshot.sensor_status.connected or snapshot.turn_payload:
+        elsewhere = snapshot.turn_payload or not snapshot.sensor_status.connected
+        if estimate.quality is TrackQuality.LOST or snapshot.unknown or elsewhere:
             return found
         in_band = requirement.range_min_m <= range_m <= requirement.range_max_m
         on_side = None if angle_rad is None else abs(angle_rad) <= allowed_rad(wanted)

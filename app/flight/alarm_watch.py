@@ -59,6 +59,7 @@ class AlarmWatch:
         self._heard_at_s = clock_s()
         self._known: VehicleStatus | None = None
         self._known_at_s = -math.inf
+        self._looked_at_s = clock_s()
         self._looked_s = self._reported_s = self._sent_s = -math.inf
         self.left_s: float | None = None
         self.home_s: float | None = None
@@ -78,10 +79,10 @@ class AlarmWatch:
             self._put(wish)
 
     async def run(self) -> None:
-        """Look also while nothing is received, until cancelled."""
+        """Look also while the vehicle's clock stands still, until cancelled."""
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
-            if self._snapshot is not None and not self._snapshot.sensor_status.connected:
+            if self._snapshot is not None and self._clock_s() >= self._looked_at_s + _LOOK_EVERY_S:
                 self._look(self._snapshot)
 
     def say(self, announcement: Announce) -> None:
@@ -101,7 +102,7 @@ class AlarmWatch:
         return self._snapshot is not None and self._snapshot.sensor_status.connected
 
     def _look(self, snapshot: Snapshot) -> None:
-        self._looked_s = snapshot.time_s
+        self._looked_s, self._looked_at_s = snapshot.time_s, self._clock_s()
         if not math.isfinite(snapshot.time_s):
             return
         status = self._recent_status()
@@ -151,10 +152,7 @@ class AlarmWatch:
             lost=estimate is not None and estimate.quality is TrackQuality.LOST and not elsewhere,
             gives_up_in_s=planner.give_up_after_s - (unseen_s or 0.0) if gives_up else None,
             at_give_up=planner.at_end,
-            laser_s=math.inf if elsewhere else now_s - sensors.range_s,
-            gimbal_s=math.inf if elsewhere else now_s - sensors.gimbal_s,
-            sightings=sensors.sightings,
-            rejected=sensors.rejected,
+            health=() if elsewhere else snapshot.health,
             gps=status.gps or "",
             good_gps=status.gps_good,
             battery_percent=status.battery_percent,

@@ -166,6 +166,7 @@ class StateEncoder:
             "vehicle": None if vehicle is None else _vehicle(vehicle),
             "alarms": [] if vehicle is None else alarms_of("", vehicle),
             "over": snapshot.over,
+            "unknown": snapshot.unknown,
             "share_in_band": self._in_band.share(time_s, watch.in_band),
             "share_on_side": self._on_side.share(time_s, watch.on_side),
         }

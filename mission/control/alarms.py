@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from sidelong.mission.core.inputs import Input, InputReport, InputState
+
 _SETTLED_AFTER_S = 120.0  # an aircraft that has not reached band and side by then will be late
-_UNSEEN_S = _SILENT_S = 10.0  # lasers miss for up to 8 s all the time
-_SHARE_OVER_S, _REJECTED_SHARE, _LEAST_SIGHTINGS = 60.0, 0.25, 20
+_UNSEEN_S = 10.0  # lasers miss for up to 8 s all the time
 _RESERVE_PERCENT_WARNED = 25  # where the consumption is not known yet
 
 
@@ -31,10 +31,7 @@ class Situation:
         lost: Whether the track is lost.
         gives_up_in_s: When the mission will end because the target is lost; None: it will not.
         at_give_up: What the aircraft then does.
-        laser_s: Age of the latest range, inf before the first one.
-        gimbal_s: Age of the latest line of sight.
-        sightings: Number of sightings so far.
-        rejected: Number of rejected ones.
+        health: The states of the inputs.
         gps: The GPS fix in words; good_gps: whether it is good enough, None: unknown.
         battery_percent: Charge; None: unknown.
         endurance_s: Flight time left until the reserve; None: unknown.
@@ -55,10 +52,7 @@ class Situation:
     lost: bool = False
     gives_up_in_s: float | None = None
     at_give_up: str = "return"
-    laser_s: float = math.inf
-    gimbal_s: float = math.inf
-    sightings: int = 0
-    rejected: int = 0
+    health: tuple[InputReport, ...] = ()
     gps: str = ""
     good_gps: bool | None = None
     battery_percent: float | None = None
@@ -106,7 +100,6 @@ class Alarms:
         self.active: tuple[Alarm, ...] = ()
         self._begun_s: float | None = None
         self._was_in_band = self._was_on_side = False
-        self._counts: deque[tuple[float, int, int]] = deque()
         self._wrong_since_s: dict[str, float] = {}
         self._right_since_s: dict[str, float] = {}
 
@@ -135,9 +128,6 @@ class Alarms:
             self._begun_s = now.time_s
         self._was_in_band |= now.in_band is True
         self._was_on_side |= now.on_side is True
-        self._counts.append((now.time_s, now.sightings, now.rejected))
-        while len(self._counts) > 1 and self._counts[1][0] <= now.time_s - _SHARE_OVER_S:
-            self._counts.popleft()
 
     def _judged(self, rule: _Rule, before: Alarm | None, now: Situation) -> Alarm | None:
         if not now.connected and rule.key not in ("link", "yield"):
@@ -170,14 +160,6 @@ class Alarms:
     def was_on_side(self) -> bool:
         """Whether the aircraft was on the required side since the beginning."""
         return self._was_on_side
-
-    @property
-    def rejected_share(self) -> float:
-        """The share of sightings of the last minute that were rejected, 0..1; 0 where they are few."""
-        _, first, first_rejected = self._counts[0]
-        _, last, last_rejected = self._counts[-1]
-        sightings = last - first
-        return (last_rejected - first_rejected) / sightings if sightings >= _LEAST_SIGHTINGS else 0.0
 
 
 def _link(_alarms: Alarms, now: Situation) -> str:
@@ -212,20 +194,14 @@ def _side(alarms: Alarms, now: Situation) -> str:
     return "the aircraft is not on the required side" if wrong else ""
 
 
-def _laser(_alarms: Alarms, now: Situation) -> str:
-    silent = now.in_hand and _SILENT_S <= now.laser_s < math.inf
-    return f"no range from the laser for {now.laser_s:.0f} s" if silent else ""
+def _input(one: Input) -> Callable[[Alarms, Situation], str]:
+    """Return the text of an input's alarm."""
 
+    def text(_alarms: Alarms, now: Situation) -> str:
+        bad = (report.text for report in now.health if report.input is one and report.state in _BAD)
+        return next(bad, "") if now.in_hand else ""
 
-def _gimbal(_alarms: Alarms, now: Situation) -> str:
-    silent = now.in_hand and _SILENT_S <= now.gimbal_s < math.inf
-    return f"no line of sight from the gimbal for {now.gimbal_s:.0f} s" if silent else ""
-
-
-def _sightings(alarms: Alarms, now: Situation) -> str:
-    share = alarms.rejected_share
-    wrong = now.in_hand and share > _REJECTED_SHARE
-    return f"{100.0 * share:.0f} % of the sightings of the last minute were rejected" if wrong else ""
+    return text
 
 
 def _gps(_alarms: Alarms, now: Situation) -> str:
@@ -246,15 +222,22 @@ def _battery(_alarms: Alarms, now: Situation) -> str:
 LOW_BATTERY = 1.2
 """The battery is low when the flight time left is below this many times the time to fly home."""
 
+_BAD = (InputState.STALE, InputState.INCONSISTENT)
+_INPUTS = {
+    Input.POSITION: "be ready to take over by the transmitter",
+    Input.ATTITUDE: "check the autopilot; be ready to take over",
+    Input.HEARTBEAT: "check the autopilot; be ready to take over by the transmitter",
+    Input.LASER: "the track coasts without it",
+    Input.GIMBAL: "the track coasts without it",
+    Input.SIGHTINGS: "check the gimbal's mount and flags, and the units of the laser",
+}
 _RULES = (
     _Rule("yield", _yielded, "you, or another station, fly the aircraft; start launch again to resume the watch"),
     _Rule("separation", _separation, "change the height of one of the two, or take over", clear_s=0.0),
     _Rule("link", _link, "check radio and antenna; to act now use the transmitter", clear_s=0.0),
     _Rule("battery", _battery, "let it fly home now, or switch to RTL", after_s=2.0),
     _Rule("target", _target, "point the camera at the target, or press Hold to keep circling here"),
-    _Rule("laser", _laser, "check the laser and its link; the track coasts without it"),
-    _Rule("gimbal", _gimbal, "check the gimbal and its link; the track coasts without it"),
-    _Rule("sightings", _sightings, "laser and line of sight disagree: check the gimbal's mount and units", 5.0),
+    *(_Rule(one.value, _input(one), advice, clear_s=0.0) for one, advice in _INPUTS.items()),
     _Rule("gps", _gps, "the positions are uncertain: be ready to take over", after_s=2.0),
     _Rule("band", _band, "wait for the next relocation, or change the band or the circle", after_s=2.0),
     _Rule("side", _side, "wait for the next relocation, or change the side", after_s=20.0),

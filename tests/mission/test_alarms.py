@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from sidelong.mission.control.alarms import ALARM_KEYS, Alarms, Situation
+from sidelong.mission.core.inputs import Input, InputReport, InputState
 
 GOOD = Situation(
     0.0,
@@ -16,22 +17,26 @@ GOOD = Situation(
     range_m=300.0,
     unseen_s=0.1,
     gives_up_in_s=299.9,
-    laser_s=0.1,
-    gimbal_s=0.05,
+    health=tuple(InputReport(one, InputState.OK, 0.0, "", 10.0, "") for one in Input),
     gps="3D, 12 satellites",
     good_gps=True,
     battery_percent=80.0,
     endurance_s=3000.0,
     home_s=60.0,
 )
+
+
+def faulty(one, state=InputState.STALE):
+    return (InputReport(one, state, 100.0, "", 0.0, f"no data from the {one}"),)
+
+
 CAUSES = {
     "yield": {"yielded": "the flight mode was changed to LOITER", "in_hand": False},
     "separation": {"separation": "only 42 m from south; 50 m are required"},
     "link": {"connected": False, "silent_s": 3.0},
     "battery": {"battery_percent": 30.0, "endurance_s": 70.0},
     "target": {"unseen_s": 12.0, "gives_up_in_s": 288.0},
-    "laser": {"laser_s": 11.0},
-    "gimbal": {"gimbal_s": 11.0},
+    **{one.value: {"health": faulty(one)} for one in Input if one not in (Input.LINK, Input.NEIGHBOURS)},
     "gps": {"gps": "2D", "good_gps": False},
     "band": {"in_band": False, "range_m": 80.0},
     "side": {"on_side": False},
@@ -69,7 +74,7 @@ def test_each_alarm_is_raised_and_cleared_within_five_seconds(key):
 
 
 def test_every_alarm_is_tried_here():
-    assert {*CAUSES, "sightings"} == set(ALARM_KEYS)
+    assert {*CAUSES} == set(ALARM_KEYS)
 
 
 @pytest.mark.parametrize(("key", "moment_s"), [("band", 1.0), ("side", 19.0), ("gps", 1.0), ("battery", 1.0)])
@@ -97,22 +102,12 @@ def test_on_the_way_to_the_first_circle_band_and_side_are_no_alarm():
     assert {key for _, key, raised in late if raised} == {"band", "side"}
 
 
-def test_rejected_sightings_are_an_alarm_within_a_minute():
+@pytest.mark.parametrize(("state", "raised"), [(InputState.INCONSISTENT, True), (InputState.SWITCHED, False)])
+def test_an_input_is_an_alarm_when_it_cannot_be_used(state, raised):
     alarms = Alarms()
-    changes = []
-    for tick in range(400):
-        sightings = 2 * tick
-        rejected = max(0, sightings - 400) // 2  # half of them from 100 s on
-        raised, cleared = alarms.update(replace(GOOD, time_s=tick / 2, sightings=sightings, rejected=rejected))
-        changes += [(tick / 2, one.key) for one in (*raised, *cleared)]
-    ((at_s, key),) = changes
-    assert key == "sightings"
-    assert 100.0 < at_s <= 140.0
-
-
-def test_few_sightings_are_no_reason_to_blame_the_gimbal():
-    alarms = Alarms()
-    assert flown(alarms, 60.0, sightings=10, rejected=9) == []
+    flown(alarms, 100.0)
+    changes = flown(alarms, 101.0, 100.0, health=faulty(Input.LASER, state))
+    assert [key for _, key, _ in changes] == (["laser"] if raised else [])
 
 
 def test_a_silent_link_freezes_the_other_alarms():
@@ -141,14 +136,14 @@ def test_a_lost_target_counts_down_to_the_flight_home_and_holding_stops_it():
 def test_acknowledging_keeps_the_alarm_until_its_cause_is_gone():
     alarms = Alarms()
     flown(alarms, 100.0)
-    flown(alarms, 101.0, 100.0, laser_s=11.0)
+    flown(alarms, 101.0, 100.0, health=faulty(Input.LASER))
     assert alarms.acknowledge("laser")
     assert not alarms.acknowledge("laser")
     assert not alarms.acknowledge("gimbal")
-    flown(alarms, 105.0, 101.0, laser_s=14.0)
+    flown(alarms, 105.0, 101.0, health=faulty(Input.LASER))
     assert alarms.active[0].acknowledged
     flown(alarms, 110.0, 105.0)
-    flown(alarms, 111.0, 110.0, laser_s=11.0)
+    flown(alarms, 111.0, 110.0, health=faulty(Input.LASER))
     assert not alarms.active[0].acknowledged  # it is another one
 
 
@@ -170,5 +165,5 @@ def test_the_battery_is_low_at_120_percent_of_the_flight_home(percent, endurance
 
 
 def test_before_the_takeover_nothing_is_judged():
-    unknown = {"in_hand": False, "in_band": False, "on_side": False, "unseen_s": 60.0, "laser_s": 60.0}
+    unknown = {"in_hand": False, "in_band": False, "on_side": False, "unseen_s": 60.0, "health": faulty(Input.LASER)}
     assert flown(Alarms(), 300.0, **unknown, battery_percent=5.0) == []

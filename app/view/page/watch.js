@@ -22,8 +22,9 @@ export function showWatch(band, side, state, setting) {
   const inBand = target?.in_band ?? null;
   const onSide = target?.on_side ?? null;
   const range = target ? `${Math.round(target.range_m)} m` : "unknown";
+  const why = state.unknown && inBand === null ? ` (${state.unknown})` : "";
   indicator(band, inBand !== null, inBand, ["In band", "Out of band", "Band unknown"],
-    `required: ${asked.range_min_m} to ${asked.range_max_m} m; now: ${range}`);
+    `required: ${asked.range_min_m} to ${asked.range_max_m} m; now: ${range}${why}`);
   const now = target ? place(target, state.side, setting.sector_rad) : "unknown";
   indicator(side, onSide !== null, onSide, ["On side", "Off side", "Side unknown"], `required: ${asked.side}; now: ${now}`);
 }
