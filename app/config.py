@@ -228,6 +228,8 @@ class LinkSection(Section):
     """How long to wait for the autopilot's first heartbeat, s."""
     few_messages: bool | None = None
     """Ask for as few messages as the mission can live on; none: on a serial line of 57,600 baud or less."""
+    take_over_from: list[str] = Field(default_factory=list)
+    """Modes out of which a flying aircraft may be taken that else are left alone: RTL, LAND and so on, failsafe."""
     set_parameters: bool = False
     """Set the autopilot's parameters that stand in the way, and set them back at the end."""
 

@@ -31,6 +31,7 @@ _EXAMPLES = {
     "link.url": '"udpin://0.0.0.0:14540"',
     "link.urls": '["serial:///dev/ttyUSB0:57600", "udpin://0.0.0.0:14550"]',
     "link.few_messages": "true",
+    "link.take_over_from": '["RTL"]',
     "link.signing_key_file": '"vehicle.key"',
     "planner.winds_m_s": "[4.0, 8.0]",
     "fences.keep_in": "[[[47.40, 8.50], [47.42, 8.50], [47.42, 8.53], [47.40, 8.53]]]",

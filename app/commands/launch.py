@@ -158,6 +158,14 @@ def launch(
     set_parameters: Annotated[
         bool, typer.Option("--set-parameters", help="Set the parameters that stand in the way; back at the end.")
     ] = False,
+    take_over_from: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="MODE",
+            help="Take a flying aircraft over out of RTL, LAND or failsafe (repeatable); else that is refused.",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Where run folders are made.")] = Path("runs"),
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
@@ -181,6 +189,7 @@ def launch(
         "link": {
             "urls": connect or None,
             "set_parameters": set_parameters or None,
+            "take_over_from": take_over_from or None,
             "signing_key_file": signing_key,
             "system_id": system_id,
         },

@@ -32,7 +32,7 @@ from sidelong.app.flight.outputs import open_beacon, outputs
 from sidelong.app.flight.payload_input import PayloadRunner
 from sidelong.app.flight.point_gimbal import GimbalPointer
 from sidelong.app.flight.point_payload import PayloadPointer
-from sidelong.app.flight.preflight import autopilot_of, check_release, checks
+from sidelong.app.flight.preflight import autopilot_of, check_release, check_takeover, checks
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.round_trip import RoundTripWatch
 from sidelong.app.flight.source_rates import SourceRates
@@ -217,6 +217,7 @@ class Flight:
         for sentence in parameters.missing:
             self._display.note(sentence)
         home, required_parameters = await self._check(parameters, sources)
+        check_takeover(self._vehicle, self._config.link.take_over_from)
         sources.close()
         self._vehicle.listeners.remove(self._telemetry.event)
         self._vehicle.listeners.remove(self._senders.message)  # from here on the control step looks

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.source_rates import SourceRate
 from sidelong.app.link.modes import TYPE_FIXED_WING
+from sidelong.app.link.queries import is_flying, mode_of
 from sidelong.app.link.telemetry import has_fix
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.terrain.elevation_data import elevation_data
@@ -24,6 +26,9 @@ _VTOL_TYPES = frozenset({19, 20, 21, 22, 23, 24, 25})  # MAV_TYPE_VTOL_*
 _MIN_RATE_HZ = 0.5
 _HOME_OFF_MAX_M = 60.0  # geoid models differ by a metre, a GPS height by some, terrain data by twenty
 _TERRAIN_OFF_MAX_M = 40.0  # other posts, other sources
+FAILSAFE = "failsafe"
+_RECOVERY_MODES = frozenset({"RTL", "QRTL", "LAND", "QLAND", "AUTOLAND", "DESCEND", "TERMINATION"})
+_FAILSAFE_STATES = (5, 6, 8)  # MAV_STATE_CRITICAL, MAV_STATE_EMERGENCY, MAV_STATE_FLIGHT_TERMINATION
 _NAMED = (Purpose.GROUND_STATION, Purpose.MISSION_ITEMS)
 _SENSORS = {
     0x1: "gyroscope",
@@ -50,6 +55,32 @@ class Check:
 
     def __str__(self) -> str:
         return f"{self.name}: {self.found}" + (f"; {self.remedy}" if self.remedy and not self.ready else "")
+
+
+def check_takeover(vehicle: Vehicle, allowed: Sequence[str]) -> None:
+    """Check that no flying aircraft is silently taken out of a return, a landing or a failsafe.
+
+    Args:
+        vehicle: The vehicle, whose heartbeat was received.
+        allowed: The modes out of which the operator wants it taken over; ``failsafe`` stands for all failsafes.
+
+    Raises:
+        InputError: It flies in such a mode, and the operator has not named it.
+
+    """
+    if not is_flying(vehicle):
+        return
+    mode, state = mode_of(vehicle), int(vehicle.latest["HEARTBEAT"].fields["system_status"])
+    reasons = [mode] if mode in _RECOVERY_MODES else []
+    if state in _FAILSAFE_STATES:
+        reasons.append(FAILSAFE)
+    refused = [reason for reason in reasons if reason.upper() not in {one.upper() for one in allowed}]
+    if refused:
+        options = " ".join(f"--take-over-from {reason}" for reason in refused)
+        raise InputError(
+            f"the aircraft flies in {' and '.join(refused)}, which the pilot or the autopilot has chosen; "
+            f"change the flight mode, or take it over by {options}."
+        )
 
 
 def autopilot_of(vehicle: Vehicle) -> Autopilot:

@@ -6,7 +6,8 @@ from sidelong.app.autopilots.arduplane import ArduPlane
 from sidelong.app.autopilots.parameter import ParameterTable
 from sidelong.app.autopilots.px4 import Px4
 from sidelong.app.config import Config
-from sidelong.app.flight.preflight import checks
+from sidelong.app.errors import InputError
+from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.source_rates import SourceRate
 from sidelong.app.link.message import Message
 from sidelong.estimators.sensing.readings import Source
@@ -89,3 +90,37 @@ LISTENING = {"sharing": {"beacon": "udp://0.0.0.0:6969"}}
 def test_laser_and_gimbal_are_asked_for_unless_somebody_else_tells_the_place(configured, rates, missing):
     found = checks(Config.model_validate(configured), Silent(), Px4(), NOTHING_READ, None, rates)
     assert [check.name for check in found if "source" in check.name and not check.ready] == missing
+
+
+class Flying:
+    """An armed ArduPlane at 100 m, in a mode by its number."""
+
+    def __init__(self, mode: int, state: int = 4, height_m: float = 100.0) -> None:
+        heartbeat = {"autopilot": 3, "base_mode": 0x80 | 1, "custom_mode": mode, "system_status": state}
+        position = {"relative_alt": round(height_m * 1e3)}
+        fields = {"HEARTBEAT": heartbeat, "GLOBAL_POSITION_INT": position}
+        self.latest = {name: Message(name, 1, 1, values, 0.0) for name, values in fields.items()}
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "allowed", "refused"),
+    [
+        (Flying(10), (), ""),  # AUTO
+        (Flying(11), (), "--take-over-from RTL"),
+        (Flying(11), ("rtl",), ""),
+        (Flying(11), ("LAND",), "--take-over-from RTL"),
+        (Flying(26), (), "--take-over-from AUTOLAND"),
+        (Flying(10, state=5), (), "--take-over-from failsafe"),
+        (Flying(11, state=6), ("RTL",), "--take-over-from failsafe"),
+        (Flying(11, state=6), ("RTL", "failsafe"), ""),
+        (Flying(11, height_m=0.0), (), ""),  # on the ground
+    ],
+)
+def test_an_aircraft_on_its_way_home_is_not_taken_over_silently(vehicle, allowed, refused):
+    if not refused:
+        check_takeover(vehicle, allowed)
+        return
+    with pytest.raises(InputError) as why:
+        check_takeover(vehicle, allowed)
+    assert refused in str(why.value)
+    assert "change the flight mode" in str(why.value)
