@@ -15,15 +15,15 @@ def requirement(side: Side = Side.LEFT, range_max_m: float = 500.0) -> Requireme
 
 
 def test_left_of_a_target_that_drives_east_is_north_and_flown_clockwise() -> None:
-    assert circle_beside(10.0, 20.0, math.pi / 2, AIRCRAFT, requirement()) == Circle(
-        pytest.approx(10.0), pytest.approx(170.0), 50.0, True
-    )
+    circle = circle_beside(10.0, 20.0, math.pi / 2, AIRCRAFT, requirement())
+    assert (circle.east_m, circle.north_m) == pytest.approx((10.0, 170.0))
+    assert (circle.radius_m, circle.clockwise) == (50.0, True)
 
 
 def test_right_of_a_target_that_drives_north_is_east_and_flown_counter_clockwise() -> None:
-    assert circle_beside(0.0, 0.0, 0.0, AIRCRAFT, requirement(Side.RIGHT)) == Circle(
-        pytest.approx(150.0), pytest.approx(0.0, abs=1e-9), 50.0, False
-    )
+    circle = circle_beside(0.0, 0.0, 0.0, AIRCRAFT, requirement(Side.RIGHT))
+    assert (circle.east_m, circle.north_m) == pytest.approx((150.0, 0.0))
+    assert (circle.radius_m, circle.clockwise) == (50.0, False)
 
 
 def test_a_target_that_has_not_moved_is_watched_from_where_the_aircraft_is() -> None:
