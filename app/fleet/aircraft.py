@@ -47,7 +47,7 @@ class FleetAircraft:
             self.recording.frame(data)
 
     def trouble(self, text: str) -> None:
-        """Tell of trouble, from any thread."""
+        """Display a problem, from any thread."""
         self._event_loop.call_soon_threadsafe(self.display.note, text)
 
     @property

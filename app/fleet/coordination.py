@@ -1,4 +1,4 @@
-"""The coordinator beside the flights: brings it what they report, and them what it says; its journal holds both."""
+"""Connects the coordinator with the flights: passes reports and advice on, and keeps both in its journal."""
 
 from __future__ import annotations
 
@@ -43,13 +43,21 @@ FLEET_JOURNAL_TYPES: tuple[type, ...] = (*get_args(FleetEvent), *get_args(FleetC
 
 _TICK_S = 0.5  # of mission time
 _POLL_S = 0.05
-_STANDING_S = 1.0  # of the wall clock: mission time that nobody tells any more goes on by that
+_STANDING_S = 1.0  # of the wall clock: without any vehicle's clock, mission time advances by this per second
 
 
 class Participant:
-    """One aircraft, as the coordination knows it. tell: puts an event into its core; now_s: its clock.
+    """One aircraft of the fleet.
 
-    home_above_m: its home over the one that all heights are told above. mission_s: what time the others have come to.
+    Args:
+        name: Its name.
+        controller: Its control step.
+        tell: Puts an event into its core.
+        now_s: Returns the time of its clock, s.
+        home_above_m: Height of its home above the common home, m.
+        mission_s: Returns the mission time that the others have reached, s.
+        to_mission_s: Converts the time of a source into mission time.
+
     """
 
     def __init__(
@@ -72,8 +80,8 @@ class Participant:
 class Coordination:
     """Steps the coordinator by what the aircraft report, in the order in which it comes.
 
-    note hears what is to be told to a person, beginning with the aircraft's name where it is about one. changes: of
-    what is asked of each target, (since, requirement) in mission time.
+    note receives the name of an aircraft, '' for all, and the text to display. changes: of the requirement of each
+    target, as (since, requirement) in mission time.
     """
 
     def __init__(
@@ -104,9 +112,9 @@ class Coordination:
         return max(self._ticked_s, *(self._mission_s(one) for one in self._participants.values()))
 
     def told_by_others_s(self, name: str) -> float:
-        """Return what mission time it is by the clocks of the others that tell one; NaN where none does.
+        """Return mission time by the clocks of the others, s; NaN where none of them advances.
 
-        The clock of one that has gone home, or is silent, stands still: it tells none.
+        The clock of an aircraft that has landed or is silent stands still and does not count.
         """
         since_s = time.monotonic() - _STANDING_S
         known = [
@@ -137,7 +145,7 @@ class Coordination:
         if now_s < self._ticked_s + _TICK_S:
             if wall_s - self._moved_s < _STANDING_S:
                 return
-            now_s += _STANDING_S  # nobody is heard any more
+            now_s += _STANDING_S  # no vehicle is received any more
         if math.isfinite(now_s):
             self._ticked_s, self._moved_s = now_s, wall_s
             self._put(Tick(now_s))
@@ -167,7 +175,7 @@ class Coordination:
             self._battery(participant, int(message.fields["battery_remaining"]))
 
     def _compare_utc(self) -> None:
-        """Believe nobody's UTC any more where two of them differ: by the answers to this computer all agree."""
+        """Stop using UTC where two vehicles disagree: by their answers to this computer all agree."""
         ahead_s = {name: one.clock.utc_ahead_s for name, one in self._participants.items()}
         known = [(*span, name) for name, span in ahead_s.items() if span is not None]
         if self._utc_doubted or not known:
@@ -237,7 +245,7 @@ def _common_heights(event: FleetEvent, by_m: float) -> FleetEvent:
 
 
 def _own_heights(told: FleetAdvice | NeighbourPlanned, by_m: float) -> FleetAdvice | NeighbourPlanned:
-    """Return what an aircraft is told with heights above its own home."""
+    """Return an event for an aircraft with heights above its own home."""
     if by_m == 0.0:
         return told
     if isinstance(told, NeighbourPlanned):

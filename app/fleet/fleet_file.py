@@ -1,6 +1,6 @@
 """The fleet file: today's configuration with several ``[[aircraft]]`` in place of one ``[aircraft]``.
 
-What is not told of an aircraft itself (requirement, planner, fences, ...) holds for all of them.
+Sections without a value of its own (requirement, planner, fences, ...) hold for all aircraft.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class FleetAircraftSection(AircraftSection):
     reserve: bool = False
     """It waits on the ground until it is wanted: another is lost, or has to be relieved."""
     relieve_after_min: float | None = Field(None, gt=0)
-    """Another takes its place after it has watched for so long, min; none: only when its battery is low."""
+    """Watching time after which another aircraft relieves it, min; none: only when its battery is low."""
     sensors: SensorsSection = SensorsSection()  # type: ignore[call-arg]  # every field has a default
     """What differs from [sensors] for its payload."""
     target: str | None = None
@@ -254,7 +254,7 @@ def _own_links(one: FleetAircraftSection) -> tuple[str, ...]:
 
 
 def names_a_fleet(path: Path | None) -> bool:
-    """Tell whether a configuration file has ``[[aircraft]]``. Raises InputError for what is no TOML file."""
+    """Return whether a configuration file has ``[[aircraft]]``. Raises InputError if it is not a TOML file."""
     return path is not None and isinstance(read_toml(path).get("aircraft"), list)
 
 

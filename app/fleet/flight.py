@@ -1,8 +1,8 @@
-"""The flight of a fleet: each aircraft its own flight, the coordinator beside them, and what becomes of one alone.
+"""The flight of a fleet: one flight for each aircraft, the coordinator, and what happens if one of them fails.
 
 | | before anything was commanded | later |
 | --- | --- | --- |
-| one aircraft is not heard or not ready | all are given up; where others fly already, it is left out | |
+| one aircraft is not received or not ready | all are given up; where others fly already, it is left out | |
 | one link, autopilot or payload is lost, a pilot takes over, a flight fails | | the others go on |
 | an interrupt, the end of the simulation | given up at once | all are wound up |
 
@@ -55,7 +55,7 @@ _POLL_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class FleetEnded:
-    """How a fleet's flight ended. reason: what it is told and exits with, None when it has come to its end."""
+    """How a fleet's flight ended. reason: the error that the program reports and exits with, None at a normal end."""
 
     folder: FleetFolder
     summary: FleetSummary
@@ -63,7 +63,7 @@ class FleetEnded:
 
 
 class FleetFlight:
-    """Flies a fleet. display: of one aircraft, by its name; note: tells about all of them."""
+    """Flies a fleet. display: returns the display of an aircraft by name; note: displays a text about all of them."""
 
     def __init__(
         self,
@@ -163,7 +163,7 @@ class FleetFlight:
         return [(url,) for url in vehicles.urls], True
 
     def _come_to_s(self) -> float:
-        """Return the time of the simulation that all have come to who are heard and whose flights are not over."""
+        """Return the time of the simulation that all aircraft have reached that are received and still fly."""
         heard = [one for one in self._aircraft if one.joined and not one.outcome and one.is_heard]
         return min((one.flight.come_to_s for one in heard), default=math.inf)
 

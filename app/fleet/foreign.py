@@ -1,4 +1,4 @@
-"""Aircraft that are not ours, as the links tell of them: ADSB_VEHICLE, and positions of other systems."""
+"""Aircraft that are not ours, as the links report them: ADSB_VEHICLE, and positions of other systems."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _UNKNOWN_COURSE = 36_000  # hundredths of a degree, and more
 
 
 class ForeignAircraft:
-    """Hears messages of all senders; ``report`` tells each aircraft once a second.
+    """Reads messages of all senders; ``report`` returns each aircraft once a second.
 
-    own_ids: system ids of the fleet. now_s: mission time. home_altitude_m: of the home that heights are told above.
+    own_ids: system ids of the fleet. now_s: mission time. home_altitude_m: of the home that heights refer to.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The report of a fleet's flight: what all kept together, beside the page of each aircraft."""
+"""The report of a fleet's flight: the results of all together, with links to the page of each aircraft."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The terminal for a fleet: a panel with a row for each aircraft, what is said above it; plain lines without one."""
+"""The terminal of a fleet: a panel with a row for each aircraft and messages above it; else plain lines."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class AircraftDisplay:
         self.snapshot = snapshot
 
     def plain_line(self) -> None:
-        """Tell how things stand, once in a while."""
+        """Print the state once a minute."""
         shown = self.snapshot
         if shown is not None and shown.time_s - self._told_s >= _PLAIN_LINE_EVERY_S:
             self._told_s = shown.time_s
@@ -124,7 +124,7 @@ class FleetPanel:
         return display
 
     def note(self, text: str) -> None:
-        """Tell about all of them."""
+        """Print a text about the whole fleet."""
         self._print(Text(plain(text)))
 
     def _print(self, text: Text) -> None:

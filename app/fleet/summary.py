@@ -19,7 +19,7 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
 _STEP_S, _APART_STEP_S = 0.5, 0.2
-_HOLDS_S = 2.5  # so long a moment counts where none follows
+_HOLDS_S = 2.5  # how long a moment counts where none follows
 _GAP_MAX_S = 2.0  # of a track: nothing is known of longer ones
 _AIRBORNE_M = 10.0  # above home; lower, aircraft may stand side by side
 

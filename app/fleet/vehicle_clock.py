@@ -1,4 +1,4 @@
-"""What a vehicle's messages tell of its clock: when it was what time for everybody."""
+"""Mission time of one vehicle's clock, from the messages that report both."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _UTC_VALID_S = 10.0
 _UTC_AWAITED_S = 3.0  # at the beginning, before the answers to TIMESYNC are used
 _ASKED_MAX_S = 10.0
 _RATE_OVER_S, _RATE_OFF_MAX = 4.0, 0.2  # of the vehicle's clock; a clock that is set once passes for a while only
-_AGREES_S = 0.25  # beside half a round trip: what a busy computer adds to it
+_AGREES_S = 0.25  # in addition to half a round trip: the delay of a busy computer
 
 
 class _SameRate:
@@ -59,13 +59,19 @@ class MissionScale:
 
 
 class VehicleClockReader:
-    """Hears one vehicle's SYSTEM_TIME, which tells UTC and its own clock at once; without UTC, its TIMESYNC.
+    """Reads one vehicle's SYSTEM_TIME, which holds UTC and the vehicle's own clock; without UTC, its TIMESYNC.
 
-    The answer to TIMESYNC tells its clock half a round trip ago: half of that is what is not known of it. Where there
-    is neither, its positions count as made when they came. Of a simulator that goes faster than time does, and tells
-    UTC as this computer has it all the same, neither is believed: its positions then count as made at the time that
-    the others have come to. now_s: its own clock; mission_s: what the others have come to, NaN where nobody tells:
-    then its own clock goes on as it was told last, and the others may go by it.
+    An answer to TIMESYNC reports the vehicle's clock as it was half a round trip ago, which is also the uncertainty.
+    Without both, a position counts as measured when it was received. A simulator that runs faster than real time and
+    still reports this computer's UTC can be compared with neither: its positions then count as measured at the
+    mission time of the other vehicles. If no other vehicle has one, its own clock continues from its latest report.
+
+    Args:
+        name: The vehicle's name.
+        now_s: Returns the time of its own clock, s.
+        mission_s: Returns the mission time that the others have reached, s; NaN where they have none.
+        to_mission_s: Converts the time of a source into mission time.
+
     """
 
     def __init__(
@@ -80,7 +86,7 @@ class VehicleClockReader:
         self._utc_heard_s = self._told_s + _UTC_AWAITED_S - _UTC_VALID_S
         self._utc_rate, self._host_rate = _SameRate(unknown=True), _SameRate(unknown=False)
         self._utc_offset_s: float | None = None  # from its own clock
-        self._host_offset_s: tuple[float, float] | None = None  # of this computer's, and what is not known of it
+        self._host_offset_s: tuple[float, float] | None = None  # of this computer's clock, and half a round trip
         self._utc_doubted, self._anew = False, False
         self._told_offset_s: float | None = None  # of mission time from its own clock
         self._leads = False
@@ -92,10 +98,10 @@ class VehicleClockReader:
 
     @property
     def utc_ahead_s(self) -> tuple[float, float] | None:
-        """How far its UTC is ahead of this computer's clock, at least and at most; None while that is not known.
+        """How far its UTC is ahead of this computer's clock, s: least and greatest; None while unknown.
 
-        At least 0.25 s are left between the two: of two vehicles beside one computer these spans overlap, or one of
-        them tells no UTC: a simulator that falls behind, a receiver that does not know the leap seconds yet.
+        The span is at least 0.5 s wide. If the spans of two vehicles on one computer do not overlap, one of them does
+        not report UTC: its simulator lags, or its receiver does not know the leap seconds yet.
         """
         if self._utc_offset_s is None or self._host_offset_s is None or not self._host_rate.holds:
             return None
@@ -108,7 +114,7 @@ class VehicleClockReader:
         self._utc_doubted = self._anew = True
 
     def report(self, message: Message) -> ClockReported | None:
-        """Return what a message tells of the clock, None where it tells nothing."""
+        """Return the clock that a message reports, or None."""
         told = self._told(message)
         if told is not None:
             self._told_offset_s = told.mission_time_s - told.time_s
@@ -162,7 +168,7 @@ class VehicleClockReader:
         return ClockReported(self._name, vehicle_s, mission_s, _ARRIVAL_SIGMA_S)
 
     def _unwrapped_s(self, stamp_s: float) -> float:
-        """Return a stamp of milliseconds in 32 bits on the vehicle's clock, which goes on where they begin anew."""
+        """Return a stamp of milliseconds in 32 bits on the vehicle's clock, which does not wrap around."""
         now_s = self._now_s()
         return stamp_s if not math.isfinite(now_s) else stamp_s + _WRAP_S * round((now_s - stamp_s) / _WRAP_S)
 

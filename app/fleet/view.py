@@ -1,4 +1,4 @@
-"""The live map of a fleet: one aircraft is shown whole, the others beside it; the buttons are for all of them."""
+"""The live map of a fleet: one aircraft in detail, the others next to it; the buttons apply to all of them."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Several aircraft beside one target: who watches from which side, and how they stay apart."""
+"""Several aircraft on one target: roles, joint decisions and separation."""

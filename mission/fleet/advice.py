@@ -1,4 +1,4 @@
-"""What one aircraft of a fleet is told of the others, on its own clock."""
+"""The advice to one aircraft of a fleet about the others, on its own clock."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def advice_to(
 
 
 def plans_told(listener: FleetVehicle, other: FleetVehicle, now_s: float) -> NeighbourPlanned | None:
-    """Return what an aircraft is told of another's plans at mission time ``now_s``; None: nothing is known yet."""
+    """Return another aircraft's plans at mission time ``now_s`` for a listener, None before they are known."""
     if listener.report is None or other.report is None or other.plans is None:
         return None
     told, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s

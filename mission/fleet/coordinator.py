@@ -1,23 +1,18 @@
-"""The fleet's coordinator: who watches which target, from which side, and who takes over from whom.
+"""The fleet's coordinator: assignment of aircraft to targets, of roles and of reliefs.
 
-Each vehicle keeps its own whole core (door, tracker, planner, exchange) and yields by itself. The coordinator sits
-above and commands no vehicle: it tells each core where the target is by all payloads together, which side to hold,
-and where the others are (``FleetAdvice``, ``NeighbourPlanned``), as events of that core, which then decides its own
-plans. A core that hears nothing for some seconds goes on by its own track, and keeps its last side.
+Each vehicle keeps its own whole core (input checks, tracker, planner, exchange) and yields separately. The
+coordinator commands no vehicle. It sends each core the joint estimate of its target, the side to hold and the
+positions of the others (``FleetAdvice``, ``NeighbourPlanned``), as events of that core, which then decides its own
+plans. A core that receives no advice for some seconds continues with its own track and its last side.
 
 How it is used
 --------------
-::
-
-    coordinator = FleetCoordinator(members, targets, make_judge)
-    # after each step of a vehicle's core, in the order in which the steps were made:
-    for news in reporters[name].after(core.controller, event, outputs, mission_time_s):  #
-        sidelong.mission.fleet.reports for command in coordinator.step(news): if isinstance(command, Tell):
-        put(command.name, command.event)  # into that vehicle's queue, and so into its journal # and at least once a
-        second: coordinator.step(Tick(mission_time_s))
+After each step of a vehicle's core, in the order of the steps, its
+:class:`sidelong.mission.fleet.reports.FleetReporter` returns events. ``step`` takes each of them, and a ``Tick`` at
+least once a second. A ``Tell`` among the commands that it returns is put into the named vehicle's queue and journal.
 
 Events are :data:`sidelong.mission.fleet.events.FleetEvent`; a ``ClockReported`` has to come first for each vehicle.
-All places are in one local plane and all heights above one home: the shell gives all vehicles the same. Pure: the
+All positions are in one local plane and all heights above one home: the shell gives all vehicles the same. Pure: the
 same events in the same order lead to the same commands, so that a journal of them replays.
 
 Rules
@@ -29,8 +24,8 @@ Rules
    one course for all, known since the target was first seen; see :mod:`sidelong.mission.fleet.watched_course`.
 3. Relief: an aircraft whose battery is below ``relieve_below``, which has watched for its ``endurance_s``, or whose
    relief is asked for gives the wanted side away, but holds it with the other one until that one is there; a reserve
-   is asked for. Below ``leave_below`` it leaves whatever happens. A reserve is asked for too when nobody is left.
-4. Several targets: aircraft are given out evenly, by what their roles would cost them beside each, the way there
+   is asked for. Below ``leave_below`` it leaves in any case. A reserve is also asked for when no aircraft is left.
+4. Several targets: aircraft are assigned evenly, by what their roles would cost them at each, the flight there
    included. Those of a lost target go at once, others where all together have gained more than ``reassign_cost_s``
    for each that changes, for some seconds. What a payload has seen counts for the target that it looks at:
    another one than before once ``turned_after`` sightings in a row lie there.
@@ -81,9 +76,9 @@ from sidelong.mission.fleet.vehicle import FleetMember, FleetVehicle
 
 _FOREIGN_FORGOTTEN_S = 30.0
 _NEAR_M, _NEARER = 60.0, 0.5  # a sighting of another target is so near to it, and by this share nearer than its own
-_REASSIGN_AFTER_S = 5.0  # for so long the gain has to last
+_REASSIGN_AFTER_S = 5.0  # how long the gain has to last
 _STEP_MAX_S = 2.0  # a smaller step of a clock hardly moves mission time; clocks that agree differ by less
-_PASSED_MAX_S = 2.0  # mission time that jumps ahead, as with a clock that is set anew, is no silence
+_PASSED_MAX_S = 2.0  # mission time that jumps ahead is not a silence
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +104,8 @@ class FleetSettings:
 class FleetCoordinator:
     """See the module.
 
-    make_judge builds what tells the costs of a named aircraft, from what is at hand; it is called again when a person
-    changes what is asked. Raises ValueError where names repeat, there is no aircraft or no target, or a requirement
+    make_judge returns the object that computes the costs of a named aircraft; it is called again when the operator
+    changes the requirement. Raises ValueError where names repeat, there is no aircraft or no target, or a requirement
     has no sides.
     """
 
@@ -330,7 +325,7 @@ class FleetCoordinator:
                 continue
             vehicle.silent_s += passed_s
             if vehicle.silent_s > self.settings.silent_after_s:
-                self._lost(vehicle, f"nothing was heard of it for {vehicle.silent_s:.0f} s")
+                self._lost(vehicle, f"no message received for {vehicle.silent_s:.0f} s")
         self._next_s = self._now_s + self.settings.period_s
         estimates = self._estimates = {name: track.estimate(self._now_s) for name, track in self._tracks.items()}
         self._tell_refusals()

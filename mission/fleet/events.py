@@ -64,7 +64,7 @@ class SightingReported:
 
 @dataclass(frozen=True, slots=True)
 class BatteryReported:
-    """Share of the charge that is left, 0..1; left_s: for so long, None where nobody knows."""
+    """Remaining share of the charge, 0..1; left_s: remaining flight time, None where unknown."""
 
     name: str
     time_s: float
@@ -171,7 +171,7 @@ class LaunchRequested:
 
 @dataclass(frozen=True, slots=True)
 class FleetAnnounce:
-    """Tell the person in plain words. name: the aircraft that it is about, '' for all."""
+    """Display a text to the operator. name: the aircraft that it concerns, '' for all."""
 
     mission_time_s: float
     name: str

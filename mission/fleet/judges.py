@@ -1,4 +1,4 @@
-"""What the roles beside the targets would cost each aircraft."""
+"""The cost of each role at each target for every aircraft."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sidelong.mission.fleet.watched_course import WatchedCourse
 
 
 class RoleJudge(Protocol):
-    """Tells what the roles cost an aircraft; see :class:`sidelong.mission.fleet.team_planner.TeamPlanner`."""
+    """Computes what the roles cost an aircraft; see :class:`sidelong.mission.fleet.team_planner.TeamPlanner`."""
 
     def role_costs(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
@@ -76,7 +76,7 @@ class RoleJudges:
         return 0.0 if at_it else vehicle.way_s(estimate)
 
     def costs_from_afar(self, vehicle: FleetVehicle, target: str, estimate: TargetEstimate) -> RoleCosts:
-        """Return what an aircraft would pay in each role beside a target, the way there included."""
+        """Return what an aircraft would pay in each role at a target, the flight there included."""
         costs = self.costs(vehicle, target, estimate) or RoleCosts(0.0, 0.0)
         way_s = self.way_s(vehicle, target, estimate)
         return RoleCosts(costs.wanted_s + way_s, costs.opposite_s + way_s)

@@ -1,4 +1,4 @@
-"""Who watches from the wanted side, and who waits on the other one.
+"""Assignment of the primary, on the required side, and of the standby aircraft, on the other one.
 
 One aircraft loses the side whenever the target reverses. With another one opposite a reversal only swaps their roles,
 because the two sides change places. Rules
@@ -119,7 +119,7 @@ class RoleAssignment:
 
 
 def course_is_known(target: TargetEstimate) -> bool:
-    """Tell whether a target's course is known well enough to say which side of it is which, or it stands."""
+    """Return whether a target's course is known well enough to say which side of it is which, or it stands."""
     if target.speed_m_s < _STANDING_M_S:
         return True
     across = (math.cos(target.course_rad), -math.sin(target.course_rad))
@@ -131,7 +131,7 @@ def course_is_known(target: TargetEstimate) -> bool:
 def is_beside(
     aircraft: AircraftState, target: TargetEstimate, requirement: Requirement, course_rad: float | None
 ) -> bool:
-    """Tell whether an aircraft is on the wanted side of a target and in the band.
+    """Return whether an aircraft is on the wanted side of a target and in the band.
 
     course_rad: the one whose sides count; None where the target has none yet: any place is on either side then.
     """

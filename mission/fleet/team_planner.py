@@ -31,8 +31,8 @@ from sidelong.mission.predictive.value_table import ValueTable
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
 from sidelong.mission.viewpoint.viewpoint_kernel import PRESUMED, SIDE
 
-_ADVICE_S = 5.0  # advice is followed for so long
-_STANDING_M_S = 0.5  # a slower target's course is not believed to last
+_ADVICE_S = 5.0  # how long advice is followed
+_STANDING_M_S = 0.5  # the course of a slower target is not expected to last
 _FORETOLD = 160  # seconds of the others' lines: longer than any line, and what their reports may be late
 
 

@@ -19,7 +19,7 @@ class FleetMember:
 
     height_m: of its layer, above the common home. target: to begin with, '' for the first. reserve: it waits until
     it is asked for.
-    endurance_s: it is relieved after watching for so long.
+    endurance_s: watching time after which it is relieved.
     """
 
     name: str
@@ -41,7 +41,7 @@ class FleetVehicle:
     member: FleetMember
     clock: VehicleTime = field(default_factory=VehicleTime)
     report: VehicleReported | None = None
-    silent_s: float = 0.0  # for so long none has come, whatever time its own clock tells
+    silent_s: float = 0.0  # time since the latest report, independent of its own clock
     plans: PlansReported | None = None
     lost: str = ""
     yielded: bool = False  # its plans are not known any more

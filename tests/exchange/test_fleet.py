@@ -177,7 +177,7 @@ def test_they_stay_apart(flown):
 
 def test_the_other_takes_over_when_the_holder_is_lost(flown):
     assert flown.role(flown.other.name) is Role.WANTED
-    assert any(said.startswith(f"{flown.holder.name} is out: nothing was heard") for said in flown.said)
+    assert any(said.startswith(f"{flown.holder.name} is out: no message received") for said in flown.said)
     controller = flown.other.flight.core.controller
     assert controller.phase == "watching"
     assert controller.snapshot().side == flown.file.requirement.side

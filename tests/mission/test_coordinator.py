@@ -204,7 +204,7 @@ def test_the_one_left_takes_the_wanted_side_when_the_other_falls_silent():
     fleet.fly(10.0)
     fleet.fly(8.0, "a")
     assert fleet.role("b") is Role.WANTED
-    assert any("nothing was heard" in said.text for said in fleet.said if said.name == "a")
+    assert any("no message received" in said.text for said in fleet.said if said.name == "a")
     fleet.fly(5.0)
     assert any(said.text == "is back" for said in fleet.said)
 
@@ -224,7 +224,7 @@ def test_a_clock_that_is_set_wrong_for_a_while_is_no_silence(off_s):
     assert said == [
         f"its UTC jumped by {off_s:.1f} s: it is not used while it is off",
         "its UTC is used again",
-        "is out: nothing was heard of it for 6 s",
+        "is out: no message received for 6 s",
     ]
 
 
