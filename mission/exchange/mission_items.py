@@ -315,6 +315,8 @@ class MissionItemBackend:
                 self._on_current(report)
             case PositionTargetReported() if self._dialect.quirks.reports_target_at_once:
                 self._target = report
+                activating = None if change is None or change.activation is None else change.layout
+                self._ownership.target(report, (self._layout, self._left, activating))
                 if change is not None and change.activation is not None:
                     change.activation.target(report)
                     self._judge_activation(change)

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 
 from sidelong.mission.exchange.dialect import ProtocolQuirks
 from sidelong.mission.exchange.layout import MissionLayout
 from sidelong.mission.exchange.mission_read import MissionRead
 from sidelong.mission.exchange.outbox import ExternalControl, Outbox
 from sidelong.mission.exchange.ownership import MissionIdentity, Suspicion
-from sidelong.mission.exchange.raw_item import RawItem, same_item, same_items
-from sidelong.mission.exchange.reports import MissionCurrentReported, MissionItemReported, VehicleReport
+from sidelong.mission.exchange.raw_item import RawItem, at_place, same_item, same_items
+from sidelong.mission.exchange.reports import (
+    MissionCurrentReported,
+    MissionItemReported,
+    PositionTargetReported,
+    VehicleReport,
+)
 
 _AUDIT_S, _AUDIT_AGAIN_S = 3.0, 0.6  # between two looks at the item that is flown
 _READ_S = 30.0
@@ -39,6 +45,7 @@ class MissionOwnership:
         self._in_doubt = False
         self._begun = False
         self._audit_s = math.inf
+        self._identified = False  # the autopilot reports how long its mission is, or names it
         self._flown = -1  # the farthest item of the present line that was reported since the latest upload
 
     @property
@@ -107,6 +114,7 @@ class MissionOwnership:
 
         """
         lines = (present, left)
+        self._identified = self._identified or bool(report.total or report.mission_id)
         if not self._begun:
             return
         if self._identity.is_open(report.total, report.mission_id):
@@ -120,7 +128,7 @@ class MissionOwnership:
             return
         self._call_off()
         self._in_doubt = False
-        if not self._identity.is_ours(report.total, report.mission_id):
+        if self._identified and not self._identity.is_ours(report.total, report.mission_id):
             self._suspect(self._reports, _CHANGED)
         elif report.seq < self._flown or not any(line is not None and report.seq in line for line in lines):
             self._suspect(self._reports, f"another station has chosen item {report.seq} of the mission")
@@ -128,6 +136,20 @@ class MissionOwnership:
             self._reports.fits()
             if present is not None and report.seq in present:
                 self._flown = report.seq
+
+    def target(self, report: PositionTargetReported, lines: Iterable[MissionLayout | None]) -> None:
+        """Take where the autopilot flies to: where it does not identify its mission, only this tells whose it is.
+
+        Args:
+            report: What the autopilot reports.
+            lines: Those that may be flown.
+
+        """
+        if not self._begun or self._identified:
+            return
+        items = [item for line in lines if line is not None for item in line.line()]
+        if not any(at_place(report.x, report.y, item) for item in items):
+            self._suspect(self._reports, _CHANGED)
 
     def _call_off(self) -> None:
         if self._read is not None:
