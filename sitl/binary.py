@@ -23,6 +23,8 @@ _HEADING_DEG = 353
 _ARDUPLANE_TCP, _PX4_GROUND_UDP, _PX4_OFFBOARD_UDP = 5760, 18570, 14540
 _PX4_SIGNED_PAYLOAD_UDP = 14640
 _LAST_WORDS = 400
+# The stock simulators' batteries are half empty after a minute (PX4), or empty after a quarter of an hour.
+_BATTERY_MAH, _BATTERY_S = 100_000, 10_800
 _CALM = Wind()
 
 
@@ -58,14 +60,13 @@ def run_of(
         # Where the binary still lies in its source tree, so do the parameters of its stock aircraft.
         defaults = binary.parents[min(3, len(binary.parents) - 1)] / "Tools/autotest/models/plane.parm"
         files = [str(defaults)] if defaults.exists() else []
+        own = folder / "own.parm"
+        text = f"BATT_CAPACITY {_BATTERY_MAH}\n"
         if wind != _CALM:
-            own = folder / "wind.parm"
             from_deg = math.degrees(math.atan2(-wind.east_m_s, -wind.north_m_s)) % 360.0
-            speed_m_s = math.hypot(wind.east_m_s, wind.north_m_s)
-            own.write_text(f"SIM_WIND_SPD {speed_m_s:g}\nSIM_WIND_DIR {from_deg:g}\n")
-            files.append(str(own))
-        if files:
-            command += ["--defaults", ",".join(files)]
+            text += f"SIM_WIND_SPD {math.hypot(wind.east_m_s, wind.north_m_s):g}\nSIM_WIND_DIR {from_deg:g}\n"
+        own.write_text(text)
+        command += ["--defaults", ",".join([*files, str(own)])]
         port = _ARDUPLANE_TCP + 10 * instance
         return Run(command, {}, f"tcpout://127.0.0.1:{port}", f"tcpout://127.0.0.1:{port + 2}", instance + 1)
     # At sea level by default: PX4's height control starts there, and is late at a higher home.
@@ -80,6 +81,7 @@ def run_of(
         # The stock aeroplane's 6 N are those of a parameter that its thruster no longer reads in versions of 2026: by
         # the default of 2 N it rolls along the ground at 6 m/s and never takes off.
         "PX4_PARAM_SIH_F_T_MAX": "6",
+        "PX4_PARAM_SIM_BAT_DRAIN": str(_BATTERY_S),
     }
     if wind != _CALM:  # by where it comes from
         environment["PX4_PARAM_SIH_WIND_N"] = f"{-wind.north_m_s:.3f}"

@@ -34,13 +34,14 @@ def test_px4_is_met_over_udp_and_finds_its_start_files_beside_it(tmp_path):
     assert run.command[1:] == ["-i", "1", "-d", "-w", str(tmp_path / "work"), str(tmp_path / "etc")]
     assert run.environment["PX4_SIM_SPEED_FACTOR"] == "5"
     assert run.environment["PX4_PARAM_SIH_F_T_MAX"] == "6"
+    assert run.environment["PX4_PARAM_SIM_BAT_DRAIN"] == "10800"
 
 
 def test_the_wind_is_given_as_each_program_takes_it(tmp_path):
     wind = Wind.blowing_from(4.0, math.radians(270.0))
     arduplane = run_of(Flavour.ARDUPLANE, tmp_path / "arduplane", tmp_path, 0, 1.0, HOME, wind)
-    assert arduplane.command[-2:] == ["--defaults", str(tmp_path / "wind.parm")]
-    assert (tmp_path / "wind.parm").read_text() == "SIM_WIND_SPD 4\nSIM_WIND_DIR 270\n"
+    assert arduplane.command[-2:] == ["--defaults", str(tmp_path / "own.parm")]
+    assert (tmp_path / "own.parm").read_text() == "BATT_CAPACITY 100000\nSIM_WIND_SPD 4\nSIM_WIND_DIR 270\n"
     px4 = run_of(Flavour.PX4, tmp_path / "bin" / "px4", tmp_path, 0, 1.0, None, wind)
     from_m_s = [float(px4.environment[f"PX4_PARAM_SIH_WIND_{axis}"]) for axis in "NE"]
     assert from_m_s == pytest.approx([0.0, -4.0], abs=1e-9)
