@@ -19,6 +19,7 @@ Address = tuple[str, int]
 
 _WAKE_MIN_S = 0.004
 _LAG_MAX_S = 0.25  # of the wall clock; further behind, the simulation goes slower instead of catching up
+_DEVICE_LAG_MAX_S = 0.01  # what a device sends has no stamp: caught up at once, it would all seem to be of one moment
 _DATAGRAM_MAX = 4096
 _LINK_STREAM = 2  # of the seed's children: 0 and 1 are the target's and the sensors'
 
@@ -185,12 +186,13 @@ def serve(
             port = _Port(simulation, stations, faults or LinkFaults())
             ports[port.socket] = port
         on_ready()
+        lag_max_s = max(_DEVICE_LAG_MAX_S, 2.0 * STEP_S / speed) if devices else _LAG_MAX_S
         clock = served[0][0]  # they all have the same time
         begin_s = time.monotonic() - clock.time_s / speed
         while clock.time_s < duration_s and not stopped():
             now_s = time.monotonic()
             goal_s = (now_s - begin_s) * speed
-            lag_s = goal_s - clock.time_s - _LAG_MAX_S * speed
+            lag_s = goal_s - clock.time_s - lag_max_s * speed
             if lag_s > 0.0:
                 begin_s += lag_s / speed
                 goal_s -= lag_s

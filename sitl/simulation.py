@@ -56,6 +56,8 @@ class Simulation:
             self.device = DEVICES[settings.device](settings.quirks, np.random.default_rng(settings.seed))
         self.unplugged = False  # the device neither hears nor answers
         self._seen: Seen | None = None
+        latency_steps = 0 if settings.payload is None else round(settings.payload.latency_s / STEP_S)
+        self._slants_m: deque[float] = deque(maxlen=latency_steps + 1)  # true ones: the laser's range is that old
         self._measured: Measurement | None = None
         self._streamed: list[bytes] = []
         self.muted: set[str] = set()  # payload messages withheld, by name
@@ -197,7 +199,9 @@ class Simulation:
         sight = Sight.between((craft.east_m, craft.north_m, craft.height_m), target_m)
         bearing_rad = sight.bearing_rad + measured.bearing_error_rad - craft.heading_rad
         elevation_rad = sight.elevation_rad + measured.elevation_error_rad
-        self._seen = Seen(measured.range_m, bearing_rad, elevation_rad, _LEAN * craft.roll_rad)
+        self._slants_m.append(sight.slant_range_m)
+        range_m = None if measured.range_m is None else self._slants_m[0] + measured.range_error_m
+        self._seen = Seen(range_m, bearing_rad, elevation_rad, _LEAN * craft.roll_rad)
         self._streamed += device.stream(self.time_s, self._seen)
 
     def _target_seen(self) -> tuple[float, float]:

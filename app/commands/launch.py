@@ -21,7 +21,7 @@ from sidelong.app.commands.output import (
 from sidelong.app.commands.page_options import BoundsOption, MapOption, PortOption
 from sidelong.app.commands.radius import warn_of_little_room
 from sidelong.app.commands.report import write_fleet_report, write_report
-from sidelong.app.config import DEMONSTRATION, MAX_AIRCRAFT, Config, check_flyable, load_config
+from sidelong.app.config import DEMONSTRATION, MAX_AIRCRAFT, Config, check_flyable, load_config, with_values
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
 from sidelong.app.flight.outputs import check_sharing
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from sidelong.app.fleet.flight import FleetEnded
 
 _DURATION_S = 1200.0
+_DRIVER_SPEED_MAX = 4.0  # a simulated payload's data are stamped as they arrive: faster, this computer's load shows
 
 
 def launch(
@@ -81,7 +82,9 @@ def launch(
         float | None, typer.Option(help="Highest speed to expect of the target, m/s.", show_default=False)
     ] = None,
     duration: Annotated[float, typer.Option(min=1.0, help="Watch this long, s of the vehicle's time.")] = _DURATION_S,
-    speed: Annotated[float | None, typer.Option(help="Simulated time over wall time.")] = None,
+    speed: Annotated[
+        float | None, typer.Option(help="Simulated time over wall time [10; with --payload 4].", show_default=False)
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Of the simulation's noise.")] = None,
     side: Annotated[
         str | None, typer.Option(help="Watch from left or right of its motion, either, or bearings like 120-200.")
@@ -236,9 +239,8 @@ def launch(
             f"requirement.fleet_size = {settings.requirement.fleet_size} with one aircraft; leave it out, "
             "or give a fleet file with several [[aircraft]]."
         )
+    settings = _with_simulated_payload(settings, speed, payload_url)
     check_flyable(settings)
-    if payload_url is not None and not settings.link.connections:
-        raise InputError(f"--payload {payload}: a simulated vehicle has a simulated payload; give {payload_kind}://")
     _check_input(settings, point_gimbal)
     warn_of_little_room(settings)
     check_space(out, duration, 1, warn)
@@ -275,6 +277,22 @@ def _page_address(
         return page_address(bool(view), host, port, cert, key, map_file, map_bounds)
     address = page_address(True, host, free_port(port), cert, key, map_file, map_bounds)
     return address and replace(address, opens_browser=address.is_local)
+
+
+def _with_simulated_payload(settings: Config, speed: float | None, url: str | None) -> Config:
+    """Return the settings with the simulation slowed down for a payload with a driver, unless a speed is given.
+
+    Raises InputError where a simulated vehicle is given the address of a payload.
+    """
+    kind = settings.payload.kind
+    if kind == MAVLINK or settings.link.connections:
+        return settings
+    if url is not None:
+        raise InputError(f"--payload {url}: a simulated vehicle has a simulated payload; give {kind}:// alone.")
+    if speed is not None:
+        return settings
+    slower = {"speed": min(settings.simulation.speed, _DRIVER_SPEED_MAX)}
+    return with_values(settings, {"simulation": slower}, "command line")
 
 
 def _check_input(settings: Config, point_gimbal: bool) -> None:

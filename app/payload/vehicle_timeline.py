@@ -6,15 +6,15 @@ import math
 from collections import deque
 
 _REAL_WINDOW_S = 10.0
-_SIMULATED_WINDOW_S, _SIMULATED_AHEAD_MAX_S = 1.0, 0.15
+_SIMULATED_WINDOW_S, _SIMULATED_AHEAD_MAX_S = 0.5, 0.06  # a little more than the time between two stamps
 _JUMP_S = 5.0
 
 
 class VehicleTimeline:
     """Converts this computer's time to the vehicle's.
 
-    The message that was delayed least tells the offset of the clocks. A simulated vehicle's clock runs ``rate`` times
-    as fast, and now and then it waits: its time is carried on for a short while only.
+    The message that was delayed least tells the offset of the clocks. A simulated vehicle's clock runs up to ``rate``
+    times as fast, as fast as its latest stamps show, and now and then it waits: it is carried on for a moment only.
 
     Args:
         rate: seconds of the vehicle's clock per second of this computer's.
@@ -53,8 +53,15 @@ class VehicleTimeline:
         """
         if not self._samples:
             return None
-        behind = [
-            stamp_s + min(self._rate * (time_s - arrived_s), self._ahead_max_s)
-            for arrived_s, stamp_s in self._samples
-        ]
-        return max(behind) + self._rate * delay_s
+        rate = self._present_rate()
+        now_s = max(
+            stamp_s + min(rate * (time_s - arrived_s), self._ahead_max_s) for arrived_s, stamp_s in self._samples
+        )
+        return now_s + rate * delay_s
+
+    def _present_rate(self) -> float:
+        """Return how fast the vehicle's clock runs now."""
+        (first_s, from_s), (last_s, to_s) = self._samples[0], self._samples[-1]
+        if self._rate == 1.0 or last_s <= first_s:
+            return self._rate
+        return min(max((to_s - from_s) / (last_s - first_s), 0.0), self._rate)

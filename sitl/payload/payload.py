@@ -60,6 +60,7 @@ class Measurement:
         laser_valid: whether there is a range.
         laser_outlier: whether that range is wrong.
         range_m: the measured range; None: none.
+        range_error_m: error of the measured range.
         bearing_error_rad: error of the measured bearing.
         elevation_error_rad: error of the measured elevation.
 
@@ -69,6 +70,7 @@ class Measurement:
     laser_valid: bool
     laser_outlier: bool
     range_m: float | None = None
+    range_error_m: float = 0.0
     bearing_error_rad: float = 0.0
     elevation_error_rad: float = 0.0
 
@@ -110,6 +112,7 @@ class Payload:
             valid,
             valid and outlier,
             range_m if valid else None,
+            range_m - sight.slant_range_m,
             bearing_error_rad,
             elevation_error_rad,
         )

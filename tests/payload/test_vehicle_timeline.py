@@ -32,3 +32,10 @@ def test_simulation_that_waits_is_not_carried_on():
         timeline.hear(0.05 * at, 0.005 * at)
     assert timeline.vehicle_s(0.5) == pytest.approx(5.0, abs=0.02)
     assert timeline.vehicle_s(0.9) < 5.2
+
+
+def test_simulation_slower_than_asked_for_is_not_ahead_of_its_stamps():
+    timeline = VehicleTimeline(rate=10.0)
+    for at in range(200):  # it runs at 6 times
+        timeline.hear(0.05 * at, 0.05 * at / 6.0)
+    assert timeline.vehicle_s(199 * 0.05 / 6.0 + 0.004) == pytest.approx(199 * 0.05 + 0.024, abs=0.01)
