@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sidelong.app.errors import InputError
-from sidelong.app.link.signing import KEY_BYTES, UNITS_PER_S, SigningKey, SigningTimes, Stream
+from sidelong.app.link.signing import KEY_BYTES, UNITS_PER_S, SigningKey, SigningTimes, Stream, latest_time
 
 _SAVE_EVERY_S = 1.0
 _SENT_AHEAD = 5 * UNITS_PER_S
@@ -46,14 +46,17 @@ def read_key(path: Path) -> SigningKey:
     if path.is_dir():
         raise InputError(f"{path} is a folder; name the key's file in it, such as {path / 'plane.key'}.")
     try:
-        with path.open("rb") as file:
+        # Without waiting: the other end of a FIFO may never come.
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
             mode = os.fstat(file.fileno()).st_mode
-            text = file.read(4096)
+            text = file.read(4096) if stat.S_ISREG(mode) else b""
     except OSError as error:
         raise InputError(
             f"signing key {path} cannot be read ({error.strerror}); make one with: sidelong sign {path}"
         ) from error
-    if not stat.S_ISREG(mode) or stat.S_IMODE(mode) & 0o077:
+    if not stat.S_ISREG(mode):
+        raise InputError(f"signing key {path} is not a regular file; make one with: sidelong sign FILE")
+    if stat.S_IMODE(mode) & 0o077:
         raise InputError(f"signing key {path} can be read by others; make it your own with: chmod 600 {path}")
     digits = text.strip()
     if len(digits) == 2 * KEY_BYTES and all(digit in b"0123456789abcdefABCDEF" for digit in digits):
@@ -115,6 +118,7 @@ def kept_times(key_path: Path, now: int, on_trouble: Callable[[str], object]) ->
     now: the present in signatures' units. on_trouble hears once when they can no longer be written. Raises InputError
     when another process uses the key, or the file of times is damaged or cannot be written.
     """
+    key_path = key_path.resolve()  # one file of times for one key, whatever link to it is named
     path = key_path.with_name(key_path.name + ".times")
     try:
         lock = os.open(path.with_name(path.name + ".lock"), os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
@@ -125,8 +129,9 @@ def kept_times(key_path: Path, now: int, on_trouble: Callable[[str], object]) ->
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise InputError(f"{key_path} is in use by another sidelong; end that one first.") from error
-        before = _read(path)
-        kept = KeptTimes(SigningTimes(max(before.sent, now), before.streams), lambda times: _write(path, times))
+        before, latest = _read(path), latest_time(now)
+        streams = {stream: min(time, latest) for stream, time in before.streams.items()}
+        kept = KeptTimes(SigningTimes(max(min(before.sent, latest), now), streams), lambda times: _write(path, times))
         try:
             kept.save()
         except OSError as error:

@@ -3,7 +3,8 @@
 Each link of an autopilot counts its frames by itself and sends at times of its own, and one link is later than the
 other. So that nothing is heard twice and the vehicle never seems to go back in time:
 
-- what the autopilot sends with a time stamp is passed on, from whatever link, where it is newer than what was;
+- what the autopilot sends with a time stamp is passed on, from whatever link, where it is newer than what was; a
+  stamp that is far from the others has to be followed by more of its kind, while the others are silent;
 - what it sends without one (mode, mission item) is passed on from the link in use only, and after a change of links
   only once that link has caught up;
 - answers, and what other components send, are passed on from any link, the copies of the others are not.
@@ -45,6 +46,8 @@ _FRESH_S = 0.5
 _WORSE_BY, _WORSE_FOR_S = 0.15, 3.0
 _COPY_WITHIN_S, _TIMED_COPY_WITHIN_S = 1.0, 10.0
 _STEP_BACK_S = 5.0  # as telemetry has it: then the vehicle has started anew
+_AHEAD_S, _AHEAD_PER_S, _BEHIND_S = 5.0, 1.5, 10.0
+_PROOF_COUNT, _PROOF_STEP_S, _PROOF_SILENCE_S = 5, 5.0, 2.0
 _KEPT_MAX = 4000
 
 
@@ -83,6 +86,33 @@ def time_of(frame: Frame) -> float | None:
     return float(struct.unpack_from(clock.format, stamp)[0]) / clock.units_per_s
 
 
+@dataclass(slots=True)
+class _Newest:
+    """The newest stamp of one kind of message: its link, when it came, and a series of stamps far from it."""
+
+    stamp_s: float
+    link: int
+    received_s: float
+    far_s: float = 0.0
+    far_count: int = 0
+
+    def take(self, stamp_s: float, link: int, now_s: float) -> None:
+        """Go on from here."""
+        self.stamp_s, self.link, self.received_s, self.far_count = stamp_s, link, now_s, 0
+
+    def is_far(self, stamp_s: float, now_s: float) -> bool:
+        """Return whether a stamp cannot be the next one, nor an older one of a later link."""
+        passed_s = now_s - self.received_s
+        return not -_BEHIND_S <= stamp_s - self.stamp_s <= _AHEAD_S + _AHEAD_PER_S * passed_s
+
+    def proves(self, stamp_s: float, now_s: float) -> bool:
+        """Take a stamp far from the newest; return whether enough of them have followed one another."""
+        goes_on = 0.0 <= stamp_s - self.far_s <= _PROOF_STEP_S
+        self.far_count = self.far_count + 1 if goes_on and self.far_count else 1
+        self.far_s = stamp_s
+        return self.far_count >= _PROOF_COUNT and now_s - self.received_s >= _PROOF_SILENCE_S
+
+
 class LinkMerger:
     """Decides for each frame; ``in_use`` is the index of the link that is spoken on."""
 
@@ -92,7 +122,7 @@ class LinkMerger:
         self._caught_up = True
         self._leads_to_autopilot: set[int] = set()
         self._worse_since_s: float | None = None
-        self._newest: dict[tuple[tuple[int, int], int], tuple[float, int]] = {}
+        self._newest: dict[tuple[tuple[int, int], int], _Newest] = {}
         self._newest_of_link_s: dict[tuple[int, tuple[int, int], int], float] = {}
         self._passed: dict[tuple[tuple[int, int], int, bytes], list[tuple[float, set[int]]]] = {}
 
@@ -110,17 +140,23 @@ class LinkMerger:
             return not self._is_copy(link, frame, now_s, window_s)
         if stamp_s is None:
             return link == self.in_use and self._caught_up
-        return self._is_newest(link, frame, stamp_s)
+        return self._is_newest(link, frame, stamp_s, now_s)
 
-    def _is_newest(self, link: int, frame: Frame, stamp_s: float) -> bool:
+    def _is_newest(self, link: int, frame: Frame, stamp_s: float, now_s: float) -> bool:
         kind = (frame.source, frame.message_id)
         own_s = self._newest_of_link_s.get((link, *kind), stamp_s)
         self._newest_of_link_s[(link, *kind)] = stamp_s
-        newest_s, newest_link = self._newest.get(kind, (stamp_s, link))
-        restarted = stamp_s < own_s - _STEP_BACK_S
-        if not restarted and (stamp_s < newest_s or (stamp_s == newest_s and link != newest_link)):
-            return False
-        self._newest[kind] = (stamp_s, link)
+        newest = self._newest.get(kind)
+        if newest is None:
+            newest = self._newest[kind] = _Newest(stamp_s, link, now_s)
+        restarted = stamp_s < own_s - _STEP_BACK_S and stamp_s < newest.stamp_s and link == newest.link
+        if not restarted:
+            if newest.is_far(stamp_s, now_s):
+                if not newest.proves(stamp_s, now_s):
+                    return False
+            elif stamp_s < newest.stamp_s or (stamp_s == newest.stamp_s and link != newest.link):
+                return False
+        newest.take(stamp_s, link, now_s)
         self._caught_up |= link == self.in_use
         return True
 

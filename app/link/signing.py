@@ -19,6 +19,9 @@ UNITS_PER_S = 100_000
 EPOCH_UNIX_S = 1_420_070_400  # 2015-01-01
 RADIO_STATUS_ID = 109
 _NEW_STREAM_BEHIND = 60 * UNITS_PER_S  # the standard's minute
+_YEAR = 31_557_600 * UNITS_PER_S
+# A clock without battery starts years behind, so that the own one is no measure; the 48 bits last until 2104.
+_AHEAD_MAX, _WRITTEN = 20 * _YEAR, 11 * _YEAR
 _CHANGED_LINK_AFTER = 10 * UNITS_PER_S  # so long silent, a source may come back under another link id
 
 Stream = tuple[int, int, int]
@@ -28,6 +31,11 @@ Stream = tuple[int, int, int]
 def signing_time(unix_s: float) -> int:
     """Return the time in signatures' units."""
     return max(0, int((unix_s - EPOCH_UNIX_S) * UNITS_PER_S))
+
+
+def latest_time(now: int) -> int:
+    """Return the latest time that is accepted of anyone; without it one broken clock would end all sending."""
+    return max(now, _WRITTEN) + _AHEAD_MAX
 
 
 class SigningKey:
@@ -63,6 +71,7 @@ class Refusal(StrEnum):
     OLD = "replayed or too old"
     OTHER_LINK = "of another link"
     OWN = "our own, sent back"
+    FUTURE = "stamped decades ahead"
 
 
 class SigningTimes:
@@ -124,6 +133,8 @@ class LinkSigning:
         if frame.source == self._own:
             return Refusal.OWN
         link_id, time = frame.data[-13], int.from_bytes(frame.data[-12:-6], "little")
+        if time > latest_time(now):
+            return Refusal.FUTURE
         stream = (link_id, *frame.source)
         known = self._times.streams.get(stream)
         if time <= (known if known is not None else max(self._times.sent, now) - _NEW_STREAM_BEHIND):

@@ -25,7 +25,7 @@ PROOF_S = 20.0
 
 _QUICK_S, _REBOOT_S = 0.5, 2.0
 _STAMPS_MIN = 5
-_TURNS_MAX, _TURN_MAX_S = 8, 0.5
+_TURNS_MAX, _TURN_MAX_S, _SLOW_TURN_MAX_S = 8, 0.5, 3.0
 _TICKS = 16
 _SAMPLES, _SAMPLES_MIN, _SAMPLE_EVERY_S = 24, 12, 0.1
 _CLUSTER_S, _CLUSTER_SHARE = 0.7, 0.75
@@ -46,6 +46,7 @@ class _Line:
     last_s: float
     count: int = 1
     turns: int = 0
+    slow_turns: int = 0
     other_s: float = -math.inf  # the followed clock when this was last heard
     was_followed: bool = False
 
@@ -55,7 +56,7 @@ class VehicleClock:
 
     shift_s: how far the latest change of lines moved the clock. restarted: whether that was an autopilot that has
     started anew; returned: whether it was back to the line before. two_lines_s: the distance of two lines that take
-    turns, None where there is one.
+    turns, None where there is one; slow_lines_s: the same where the second one is seldom received.
     """
 
     def __init__(self) -> None:
@@ -67,6 +68,7 @@ class VehicleClock:
         self.shift_s = 0.0
         self.restarted = self.returned = False
         self.two_lines_s: float | None = None
+        self.slow_lines_s: float | None = None
 
     @property
     def now_s(self) -> float:
@@ -134,11 +136,14 @@ class VehicleClock:
             self._misses = 0
             if not self._in_question:  # the own line has been heard since
                 other.turns = other.turns + 1 if gone_s < _TURN_MAX_S else 0
+                other.slow_turns = other.slow_turns + 1 if gone_s < _SLOW_TURN_MAX_S else 0
                 other.first_s, other.count = stamp_s, 0
             other.last_s = max(other.last_s, stamp_s)
             other.count += 1
             other.other_s = own.last_s
         self._in_question = True
+        if other.slow_turns >= _TURNS_MAX:
+            self.slow_lines_s = abs(other.last_s - own.last_s)
         if other.turns >= _TURNS_MAX:
             self.two_lines_s = abs(other.last_s - own.last_s)
         begun = own.count >= _STAMPS_MIN  # before, there is nothing to hold on to

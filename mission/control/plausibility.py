@@ -161,6 +161,9 @@ class Plausibility:
         believed = self.position.take(reading, self._bank_rad, possible=possible, sound=sound)
         if self.position.two_places_m is not None:
             self._yield_to_two(f"its positions take turns, {_length(self.position.two_places_m)} apart")
+        elif self.position.slow_places_m is not None:
+            self._suspect_two(f"its positions take turns, {_length(self.position.slow_places_m)} apart")
+            self.position.slow_places_m = None
         if believed is None:
             return None
         self.dead_reckoned = believed is not reading
@@ -191,6 +194,9 @@ class Plausibility:
         stamp = clock.take(stamp_s, PROOF_S if (ahead or booted) and self._displaced < _DISPLACED_MIN else None)
         if clock.two_lines_s is not None:
             self._yield_to_two(f"its clocks take turns, {clock.two_lines_s:.0f} s apart")
+        elif clock.slow_lines_s is not None:
+            self._suspect_two(f"its clocks take turns, {clock.slow_lines_s:.0f} s apart")
+            clock.slow_lines_s = None
         if stamp is Stamp.NEW_LINE:
             if clock.returned and self.position.believed is not None:
                 # No time has gone by that the clock left out: the place is still to be held to.
@@ -212,6 +218,10 @@ class Plausibility:
         if self.two_vehicles is None:
             self.two_vehicles = f"two vehicles speak with the same system id: {how}"
             self._yield = YieldRequested(self.clock.now_s, self.two_vehicles)
+
+    def _suspect_two(self, how: str) -> None:
+        text = f"a second vehicle may send with the same system id: {how}; its messages are not used"
+        self._tell("second vehicle", "position", text)
 
     def _navigation(self, event: NavigationReported) -> Event:
         self._awaited_s.pop(event.source, None)

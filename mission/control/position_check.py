@@ -28,14 +28,15 @@ _CIRCLING_RAD, _OFF_CIRCLE_M = math.radians(12.0), 60.0
 _ODD_S = 1.0  # so long after the one before it a believed reading may turn out to have been the odd one
 _FLYING_M_S = 5.0
 _SETTLED = 5  # so many readings in order, before there is anything to hold on to
-_TURNS_MAX, _TURN_MAX_S = 20, 0.5
+_TURNS_MAX, _TURN_MAX_S, _SLOW_TURNS_MAX, _SLOW_TURN_MAX_S = 20, 0.5, 8, 3.0
 
 
 class PositionCheck:
     """What is believed of the aircraft's position.
 
     astray_s: since when readings have lain elsewhere, None while they do not. jump_m: how far the first of them lay.
-    two_places_m: the distance of two places that take turns, None where there is one.
+    two_places_m: the distance of two places that take turns, None where there is one; slow_places_m: the same where
+    the second one is seldom received.
     """
 
     def __init__(self) -> None:
@@ -44,6 +45,8 @@ class PositionCheck:
         self.astray_s: float | None = None
         self.jump_m = 0.0
         self.two_places_m: float | None = None
+        self.slow_places_m: float | None = None
+        self._slow_turns = 0
         self._readings = 0
         self._elsewhere: PositionReading | None = None
         self._elsewhere_since_s, self._elsewhere_count = 0.0, 0
@@ -116,6 +119,10 @@ class PositionCheck:
             self.jump_m = math.hypot(reading.east_m - last.east_m, reading.north_m - last.north_m)
             in_turn = before is not None and reading.time_s - before.time_s < _TURN_MAX_S
             self._turns = self._turns + 1 if agrees and in_turn else 0
+            slowly = before is not None and reading.time_s - before.time_s < _SLOW_TURN_MAX_S
+            self._slow_turns = self._slow_turns + 1 if agrees and slowly else 0
+            if self._slow_turns >= _SLOW_TURNS_MAX:
+                self.slow_places_m = self.jump_m
             if self._turns >= _TURNS_MAX:
                 self.two_places_m = self.jump_m
             self._elsewhere_since_s = reading.time_s

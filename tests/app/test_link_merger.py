@@ -63,6 +63,44 @@ def test_positions_of_two_links_never_go_back_in_time_and_fill_each_other_s_gaps
     assert max(b - a for a, b in itertools.pairwise(passed)) < 1.0
 
 
+def flown(stray=None, silent_from_s=None):
+    """Return the times that pass of two links at 10 Hz, link 1 with a stray stamp at 20 s or silent later on."""
+    merger, senders = LinkMerger(2), (Sender(), Sender())
+    passed = []
+    for tick in range(600):
+        now_s = 10.0 + 0.1 * tick
+        for link in (0, 1):
+            if link == 1 and silent_from_s is not None and now_s >= silent_from_s:
+                continue
+            time_s = stray if link == 1 and stray is not None and tick == 100 else now_s + 0.02 * link
+            if merger.passes(link, senders[link](position(time_s)), now_s):
+                passed.append(time_s)
+    return passed
+
+
+@pytest.mark.parametrize("stray", [3600.0, 1.0])
+def test_one_stray_stamp_on_one_link_holds_back_neither_link(stray):
+    passed = flown(stray=stray, silent_from_s=20.1)
+    good = [time_s for time_s in passed if time_s < 100.0]
+    assert max(b - a for a, b in itertools.pairwise(sorted(good))) < 3.0
+    assert good[-1] > 69.0
+    assert 3600.0 not in passed
+
+
+def test_clock_that_really_has_jumped_is_followed_once_the_old_one_is_silent():
+    merger, senders = LinkMerger(2), (Sender(), Sender())
+    passed = []
+    for tick in range(200):
+        now_s = 10.0 + 0.1 * tick
+        time_s = now_s + (3600.0 if tick >= 100 else 0.0)
+        for link in (0, 1):
+            if merger.passes(link, senders[link](position(time_s)), now_s):
+                passed.append((now_s, time_s))
+    jumped = [now_s for now_s, time_s in passed if time_s > 3000.0]
+    assert jumped[0] == pytest.approx(22.0, abs=0.3)
+    assert len(jumped) > 60
+
+
 def test_the_mode_is_believed_of_the_link_in_use_only():
     merger, first, second = LinkMerger(2), Sender(), Sender()
     assert merger.passes(0, first(mode(10)), 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import traceback
 
@@ -68,6 +69,7 @@ def test_each_kind_of_wrong_frame_is_refused_by_its_name():
     ours = checking()
     assert ours.refusal(heartbeat(signer()), NOW) is None
     wrong = {
+        Refusal.FUTURE: heartbeat(signer(now=2**48 - 2)),
         Refusal.UNSIGNED: heartbeat(mavlink.MAVLink(None, *VEHICLE)),
         Refusal.WRONG_KEY: heartbeat(signer(OTHER_SECRET, now=NOW + 9)),
         Refusal.OTHER_LINK: heartbeat(signer(link_id=1, now=NOW + 9)),
@@ -101,6 +103,14 @@ def test_the_time_only_rises_and_follows_a_clock_that_is_ahead():
     assert [times.next(NOW), times.next(NOW), times.next(NOW - 500)] == [NOW, NOW + 1, NOW + 2]
     assert ours.refusal(heartbeat(signer(now=NOW + 10**9)), NOW) is None
     assert times.next(NOW) == NOW + 10**9 + 1
+
+
+def test_frame_stamped_decades_ahead_is_refused_and_ends_no_sending():
+    times = SigningTimes()
+    ours = checking(times)
+    assert ours.refusal(heartbeat(signer(now=2**48 - 2)), NOW) is Refusal.FUTURE
+    assert times.next(NOW) == NOW
+    assert ours.signed(heartbeat(signer()).data[:-13], NOW)
 
 
 # -- files --------------------------------------------------------------------------------------------------------
@@ -160,6 +170,34 @@ def test_neither_time_nor_replay_survives_a_restart(tmp_path):
         assert kept.times.next(NOW - 10**9) > sent
         assert [ours.refusal(frame, NOW - 10**9) for frame in recorded] == [Refusal.OLD] * 20
         assert ours.refusal(heartbeat(signer(now=NOW + 300_000)), NOW) is None
+
+
+def test_file_of_times_from_the_far_future_is_usable_again(tmp_path):
+    path = tmp_path / "plane.key"
+    make_key(path)
+    (tmp_path / "plane.key.times").write_text(f'{{"sent": {2**48 + 5}, "streams": [[0, 1, 1, {2**48 - 2}]]}}')
+    with kept_times(path, NOW, pytest.fail) as kept:
+        assert kept.times.next(NOW).to_bytes(6, "little")
+        assert max(kept.times.streams.values()) < 2**47
+
+
+def test_symbolic_link_to_a_key_uses_the_times_of_the_key(tmp_path):
+    path, other = tmp_path / "plane.key", tmp_path / "other.key"
+    make_key(path)
+    other.symlink_to(path)
+    with (
+        kept_times(path, NOW, pytest.fail),
+        pytest.raises(InputError, match="in use by another sidelong"),
+        kept_times(other, NOW, pytest.fail),
+    ):
+        pass
+    assert not (tmp_path / "other.key.times").exists()
+
+
+def test_fifo_as_a_key_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "plane.key", 0o600)
+    with pytest.raises(InputError, match="not a regular file"):
+        read_key(tmp_path / "plane.key")
 
 
 def test_a_process_that_dies_has_lost_no_time(tmp_path):

@@ -421,6 +421,15 @@ def test_two_places_that_take_turns_are_two_vehicles(flown):
     assert off_the_path(flown.of(PositionReading)) < 5.0
 
 
+@pytest.mark.parametrize("change", [later(3600.0), away(500.0)])
+def test_second_vehicle_that_is_seldom_received_is_reported(flown, change):
+    for begin_s in range(110, 140):
+        flown.give(change(position(begin_s + 0.02)))
+        flown.fly(begin_s + 0.1, begin_s + 1)
+    assert any("a second vehicle may send with the same system id" in told for told in flown.told)
+    assert not flown.of(YieldRequested)
+
+
 def test_a_few_stray_stamps_and_places_are_no_second_vehicle(flown):
     for begin_s in range(110, 170):
         flown.give(later(3600.0)(position(begin_s)), away(500.0)(position(begin_s + 0.02)))
