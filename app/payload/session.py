@@ -174,9 +174,10 @@ class PayloadSession:
             self._report(f"payload {self._name}: angles arrive, but no range for {_NO_RANGE_AFTER_S:.0f} s")
 
     def _returned(self, now_s: float) -> None:
-        if self._is_lost:
-            self._is_lost = False
-            self._report(f"payload {self._name}: data again after {now_s - self._latest_s:.0f} s")
         if self._is_rangeless and self._range_s == now_s:
             self._is_rangeless = False
             self._report(f"payload {self._name}: ranges again")
+        if self._is_lost:
+            self._is_lost = self._is_rangeless = False
+            self._report(f"payload {self._name}: data again after {now_s - self._latest_s:.0f} s")
+            self._range_s = now_s  # its laser may take some seconds

@@ -31,7 +31,7 @@ _GIMBAL, _LENS, _SYSTEM = "G", "M", "D"
 _ANGLES_MESSAGES = (b"GIA", b"GIC")
 _ANGLE_UNIT_RAD = math.radians(0.01)
 _SPEED = 99  # the greatest
-_IDENTITY_PERIOD_S, _ANGLES_PERIOD_S, _RANGE_PERIOD_S, _RANGING_PERIOD_S = 1.0, 1.0, 0.1, 5.0
+_IDENTITY_PERIOD_S, _ANGLES_PERIOD_S, _RANGE_PERIOD_S, _RANGING_PERIOD_S = 1.0, 1.0, 0.1, 1.0
 _PUSHED_S = 0.5  # without a range for this long, it is polled
 
 

@@ -38,6 +38,7 @@ class Wired:
         seed: int = 1,
         range_delay_s: float = 0.0,
     ) -> None:
+        self._kind, self._quirks, self._seed = kind, quirks, seed
         self.driver = kind_by_name(kind).make(settings)
         self.device = DEVICES[kind](quirks, np.random.default_rng(seed))
         self.reports: list[tuple[float, str]] = []
@@ -51,6 +52,10 @@ class Wired:
 
     def _note(self, text: str) -> None:
         self.reports.append((self.now_s, text))
+
+    def restart_device(self) -> None:
+        """Switch the payload off and on: it knows nothing of what it was asked before."""
+        self.device = DEVICES[self._kind](self._quirks, np.random.default_rng(self._seed))
 
     def step(self, seen: Seen) -> list[Measured]:
         """Go on by 10 ms and return what was measured."""
