@@ -20,7 +20,7 @@ class Watch:
         range_m: Estimated horizontal range.
         angle_rad: Observation angle, from the middle of where the target is to be watched from.
         in_band: Whether the range is the required one.
-        on_side: Whether the side is the required one.
+        on_side: Whether the side is the required one; unknown until the target has made good a course.
         course_rad: The target's course that defines the sides.
         present_course_rad: Its present course.
 
@@ -60,5 +60,6 @@ class PresentWatch:
         if estimate.quality is TrackQuality.LOST or snapshot.unknown or elsewhere:
             return found
         in_band = requirement.range_min_m <= range_m <= requirement.range_max_m
-        on_side = None if angle_rad is None else abs(angle_rad) <= allowed_rad(wanted)
+        side_known = angle_rad is not None and (made_good_rad is not None or requirement.sector is not None)
+        on_side = abs(angle_rad) <= allowed_rad(wanted) if side_known and angle_rad is not None else None
         return replace(found, in_band=in_band, on_side=True if requirement.either_side else on_side)

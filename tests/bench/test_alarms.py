@@ -1,0 +1,113 @@
+"""Alarms and the page's band and side against the truth, over closed-loop flights with dropouts of the laser.
+
+ALARM_FLIGHTS=40 ALARM_FLIGHT_S=600 python -m pytest tests/bench/test_alarms.py -s
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sidelong.app.analysis.present import PresentWatch
+from sidelong.app.analysis.target_course import TargetCourse
+from sidelong.app.assembly import controller_of, mission_controller_of
+from sidelong.app.autopilots.registry import AUTOPILOTS
+from sidelong.app.config import Config
+from sidelong.app.flight.alarm_watch import AlarmWatch
+from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.app.simulation.airframe import KinematicAircraft
+from sidelong.app.simulation.kinematic import LIVE_RATES, KinematicVehicle, Start
+from sidelong.app.simulation.loop import ClosedLoop
+from sidelong.app.simulation.payload import Payload, PayloadErrors
+from sidelong.app.simulation.target import RandomTarget
+from sidelong.estimators.frames import LocalPlane, wrap_rad
+from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import AlarmReported
+from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.core.requirement import Wind
+from sidelong.mission.exchange.dialect import Home
+
+FLIGHTS = int(os.environ.get("ALARM_FLIGHTS", "4"))
+FLIGHT_S = float(os.environ.get("ALARM_FLIGHT_S", "600"))
+STEP_S = 0.5
+HOME = Home(47.4, 8.5, 400.0)
+PLANE = LocalPlane(HOME.latitude_deg, HOME.longitude_deg)
+CIRCLE = Circle(-300.0, 0.0, 50.0, True)
+ERRORS = PayloadErrors(outliers=0.02, dropouts_per_s=0.03, dropout_s=5.0)
+STATUS = VehicleStatus(80, 12.0, "3D, 11 satellites", True, 99, 0.05)
+
+
+@dataclass
+class Flown:
+    """What one flight came to, by the truth: seconds, and the longest stretch on end."""
+
+    known_s: float = 0.0
+    wrong_s: dict[str, float] = field(default_factory=lambda: {"band": 0.0, "side": 0.0})
+    longest_s: dict[str, float] = field(default_factory=lambda: {"band": 0.0, "side": 0.0})
+    alarms: list[tuple[str, bool]] = field(default_factory=list)  # key, and whether the truth supports it
+
+
+def flown(seed: int) -> Flown:
+    """Fly one flight and compare what the page shows with the truth."""
+    config = Config()
+    autopilot = AUTOPILOTS[seed % len(AUTOPILOTS)]
+    target_rng, noise_rng = (np.random.default_rng((seed, part)) for part in range(2))
+    state = AircraftState(0.0, *CIRCLE.position_at_course(0.0), 0.0, 15.0, CIRCLE.curvature_per_m)
+    aircraft = KinematicAircraft(state, 15.0, math.radians(45.0), math.radians(60.0), Wind(), 0.45)
+    target = RandomTarget(target_rng, FLIGHT_S + 100.0, 3.0, (20.0, 120.0))
+    start = Start(PLANE, HOME, CIRCLE, 100.0)
+    vehicle = KinematicVehicle(autopilot, aircraft, Wind(), start, Payload(ERRORS, noise_rng), target, LIVE_RATES)
+    controller, loop, result = controller_of(config), ClosedLoop(vehicle), Flown()
+    loop.telemetry.plane = PLANE
+    loop.start(lambda plane: mission_controller_of(config, controller, autopilot, plane, HOME), vehicle.mode)
+    events: list[object] = []
+    watch = AlarmWatch(config, (0.0, 0.0), lambda: STATUS, events.append, lambda _text: None, lambda: vehicle.time_s)
+    page, course = PresentWatch(), TargetCourse(0.3)
+    wanted, since_s = controller.settings.requirement, {"band": 0.0, "side": 0.0}
+    for tick in range(round(FLIGHT_S / STEP_S)):
+        loop.run(STEP_S)
+        snapshot = controller.snapshot()
+        watch.show(snapshot)
+        shown, true, own = page.of(snapshot), target.at(vehicle.time_s), vehicle.aircraft.state
+        course.take(vehicle.time_s, (true.velocity_east_m_s, true.velocity_north_m_s), wanted.course_horizon_s)
+        east_m, north_m = own.east_m - true.east_m, own.north_m - true.north_m
+        in_band = wanted.range_min_m <= math.hypot(east_m, north_m) <= wanted.range_max_m
+        middle_rad = None if course.made_good_rad is None else course.made_good_rad + wanted.side.normal_turn_rad
+        on_side = (
+            None if middle_rad is None else abs(wrap_rad(math.atan2(east_m, north_m) - middle_rad)) <= math.pi / 2
+        )
+        supports = {"band": in_band is False, "side": on_side is False}
+        result.alarms += [
+            (one.key, supports.get(one.key, False))
+            for one in events
+            if isinstance(one, AlarmReported) and one.stage == "raised"
+        ]
+        events.clear()
+        if tick * STEP_S < 60.0:  # the target's course is being found
+            continue
+        result.known_s += STEP_S
+        for name, told, truth in (("band", shown.in_band, in_band), ("side", shown.on_side, on_side)):
+            wrong = told is not None and truth is not None and told != truth
+            since_s[name] = since_s[name] + STEP_S if wrong else 0.0
+            result.wrong_s[name] += STEP_S * wrong
+            result.longest_s[name] = max(result.longest_s[name], since_s[name])
+    return result
+
+
+def test_what_the_page_shows_is_true_and_no_alarm_is_false():
+    flights = [flown(seed) for seed in range(FLIGHTS)]
+    known_s = sum(one.known_s for one in flights)
+    for name in ("band", "side"):
+        wrong = sum(one.wrong_s[name] for one in flights) / known_s
+        longest_s = max(one.longest_s[name] for one in flights)
+        print(f"{name}: wrong for {100.0 * wrong:.2f} % of {known_s:.0f} s, longest {longest_s:.1f} s")
+        assert wrong <= 0.01
+        assert longest_s <= 5.0
+    raised = Counter(key for one in flights for key, _ in one.alarms)
+    false = Counter(key for one in flights for key, supported in one.alarms if not supported)
+    print(f"{len(flights)} flights, {dict(raised)} alarms raised, {dict(false)} without support by the truth")
+    assert not false
