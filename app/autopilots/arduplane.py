@@ -44,7 +44,7 @@ _PARAMETERS = (
         "FS_GCS_ENABL",
         Purpose.GROUND_STATION,
         notes={
-            0.0: "losing the link does nothing: it circles on for ever",
+            0.0: "losing the link does nothing: it keeps circling",
             1.0: _FAILSAFE,
             2.0: _FAILSAFE,
             3.0: _FAILSAFE,
@@ -141,7 +141,7 @@ class ArduPlane:
 
     def fly_circle(self, order: CircleOrder, take_over: bool) -> VehicleCommand:
         # Only COMMAND_INT is understood, the sign of a radius says nothing, and it is kept in whole metres. Without
-        # the flag it is refused in any other mode, so it cannot take the aircraft out of somebody's hands.
+        # the flag it is refused in any other mode, so it cannot override a pilot or another station.
         return VehicleCommand(
             _mav.MAV_CMD_DO_REPOSITION,
             (

@@ -39,7 +39,7 @@ _PARAMETERS = (
         "NAV_DLL_ACT",
         Purpose.GROUND_STATION,
         notes={
-            0.0: "losing the link does nothing: it circles on for ever",
+            0.0: "losing the link does nothing: it keeps circling",
             1.0: "losing the link holds the aircraft where it is",
             2.0: "losing the link holds it, then flies it home",
             3.0: "losing the link lands it",

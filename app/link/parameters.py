@@ -37,7 +37,7 @@ async def read_table(vehicle: Vehicle, autopilot: Autopilot, release: Release | 
 async def read_parameters(vehicle: Vehicle, names: Iterable[str]) -> dict[str, float]:
     """Return the values of those the autopilot has, all asked for at once and again where no answer came.
 
-    An autopilot says nothing about a name that it does not know; on a link that loses much, that is not told from an
+    An autopilot does not answer for a name that it does not have. On a lossy link that looks the same as an
     answer that was lost in each round.
     """
     wanted = list(names)
@@ -79,7 +79,7 @@ async def temporary_parameters(
     note: Callable[[str], object],
     may_restore: Callable[[], bool],
 ) -> AsyncIterator[None]:
-    """Set what is needed, and set it back afterwards, unless somebody else flies then.
+    """Set what is needed, and restore it afterwards, unless another station has taken over.
 
     Raises InputError when a parameter is not taken.
     """
