@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -97,7 +98,8 @@ def controller_of(
     aircraft = config.aircraft.aircraft()
     requirement = config.requirement.requirement()
     kind = kind or planner_by_name(config.planner.name)
-    if not (kind.is_compiled() and is_cached(update)):
+    cached = kind.is_compiled() and is_cached(update)
+    if not cached:
         tell("compiling the planner and the filter, once for this version of the program: up to a minute")
 
     def check(plan: Plan) -> str | None:
@@ -125,7 +127,7 @@ def controller_of(
         tracker_of(config),
         make_planner,
     )
-    with one_compiles():
+    with contextlib.nullcontext() if cached else one_compiles():
         track = Track(tracker_settings(config.sensors, lost_after_s))
         _warm_up(make_planner(aircraft, requirement), track, requirement.range_max_m - 190.0)
     return controller

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -57,12 +58,24 @@ class Verdict:
 SOUND = Verdict(None, 1.0)
 
 
+class _Sample(NamedTuple):
+    """What was received at one time; ``sighted_m`` is the apparent target, by the frame as flagged."""
+
+    time_s: float
+    turned_rad: float
+    own_m: tuple[float, float, float]
+    sighted_m: tuple[float, float, float]
+    attitude: AttitudeReading
+    gimbal: GimbalReading
+    range_m: float
+
+
 class MotionFit:
     """Collects two samples a second and compares the hypotheses."""
 
     def __init__(self, parent_from_mount: Quaternion) -> None:
         self._parent_from_mount = parent_from_mount
-        self._samples: deque[tuple[float, float, FloatArray, float]] = deque(maxlen=_SAMPLES)
+        self._samples: deque[_Sample] = deque(maxlen=_SAMPLES)
         self._flagged = ""
 
     def clear(self) -> None:
@@ -90,18 +103,9 @@ class MotionFit:
         if gimbal.frame != self._flagged:
             self._flagged = gimbal.frame
             self._samples.clear()
-        directions = np.empty((len(FRAMES), 3))
-        for row, frame in zip(directions, FRAMES, strict=True):
-            sight = line_of_sight(
-                GimbalReading(gimbal.time_s, gimbal.quaternion_wxyz, frame, gimbal.source),  # type: ignore[arg-type]
-                attitude,
-                self._parent_from_mount,
-            )
-            level = math.cos(sight.depression_rad)
-            row[:] = level * math.sin(sight.bearing_rad), level * math.cos(sight.bearing_rad), 0.0
-            row[2] = -math.sin(sight.depression_rad)
-        own = np.array((position.east_m, position.north_m, position.height_m))
-        self._samples.append((position.time_s, turned_rad, np.vstack((directions, own)), slant_range_m))
+        own_m = position.east_m, position.north_m, position.height_m
+        sighted_m = _apparent_m(own_m, slant_range_m, self._direction(attitude, gimbal, gimbal.frame))
+        self._samples.append(_Sample(position.time_s, turned_rad, own_m, sighted_m, attitude, gimbal, slant_range_m))
 
     def verdict(self, established: Verdict = SOUND) -> Verdict | None:
         """Return what is wrong, ``SOUND`` where nothing is, None while it cannot be known.
@@ -110,44 +114,74 @@ class MotionFit:
             established: what was found to be wrong before; it holds until what is reported fits clearly better.
 
         """
-        if len(self._samples) < _SAMPLES_MIN:
+        samples = self._samples
+        if len(samples) < _SAMPLES_MIN or samples[-1].turned_rad - samples[0].turned_rad < _TURNED_MIN_RAD:
             return None
-        times_s = np.array([one[0] for one in self._samples])
-        if times_s[-1] - times_s[0] < _SPAN_MIN_S or self._samples[-1][1] - self._samples[0][1] < _TURNED_MIN_RAD:
+        if samples[-1].time_s - samples[0].time_s < _SPAN_MIN_S:
             return None
-        rows = np.stack([one[2] for one in self._samples])  # (n, 4, 3)
-        ranges_m = np.array([one[3] for one in self._samples])
-        directions, own = rows[:, :3], rows[:, 3]
-        flagged = FRAMES.index(self._flagged)
-        frames = own[:, None] + ranges_m[:, None, None] * directions  # (n, 3, 3)
-        factors = np.array(list(FACTORS))
-        scaled = own[:, None] + (ranges_m[:, None] * factors)[:, :, None] * directions[:, flagged, None]  # (n, k, 3)
-        residual_m = _residuals_m(times_s, np.concatenate((frames, scaled, own[:, None]), axis=1))
-        as_reported_m = residual_m[flagged]
-        if established != SOUND:
-            at = (
-                FRAMES.index(established.frame)
-                if established.frame
-                else len(FRAMES) + list(FACTORS).index(established.factor)
-            )
-            return SOUND if as_reported_m < _AS_GOOD_SHARE * residual_m[at] else established
-        # Any range that is divided by enough puts the target at the aircraft, which flies straight at times, too.
-        residual_m, own_m = residual_m[:-1], residual_m[-1]
-        shrunk = np.flatnonzero(factors < 1.0) + len(FRAMES)
-        residual_m[shrunk[residual_m[shrunk] > _OWN_SHARE * own_m]] = math.inf
-        best = int(np.argmin(residual_m))
-        if as_reported_m < _WRONG_M or residual_m[best] > _AS_GOOD_SHARE * as_reported_m:
+        times_s = np.array([one.time_s for one in samples])
+        sighted_m = np.array([one.sighted_m for one in samples])
+        as_reported_m = float(_residuals_m(times_s, sighted_m[:, None])[0])
+        if established == SOUND and as_reported_m < _WRONG_M:
             return SOUND
-        if residual_m[best] > _BETTER_SHARE * as_reported_m:
-            return None
-        return Verdict(FRAMES[best], 1.0) if best < len(FRAMES) else Verdict(None, float(factors[best - len(FRAMES)]))
+        residual_m = self._residuals_of_hypotheses_m(times_s, sighted_m)
+        if established != SOUND:
+            return SOUND if as_reported_m < _AS_GOOD_SHARE * residual_m[established] else established
+        best = min(residual_m, key=residual_m.__getitem__)
+        if residual_m[best] > _AS_GOOD_SHARE * as_reported_m:
+            return SOUND
+        return None if residual_m[best] > _BETTER_SHARE * as_reported_m else best
+
+    def _residuals_of_hypotheses_m(self, times_s: FloatArray, sighted_m: FloatArray) -> dict[Verdict, float]:
+        """Return the residual of every other reading of the payload."""
+        samples = self._samples
+        own_m = np.array([one.own_m for one in samples])
+        verdicts = [Verdict(frame, 1.0) for frame in FRAMES if frame != self._flagged]
+        positions_m = [
+            np.array(
+                [
+                    _apparent_m(one.own_m, one.range_m, self._direction(one.attitude, one.gimbal, verdict.frame))
+                    for one in samples
+                ]
+            )
+            for verdict in verdicts
+        ]
+        verdicts += [Verdict(None, factor) for factor in FACTORS]
+        positions_m += [own_m + factor * (sighted_m - own_m) for factor in FACTORS]
+        *residuals_m, straight_m = _residuals_m(times_s, np.stack((*positions_m, own_m), axis=1)).tolist()
+        # Any range that is divided by enough puts the target at the aircraft, which flies straight at times, too.
+        return {
+            verdict: math.inf if verdict.factor < 1.0 and residual_m > _OWN_SHARE * straight_m else residual_m
+            for verdict, residual_m in zip(verdicts, residuals_m, strict=True)
+        }
+
+    def _direction(
+        self, attitude: AttitudeReading, gimbal: GimbalReading, frame: str | None
+    ) -> tuple[float, float, float]:
+        """Return the unit vector (east, north, up) of a line of sight, if its frame is this one."""
+        if gimbal.frame != frame:
+            gimbal = replace(gimbal, frame=frame)  # type: ignore[arg-type]
+        sight = line_of_sight(gimbal, attitude, self._parent_from_mount)
+        level = math.cos(sight.depression_rad)
+        return (
+            level * math.sin(sight.bearing_rad),
+            level * math.cos(sight.bearing_rad),
+            -math.sin(sight.depression_rad),
+        )
+
+
+def _apparent_m(
+    own_m: tuple[float, float, float], range_m: float, direction: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    east, north, up = direction
+    return own_m[0] + range_m * east, own_m[1] + range_m * north, own_m[2] + range_m * up
 
 
 def _residuals_m(times_s: FloatArray, positions_m: FloatArray) -> FloatArray:
     """Return the median distance of positions (n, k, 3) from a straight line in time, for each k."""
-    design = np.stack((np.ones_like(times_s), times_s - times_s.mean()), axis=1)
-    flat = positions_m.reshape(times_s.size, -1)
-    fitted = design @ np.linalg.lstsq(design, flat, rcond=None)[0]
-    off = (flat - fitted).reshape(positions_m.shape)
-    distance: FloatArray = np.sqrt(np.median((off**2).sum(axis=2), axis=0))
-    return distance
+    from_middle_s = times_s - times_s.mean()
+    centred_m = positions_m - positions_m.mean(axis=0)
+    velocity_m_s = np.tensordot(from_middle_s, centred_m, axes=1) / (from_middle_s @ from_middle_s)
+    off_m = centred_m - from_middle_s[:, None, None] * velocity_m_s
+    distance_m: FloatArray = np.sqrt(np.median((off_m**2).sum(axis=2), axis=0))
+    return distance_m

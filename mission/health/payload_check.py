@@ -46,7 +46,7 @@ class _Repeats:
 
     def note(self, values: tuple[float, ...], same: float, time_s: float, turned_rad: float) -> None:
         anchor = self._anchor
-        if anchor is not None and all(abs(a - b) <= same for a, b in zip(anchor, values, strict=True)):
+        if anchor is not None and _is_same(anchor, values, same):
             self._count += 1
             self._moved = 0
             self.found |= (
@@ -59,6 +59,13 @@ class _Repeats:
         if not self.found or self._moved >= _MOVES_AGAIN:
             self.found = False
             self._anchor, self.since_s, self._turned_rad, self._count = values, time_s, turned_rad, 0
+
+
+def _is_same(anchor: tuple[float, ...], values: tuple[float, ...], same: float) -> bool:
+    for before, now in zip(anchor, values, strict=True):  # noqa: SIM110  # in half the time of all()
+        if abs(before - now) > same:
+            return False
+    return True
 
 
 class PayloadCheck:
