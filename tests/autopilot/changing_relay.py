@@ -111,11 +111,13 @@ class ChangingRelay(Relay):
 
     def has_parameter(self, name: str) -> bool:
         """Return whether the autopilot answers for a parameter of that name."""
+        while self._answers.qsize():
+            self._answers.get_nowait()
         for _ in range(_ASKS):
             self.say(mavlink.MAVLink_param_request_read_message(self.system_id, 1, name.encode(), -1))
-            answer = self.answer("PARAM_VALUE")
-            if answer is not None and answer.param_id == name:
-                return True
+            while (answer := self.answer("PARAM_VALUE")) is not None:
+                if answer.param_id == name:
+                    return True
         return False
 
     def set_parameter(self, name: str, value: float, kind: int = mavlink.MAV_PARAM_TYPE_REAL32) -> None:

@@ -42,6 +42,7 @@ RECEIVER = {  # the parameter that switches the simulated one, its type, and its
     ),
     "px4": (("SIM_GPS_USED", mavlink.MAV_PARAM_TYPE_INT32, 0.0, 1.4e-44),),
 }
+CONFIG = '[requirement]\ntarget_speed_max_m_s = 4\n[link]\ntake_over_from = ["RTL", "failsafe"]\n'
 PILOTS_MODE = {"arduplane": (12, "LOITER"), "px4": (0x03040000, "LOITER")}
 
 
@@ -50,7 +51,7 @@ class Flown:
 
     def __init__(self, flavour, relay, folder):
         self.flavour, self.relay, self._folder = flavour, relay, folder
-        self._config = configured(folder / "mission.toml", flavour, "[requirement]\ntarget_speed_max_m_s = 4\n")
+        self._config = configured(folder / "mission.toml", flavour, CONFIG)
         self._launches = 0
 
     def launch(self, *options, **more):
