@@ -68,8 +68,8 @@ class ClosedLoop(Generic[P]):
 
     Args:
         simulated: the vehicle, and what it carries.
-        to_us: the link from the vehicle.
-        to_vehicle: the link to the vehicle, None: without faults.
+        down: the link from the vehicle.
+        up: the link to the vehicle.
         rate: seconds of the vehicle's clock in one of the link's.
 
     Attributes:
@@ -81,14 +81,14 @@ class ClosedLoop(Generic[P]):
     def __init__(
         self,
         simulated: SimulatedVehicle[P],
-        to_us: Link[P] | None = None,
-        to_vehicle: Link[bytes] | None = None,
+        down: Link[P] | None = None,
+        up: Link[bytes] | None = None,
         rate: float = 1.0,
     ) -> None:
         self.simulated, self.rate = simulated, rate
         unused = np.random.default_rng(0)
-        self.to_us: Link[P] = to_us or Link(NO_FAULTS, unused)
-        self.to_vehicle: Link[bytes] = to_vehicle or Link(NO_FAULTS, unused)
+        self.down: Link[P] = down or Link(NO_FAULTS, unused)
+        self.up: Link[bytes] = up or Link(NO_FAULTS, unused)
         self.vehicle = Vehicle(cast(AnyLink, SimpleNamespace(system_id=simulated.system_id, own_id=OWN_ID)))
         self.telemetry, self.reports = Telemetry(simulated.system_id), VehicleReports(self.vehicle)
         self.core: MissionController | None = None
@@ -113,12 +113,29 @@ class ClosedLoop(Generic[P]):
             TimeoutError: the vehicle sends neither position nor heartbeat.
 
         """
+        self.connect()
+        assert self.telemetry.plane is not None
+        self.core = make_core(self.telemetry.plane)
+        self.take_over(flying_mode)
+
+    def connect(self) -> None:
+        """Wait until the vehicle's position and mode are known. Raises TimeoutError."""
         while self.telemetry.plane is None or "HEARTBEAT" not in self.vehicle.latest:
             if self.link_s > _START_WITHIN_S:
                 raise TimeoutError("the simulated vehicle sends no position or no heartbeat")
             self.step()
-        self.core = make_core(self.telemetry.plane)
-        self.put(TakeoverRequested(self.telemetry.now_s, self.link_s, bool(flying_mode), flying_mode))
+
+    def take_over(self, flying_mode: str = "", round_trip_s: float = 0.0) -> None:
+        """Ask the core to bring the aircraft onto a circle.
+
+        Args:
+            flying_mode: the mode in which it flies already; empty: it stands on the ground.
+            round_trip_s: of the link, as far as it is known.
+
+        """
+        flying = bool(flying_mode)
+        request = TakeoverRequested(self.telemetry.now_s, self.link_s, flying, flying_mode, round_trip_s=round_trip_s)
+        self.put(request)
 
     def run(self, duration_s: float, until: Callable[[], bool] = lambda: False) -> bool:
         """Fly for a time of the vehicle's clock or until something holds; return whether it does."""
@@ -132,19 +149,28 @@ class ClosedLoop(Generic[P]):
     def step(self) -> None:
         """Move the clock by one tick, and hand over all that is due."""
         simulated = self.simulated
-        for frame in self.to_vehicle.take(self.link_s):
-            simulated.receive(frame)
+        for frame in self.up.take(self.link_s):
+            self.deliver(frame)
         simulated.advance(simulated.time_s + simulated.tick_s)
         link_s = self.link_s
-        for packet in simulated.take():
-            self.to_us.put(packet, link_s)
-        for packet in self.to_us.take(link_s):
+        for packet in self.arriving():
             for message in simulated.messages(packet, link_s):
                 self.hear(message)
         if self.core is not None and self.link_s >= self._tick_s:
             self._tick_s = self.link_s + _CLOCK_TICK_S
             self.put(ClockTick(self.telemetry.now_s, self.link_s))
         self.expire()
+
+    def deliver(self, frame: bytes) -> None:
+        """Hand the vehicle a frame that has come through."""
+        self.simulated.receive(frame)
+
+    def arriving(self) -> Iterable[P]:
+        """Return what has come through from the vehicle."""
+        link_s = self.link_s
+        for packet in self.simulated.take():
+            self.down.put(packet, link_s, len(packet) if isinstance(packet, bytes) else 0)
+        return self.down.take(link_s)
 
     def hear(self, message: Message) -> None:
         """Take a message that has arrived."""
@@ -178,5 +204,8 @@ class ClosedLoop(Generic[P]):
 
     def send(self, message: SendMessage) -> None:
         """Send one of the core's messages."""
-        frame = self._packer.frame(message.name, message.fields, self.simulated.system_id)
-        self.to_vehicle.put(frame, self.link_s, len(frame))
+        self.transmit(self._packer.frame(message.name, message.fields, self.simulated.system_id))
+
+    def transmit(self, frame: bytes) -> None:
+        """Put a frame on the link to the vehicle."""
+        self.up.put(frame, self.link_s, len(frame))

@@ -85,7 +85,7 @@ def test_plans_are_uploaded_activated_and_flown(autopilot, guidance):
 @pytest.mark.parametrize("autopilot", AUTOPILOTS, ids=lambda one: one.name)
 def test_a_bad_link_delays_plans_and_ends_no_flight(autopilot):
     faults, rngs = LinkFaults(loss=0.05, duplicate=0.05, delay_s=0.2, jitter_s=0.1), np.random.default_rng(3).spawn(2)
-    flight = Flight(autopilot, to_us=Link(faults, rngs[0], (Silence(60.0, 62.0),)), to_vehicle=Link(faults, rngs[1]))
+    flight = Flight(autopilot, down=Link(faults, rngs[0], (Silence(60.0, 62.0),)), up=Link(faults, rngs[1]))
     flight.loop.run(240.0)
     assert flight.departed()
     assert not flight.found(Yield)
@@ -95,7 +95,7 @@ def test_the_same_seeds_fly_the_same_to_the_last_bit():
     states = []
     for _ in range(2):
         link = Link(LinkFaults(loss=0.2, delay_s=0.1), np.random.default_rng(5))
-        flight = Flight(AUTOPILOTS[0], to_us=link)
+        flight = Flight(AUTOPILOTS[0], down=link)
         flight.loop.run(120.0)
         states.append((flight.vehicle.aircraft.state, flight.outputs))
     assert repr(states[0]) == repr(states[1])  # NaN is not equal to itself

@@ -5,47 +5,33 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.assembly import mission_controller_of, tracker_of
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.config import Config
 from sidelong.app.link.frames import FrameSplitter
 from sidelong.app.link.merger import LinkMerger
-from sidelong.app.link.message import Message
 from sidelong.app.link.quality import LinkQuality
-from sidelong.app.link.reports import VehicleReports
-from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.simulation.link import NO_FAULTS, Link
+from sidelong.app.simulation.loop import ClosedLoop
+from sidelong.app.simulation.sitl_vehicle import RATES_HZ, SitlVehicle
+from sidelong.app.simulation.wire import OWN_ID, Packer
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ControlAcquired, UploadPlan
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.exchange.dialect import Home
-from sidelong.mission.exchange.mission_controller import MissionController
-from sidelong.mission.exchange.outbox import SendMessage
 from sidelong.mission.exchange.raw_item import RawItem
-from sidelong.mission.exchange.reports import TakeoverRequested, TimerExpired
 from sidelong.mission.geometry.approach import turn_straight_turn
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
-from sidelong.sitl.protocol.link import FaultyLink, LinkFaults
+from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings
-from sidelong.sitl.simulation import STEP_S, Simulation
+from sidelong.sitl.simulation import Simulation
 
-NO_FAULTS = LinkFaults()
-OURS, OTHER = (245, 190), (250, 190)
-_BOOT_S = 25.0
-_MISSION_IDS = {
-    "MISSION_CURRENT": ("mission_id", 6),
-    "MISSION_ACK": ("opaque_id", 4),
-    "MISSION_COUNT": ("opaque_id", 5),
-}
 _ID_BYTES, _MISSION_CURRENT = slice(7, 10), (42).to_bytes(3, "little")
-_RATES_HZ = {30: 20.0, 33: 10.0, 42: 5.0, 87: 2.0, 360: 2.0, 436: 5.0}
 _AHEAD_S = 1.5  # a plan departs so long after it could be on board
 
 
@@ -79,11 +65,11 @@ class Wandering:
         return Decision(aircraft.time_s, Plan(there, transition, departure_s), "moving")
 
 
-class Flight:
+class Flight(ClosedLoop[bytes]):
     """A flight from the ground, in steps of the vehicle's clock.
 
-    ``events`` and ``outputs`` are what went into the core and came out, one tuple of outputs an event. ``sent`` hears
-    of each message as it leaves, ``arrived`` as its first copy reaches the vehicle.
+    ``events`` and ``outputs`` are what went into the core and came out, one tuple of outputs an event. ``arrived`` is
+    called with each message as its first copy reaches the vehicle.
     """
 
     def __init__(
@@ -99,43 +85,27 @@ class Flight:
         settings=None,
     ):
         self.config = Config.model_validate({"planner": {"name": "paper", "guidance": guidance}})
-        self.speed = speed
         self.simulation = Simulation(
             settings
             or Settings(Flavour(flavour), seed=seed, targets=(TargetSettings(speed_max_m_s=0.5),), link_rate=speed)
         )
         self.autopilot = self.simulation.vehicle
         self.dialect = autopilot_by_mav_autopilot(self.autopilot.autopilot_id)
-        self.faults = faults
         rngs = [np.random.default_rng((seed, direction)) for direction in (1, 2)]
-        self._to_vehicle, self._to_us = (FaultyLink(faults, rng) for rng in rngs)
-        self._late = FaultyLink(NO_FAULTS, rngs[0])  # what is held up on its way to us: MISSION_CURRENT
-        self._packer = mavlink.MAVLink(None, srcSystem=OURS[0], srcComponent=OURS[1])
-        self._parser = mavlink.MAVLink(None)
-        self._parser.robust_parsing = True
-        system_id = self.simulation.settings.system_id
-        self.vehicle = Vehicle(SimpleNamespace(system_id=system_id, own_id=OURS))
-        self.telemetry, self.reports = Telemetry(system_id), VehicleReports(self.vehicle)
+        super().__init__(SitlVehicle(self.simulation), Link(NO_FAULTS, rngs[1]), Link(NO_FAULTS, rngs[0]), speed)
+        self._late = Link(NO_FAULTS, rngs[0])  # holds MISSION_CURRENT up on its way to us
         self.events, self.outputs = [], []
         self.lines: dict[int, tuple] = {}  # of each plan, by number; 0: the first circle
-        self.listeners: list[Callable[[object], object]] = []  # of each output
+        self.output_listeners: list[Callable[[object], object]] = []
         self.observers: list[Callable[[], object]] = []  # of each step
         self.arrived: Callable[[str, dict], object] = lambda name, fields: None
         self.lost: set[str] = set()  # names of messages that never come through to us
-        self._carried = 0
-        self._seen: set[int] = set()
-        self.simulation.connect("us")
-        self.simulation.advance(_BOOT_S)
-        for message_id, rate_hz in _RATES_HZ.items():
-            self.to_vehicle("COMMAND_LONG", command=511, param1=message_id, param2=1e6 / rate_hz)
-        self.core: MissionController | None = None
-        self._start_s = self.simulation.time_s
-        while self.telemetry.plane is None or "HEARTBEAT" not in self.vehicle.latest:
-            self._step_simulation()
-            for _, frame in self.simulation.take():
-                self._hear(frame)
+        self.sent: dict[bytes, tuple[str, dict]] = {}  # frames that have not arrived yet
+        self.listeners.append(self._note)
+        self.connect()
         self.seed, self.planner = seed, planner or Wandering(seed)
         self.core = self.make_core(self.planner)
+        self.spoil(faults)
         if begin:
             self.take_over()
 
@@ -155,17 +125,10 @@ class Flight:
             Home(home.latitude_deg, home.longitude_deg, home.altitude_m),
         )
 
-    def take_over(self, flying=False, mode="", round_trip_s=0.0):
-        self.put(TakeoverRequested(self.telemetry.now_s, self.link_s, flying, mode, round_trip_s=round_trip_s))
-
     def spoil(self, faults, late_current_s=0.0):
         """Change the link's faults; MISSION_CURRENT comes later still."""
-        self.faults = self._to_vehicle._faults = self._to_us._faults = faults
-        self._late._faults = LinkFaults(delay_s=late_current_s)
-
-    @property
-    def link_s(self):
-        return (self.simulation.time_s - self._start_s) / self.speed
+        self.faults = self.up.faults = self.down.faults = faults
+        self._late.faults = LinkFaults(delay_s=late_current_s)
 
     @property
     def has_control(self):
@@ -174,103 +137,51 @@ class Flight:
     def found(self, kind):
         return [output for outputs in self.outputs for output in outputs if isinstance(output, kind)]
 
-    def put(self, event):
-        """Step the core, and carry out what it says."""
-        outputs = self.core.step(event)
-        self.events.append(event)
-        self.outputs.append(outputs)
-        for output in outputs:
-            if isinstance(output, SendMessage):
-                self._send(output)
-            elif isinstance(output, UploadPlan) and self.config.planner.guidance == "mission":
-                plan = replace(output.plan, circle=output.commanded)
-                self.lines[output.number] = self.core._backend.line(plan, output.wind)
-            for listener in self.listeners:
-                listener(output)
+    def to_vehicle(self, name, *, source=OWN_ID, **fields):
+        """Send the vehicle a message from any station, without faults."""
+        frame = Packer(source).frame(name, fields, self.simulated.system_id)
+        self.simulation.receive("us" if source == OWN_ID else "other", frame)
 
-    def run(self, seconds, until=lambda: False):
-        """Fly for so much of the vehicle's time, or until something holds; tell whether it does."""
-        end_s = self.simulation.time_s + seconds
-        while self.simulation.time_s < end_s:
-            self.step()
-            if until():
-                return True
-        return False
+    def send(self, message):
+        frame = self._packer.frame(message.name, message.fields, self.simulated.system_id)
+        self.sent[frame] = (message.name, dict(message.fields))
+        self.transmit(frame)
 
-    def step(self):
-        self._step_simulation()
-        for frame in self._arriving():
+    def deliver(self, frame, address="us"):
+        name, fields = self.sent.pop(frame, (None, {}))
+        if name is not None:
+            self.arrived(name, fields)
+        self.simulation.receive(address, frame)
+
+    def arriving(self):
+        for frame in self.through():
             if frame[_ID_BYTES] == _MISSION_CURRENT:
                 self._late.put(frame, self.link_s)
             else:
-                self._hear(frame)
-        for frame in self._late.take(self.link_s):
-            self._hear(frame)
+                yield frame
+        yield from self._late.take(self.link_s)
+
+    def through(self):
+        return super().arriving()
+
+    def hear(self, message):
+        if message.name not in self.lost:
+            super().hear(message)
+
+    def expire(self):
         for observer in self.observers:
             observer()
-        for _ in range(4):
-            if self.core.next_timer_s > self.link_s:
-                break
-            self.put(TimerExpired(self.telemetry.now_s, self.link_s))
+        super().expire()
 
-    def _arriving(self):
-        for address, frame in self.simulation.take():
-            if address == "us":
-                self._to_us.put(frame, self.link_s, len(frame))
-        return self._to_us.take(self.link_s)
-
-    def to_vehicle(self, name, *, source=OURS, **fields):
-        """Let a station say something, without faults."""
-        kind = getattr(mavlink, f"MAVLink_{name.lower()}_message")
-        given = (
-            dict.fromkeys(kind.fieldnames, 0)
-            | {"target_system": self.vehicle.system_id, "target_component": 1}
-            | fields
-        )
-        packer = mavlink.MAVLink(None, srcSystem=source[0], srcComponent=source[1])
-        self.simulation.receive("us" if source == OURS else "other", kind(**given).pack(packer))
-
-    def _step_simulation(self):
-        self._carry(self._to_vehicle, "us")
-        self.simulation.advance(self.simulation.time_s + STEP_S)
-
-    def _carry(self, link, address):
-        for number, name, fields, frame in link.take(self.link_s):
-            if number not in self._seen:
-                self._seen.add(number)
-                self.arrived(name, fields)
-            self.simulation.receive(address, frame)
-
-    def _send(self, message):
-        kind = getattr(mavlink, f"MAVLink_{message.name.lower()}_message")
-        fields = {"target_system": self.vehicle.system_id, "target_component": 1} | dict(message.fields)
-        self._carried += 1
-        frame = kind(**fields).pack(self._packer)
-        self._put((self._carried, message.name, fields, frame))
-
-    def _put(self, sent):
-        self._to_vehicle.put(sent, self.link_s, len(sent[3]))
-
-    def _hear(self, frame):
-        for got in self._parser.parse_buffer(frame) or ():
-            if got.get_type() in self.lost:
-                continue
-            fields = {name: getattr(got, name) for name in got.get_fieldnames()}
-            if got.get_type() == "STATUSTEXT":
-                fields["text"] = str(fields["text"])
-            if got.get_type() in _MISSION_IDS:  # fields that pymavlink does not know yet
-                name, offset = _MISSION_IDS[got.get_type()]
-                payload = frame[10:-2].ljust(offset + 4, b"\0")
-                fields[name] = int.from_bytes(payload[offset : offset + 4], "little")
-            message = Message(got.get_type(), got.get_srcSystem(), got.get_srcComponent(), fields, self.link_s)
-            self.vehicle.take(message)
-            event = self.telemetry.event(message)
-            if self.core is None:
-                continue
-            if event is None:
-                event = self.reports.report(message, self.telemetry.now_s, self.link_s)
-            if event is not None:
-                self.put(event)
+    def _note(self, event, outputs):
+        self.events.append(event)
+        self.outputs.append(outputs)
+        for output in outputs:
+            if isinstance(output, UploadPlan) and self.config.planner.guidance == "mission":
+                plan = replace(output.plan, circle=output.commanded)
+                self.lines[output.number] = self.core._backend.line(plan, output.wind)
+            for listener in self.output_listeners:
+                listener(output)
 
     def flown_line(self):
         """Return what the vehicle flies from now on, to the circle that never completes; None outside a mission."""
@@ -292,22 +203,23 @@ class TwoLinkFlight(Flight):
         self._qualities = [LinkQuality(self.link_s) for _ in range(2)]
         self._choose_s = 0.0
         rngs = [np.random.default_rng((seed, direction)) for direction in (3, 4)]
-        self._second = tuple(FaultyLink(faults, rng) for rng in rngs)
+        self._second = tuple(Link(faults, rng) for rng in rngs)
         self.simulation.connect("second")
-        for message_id, rate_hz in _RATES_HZ.items():
-            given = {"command": 511, "param1": message_id, "param2": 1e6 / rate_hz}
-            fields = dict.fromkeys(mavlink.MAVLink_command_long_message.fieldnames, 0) | given
-            asked = mavlink.MAVLink_command_long_message(**fields | {"target_system": 1, "target_component": 1})
-            self.simulation.receive("second", asked.pack(self._packer))
+        for message_id, rate_hz in RATES_HZ.items():
+            asked = {"command": 511, "param1": message_id, "param2": 1e6 / rate_hz}
+            self.simulation.receive("second", self._packer.frame("COMMAND_LONG", asked, 1))
         self.take_over()
 
     def spoil(self, faults, late_current_s=0.0):
         super().spoil(faults, late_current_s)
-        for link in self._second:
-            link._faults = faults
+        for link in self._second or ():
+            link.faults = faults
 
-    def _arriving(self):
-        links = (self._to_us, self._second[1])
+    def through(self):
+        if self._second is None:
+            yield from super().through()
+            return
+        links = (self.down, self._second[1])
         for address, frame in self.simulation.take():
             index = ("us", "second").index(address)
             if index != self.cut:
@@ -323,15 +235,15 @@ class TwoLinkFlight(Flight):
             measured = [quality.measured(self.link_s) for quality in self._qualities]
             self.changes += self.merger.choose(measured, self.link_s)
 
-    def _step_simulation(self):
-        if self._second is not None:
-            self._carry(self._second[0], "second")
-        super()._step_simulation()
+    def step(self):
+        for frame in self._second[0].take(self.link_s) if self._second else ():
+            self.deliver(frame, "second")
+        super().step()
 
-    def _put(self, sent):
+    def transmit(self, frame):
         if self.merger.in_use != self.cut:
-            link = self._second[0] if self.merger.in_use else self._to_vehicle
-            link.put(sent, self.link_s, len(sent[3]))
+            link = self._second[0] if self.merger.in_use else self.up
+            link.put(frame, self.link_s, len(frame))
 
 
 @pytest.fixture(scope="session")

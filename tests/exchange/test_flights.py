@@ -63,7 +63,7 @@ def test_the_circle_is_taken_over_again_in_two_round_trips(in_the_air, flavour):
     flight.spoil(LinkFaults(delay_s=0.4))
     flight.run(2.0)
     begun_s = flight.link_s
-    flight.take_over(True, flight.dialect.mission_mode, round_trip_s=0.8)
+    flight.take_over(flight.dialect.mission_mode, round_trip_s=0.8)
     assert flight.run(10.0, lambda: flight.has_control)
     assert flight.link_s - begun_s < 2.0
     asked = [one.name for one in flight.found(SendMessage)]
@@ -82,7 +82,7 @@ def test_a_mission_after_one_that_px4_does_not_fly_is_started_as_soon_as_it_look
     foreign.finish()
     flight.core = flight.make_core(flight.planner)
     flight.outputs.clear()
-    flight.take_over(True, "LOITER")
+    flight.take_over("LOITER")
     assert flight.run(10.0, lambda: flight.has_control)
     assert not flight.found(TakeoverFailed)
 

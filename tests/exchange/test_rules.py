@@ -43,7 +43,7 @@ class Rules:
         self._ready: set[int] = set()
         self._activated: set[int] = set()
         self._first: list = []
-        flight.listeners.append(self._output)
+        flight.output_listeners.append(self._output)
         flight.observers.append(self._flown)
         flight.arrived = self._arrived
 

@@ -290,22 +290,22 @@ def test_px4_that_receives_nothing_is_read():
 def test_px4_acknowledges_a_part_after_an_outage_and_is_not_believed(fly, raw_items):
     """It gives an upload up after 5 s of silence, and acknowledges the item that came last when that comes again."""
     flight = fly("px4", faults=LinkFaults(delay_s=0.025), begin=False)
-    put, hear, heard, end_s = flight._put, flight._hear, 7, flight.link_s + 6.0
+    put, hear, heard, end_s = flight.transmit, flight.hear, 7, flight.link_s + 6.0
 
-    def put_some(sent):
-        if flight.link_s > end_s or sent[2].get("seq", 0) <= heard:
-            put(sent)
+    def put_some(frame):
+        if flight.link_s > end_s or flight.sent[frame][1].get("seq", 0) <= heard:
+            put(frame)
 
-    def hear_some(frame):
-        asked_for_more = frame[7] == 51 and int.from_bytes(frame[10:12], "little") > heard
+    def hear_some(message):
+        asked_for_more = message.name == "MISSION_REQUEST_INT" and message.fields["seq"] > heard
         if flight.link_s > end_s or not asked_for_more:
-            hear(frame)
+            hear(message)
 
-    flight._put, flight._hear = put_some, hear_some
+    flight.transmit, flight.hear = put_some, hear_some
     flight.core = Work(flight, lambda outbox: write(NEW, range(COUNT), 30.0)(outbox, QUIRKS["px4"], flight.link_s))
     flight.put(TimerExpired(0.0, flight.link_s))
     flight.run(0.3)
-    flight._put = lambda sent: put(sent) if flight.link_s > end_s else None
+    flight.transmit = lambda frame: put(frame) if flight.link_s > end_s else None
     assert flight.run(25.0, lambda: flight.core.over)
     assert flight.core._work.result is ACCEPTED
     assert same_items(NEW, raw_items(flight.autopilot.mission.items()))

@@ -14,7 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 
-from tests.faults.flight import FLAVOURS, ClosedLoop, Flown, Scenario
+from tests.faults.flight import FLAVOURS, FaultedFlight, Flown, Scenario
 from tests.faults.flight_faults import BLINDING, EXPECTED_YIELDS, Fault, drawn, yielding
 
 # A clock that is off by seconds, and all that is stamped by it with it, misleads nobody.
@@ -77,7 +77,7 @@ def _judged_yield(flown: Flown, ending: str | None, ending_s: float) -> list[str
 @cache
 def clean(scenario: Scenario) -> Flown:
     """Return the flight without faults."""
-    return ClosedLoop(scenario).fly()
+    return FaultedFlight(scenario).fly()
 
 
 def flight(
@@ -96,7 +96,7 @@ def flight(
     what = "; ".join(f"{one.name} at {one.begin_s:.0f} s {one.what}".rstrip() for one in faults)
     verdict = Verdict(seed, flavour, tuple(one.name for one in faults), what)
     beside = clean(scenario)
-    loop = ClosedLoop(scenario, faults, time.thread_time)
+    loop = FaultedFlight(scenario, faults, time.thread_time)
     gc.collect()
     gc.freeze()  # what was loaded before is not searched again and again for garbage: 0.1 s each time
     loop.pilot_takes_over_s = ending_s if ending_by == "pilot" else loop.pilot_takes_over_s

@@ -10,38 +10,46 @@ import pytest
 from sidelong.app.sharing.beacon import BeaconInput
 from sidelong.estimators.sensing.readings import TargetFixReading
 from tests.app.test_beacon import follow_target
-from tests.faults.flight import FLAVOURS, ClosedLoop, Scenario, watched
+from tests.faults.flight import FLAVOURS, FaultedFlight, Scenario, watched
 
 SIGMA_M, EVERY_S, LASTING_S = 2.0, 1.0, 30.0
 SILENT_S = (150.0, 165.0)
 
 
-class BeaconLoop(ClosedLoop):
+class BeaconLoop(FaultedFlight):
     """A flight with a FOLLOW_TARGET frame a second in place of a payload; its error lasts, as a receiver's does."""
 
     def __init__(self, scenario: Scenario) -> None:
+        self._beacon = None
         super().__init__(scenario)
-        self._heard: list[TargetFixReading] = []
-        plane, tell = self._telemetry.plane, self.flown.told.append
+        self._reported: list[TargetFixReading] = []
+        told = self.flown.told
         self._beacon = BeaconInput(
-            plane, None, 5.0, lambda: self._telemetry.now_s, self._heard.append, lambda text: tell((0.0, text))
+            self.telemetry.plane,
+            None,
+            5.0,
+            lambda: self.telemetry.now_s,
+            self._reported.append,
+            lambda text: told.append((0.0, text)),
         )
         self._error_m = SIGMA_M * np.random.default_rng((scenario.seed, 5)).standard_normal(2)
 
-    def _payload_messages(self, now_s, boot_ms, state):
-        return []
+    def payload(self, rng):
+        return None
 
-    def _send(self, now_s, state):
-        super()._send(now_s, state)
-        if round(now_s / 0.1) % round(EVERY_S / 0.1) or SILENT_S[0] <= now_s < SILENT_S[1]:
+    def step(self):
+        super().step()
+        now_s = self.simulated.time_s
+        silent = SILENT_S[0] <= now_s < SILENT_S[1]
+        if self._beacon is None or round(now_s / 0.1) % round(EVERY_S / 0.1) or silent:
             return
         kept = math.exp(-EVERY_S / LASTING_S)
         self._error_m = kept * self._error_m + SIGMA_M * math.sqrt(1 - kept**2) * self._noise.standard_normal(2)
         truth = self._target.at(now_s)
         place_m = truth.east_m + self._error_m[0], truth.north_m + self._error_m[1]
         self._beacon.datagram_received(follow_target(*place_m, sigma_m=SIGMA_M), None)
-        while self._heard:
-            self._step(self._heard.pop(), now_s)
+        while self._reported:
+            self.put(self._reported.pop())
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)

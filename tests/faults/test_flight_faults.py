@@ -10,7 +10,7 @@ import pytest
 
 from sidelong.mission.control.plausibility import Plausibility
 from tests.faults import flight_faults
-from tests.faults.flight import ClosedLoop, Scenario
+from tests.faults.flight import FaultedFlight, Scenario
 from tests.faults.flight_campaign import flight
 from tests.faults.flight_faults import BESIDE, HARMLESS, Fault, later, moved, only, with_fields
 
@@ -104,13 +104,13 @@ def test_a_gimbal_that_changes_its_frame_ends_no_flight():
 def test_the_same_flight_again_is_the_same_to_the_last_bit():
     scenario = Scenario(7, "px4", 60.0)
     faults = [replace(flight_faults.poor_link(np.random.default_rng(3), 10.0)), MISLEADING[3]]
-    first, second = (ClosedLoop(scenario, faults).fly() for _ in range(2))
+    first, second = (FaultedFlight(scenario, faults).fly() for _ in range(2))
     assert first.range_m == second.range_m
     assert first.told == second.told
 
 
 def test_what_is_refused_is_told_in_words():
-    told = ClosedLoop(Scenario(3, "arduplane", 90.0), [MISLEADING[0], MISLEADING[3]]).fly().told
+    told = FaultedFlight(Scenario(3, "arduplane", 90.0), [MISLEADING[0], MISLEADING[3]]).fly().told
     texts = [text for _, text in told]
     assert "the laser's clock (component 154) is 3600 s ahead: what it stamps is refused" in texts
     assert any("the position jumped by" in text and "dead reckoning" in text for text in texts)
@@ -118,7 +118,7 @@ def test_what_is_refused_is_told_in_words():
 
 def test_a_longer_jump_holds_the_circle_and_says_so():
     jump = fault("2 km for 8 s", POSITION, lambda message: moved(message, -2000.0, 0.0), 8.0)
-    flown = ClosedLoop(Scenario(3, "px4", 90.0), [jump]).fly()
+    flown = FaultedFlight(Scenario(3, "px4", 90.0), [jump]).fly()
     assert not [one for one in flown.decided if BEGIN_S + 3.3 < one.time_s < BEGIN_S + 7.9]
     said = [text for _, text in flown.told]
     assert any("holding the circle, nothing is decided on it" in text for text in said)
