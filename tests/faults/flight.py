@@ -42,7 +42,7 @@ _PLANE = LocalPlane(*HOME_DEG)
 _HEIGHT_M = 100.0
 _ERRORS = PayloadErrors(yaw_bias_rad=0.0, outliers=0.02, dropouts_per_s=0.1 / 3.0)
 _RATES = Rates(
-    tick_hz=10, position_hz=10, attitude_hz=10, gimbal_hz=10, laser_hz=5, status_hz=1, mission_current_hz=1
+    tick_hz=10, position_hz=10, attitude_hz=10, gimbal_hz=10, laser_hz=10, status_hz=1, mission_current_hz=1
 )
 _EXCHANGE = ("MISSION_", "COMMAND_", "POSITION_TARGET_")
 _LAG_S = 0.45
