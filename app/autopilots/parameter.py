@@ -93,6 +93,11 @@ class ParameterTable:
         self._listed = tuple(dict.fromkeys(self._found.get(one.known_as, one) for one in expected))
 
     @property
+    def read(self) -> Mapping[str, float]:
+        """The values by the autopilot's own names, in its own units."""
+        return self._read
+
+    @property
     def values(self) -> dict[str, float]:
         """The values by key, in the units of the newest release."""
         return {key: self._read[one.name] * one.unit for key, one in self._found.items()}

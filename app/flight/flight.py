@@ -43,7 +43,7 @@ from sidelong.app.link.discovery import SETTLING_S
 from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.link import LinkError
 from sidelong.app.link.mavsdk_link import FrameListener, MavsdkLink
-from sidelong.app.link.parameters import read_table, temporary_parameters
+from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
 from sidelong.app.link.queries import home_of, is_flying, mode_of, release_of
 from sidelong.app.link.senders import SenderCheck
 from sidelong.app.link.status_texts import StatusText
@@ -107,6 +107,7 @@ class _Ready:
     plane: LocalPlane
     home: Home
     parameters: tuple[RequiredParameter, ...]
+    table: ParameterTable
 
 
 @contextlib.asynccontextmanager
@@ -223,7 +224,7 @@ class Flight:
         self._vehicle.listeners.remove(self._senders.message)  # from here on the control step looks
         plane = self._telemetry.plane
         assert plane is not None  # the position check has passed
-        self._ready = _Ready(plane, home, required_parameters if self._config.link.set_parameters else ())
+        self._ready = _Ready(plane, home, required_parameters if self._config.link.set_parameters else (), parameters)
 
     async def watch(
         self,
@@ -288,6 +289,10 @@ class Flight:
         core = mission_controller_of(self._config, self._controller, self._autopilot, plane, home)
         shared = contextlib.ExitStack()
         observers = self._observers(plane, home, shared)
+        own = {one.name: one.value for one in ready.parameters}
+        parameters = ParameterWatch(ready.table, self._autopilot.packs_integers_bytewise, own, self._display.note)
+        self._vehicle.listeners.append(parameters.take)
+        shared.callback(self._vehicle.listeners.remove, parameters.take)
         streams = StreamKeeper(self._request_streams, self._display.note)
         shared.callback(streams.stop)
         observers.append(streams)

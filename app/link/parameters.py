@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import struct
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from typing import Any
@@ -13,6 +14,8 @@ from sidelong.app.autopilots.parameter import ParameterTable, RequiredParameter
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.autopilots.release import Release
 from sidelong.app.errors import InputError
+from sidelong.app.link.message import Message
+from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.app.link.vehicle import Vehicle
 
 _ANSWER_S = 0.8  # since the last answer; then those that are missing are asked for again
@@ -70,6 +73,35 @@ def _value(fields: Mapping[str, Any], bytewise: bool) -> float | None:
     if value is None or not bytewise or int(fields["param_type"]) == _REAL32:
         return value if value is None else float(value)
     return float(struct.unpack("<i", struct.pack("<f", value))[0])
+
+
+class ParameterWatch:
+    """Reports when another station sets a parameter that matters for the mission.
+
+    Args:
+        table: the parameters as they were read.
+        bytewise: whether the autopilot sends the bytes of an integer where the float belongs.
+        own: what this mission has set itself, by name.
+        note: reports a sentence to the operator.
+
+    """
+
+    def __init__(
+        self, table: ParameterTable, bytewise: bool, own: Mapping[str, float], note: Callable[[str], object]
+    ) -> None:
+        self._values = {**table.read, **own}
+        self._bytewise, self._note = bytewise, note
+
+    def take(self, message: Message) -> None:
+        """Look at a message of the vehicle."""
+        if message.name != "PARAM_VALUE" or message.component_id != AUTOPILOT_COMPONENT:
+            return
+        name, value = message.fields["param_id"], _value(message.fields, self._bytewise)
+        before = self._values.get(name)
+        if value is None or before is None or math.isclose(value, before, rel_tol=1e-4, abs_tol=1e-6):
+            return
+        self._values[name] = value
+        self._note(f"another ground station has set {name} to {value:g}; it was {before:g}")
 
 
 @contextlib.asynccontextmanager
