@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -18,7 +17,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.planners.planner_kind import PlannerKind, PlannerNeeds
 from sidelong.app.planners.registry import planner_by_name
 from sidelong.app.terrain.elevation_data import elevation_data
-from sidelong.estimators.compiled import is_cached, one_compiles
+from sidelong.estimators.compiled import is_cached
 from sidelong.estimators.filters.imm_kernel import update
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.sighting import Sighting
@@ -98,8 +97,7 @@ def controller_of(
     aircraft = config.aircraft.aircraft()
     requirement = config.requirement.requirement()
     kind = kind or planner_by_name(config.planner.name)
-    cached = kind.is_compiled() and is_cached(update)
-    if not cached:
+    if not (kind.is_compiled() and is_cached(update)):
         tell("compiling the planner and the filter, once for this version of the program: up to a minute")
 
     def check(plan: Plan) -> str | None:
@@ -127,9 +125,8 @@ def controller_of(
         tracker_of(config),
         make_planner,
     )
-    with contextlib.nullcontext() if cached else one_compiles():
-        track = Track(tracker_settings(config.sensors, lost_after_s))
-        _warm_up(make_planner(aircraft, requirement), track, requirement.range_max_m - 190.0)
+    track = Track(tracker_settings(config.sensors, lost_after_s))
+    _warm_up(make_planner(aircraft, requirement), track, requirement.range_max_m - 190.0)
     return controller
 
 

@@ -10,13 +10,12 @@ If it cannot be written, a folder for this user below the system's temporary fol
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -122,16 +121,3 @@ def is_cached(function: Callable[..., Any]) -> bool:
     dispatcher = cast(Any, function)
     index = f"*.{dispatcher.py_func.__name__}-*.nbi"
     return any(Path(dispatcher.stats.cache_path).glob(index))
-
-
-@contextlib.contextmanager
-def one_compiles() -> Iterator[None]:
-    """Let one process at a time compile: the others wait and then load what it has cached."""
-    try:
-        lock = (FOLDER / "lock").open("w")
-    except OSError:
-        yield
-        return
-    with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield

@@ -2,7 +2,6 @@ import os
 import shutil
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -85,12 +84,3 @@ def test_folders_of_unused_versions_are_removed_after_a_month(tmp_path):
     outer(tmp_path, NUMBA_CACHE_DIR=str(tmp_path))
     assert not old.exists()
     assert recent.exists()
-
-
-def test_one_process_compiles_while_the_others_wait(tmp_path):
-    locked = "from sidelong.estimators.compiled import one_compiles\nwith one_compiles():\n"
-    (tmp_path / "caller.py").write_text(CALLER.replace("print", f"{locked}    print"))
-    (tmp_path / "callee.py").write_text(CALLEE)
-    with ThreadPoolExecutor(3) as threads:
-        found = list(threads.map(lambda _: outer(tmp_path), range(3)))
-    assert sorted(found) == [["3.0", "0"], ["3.0", "1"], ["3.0", "1"]]
