@@ -39,6 +39,7 @@ _SAMPLES, _SAMPLES_MIN, _SPAN_MIN_S = 24, 12, 6.0
 _TURNED_MIN_RAD = 0.8
 _WRONG_M, _BETTER_SHARE, _AS_GOOD_SHARE = 8.0, 0.3, 0.7
 _OWN_SHARE = 0.3
+_JUMP_M = 40.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +77,8 @@ class MotionFit:
     def __init__(self, parent_from_mount: Quaternion) -> None:
         self._parent_from_mount = parent_from_mount
         self._samples: deque[_Sample] = deque(maxlen=_SAMPLES)
+        self._jumped: _Sample | None = None
+        self._cleared_s = -math.inf
         self._flagged = ""
 
     def clear(self) -> None:
@@ -105,7 +108,18 @@ class MotionFit:
             self._samples.clear()
         own_m = position.east_m, position.north_m, position.height_m
         sighted_m = _apparent_m(own_m, slant_range_m, self._direction(attitude, gimbal, gimbal.frame))
-        self._samples.append(_Sample(position.time_s, turned_rad, own_m, sighted_m, attitude, gimbal, slant_range_m))
+        sample = _Sample(position.time_s, turned_rad, own_m, sighted_m, attitude, gimbal, slant_range_m)
+        samples, jumped = self._samples, self._jumped
+        self._jumped = None
+        settled = abs(position.time_s - self._cleared_s) > WINDOW_S  # a wrong frame lets the target jump on and on
+        if samples and settled and math.dist(sighted_m, samples[-1].sighted_m) > _JUMP_M:
+            if jumped is None or math.dist(sighted_m, jumped.sighted_m) > _JUMP_M:
+                self._jumped = sample  # an outlier, unless the next one agrees
+                return
+            self._cleared_s = position.time_s
+            samples.clear()  # something has changed: what was before would hide it
+            samples.append(jumped)
+        samples.append(sample)
 
     def verdict(self, established: Verdict = SOUND) -> Verdict | None:
         """Return what is wrong, ``SOUND`` where nothing is, None while it cannot be known.

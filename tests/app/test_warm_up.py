@@ -11,11 +11,11 @@ from sidelong.estimators.compiled import KERNELS
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
-from tests.faults.flight import ClosedLoop, Scenario
+from tests.faults.flight import FaultedFlight, Scenario
 
 # The simulated aircraft is compiled, too, but flies in no program that commands a real one.
 KinematicAircraft(AircraftState(0.0, 0.0, 0.0, 0.0, 15.0, 0.0), 15.0, 0.7, 0.5, Wind()).step(0.0, 0.1)
-flight = ClosedLoop(Scenario(3, "px4"))
+flight = FaultedFlight(Scenario(3, "px4"))
 before = {kernel: set(kernel.signatures) for kernel in KERNELS}
 flown = flight.fly()
 assert sum(decided.moved for decided in flown.decided) > 0

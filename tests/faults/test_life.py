@@ -27,7 +27,7 @@ SHORT = ("launch", "--planner", "paper", "--speed", "30", "--duration", "10", "-
     ("interruption", "said"),
     [
         (Interruption(signal.SIGHUP, 0.0), "130 sidelong: interrupted."),
-        (Interruption(signal.SIGINT, 0.1, "checking"), "nothing was commanded; no records are kept."),
+        (Interruption(signal.SIGINT, 0.0, "checking"), "nothing was commanded; no records are kept."),
         (Interruption(signal.SIGTERM, 0.1, "taking off", 5.0), "by SIGTERM: the aircraft flies to its first circle"),
         (Interruption(signal.SIGHUP, 0.5, "watched from now on"), "by SIGHUP: the aircraft goes on circling"),
     ],

@@ -10,7 +10,7 @@ from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading,
 from sidelong.mission.core.events import ClockTick, LinkReported, ModeReported
 from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.health.health import Health
-from tests.faults.flight import ClosedLoop, Scenario
+from tests.faults.flight import FaultedFlight, Scenario
 from tests.faults.flight_faults import Fault, only, with_fields
 
 LASER, GIMBAL = ("DISTANCE_SENSOR",), ("GIMBAL_DEVICE_ATTITUDE_STATUS",)
@@ -55,7 +55,7 @@ PAYLOAD_FAULTS = {
 @pytest.mark.parametrize("name", PAYLOAD_FAULTS)
 def test_contradictory_payload_is_reported_and_not_followed(name):
     change, input_, words = PAYLOAD_FAULTS[name]
-    flown = ClosedLoop(Scenario(1, "px4", DURATION_S), [Fault(name, BEGIN_S, math.inf, change)]).fly()
+    flown = FaultedFlight(Scenario(1, "px4", DURATION_S), [Fault(name, BEGIN_S, math.inf, change)]).fly()
     found = [
         (time_s, one)
         for time_s, one in flown.health
@@ -71,7 +71,7 @@ def test_contradictory_payload_is_reported_and_not_followed(name):
 
 def test_gimbal_that_takes_the_place_of_a_silent_one_has_to_agree_with_the_track():
     change = only(GIMBAL, pointing_north)
-    flown = ClosedLoop(Scenario(1, "px4", 100.0), [Fault("other", BEGIN_S, math.inf, change)]).fly()
+    flown = FaultedFlight(Scenario(1, "px4", 100.0), [Fault("other", BEGIN_S, math.inf, change)]).fly()
     texts = [one.text for _, one in flown.health]
     assert any("component 171" in text and "contradicts the track" in text for text in texts)
     assert not any("in use is now" in text for text in texts)
@@ -82,7 +82,7 @@ def test_second_gimbal_that_agrees_is_used_and_the_change_reported():
         return message._replace(component_id=171)
 
     change = only(GIMBAL, moved)
-    flown = ClosedLoop(Scenario(1, "px4", 100.0), [Fault("other", BEGIN_S, math.inf, change)]).fly()
+    flown = FaultedFlight(Scenario(1, "px4", 100.0), [Fault("other", BEGIN_S, math.inf, change)]).fly()
     (switched,) = [one for _, one in flown.health if one.state is InputState.SWITCHED]
     assert "component 171" in switched.text
     assert "component 154" in switched.text
@@ -98,7 +98,7 @@ def test_second_gimbal_that_agrees_is_used_and_the_change_reported():
 )
 def test_silent_input_is_reported_once_and_its_return_as_well(names, input_):
     fault = Fault("silent", BEGIN_S, BEGIN_S + 30.0, only(names, lambda _m, _s, _r: None))
-    flown = ClosedLoop(Scenario(1, "px4", 140.0), [fault]).fly()
+    flown = FaultedFlight(Scenario(1, "px4", 140.0), [fault]).fly()
     (gone_s, gone), (back_s, back) = [(at_s, one) for at_s, one in flown.health if one.input is input_]
     assert gone.state is InputState.STALE
     assert gone_s <= BEGIN_S + 7.0
@@ -111,13 +111,13 @@ def test_silent_input_is_reported_once_and_its_return_as_well(names, input_):
 
 def test_nothing_new_is_commanded_without_heartbeat():
     fault = Fault("silent", BEGIN_S, math.inf, only(("HEARTBEAT",), lambda _m, _s, _r: None))
-    flown = ClosedLoop(Scenario(1, "px4", DURATION_S), [fault]).fly()
+    flown = FaultedFlight(Scenario(1, "px4", DURATION_S), [fault]).fly()
     assert not any(decided.time_s > BEGIN_S + 8.0 for decided in flown.decided)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_undisturbed_flight_raises_no_alarm(seed):
-    flown = ClosedLoop(Scenario(seed, ("px4", "arduplane")[seed % 2], 200.0)).fly()
+    flown = FaultedFlight(Scenario(seed, ("px4", "arduplane")[seed % 2], 200.0)).fly()
     assert flown.health == []
     assert flown.wrongly_in_band_s == 0.0
 

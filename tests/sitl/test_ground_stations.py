@@ -135,7 +135,7 @@ def test_arduplanes_parameters_are_a_file(ground):
     assert files.ask(READ, offset=size, size=10)[0][2] == bytes([END_OF_FILE])
     assert struct.unpack("<I", files.ask(CRC32, "@PARAM/param.pck")[0][2])[0] == zlib.crc32(content)
     magic, count, total = struct.unpack_from("<HHH", content)
-    assert (magic, count, total) == (0x671B, 26, 26)
+    assert (magic, count, total) == (0x671B, 27, 27)
     assert content[6:].startswith(bytes([4, 14 << 4]) + b"AIRSPEED_CRUISE" + struct.pack("<f", 15.0))
 
 
