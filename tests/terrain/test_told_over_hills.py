@@ -23,6 +23,8 @@ def snapshot(time_s: float, aircraft_m: tuple[float, float, float], target_m: tu
         turn_payload=False,
         time_s=time_s,
         moves=0,
+        silent_s=0.0,
+        unknown="",
         requirement=REQUIREMENT,
         aircraft=SimpleNamespace(east_m=aircraft_m[0], north_m=aircraft_m[1]),
         sensor_status=SimpleNamespace(height_m=aircraft_m[2]),
