@@ -1,7 +1,7 @@
-"""A person's changes of the mission in flight: checked like a configuration, made ready beside the loop, passed on.
+"""The operator's changes of the mission in flight: checked like a configuration, prepared outside the control loop.
 
-A value table that is not at hand is computed by another process: the control loop does not wait for it, and the
-change reaches the control step once it is there.
+A missing value table is computed by another process. The control loop does not wait for it: the change reaches the
+control step once the table is ready.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sidelong.mission.core.events import Announce, MissionChange
 
 
 class MissionChanges:
-    """One flight's. put passes a change on to the control loop; say tells the person what became of it."""
+    """Changes of one flight. put: passes a change to the control loop; say: reports its result to the operator."""
 
     def __init__(
         self,
@@ -34,7 +34,7 @@ class MissionChanges:
         self._under_way: asyncio.Task[None] | None = None
 
     def take(self, change: MissionChange) -> None:
-        """Take a change as it was asked for."""
+        """Accept a requested change."""
         if self._under_way is not None and not self._under_way.done():
             self._tell(f"{describe_change(change)} refused: the change before is still being made ready; ask again")
             return

@@ -11,14 +11,14 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import AlarmReported, MissionChange, OperatorRequest
 
 Wish = OperatorRequest | MissionChange | AlarmReported
-"""What a person asks for."""
+"""A request of the operator."""
 
 
 class FlightDisplay(Display, Protocol):
-    """A display that is there from the connection on, before there is a mission to show."""
+    """A display that is active from the connection on, before there is a mission to show."""
 
     def note(self, text: str) -> None:
-        """Tell about the proceedings."""
+        """Show a message about the progress of the connection and preparation."""
         ...
 
     def connected(self, status: Callable[[], VehicleStatus]) -> None:
@@ -26,7 +26,7 @@ class FlightDisplay(Display, Protocol):
         ...
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
-        """Learn where the plane lies, and where a person's requests go."""
+        """Receive the position of the local plane, and the receiver of the operator's requests."""
         ...
 
     def engage(self, start_s: float, duration_s: float | None) -> None:

@@ -40,4 +40,4 @@ class CommandExecutor:
             try:
                 await self._vehicle.tell(message.name, message.fields)
             except LinkError:
-                continue  # the core repeats what is not answered
+                continue  # the core repeats unanswered messages

@@ -79,9 +79,9 @@ _READY_WALL_S = 20.0  # a fast simulation's minute is over before every question
 
 @dataclass(frozen=True, slots=True)
 class Sharing:
-    """Who is told of the estimate beside those that the configuration names: the vehicle, for its gimbal.
+    """Outputs of the estimate in addition to the configured ones: to the vehicle, for its gimbal.
 
-    point_gimbal: always; turn_payload: while a fleet of several targets wants it turned to another one.
+    point_gimbal: always; turn_payload: while a fleet of several targets requires the payload on another target.
     """
 
     point_gimbal: bool = False
@@ -97,7 +97,7 @@ class Session:
     release: Release | None  # of its firmware; None: not reported
     telemetry: Telemetry
     senders: SenderCheck
-    beside: set[asyncio.Task[None]]  # what ends with the connection
+    beside: set[asyncio.Task[None]]  # background tasks that end with the connection
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,11 +121,11 @@ async def connected(
     settling_s: float = SETTLING_S,
     open_transport: Callable[[str], Transport] | None = None,
 ) -> AsyncIterator[Session]:
-    """Connect to the vehicle at ``urls``, several links to one. note hears of trouble with them, from any thread.
+    """Connect to one vehicle over one or several links, ``urls``. note: receives link faults, from any thread.
 
-    system_id names the vehicle where there are several; settling_s is how long to listen for others; open_transport
-    opens URLs that others use as well. Raises InputError when there is none, or none that this can fly, or several
-    and none is named.
+    system_id selects the vehicle if there are several; settling_s is how long to listen for others; open_transport
+    opens URLs that other links use as well. Raises InputError if there is no vehicle, none that sidelong supports, or
+    several and none is selected.
     """
     senders = SenderCheck()
 
@@ -208,7 +208,7 @@ class Flight:
             self._terrain = TerrainServer(self._vehicle, elevation_data(Path(self._config.terrain.folder)))
         link = self._config.link
         few = is_slow(link.connections) if link.few_messages is None else link.few_messages
-        # Beside one another: over a slow link each waits for its answers. Rates may be confirmed later.
+        # In parallel: over a slow link each waits for its answers. Rates may be confirmed later.
         self._request_streams = partial(ask_for_streams, self._vehicle, few, self._terrain is not None)
         self._beside.add(asyncio.create_task(self._request_streams()))
         sources = SourceRates(self._vehicle)
@@ -232,9 +232,9 @@ class Flight:
         stepped: Stepped = lambda _event, _outputs: None,
         over: asyncio.Event | None = None,
     ) -> str:
-        """Take off if need be and watch, until ``stopped``, ``over`` or the end of the duration; return the outcome.
+        """Take off if needed and track, until ``stopped``, ``over`` or the end of the duration; return the outcome.
 
-        stepped hears of each step of the core: the event, and what it led to. ``prepare`` has to have passed.
+        stepped: called after each step of the core, with its event and outputs. ``prepare`` must have passed.
         """
         assert self._ready is not None
         async with temporary_parameters(
@@ -259,9 +259,9 @@ class Flight:
 
     @property
     def come_to_s(self) -> float:
-        """What time of the vehicle has been dealt with: -inf while something is still to be sent, inf: not known.
+        """Vehicle time up to which all is processed, s; -inf while output is still to be sent, inf: not known.
 
-        Before the control step runs, that is the time that the vehicle told last.
+        Before the control step runs, this is the latest time reported by the vehicle.
         """
         if self._loop is not None and math.isfinite(self._controller.time_s):
             return -math.inf if self._loop.is_sending else self._controller.time_s
@@ -269,7 +269,7 @@ class Flight:
         return math.inf if said is None else float(said.fields["time_boot_ms"]) * 1e-3
 
     def tell(self, event: Event) -> None:
-        """Let the core hear an event that does not come from the vehicle; nothing where it does not run."""
+        """Pass the core an event that does not come from the vehicle; ignored if the core does not run."""
         if self._loop is not None:
             self._loop.put(event)
 
@@ -353,7 +353,7 @@ class Flight:
         return TakeoverRequested(self._telemetry.now_s, link_s, flying, mode, arm_period_s, round_trip_s)
 
     def _observers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Display]:
-        """Return all who watch the flight; ``shared`` stops them."""
+        """Return all displays of the flight; ``shared`` stops them."""
         observers: list[Display] = [self._display]
         for output in outputs(self._config.sharing, plane, home.altitude_m, self._vehicle.latest, self._display.note):
             shared.callback(output.stop)
@@ -473,7 +473,7 @@ class Flight:
             now_s, now_wall_s = self._telemetry.now_s, time.monotonic()
             if now_s == before_s and self._start_s < math.inf:
                 standing_s += now_wall_s - wall_s
-            elif abs(now_s - before_s) > standing_s > 0.0:  # its clock went on unnoticed meanwhile
+            elif abs(now_s - before_s) > standing_s > 0.0:  # its clock advanced in the meantime
                 standing_s = 0.0
             before_s, wall_s = now_s, now_wall_s
 
@@ -516,14 +516,14 @@ def _request(changes: MissionChanges, alarms: AlarmWatch, loop: ControlLoop, wis
 
 
 def _without_garbage_searches() -> Callable[[], None]:
-    """Take what was loaded so far out of garbage collection (0.1 s each time); return what puts it back."""
+    """Exclude all loaded objects from garbage collection (0.1 s per run); return a function that restores it."""
     gc.collect()
     gc.freeze()
     return gc.unfreeze
 
 
 class _Observed:
-    """All who watch, as one display; also gathers what the summary needs."""
+    """All displays as one; also collects the data of the summary."""
 
     def __init__(self, displays: Sequence[Display], gatherer: SummaryCollector) -> None:
         self._displays, self._collector = displays, gatherer

@@ -1,14 +1,15 @@
-"""The life of a flight: what ends it before its time, what the aircraft does then, and how that is told.
+"""The life cycle of a flight: what ends it early, what the aircraft does then, and what is reported.
 
-| | nothing commanded yet | on the way to the first circle, or watching | winding up |
+| | nothing commanded yet | flying to the first circle, or tracking | shutting down |
 | --- | --- | --- | --- |
-| INT, TERM, HUP | given up at once | wound up, exit code 130 | told to wait, bounded |
-| the simulated vehicle ends | failed, exit code 1 | wound up, exit code 1 | no matter |
-| the first circle cannot be reached, a fault of ours | failed, exit code 1 | wound up, exit code 1 | exit code 1 |
-| output cannot be written | refused where it is a record, exit code 2 | told, and flown on | told |
+| INT, TERM, HUP | aborted at once | shut down, exit code 130 | asked to wait, with a time limit |
+| the simulated vehicle ends | failed, exit code 1 | shut down, exit code 1 | ignored |
+| first circle unreachable, or internal error | failed, exit code 1 | shut down, exit code 1 | exit code 1 |
+| output cannot be written | refused for a record, exit code 2 | reported; the flight continues | reported |
 
-Wound up means: no plan is sent any more, borrowed parameters are set back, records are closed, the summary is
-printed. The aircraft is left on its circle, which needs nobody. Records are deleted only when nothing was ever armed.
+Shut down means: no further plan is sent, changed parameters are restored, records are closed and the summary is
+printed. The aircraft stays on its circle, which needs no companion computer. Records are deleted only if the vehicle
+was never armed.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ _WIND_UP_S = 60.0  # the bounds of what is done after an interrupt are together 
 
 
 class Life:
-    """One flight's. ``begun`` tells whether the vehicle may have been commanded something.
+    """Life cycle of one flight. ``begun``: returns whether a command may have been sent to the vehicle.
 
-    stopped is set when the flight is to be wound up. signal_name and failure say why; at most one is set.
+    stopped is set when the flight must shut down. signal_name or failure gives the reason; at most one is set.
     """
 
     def __init__(self, begun: Callable[[], bool], note: Callable[[str], object]) -> None:
@@ -49,9 +50,9 @@ class Life:
 
     @contextlib.contextmanager
     def heeding_signals(self) -> Iterator[None]:
-        """Take signals as the table says.
+        """Handle signals according to the table above.
 
-        asyncio's own way loses a signal when the loop is so far behind that the socket to wake it by is full.
+        asyncio's own handler loses a signal when the loop is so late that its wake-up socket is full.
         """
         loop = asyncio.get_running_loop()
 
@@ -73,12 +74,12 @@ class Life:
 
     @contextlib.contextmanager
     def computing(self) -> Iterator[None]:
-        """Let a signal break off at once what is done meanwhile: the loop does not turn, and nothing has begun."""
+        """Let a signal abort the work in this context at once: the event loop is blocked, nothing is commanded."""
         self._at_once = True
         try:
             yield
         except Exception as error:
-            if self._broken_off:  # a library that was broken off half-way has an error of its own to tell
+            if self._broken_off:  # an interrupted library may raise its own error
                 raise KeyboardInterrupt from error
             raise
         finally:

@@ -50,7 +50,7 @@ class ClockRate:
 async def link_log(
     link: Link, path: Path, clock_rate: ClockRate, on_trouble: Callable[[str], None]
 ) -> AsyncIterator[None]:
-    """Write the links' measures to ``path`` meanwhile, and keep up clock_rate: bytes a second are the vehicle's."""
+    """Log link statistics to ``path`` inside the context; update clock_rate: rates refer to the vehicle's clock."""
     with beginning(path.parent):
         file = Appender(path, on_trouble, _line(COLUMNS))
     with file:

@@ -1,7 +1,7 @@
-"""The control loop: one queue of timed events, one call of the pure step, one place that carries out what it says.
+"""The control loop: one queue of timed events, one call of the pure step, one executor of its outputs.
 
-Messages, timers, requests and the silence of the link all come in through the queue and through the journal, so that
-a replay of the journal repeats the flight.
+Messages, timers, requests and link timeouts all pass through the queue and the journal, so a replay of the journal
+repeats the flight.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from sidelong.mission.exchange.reports import ExchangeEvent, ShutdownRequested, 
 _LINK_SILENCE_S = 3.0
 _LINK_CHECK_S = 0.5
 _TICK_CHECKS = 2  # a tick of the clock is a second
-_FINISH_S = 3.0  # so long what is under way may go on after the end
+_FINISH_S = 3.0  # time limit after the end for pending work
 
 
 class Log(Protocol):
@@ -125,7 +125,7 @@ class ControlLoop:
             self._queue.put_nowait(report)
 
     async def run(self) -> None:
-        """Run until stopped; the outcome then says why."""
+        """Run until stopped; the outcome gives the reason."""
         self._vehicle.listeners.append(self.received)
         helpers = [asyncio.create_task(self._watch_link()), asyncio.create_task(self._executor.run())]
         try:

@@ -1,4 +1,4 @@
-"""The displays of others that a configuration asks for, and the beacon that it listens to."""
+"""The configured external outputs, and the configured beacon."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def outputs(
 ) -> Iterator[Output]:
     """Yield the displays, each to be stopped at the end; to be called in the running event loop.
 
-    tell hears how connections fare. Raises InputError as :func:`check_sharing`.
+    The callback receives the state of the connections. Raises InputError as :func:`check_sharing`.
     """
     if sharing.cot is not None:
         address = Address.read(sharing.cot, ("udp", "tcp", "tls"))
@@ -85,7 +85,7 @@ async def open_beacon(
 
 
 def height_above_ellipsoid_m(latest: Latest) -> float | None:
-    """Return the aircraft's, None where its receiver does not tell how high the geoid is there."""
+    """Return the aircraft's value, None if its receiver does not report the geoid height."""
     gps, position = latest.get("GPS_RAW_INT"), latest.get("GLOBAL_POSITION_INT")
     if gps is None or position is None or not gps.fields.get("alt_ellipsoid"):
         return None

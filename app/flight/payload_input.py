@@ -109,7 +109,7 @@ class PayloadRunner:
 
 
 class PayloadInput:
-    """Hands a payload's measurements to those who listen to a vehicle, stamped with the vehicle's time.
+    """Passes a payload's measurements to the listeners of a vehicle, stamped with the vehicle's time.
 
     Args:
         vehicle: whose payload it is.
@@ -124,7 +124,7 @@ class PayloadInput:
         self._encoder = mavlink.MAVLink(None, vehicle.system_id, COMPONENT)
 
     def hear(self, message: Message) -> AircraftPose | None:
-        """Take a message of the vehicle, whose stamp tells its time; return where it is if that is known."""
+        """Update the vehicle's time from a message; return the vehicle's position if it is known."""
         if message.component_id != AUTOPILOT_COMPONENT or message.name not in _STAMPED:
             return None
         self._timeline.hear(message.fields["time_boot_ms"] * 1e-3, time.monotonic())

@@ -1,7 +1,7 @@
-"""The estimate back to the vehicle, so that the gimbal can stay on it or find the target again.
+"""Send the estimate to the vehicle, so that the gimbal can follow it or find the target again.
 
-A gimbal whose camera does not track by itself then looks where the estimate is, and the laser measures whatever is
-there: it is the camera's or the operator's part to correct it.
+Without a tracking camera the gimbal then points at the estimate, and the laser measures whatever is there: the
+camera or the operator must correct it.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _IN_HAND = (Phase.WATCHING, Phase.HOLDING)
 class GimbalPointer:
     """A ``Display`` that sends CAMERA_TRACKING_GEO_STATUS and DO_SET_ROI_LOCATION, once a second at most.
 
-    Nothing is sent of a lost track, before the mission or after a yield; a command then under way is given up.
-    ground_altitude_m: of the ground under the target, above mean sea level; tell: hears that the vehicle refuses.
-    always: or only while a fleet wants the payload turned to another target.
+    Nothing is sent for a lost track, before the mission or after a yield; a pending command is then cancelled.
+    ground_altitude_m: of the ground under the target, AMSL; always: False sends only while a fleet requires the
+    payload on another target. The callback receives refusals of the vehicle.
     """
 
     def __init__(

@@ -62,10 +62,10 @@ def check_takeover(vehicle: Vehicle, allowed: Sequence[str]) -> None:
 
     Args:
         vehicle: The vehicle, whose heartbeat was received.
-        allowed: The modes out of which the operator wants it taken over; ``failsafe`` stands for all failsafes.
+        allowed: The modes out of which the operator allows a takeover; ``failsafe`` stands for all failsafes.
 
     Raises:
-        InputError: It flies in such a mode, and the operator has not named it.
+        InputError: It flies in such a mode, and the operator has not allowed it.
 
     """
     if not is_flying(vehicle):
@@ -191,7 +191,7 @@ def _terrain_checks(config: Config, vehicle: Vehicle) -> tuple[Check, ...]:
     fields = message.fields
     own_m = elevation_data(Path(config.terrain.folder)).height_above_sea_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
     if math.isnan(own_m):
-        return ()  # told by the check of home, or beside the data: what is flown over is checked by each plan
+        return ()  # reported by the home check, or outside the data: each plan checks the ground below it
     told_m = fields["terrain_height"]
     found = f"{own_m:.0f} m above sea below the aircraft, {told_m:.0f} m by the autopilot's own data"
     remedy = "see which of the two is wrong: the tiles, or the autopilot's terrain data (on its card)"
@@ -223,7 +223,7 @@ def _limit_checks(
 
 
 def _source_checks(config: Config, rates: tuple[SourceRate, ...]) -> tuple[Check, ...]:
-    """Laser and gimbal have to speak, unless a beacon or the camera itself tells where the target is."""
+    """Require laser and gimbal messages, unless a beacon or the camera reports the target's position."""
     heard = {kind: [rate for rate in rates if rate.kind == kind] for kind in ("range", "gimbal", "target")}
     paired = all(any(rate.rate_hz >= _MIN_RATE_HZ for rate in heard[kind]) for kind in ("range", "gimbal"))
     if heard["target"] and not paired:

@@ -50,9 +50,9 @@ def beginning(folder: Path) -> Iterator[None]:
 
 
 class Recording:
-    """Opens the tlog at once and the journal when the plane is known; ``on_trouble`` is told when a disk is full.
+    """Opens the tlog at once and the journal when the plane is known; ``on_trouble`` receives write errors.
 
-    The tlog is stamped with the vehicle's time. Raises InputError when there is no writing from the beginning.
+    The tlog is stamped with the vehicle's time. Raises InputError if the files cannot be written at the start.
     """
 
     def __init__(self, folder: RunFolder, config: Config, on_trouble: Callable[[str], None]) -> None:

@@ -1,4 +1,4 @@
-"""The link's measured delay, told to the core as it changes: plans take so much longer to arrive."""
+"""Pass changes of the link's measured delay to the core, as plans arrive later by this delay."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ _CHANGED_S, _CHANGED_SHARE = 0.05, 0.2
 
 
 class RoundTripWatch:
-    """Tells which measures of a link are news."""
+    """Detects changes of a link's round trip."""
 
     def __init__(self) -> None:
         self._told_s: float | None = None
 
     def news(self, links: Sequence[LinkReport], rate: float = 1.0) -> float | None:
-        """Return the round trip of the link in use, in the vehicle's time, where it is another than was told.
+        """Return the round trip of the link in use, in the vehicle's time, if it differs from the last one returned.
 
         rate: how much faster the vehicle's clock runs than the link's.
         """

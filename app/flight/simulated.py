@@ -20,7 +20,7 @@ _PACE_S = 0.01
 
 
 def free_udp_port() -> int:
-    """Return a UDP port of the loopback that nobody uses now."""
+    """Return a free UDP port of the loopback interface."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -29,8 +29,8 @@ def free_udp_port() -> int:
 class SimulatedVehicles:
     """Starts ``python -m sitl`` for one configuration or several, and stops it. Use as ``async with``.
 
-    truths: one file for each vehicle. ``urls`` are theirs; their system ids go from 1. What all share, the wind say,
-    is the first one's. on_end gets a sentence when they end by themselves meanwhile. targets: options for them.
+    truths: one file per vehicle. ``urls`` are the vehicles'; their system ids count from 1. Shared settings, such as
+    the wind, are the first one's. on_end: receives a sentence if they end early. targets: options for the targets.
     """
 
     def __init__(
@@ -104,10 +104,10 @@ class SimulatedVehicles:
         await self._stop()
 
     async def keep_pace(self, time_s: Callable[[], float]) -> None:
-        """Let the simulation wait for who flies it, where that falls behind.
+        """Let the simulation wait for the controlling program if that falls behind.
 
-        time_s: what it has come to, inf where that is not known. Who comes no further, because nothing is flown any
-        more, is silent, and not waited for.
+        time_s: simulation time the program has processed, inf if not known. A program that no longer flies sends
+        nothing, and the simulation does not wait for it.
         """
         assert self._process is not None
         assert self._process.stdin is not None
@@ -126,7 +126,7 @@ class SimulatedVehicles:
         self._on_end(f"{self._what} has ended: {why.rstrip('.')}; nothing flies any more.")
 
     async def ended(self) -> str:
-        """Wait until the process has ended by itself, and return why."""
+        """Wait until the process has ended, and return the reason."""
         assert self._process is not None
         await self._process.wait()
         return await self._complaint()

@@ -51,10 +51,10 @@ class SourceRates:
         self.begin()
 
     def begin(self) -> None:
-        """Forget what was heard."""
+        """Discard the messages received so far."""
         self._telemetry = Telemetry(self._vehicle.system_id)
         self._counts: Counter[tuple[str, Source]] = Counter()
-        self._begun_s = math.inf  # of our own clock
+        self._begun_s = math.inf  # of this computer's clock
         self._first_s = math.inf  # of the vehicle's
 
     def close(self) -> None:
@@ -62,9 +62,9 @@ class SourceRates:
         self._vehicle.listeners.remove(self._count)
 
     async def heard(self, wall_s: float, sharing: SharingSection) -> tuple[SourceRate, ...]:
-        """Return the rates, on the vehicle's clock, when it was listened for ``wall_s`` in all; then begin anew.
+        """Return the rates, on the vehicle's clock, after listening for ``wall_s`` in total; then restart the count.
 
-        Raises InputError when the beacon's address is not free or not here.
+        Raises InputError if the beacon's address is in use or not local.
         """
         beacon = await open_beacon(sharing, _ANYWHERE, lambda: self._telemetry.now_s, self._count_fix)
         listened_s = time.time() - self._begun_s if beacon is None else 0.0

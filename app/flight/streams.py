@@ -42,16 +42,16 @@ _UNUSED_HZ = dict.fromkeys(
 
 
 def is_slow(urls: Sequence[str]) -> bool:
-    """Tell whether one of the links is a serial line of 57,600 baud or less."""
+    """Return whether one of the links is a serial line of 57,600 baud or less."""
     bauds = [re.fullmatch(r"serial\w*://.*:(\d+)", url) for url in urls]
     return any(baud is not None and int(baud[1]) <= _SLOW_BAUD for baud in bauds)
 
 
 async def ask_for_streams(vehicle: Vehicle, few: bool = False, terrain: bool = False) -> None:
-    """Ask for the messages that the mission lives on; default rates are 1 Hz on ArduPlane.
+    """Request the messages that the mission needs; default rates are 1 Hz on ArduPlane.
 
-    terrain: also for what it wants to know of the ground. few: at the least rates that it can live on, and nothing
-    else: a ground station on the same link sees less, too.
+    terrain: request terrain messages too. few: request the minimum rates and switch all other messages off; a ground
+    station on the same link then receives fewer messages, too.
     """
     if few:
         await vehicle.set_rates(_UNUSED_HZ, rounds=1)

@@ -12,7 +12,7 @@ from sidelong.app.terrain.terrain_data import answers
 
 
 class TerrainServer:
-    """Hears TERRAIN_REQUEST and sends TERRAIN_DATA, one request at a time: the autopilot repeats what it misses."""
+    """Answers TERRAIN_REQUEST with TERRAIN_DATA, one request at a time: the autopilot repeats unanswered requests."""
 
     def __init__(self, vehicle: Vehicle, data: ElevationData) -> None:
         self._vehicle, self._data = vehicle, data

@@ -1,8 +1,8 @@
-"""What the planner has to know of the wind that blows: computed by another process while the flight goes on.
+"""Value tables for the measured wind, computed by another process while the flight continues.
 
-A table for another wind makes the planner change its plans several times as often. So when the autopilot has measured
-a wind for a while that none is near to, one is made beside the loop, and the control step hears when it is there: a
-replay of the journal takes it up at the same moment.
+With a table for another wind, the planner changes its plans several times as often. If the measured wind stays far
+from that of every table for a while, a new table is computed outside the control loop. The control step receives an
+event when it is ready, so a replay of the journal uses the table from the same moment.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ _AVERAGED_OVER_S = 30.0
 
 
 class WindTables:
-    """One flight's; watches what is shown. winds_m_s: speeds that the planner is ready for, besides none.
+    """Wind tables of one flight, driven by its snapshots. winds_m_s: wind speeds with a table, in addition to 0.
 
-    put passes on that one is at hand; note tells the person what went wrong.
+    put: passes the event that a table is ready; note: reports errors to the operator.
     """
 
     def __init__(
@@ -43,10 +43,10 @@ class WindTables:
         self._under_way: asyncio.Task[None] | None = None
 
     def say(self, announcement: Announce) -> None:
-        """Nothing that is said matters here."""
+        """Ignore the message: wind tables need none."""
 
     def show(self, snapshot: Snapshot) -> None:
-        """Take the wind of a moment, and begin a table where one is missing."""
+        """Take the current wind, and start a table if one is missing."""
         if snapshot.phase is not Phase.WATCHING or snapshot.requirement.sector is not None:
             return
         wind_m_s, now_s = snapshot.wind.speed_m_s, snapshot.time_s
@@ -80,7 +80,7 @@ class WindTables:
     async def _make(self, speed_m_s: float) -> None:
         settings, made_for = self._controller.settings, None
         try:
-            while made_for is not settings:  # radius or band may be changed meanwhile
+            while made_for is not settings:  # radius or band may change in the meantime
                 made_for = settings
                 await self._kind.make_ready(made_for.aircraft, made_for.requirement, [speed_m_s])
                 settings = self._controller.settings

@@ -1,4 +1,4 @@
-"""Which vehicle is meant: the one that is there, or the one that was named."""
+"""Vehicle selection: the only vehicle on the link, or the one with the configured system id."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mavsdk.asyncio import Mavsdk
 
 from sidelong.app.errors import InputError
 
-SETTLING_S = 2.2  # two heartbeats: who is there has spoken by then
+SETTLING_S = 2.2  # two heartbeat periods: every vehicle present has sent one by then
 _POLL_S = 0.1
 _REFUSED_AFTER_S = 1.0
 
@@ -19,9 +19,11 @@ T = TypeVar("T")
 
 
 async def the_vehicle(instance: Mavsdk, url: str, timeout_s: float, system_id: int | None) -> Any | None:
-    """Return MAVSDK's system of the vehicle with ``system_id``, or of the first one heard; None when none is heard.
+    """Return the MAVSDK system with ``system_id``, or the first one received; None if no vehicle is received.
 
-    Raises InputError when only others than the one named are heard.
+    Raises:
+        InputError: Only vehicles with other system ids are received.
+
     """
     first = await instance.first_autopilot(timeout_s)
     if first is None or system_id is None:

@@ -1,7 +1,7 @@
-"""The file of a signing key, and beside it the times that were used: no restart signs or accepts a time twice.
+"""The signing key file and its file of used time stamps: after a restart, no time stamp is signed or accepted twice.
 
 The key is 64 hexadecimal digits in a file that only its owner can read. ``FILE.times`` holds what ``SigningTimes``
-needs, always a little ahead of what is in use, so that a process that dies at any moment has lost nothing.
+needs. The stored times are always slightly ahead of those in use, so a crash at any moment loses nothing.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def make_key(path: Path) -> SigningKey:
 
 
 def read_key(path: Path) -> SigningKey:
-    """Return the key. Raises InputError where others may read it, or it is no key; never tells its content."""
+    """Return the key. Raises InputError if other users can read the file or it holds no key; never prints the key."""
     if path.is_dir():
         raise InputError(f"{path} is a folder; name the key's file in it, such as {path / 'plane.key'}.")
     try:
@@ -77,7 +77,7 @@ class KeptTimes:
         self._all = [times]
 
     def apart(self) -> KeptTimes:
-        """Return the same for one more who hears the same frames, as on a link that several vehicles share."""
+        """Return the same for another receiver of the same frames, as on a link shared by several vehicles."""
         with self.locked:
             other = KeptTimes(self.times.apart(), self._save)
             other.locked, other._all = self.locked, self._all
@@ -113,12 +113,12 @@ def key_in_use(path: Path, now: int, on_trouble: Callable[[str], object]) -> Ite
 
 @contextlib.contextmanager
 def kept_times(key_path: Path, now: int, on_trouble: Callable[[str], object]) -> Iterator[KeptTimes]:
-    """Lend the times of a key file to this process alone, and write them down every second and at the end.
+    """Lock the times of a key file for this process, and save them every second and at the end.
 
-    now: the present in signatures' units. on_trouble hears once when they can no longer be written. Raises InputError
-    when another process uses the key, or the file of times is damaged or cannot be written.
+    now: current time in signature units (10 us). on_trouble: called once when the times can no longer be written.
+    Raises InputError if another process uses the key, or the file of times is damaged or not writable.
     """
-    key_path = key_path.resolve()  # one file of times for one key, whatever link to it is named
+    key_path = key_path.resolve()  # one file of times per key, whichever symbolic link names it
     path = key_path.with_name(key_path.name + ".times")
     try:
         lock = os.open(path.with_name(path.name + ".lock"), os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)

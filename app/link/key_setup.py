@@ -1,4 +1,4 @@
-"""Giving a vehicle its signing key, and taking it back (SETUP_SIGNING), over a link that nobody can listen to."""
+"""Send a signing key to a vehicle, or remove it (SETUP_SIGNING), over a link that cannot be intercepted."""
 
 from __future__ import annotations
 

@@ -13,10 +13,10 @@ class Link(Protocol):
     """A connection to one vehicle. Every call ends within its own bound, whatever the other side does."""
 
     system_id: int
-    own_id: tuple[int, int]  # system and component that this end speaks as
+    own_id: tuple[int, int]  # system and component id of this end
 
     def messages(self) -> AsyncIterator[Message]:
-        """Yield what the vehicle and its components say, in order of arrival, until the link is closed."""
+        """Yield the messages of the vehicle and its components, in order of arrival, until the link is closed."""
         ...
 
     async def send(self, name: str, fields: Mapping[str, Any]) -> None:
@@ -28,7 +28,7 @@ class Link(Protocol):
         ...
 
     async def set_parameter(self, name: str, value: float, timeout_s: float = 4.0) -> bool:
-        """Set a parameter and tell whether the vehicle took it."""
+        """Set a parameter; return whether the vehicle accepted it."""
         ...
 
     def reports(self) -> tuple[LinkReport, ...]:
@@ -45,4 +45,4 @@ class Link(Protocol):
 
 
 class LinkError(Exception):
-    """The link could not do what was asked; the text says what and why."""
+    """A link operation failed; the message names the operation and the reason."""

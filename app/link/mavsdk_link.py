@@ -1,7 +1,7 @@
-"""The link on MAVSDK 4, with its traps handled here and nowhere else.
+"""The link on MAVSDK 4. All workarounds for MAVSDK are in this module.
 
 MAVSDK's blocking calls run in its own threads, cannot be cancelled, and hang ``destroy()`` while pending; using a
-destroyed object crashes the process; an ``async for`` over a subscription never ends by itself, and unsubscribes in
+destroyed object crashes the process; an ``async for`` over a subscription never ends, and unsubscribes in
 the loop's own thread when it is cancelled. Therefore:
 
 - every blocking call goes through ``_bounded``: own timeout, remembered while it is pending;
@@ -75,7 +75,7 @@ class MavsdkLink:
         loop = asyncio.get_running_loop()
 
         def heard(raw: MavlinkMessage, _nothing: object) -> None:
-            with contextlib.suppress(RuntimeError):  # the loop has ended, and nobody listens
+            with contextlib.suppress(RuntimeError):  # the loop has ended: there is no receiver
                 loop.call_soon_threadsafe(self._queue.put_nowait, raw)
 
         self._direct._plugin.subscribe_message("", heard)
@@ -94,13 +94,27 @@ class MavsdkLink:
         settling_s: float = SETTLING_S,
         open_transport: Callable[[str], Transport] | None = None,
     ) -> MavsdkLink:
-        """Connect and wait for the heartbeat of an autopilot: of ``system_id``, or of the only one there.
+        """Connect and wait for the heartbeat of an autopilot: of ``system_id``, or of the only one on the link.
 
-        open_transport: of a URL that others use as well. on_frame gets every raw frame, received and sent, from
-        several threads. With a key, or its file, every link is signed. on_trouble hears of refused frames and changes
-        of link, from several threads as well. Raises InputError for a bad URL, a busy port, an unusable key, when no
-        heartbeat comes within ``timeout_s``, and when several vehicles are heard (in ``settling_s`` since the first
-        frame) and none is named; until then nothing is sent, and what the first one says is kept.
+        Nothing is sent before the vehicle is selected; messages received until then are kept.
+
+        Args:
+            urls: The links to the vehicle.
+            timeout_s: Longest wait for the first heartbeat.
+            on_frame: Receives every raw frame, received and sent; called from several threads.
+            own_system_id: MAVLink system id of this end.
+            own_component_id: MAVLink component id of this end.
+            key: Signing key, or its file; with it every link is signed.
+            on_trouble: Receives refused frames and link changes in words; called from several threads.
+            system_id: The vehicle to select; None: the only one.
+            settling_s: How long to listen for other vehicles.
+            open_transport: Opens a URL that other links use as well.
+
+        Raises:
+            InputError: The URL is invalid, the port is busy, the key is unusable, no heartbeat arrives within
+                ``timeout_s``, or several vehicles are received within ``settling_s`` of the first frame and none is
+                selected.
+
         """
         own = (own_system_id, own_component_id)
         mavsdk_log.silence()
@@ -129,8 +143,8 @@ class MavsdkLink:
             await _ended(instance, ours)
             raise
         if raw is None and on_frame is not None:
-            # MAVSDK sends a message for a system only where it has heard that system: let it be heard on the
-            # recording connection too. The answer to a command that nobody sent is addressed to us, so it stays here.
+            # MAVSDK sends a message to a system only on connections that received that system, so pass one frame to
+            # the recording connection too. This ack of a command that was never sent is addressed to this end.
             answer = mavlink.MAVLink_command_ack_message(0, 0, 0, 0, *own)
             heard = answer.pack(mavlink.MAVLink(None, srcSystem=found_id, srcComponent=1))
             instance._mavsdk.pass_received_raw_bytes(heard)
@@ -148,7 +162,7 @@ class MavsdkLink:
         return self._measured.recent()
 
     async def _ask_delay(self) -> None:
-        while isinstance(self._measured, LinkMeter):  # links of our own ask by themselves
+        while isinstance(self._measured, LinkMeter):  # raw links measure their delay themselves
             with contextlib.suppress(LinkError):
                 await self.send(*self._measured.question())
             await asyncio.sleep(_ASK_DELAY_S)
@@ -181,7 +195,7 @@ class MavsdkLink:
     # -- parameters ----------------------------------------------------------------------------------------
 
     async def parameter(self, name: str, timeout_s: float = 4.0) -> float | None:
-        # MAVSDK wants the type beforehand and tells a wrong one at once, an unknown name after 3 s.
+        # MAVSDK requires the type: it reports a wrong type immediately, an unknown name after 3 s.
         for read in (self._param.get_param_float, self._param.get_param_int):
             try:
                 return float(await self._bounded(read(name), timeout_s))
@@ -207,10 +221,10 @@ class MavsdkLink:
     # -- the traps -----------------------------------------------------------------------------------------
 
     async def _bounded(self, call: Awaitable[Any], timeout_s: float) -> Any:
-        """Await a MAVSDK call that blocks a thread. Raises TimeoutError; the call itself then goes on unheeded."""
+        """Await a MAVSDK call that blocks a thread. Raises TimeoutError; the call then continues unobserved."""
         if self._closed:
             if asyncio.iscoroutine(call):
-                call.close()  # or Python complains on the terminal that nobody awaited it
+                call.close()  # else Python prints a warning that the coroutine was never awaited
             raise LinkError("the link is closed")
         pending = asyncio.ensure_future(call)
         self._pending.add(pending)
@@ -220,7 +234,7 @@ class MavsdkLink:
     def _settled(self, call: asyncio.Future[Any]) -> None:
         self._pending.discard(call)
         if not call.cancelled():
-            call.exception()  # heard, so that asyncio does not complain about an abandoned call
+            call.exception()  # retrieved, so that asyncio does not log it as never retrieved
 
     async def close(self) -> None:
         if self._closed:
@@ -236,7 +250,7 @@ class MavsdkLink:
 
 
 def _both(on_frame: FrameListener | None, measure: FrameListener) -> FrameListener | None:
-    """Return a listener for both; none where nobody listens, as the raw copy costs something."""
+    """Return a listener for both; None if neither is used, as the raw copy has a cost."""
     if on_frame is None:
         return None
 

@@ -1,10 +1,10 @@
-"""Several links to one vehicle made into one: which is used, and which frames are passed on.
+"""Merge several links to one vehicle: select the link in use, and drop duplicate frames.
 
-Each link of an autopilot counts its frames by itself and sends at times of its own, and one link is later than the
-other. So that nothing is heard twice and the vehicle never seems to go back in time:
+Each link of an autopilot has its own sequence numbers, its own send times and its own delay. These rules prevent
+duplicates and steps back in time:
 
-- what the autopilot sends with a time stamp is passed on, from whatever link, where it is newer than what was; a
-  stamp that is far from the others has to be followed by more of its kind, while the others are silent;
+- a message with a time stamp is passed on, from any link, if it is newer than the latest one passed on; a stamp far
+  from the others is accepted only if similar ones follow while the others are silent;
 - what it sends without one (mode, mission item) is passed on from the link in use only, and after a change of links
   only once that link has caught up;
 - answers, and what other components send, are passed on from any link, the copies of the others are not.
@@ -45,7 +45,7 @@ _SILENT_S, _SPARSE_SILENT_S, _SPARSE_BYTES_S = 1.0, 3.5, 200.0
 _FRESH_S = 0.5
 _WORSE_BY, _WORSE_FOR_S = 0.15, 3.0
 _COPY_WITHIN_S, _TIMED_COPY_WITHIN_S = 1.0, 10.0
-_STEP_BACK_S = 5.0  # as telemetry has it: then the vehicle has started anew
+_STEP_BACK_S = 5.0  # as in telemetry: the vehicle has rebooted
 _AHEAD_S, _AHEAD_PER_S, _BEHIND_S = 5.0, 1.5, 10.0
 _PROOF_COUNT, _PROOF_STEP_S, _PROOF_SILENCE_S = 5, 5.0, 2.0
 _KEPT_MAX = 4000
@@ -127,7 +127,7 @@ class LinkMerger:
         self._passed: dict[tuple[tuple[int, int], int, bytes], list[tuple[float, set[int]]]] = {}
 
     def passes(self, link: int, frame: Frame, now_s: float) -> bool:
-        """Tell whether a frame that came on ``link`` is to be passed on."""
+        """Return whether to pass on a frame received on ``link``."""
         if self._links == 1:
             return True
         if frame.component_id == AUTOPILOT_COMPONENT:
@@ -161,7 +161,7 @@ class LinkMerger:
         return True
 
     def _is_copy(self, link: int, frame: Frame, now_s: float, window_s: float) -> bool:
-        """Tell whether another link has brought the same already, each of its frames taken for one copy only."""
+        """Return whether another link has already delivered this frame; each earlier frame matches one copy only."""
         key = (frame.source, frame.message_id, frame.payload)
         passed = [entry for entry in self._passed.get(key, ()) if now_s - entry[0] < window_s]
         self._passed[key] = passed
@@ -175,7 +175,7 @@ class LinkMerger:
         return False
 
     def choose(self, measured: Sequence[Measured], now_s: float) -> bool:
-        """Change the link in use where another is better; tell whether it was changed."""
+        """Switch to a better link if there is one; return whether the link in use changed."""
         others = [i for i in self._leads_to_autopilot - {self.in_use} if measured[i].silent_s < _FRESH_S]
         if not others:
             self._worse_since_s = None

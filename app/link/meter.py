@@ -52,7 +52,7 @@ class LinkMeter:
                 self._quality.radio(int(message.fields["rssi"]), int(message.fields["remrssi"]))
 
     def question(self) -> tuple[str, Mapping[str, Any]]:
-        """Return the message whose answer tells the delay."""
+        """Return the message whose answer gives the delay."""
         stamp = time.monotonic_ns()
         with self._lock:
             self._asked_s[stamp] = time.monotonic()

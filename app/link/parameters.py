@@ -1,4 +1,4 @@
-"""The autopilot's parameters: read, and changed for a mission's time where that is asked for."""
+"""Read the autopilot's parameters, and change them for the duration of a mission if requested."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.app.link.vehicle import Vehicle
 
 _ANSWER_S = 0.8  # since the last answer; then those that are missing are asked for again
-_IDLE_S, _IDLE_ROUNDS = 1.6, 2  # so long, and so often, without an answer: there is none of that name
+_IDLE_S, _IDLE_ROUNDS = 1.6, 2  # timeout, and number of timeouts, before a parameter is treated as absent
 _REAL32 = 9  # MAV_PARAM_TYPE
 
 
@@ -38,10 +38,10 @@ async def read_table(vehicle: Vehicle, autopilot: Autopilot, release: Release | 
 
 
 async def read_parameters(vehicle: Vehicle, names: Iterable[str]) -> dict[str, float]:
-    """Return the values of those the autopilot has, all asked for at once and again where no answer came.
+    """Return the values of the parameters that exist. All are requested at once; missing answers are requested again.
 
-    An autopilot does not answer for a name that it does not have. On a lossy link that looks the same as an
-    answer that was lost in each round.
+    An autopilot does not answer a request for an unknown name. On a lossy link this cannot be distinguished from
+    an answer that was lost in each round.
     """
     wanted = list(names)
     values: dict[str, float | None] = {}

@@ -11,7 +11,7 @@ from typing import Any
 
 _WINDOW_S = 5.0
 _DELAYS_KEPT = 9
-_REORDERED = 128  # a sequence number so far ahead is one that comes late
+_REORDERED = 128  # a sequence number this far ahead belongs to a late frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class LinkReport:
     refused: dict[str, int]
 
     def as_json(self, clock_rate: float = 1.0) -> dict[str, Any]:
-        """Return it as plain values, in one level, with bytes a second of a clock that goes so much faster."""
+        """Return a flat table of plain values; bytes per second refer to a clock that runs faster by this factor."""
         rates = {
             "received_bytes_s": self.measured.received_bytes_s / clock_rate,
             "sent_bytes_s": self.measured.sent_bytes_s / clock_rate,
@@ -109,11 +109,11 @@ class LinkQuality:
         self._round_trips_s.append(round_trip_s)
 
     def radio(self, rssi: int, remote_rssi: int) -> None:
-        """Take what the radio says of its signal."""
+        """Store the signal strengths that the radio reports."""
         self._rssi = (rssi, remote_rssi)
 
     def forget(self) -> None:
-        """Begin anew with sequence numbers: the other side has."""
+        """Forget the sequence numbers, as the other side has restarted them."""
         self._next.clear()
 
     def measured(self, now_s: float) -> Measured:

@@ -27,7 +27,7 @@ from sidelong.app.link.url import checked_url
 
 _ASK_DELAY_S = 1.0
 _WATCH_S = 0.1
-_BACK_AFTER_S = 3.0  # so long silent, a link that comes back is asked for its message rates again
+_BACK_AFTER_S = 3.0  # after this silence, message rates are requested again on a link that returns
 _SPLITTERS_MAX = 64
 _HEARTBEAT, _COMMAND_LONG, _TIMESYNC = (
     dialect.MAVLINK_MSG_ID_HEARTBEAT,
@@ -47,16 +47,16 @@ class _Link:
     quality: LinkQuality
     splitters: OrderedDict[Peer, FrameSplitter] = field(default_factory=OrderedDict)
     refused: Counter[Refusal] = field(default_factory=Counter)
-    authentic: bool = False  # a fresh frame has been let in: from now on only such ones show who is a peer
+    authentic: bool = False  # a fresh signed frame was accepted: from now on only such frames identify a peer
     sequence: int = 0
     asked: dict[int, float] = field(default_factory=dict)
 
 
 class RawLinks:
-    """Passes what the links let in to ``deliver``, and what is sent to the link in use.
+    """Passes accepted frames to ``deliver``, and outgoing frames to the link in use.
 
-    on_frame sees every frame that is passed on or sent, before it is signed. on_trouble hears in words when frames
-    are refused, and when another link is used. All are called from several threads.
+    on_frame: receives every frame that is passed on or sent, before it is signed. on_trouble: receives a sentence
+    when frames are refused or the link in use changes. All are called from several threads.
     """
 
     def __init__(
@@ -136,7 +136,7 @@ class RawLinks:
     # -- out -----------------------------------------------------------------------------------------------
 
     def send(self, data: bytes) -> None:
-        """Send frames: on the link in use, and on all of them what each has to hear."""
+        """Send frames on the link in use; send those that every link needs on all links."""
         for frame in FrameSplitter().split(data):  # whole frames, from several threads
             if not frame.is_v2:
                 continue  # it could not be signed; MAVSDK sends none
@@ -178,11 +178,11 @@ class RawLinks:
         return peers
 
     def _judged(self, index: int, frame: Frame) -> tuple[bool, bool, list[str]]:
-        """Return whether a frame is passed on, whether its sender is one to speak to, and what is to be told."""
+        """Return whether to pass on a frame, whether its sender is a peer, and the messages for the operator."""
         link, now_s = self._links[index], time.monotonic()
         with self._lock:
             if frame.message_id == RADIO_STATUS_ID and not frame.signed:
-                # The radio itself says it and knows no key. It goes no further than to the measure of the link.
+                # Sent by the radio itself, which has no key. It is used for the link's statistics only.
                 rssi, remote_rssi = _radio_of(frame)
                 link.quality.radio(rssi, remote_rssi)
                 self._on_frame(frame.data)
@@ -205,7 +205,7 @@ class RawLinks:
             silent_s = now_s - link.quality.heard_s if link.quality.heard_s is not None else 0.0
             link.quality.frame(frame.source, frame.sequence, len(frame.data), now_s)
             if frame.message_id == _TIMESYNC and self._is_answer(link, frame, now_s):
-                return index == self._merger.in_use, True, []  # it tells the vehicle's clock, too
+                return index == self._merger.in_use, True, []  # it carries the vehicle's clock, too
             passed = self._merger.passes(index, frame, now_s)
         if silent_s > _BACK_AFTER_S and len(self._links) > 1:
             self._ask_rates(index)
@@ -218,7 +218,7 @@ class RawLinks:
         link.quality.answered(now_s - asked_s)
         return True
 
-    # -- beside --------------------------------------------------------------------------------------------
+    # -- other ---------------------------------------------------------------------------------------------
 
     def _controller(self) -> None:
         ask_s = 0.0

@@ -74,7 +74,7 @@ class VehicleReports:
         base_mode = int(heartbeat.fields["base_mode"])
         mode = mode_name(int(heartbeat.fields["autopilot"]), base_mode, int(fields["custom_mode"]))
         if mode == self._mode:
-            return None  # it comes often, so that a change is heard at once
+            return None  # it is sent often, so that a change is seen at once
         self._mode = mode
         return ModeReported(time_s, mode, bool(base_mode & ARMED_FLAG))
 

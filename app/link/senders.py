@@ -13,15 +13,15 @@ from sidelong.app.link.modes import AUTOPILOT_INVALID
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, Telemetry
 from sidelong.mission.control.plausibility import Plausibility
 
-# (first byte, where sequence number, system and component stand) of MAVLink 2 and 1.
+# First byte, and offsets of sequence number, system and component, of MAVLink 2 and 1.
 _HEADERS = {0xFD: (4, 5, 6), 0xFE: (2, 3, 4)}
 _FRAMES = 150
-_BACK_MAX_SHARE = 0.06  # packets that overtake one another on one link are fewer
+_BACK_MAX_SHARE = 0.06  # the share of reordered packets on a single link is lower
 _REMEDY = "give one of them another system id, or end the second route to it"
 
 
 class SenderCheck:
-    """Hears frames (from any thread) and messages; ``system_id`` is that of the vehicle, once it is known."""
+    """Receives frames (from any thread) and messages; ``system_id`` is the vehicle's, once it is known."""
 
     def __init__(self) -> None:
         self.system_id: int | None = None

@@ -1,4 +1,4 @@
-"""One transport for several vehicles' links: each hears everything that comes, and all send on it."""
+"""One transport for the links of several vehicles: each receives all data, and all send on it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class SharedTransport:
         self._transport.send(data)
 
     def join(self, user: Transport, receive: Receive) -> None:
-        """Let a user hear from now on."""
+        """Add a user, which receives data from now on."""
         with self._lock:
             self._receivers[user] = receive
             begins, self._started = not self._started, True
@@ -36,7 +36,7 @@ class SharedTransport:
             self._transport.start(self._received)
 
     def leave(self, user: Transport) -> None:
-        """Let a user hear no more, and end it all with the last one."""
+        """Remove a user; close the transport after the last one."""
         with self._lock:
             self._receivers.pop(user, None)
             self._users -= 1
@@ -47,7 +47,7 @@ class SharedTransport:
     def _received(self, data: bytes, peer: Peer) -> bool:
         with self._lock:
             receivers = list(self._receivers.values())
-        shown = [receive(data, peer) for receive in receivers]  # each of them has to hear it
+        shown = [receive(data, peer) for receive in receivers]  # each of them must receive it
         return any(shown)
 
 

@@ -20,12 +20,12 @@ EPOCH_UNIX_S = 1_420_070_400  # 2015-01-01
 RADIO_STATUS_ID = 109
 _NEW_STREAM_BEHIND = 60 * UNITS_PER_S  # the standard's minute
 _YEAR = 31_557_600 * UNITS_PER_S
-# A clock without battery starts years behind, so that the own one is no measure; the 48 bits last until 2104.
+# A clock without battery starts years behind, so the local clock is not a reference; the 48 bits last until 2104.
 _AHEAD_MAX, _WRITTEN = 20 * _YEAR, 11 * _YEAR
-_CHANGED_LINK_AFTER = 10 * UNITS_PER_S  # so long silent, a source may come back under another link id
+_CHANGED_LINK_AFTER = 10 * UNITS_PER_S  # after this silence, a source may return with another link id
 
 Stream = tuple[int, int, int]
-"""Link id, system, component: each has a time of its own."""
+"""Link id, system, component: each has its own time stamp."""
 
 
 def signing_time(unix_s: float) -> int:
@@ -59,7 +59,7 @@ class SigningKey:
         return hashlib.sha256(self._secret + signed).digest()[:6]
 
     def for_setup(self) -> list[int]:
-        """Return the bytes as SETUP_SIGNING carries them: the one place that tells them."""
+        """Return the key's bytes for SETUP_SIGNING: the only access to them."""
         return list(self._secret)
 
 
@@ -94,7 +94,7 @@ class SigningTimes:
         self._sent[0] = time
 
     def apart(self) -> SigningTimes:
-        """Return times for one more who hears the same frames: all send in one order, each accepts by itself."""
+        """Return times for another receiver of the same frames: a common send order, separate acceptance."""
         other = SigningTimes(streams=self.streams)
         other._sent = self._sent
         return other
@@ -121,7 +121,7 @@ class LinkSigning:
         return unsigned + tail + self._key.signature(unsigned + tail)
 
     def genuine(self, frame: Frame) -> bool:
-        """Tell whether the frame was signed with the key, whenever that was."""
+        """Return whether the frame was signed with the key, whatever its time stamp."""
         return frame.signed and hmac.compare_digest(self._key.signature(frame.data[:-6]), frame.data[-6:])
 
     def refusal(self, frame: Frame, now: int) -> Refusal | None:

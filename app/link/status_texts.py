@@ -19,7 +19,7 @@ class StatusText:
     """A text of the autopilot.
 
     Attributes:
-        text: What it says, without control characters.
+        text: The text, without control characters.
         severity: MAV_SEVERITY: 0 emergency to 7 debug.
         received_s: When its last chunk came.
 

@@ -1,8 +1,7 @@
-"""MAVLink messages into the events of the control step: units, frames and time stamps are settled here.
+"""Convert MAVLink messages into events of the control step, with units, frames and time stamps resolved.
 
-All range and gimbal sources pass through; which of them to believe is the estimation's business, and whether what is
-said can be is that of the control step. Here it only counts who says it: position, wind and what GPS and EKF report
-are the autopilot's alone to say.
+All range and gimbal sources pass through: the estimator selects among them, and the control step checks plausibility.
+This module only checks the sender: position, wind, GPS and EKF status are accepted from the autopilot alone.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from sidelong.mission.core.events import Event, ModeReported, NavigationReported
 AUTOPILOT_COMPONENT = 1
 _NO_FIX_DEG_E7 = 100_000
 _LATITUDE_MAX_E7, _LONGITUDE_MAX_E7 = 900_000_000, 1_800_000_000
-# time_boot_ms counts in 32 bits: it begins anew after 49.7 days.
+# time_boot_ms has 32 bits: it wraps after 49.7 days.
 _WRAP_S, _NEAR_WRAP_S = 2**32 * 1e-3, 60.0
 _GPS_FIX_3D = 3
 _ORIGIN_FIXES, _ORIGIN_NEAR_M = 5, 5_000.0
@@ -55,8 +54,8 @@ class Telemetry:
 
     plane is set by the first position fix, and again while the first few are far apart;
     system_id by the first autopilot heartbeat, unless given.
-    now_s is the vehicle's clock: its latest time stamp, -inf before the first; a stamp that stands alone does not
-    move it.
+    now_s is the vehicle's clock: its latest time stamp, -inf before the first; a single outlying stamp does not
+    change it.
     """
 
     def __init__(self, system_id: int | None = None) -> None:
@@ -64,7 +63,7 @@ class Telemetry:
         self.plane: LocalPlane | None = None
         self._clock = VehicleClock()
         self._wrapped_s = 0.0
-        self._near_origin = 0  # fixes in a row, up to so many as settle the plane
+        self._near_origin = 0  # consecutive fixes, up to the number that settles the plane
         self._decoders: dict[str, Callable[[Message], Event | None]] = {
             "HEARTBEAT": self._heartbeat,
             "GLOBAL_POSITION_INT": self._position,
@@ -90,7 +89,7 @@ class Telemetry:
         return frozenset(self._decoders)
 
     def event(self, message: Message) -> Event | None:
-        """Return the event a message stands for; None if it stands for none (other vehicle, no fix, no signal)."""
+        """Return the event of a message; None if there is none (other vehicle, no fix, no signal)."""
         decoder = self._decoders.get(message.name)
         if decoder is None or (self.system_id is not None and message.system_id != self.system_id):
             return None
@@ -149,10 +148,10 @@ class Telemetry:
         return time_s
 
     def _payload_seconds(self, boot_ms: int) -> float:
-        return self._seconds(boot_ms) if boot_ms else 0.0  # who does not know the time says so
+        return self._seconds(boot_ms) if boot_ms else 0.0  # 0: the sender does not know the time
 
     def _seconds(self, boot_ms: int) -> float:
-        """Return a stamp in seconds, that goes on where 32 bits of milliseconds begin anew."""
+        """Return a stamp in seconds, continued where the 32 bits of milliseconds wrap."""
         now_s, stamp_s = self._clock.now_s, boot_ms * 1e-3
         if abs(self._wrapped_s + stamp_s - now_s) >= _NEAR_WRAP_S:
             for wraps_s in (self._wrapped_s - _WRAP_S, self._wrapped_s + _WRAP_S):
@@ -177,11 +176,11 @@ class Telemetry:
         return NavigationReported(self.now_s, source, fault)
 
     def _of_autopilot(self, message: Message) -> bool:
-        """Tell whether a message without a time is the autopilot's, and there is a time to give it."""
+        """Return whether a message without a time is the autopilot's, and the vehicle's time is known."""
         return message.component_id == AUTOPILOT_COMPONENT and self.now_s > -math.inf
 
     def _wind(self, message: Message) -> Event | None:
-        # ArduPilot tells where the wind comes from.
+        # ArduPilot reports the direction the wind comes from.
         fields = message.fields
         if not self._of_autopilot(message) or not _finite(fields["direction"], fields["speed"]):
             return None
@@ -201,7 +200,7 @@ class Telemetry:
         fields = message.fields
         distance_m = fields["current_distance"] * 1e-2
         min_m, max_m = fields["min_distance"] * 1e-2, fields["max_distance"] * 1e-2
-        signal = int(fields.get("signal_quality") or 0)  # 0: not told; absent in MAVLink 1
+        signal = int(fields.get("signal_quality") or 0)  # 0: unknown; absent in MAVLink 1
         if not 0.0 < distance_m <= max_m or distance_m < min_m or signal == _SIGNAL_INVALID:
             return None
         covariance_cm2 = fields["covariance"]
@@ -254,7 +253,7 @@ def gimbal_frame(flags: int) -> Literal["earth", "vehicle", "body"]:
 
 
 def has_fix(fields: Fields) -> bool:
-    """Tell whether a position is one: before its first fix ArduPlane's filter reports places near (0, 0)."""
+    """Return whether a position is valid: before its first fix ArduPlane's filter reports positions near (0, 0)."""
     latitude_e7, longitude_e7 = abs(fields["lat"]), abs(fields["lon"])
     on_earth = latitude_e7 <= _LATITUDE_MAX_E7 and longitude_e7 <= _LONGITUDE_MAX_E7
     return bool(on_earth and max(latitude_e7, longitude_e7) > _NO_FIX_DEG_E7)

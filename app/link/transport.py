@@ -1,7 +1,7 @@
-"""Bytes in and out of one link: UDP, TCP or a serial line, each served by a thread of its own.
+"""Bytes in and out of one link: UDP, TCP or a serial line, each served by its own thread.
 
-A link that goes comes back by itself: a TCP connection is made again, a serial device that was unplugged opened
-again. Sending never waits: what does not fit is lost, as on the air.
+A lost link reconnects automatically: a TCP connection is made again, an unplugged serial device is opened again.
+Sending never blocks: data that does not fit into the buffer is dropped, as on a radio link.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ import serial
 _READ_BYTES = 4096
 _WAKE_S = 0.2
 _RETRY_S = 1.0
-_SILENT_S = 10.0  # then a UDP peer is no longer sent to, unless there is none besides
+_SILENT_S = 10.0  # after this silence, a UDP peer is no longer sent to, unless it is the only one
 _PEERS_MAX = 8
 _UNSENT_MAX_BYTES = 1 << 16
 
 Peer = tuple[str, int] | None
 Receive = Callable[[bytes, Peer], bool]
-"""Takes bytes and who sent them; tells whether they show the peer to be one to speak to."""
+"""Takes bytes and their sender; returns whether they confirm the sender as a peer."""
 
 
 class Transport(Protocol):
@@ -77,7 +77,7 @@ class _Threaded(ABC):
 
 
 class UdpTransport(_Threaded):
-    """Datagrams. Listening, it speaks to those who have shown themselves to be peers."""
+    """UDP datagrams. A listening socket sends only to confirmed peers."""
 
     def __init__(self, address: tuple[str, int], listening: bool) -> None:
         super().__init__()
@@ -86,7 +86,7 @@ class UdpTransport(_Threaded):
             if listening:
                 self._socket.bind(address)
             else:
-                self._socket.connect(address)  # the kernel then passes on nothing of anybody else
+                self._socket.connect(address)  # the kernel then drops datagrams from other addresses
         except OSError:
             self._socket.close()
             raise

@@ -53,7 +53,7 @@ def _present_form(older: re.Match[str]) -> str:
 
 
 def _probe_port(url: str, scheme: str, address: str, port: int) -> None:
-    # A second process may bind a UDP port and silently steal the traffic of the first: ask beforehand.
+    # A second process may bind a UDP port and silently steal the traffic of the first: check first.
     kind = socket.SOCK_DGRAM if scheme == "udpin" else socket.SOCK_STREAM
     with socket.socket(socket.AF_INET, kind) as probe:
         try:

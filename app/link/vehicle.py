@@ -1,4 +1,4 @@
-"""The vehicle at the other end of a link: what it last said, commands with their answers, waiting for a message."""
+"""The vehicle at the other end of a link: its latest messages, commands with their answers, waiting for messages."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TRIES = 4
 _IN_PROGRESS = 5
 _SET_MESSAGE_INTERVAL = 511
 _RATE_ROUNDS, _RATE_ANSWER_S = 5, 0.6
-_ROUND_TRIPS, _MORE_S = 1.5, 0.15  # an answer may take so many of them and so much longer
+_ROUND_TRIPS, _MORE_S = 1.5, 0.15  # timeout of an answer: this many round trips, plus this many seconds
 _ACCEPTED = 0
 
 Listener = Callable[[Message], object]
@@ -28,7 +28,7 @@ Listener = Callable[[Message], object]
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a command came to: a MAV_RESULT, or None when nothing was heard."""
+    """The result of a command: a MAV_RESULT, or None if no answer was received."""
 
     result: int | None
 
@@ -49,7 +49,7 @@ class Vehicle:
         self.latest: dict[str, Message] = {}
         self.texts = StatusTexts()  # of the autopilot
         self.listeners: list[Listener] = []
-        self.bystanders: list[Listener] = []  # hear what other systems say, too
+        self.bystanders: list[Listener] = []  # receive the messages of other systems, too
         self._waiting: list[tuple[Callable[[Message], bool], asyncio.Future[Message]]] = []
 
     async def run(self) -> None:
@@ -97,7 +97,7 @@ class Vehicle:
 
     @contextlib.contextmanager
     def hearing(self, *names: str) -> Iterator[asyncio.Queue[Message]]:
-        """Collect the autopilot's messages of these names meanwhile."""
+        """Collect the autopilot's messages of these names inside the context."""
         queue: asyncio.Queue[Message] = asyncio.Queue()
 
         def hear(message: Message) -> None:
@@ -111,9 +111,9 @@ class Vehicle:
             self.listeners.remove(hear)
 
     def is_for_us(self, message: Message) -> bool:
-        """Tell whether a message of the autopilot answers us: others' answers may pass here too.
+        """Return whether a message of the autopilot is addressed to this station; answers to others may arrive too.
 
-        Older autopilots do not tell whom a COMMAND_ACK is for.
+        Older autopilots do not set the target of a COMMAND_ACK.
         """
         if message.component_id != AUTOPILOT_COMPONENT:
             return False
@@ -173,10 +173,10 @@ class Vehicle:
         return Answer(None)
 
     async def set_rates(self, rates_hz: Mapping[int, float], rounds: int = _RATE_ROUNDS) -> None:
-        """Ask for messages at these rates, 0 for none, all at once; what is not offered is left alone.
+        """Request messages at these rates in Hz, 0 for none, all at once; unsupported messages are ignored.
 
-        An answer does not tell which of them it is for: where one is missing, all are asked for again; after the last
-        round none is waited for.
+        An answer does not name its message. If one is missing, all are requested again; after the last round no
+        answer is awaited.
         """
         for round_ in range(rounds):
             with self.hearing("COMMAND_ACK") as answers:

@@ -1,4 +1,4 @@
-"""What the vehicle and its links say of themselves, for whoever watches over them. Nothing is decided by it."""
+"""Status of the vehicle and its links, for display only. No decision depends on it."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _UNTOLD_SATELLITES, _UNTOLD_MV = 255, 65535
 
 @dataclass(frozen=True, slots=True)
 class VehicleStatus:
-    """None: not told.
+    """Status values; None: not reported.
 
-    gps: the fix in words. link_percent: of the frames sent towards us, those that came over the link in use;
-    round_trip_s: of a question over it. endurance_s: flight time left until the battery's reserve; home_s: to home.
+    gps: the fix in words. link_percent: share of the frames sent to this station that arrived over the link in use;
+    round_trip_s: its round-trip time. endurance_s: flight time left until the battery's reserve; home_s: to home.
     alarms: those that are raised.
     """
 
