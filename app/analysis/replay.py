@@ -1,8 +1,8 @@
-"""A recorded log through the same telemetry, filter and planner as a live flight.
+"""Replay of a recorded log through the same telemetry, filter and planner as a live flight.
 
-The aircraft of a foreign log did not fly our plans. So each time the step decides, it starts from the circle that
-the aircraft is really on (``ControlAcquired`` with the circle of its present bank), and a plan it proposes is
-answered with "failed: not flown in this log". The decisions then tell what would have been done from there.
+The aircraft of a foreign log did not fly sidelong's plans. Each decision therefore starts from the circle that the
+aircraft actually flies (``ControlAcquired`` with the circle of its present bank). A proposed plan is answered with
+"failed: not flown in this log". The decisions then show what sidelong would have done from there.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ if TYPE_CHECKING:
     from sidelong.app.records.log import Log
 
 _MODE = "as recorded"
-# By type alone, which a set tells at once: no event but the exchange's own is of a type derived from another.
+# A set lookup by exact type is enough: only the exchange's own events have derived types.
 _COMMANDS, _DERIVED = frozenset(get_args(Command)), frozenset(DERIVED)
 _EXCHANGE = frozenset((*get_args(ExchangeEvent), SendMessage, TakeoverFailed))
-# Between two positions these only feed the filter and the door: nothing to show or to judge changes.
+# Between two positions these only feed the filter and the plausibility check: nothing to display or score changes.
 _UNSEEN = frozenset(
     (AttitudeReading, RangeReading, GimbalReading, TargetFixReading, NavigationReported, *get_args(ExchangeEvent))
 )
@@ -76,10 +76,10 @@ class Proposals:
         self._engaged_s = -math.inf
 
     def follow(self, events: Iterable[InboundEvent]) -> Iterator[Replayed]:
-        """Yield what the step makes of readings that somebody sees; whatever else there is is passed over."""
+        """Yield the step's result for each reading that a consumer displays or scores; skip all others."""
         controller = self.controller
         for event in events:
-            # Nobody else flies here: a change of mode is not one of ours to yield to.
+            # A mode change in a recorded log is no reason to yield: there is no operator to yield to.
             if not isinstance(event, _READINGS):
                 continue
             commands = controller.step(event)
@@ -110,7 +110,7 @@ class Proposals:
 
 
 class LogReplay(Proposals):
-    """Steps a watch through the messages of a log; ``on_plane`` hears of the local plane as soon as it is known."""
+    """Steps a watch through the messages of a log; calls ``on_plane`` once the local plane is known."""
 
     def __init__(
         self, controller: StandoffController, telemetry: Telemetry, on_plane: Callable[[LocalPlane], None]
@@ -123,7 +123,7 @@ class LogReplay(Proposals):
         return self._telemetry.plane
 
     def run(self, messages: Iterable[Message]) -> Iterator[Replayed]:
-        """Yield the events of the log with what the step made of them; those that nobody sees are passed over."""
+        """Yield the events of the log with the step's results; skip those that no consumer needs."""
         return self.follow(self._events(messages))
 
     def _events(self, messages: Iterable[Message]) -> Iterator[InboundEvent]:
@@ -145,7 +145,7 @@ def require_sightings(sightings: int, log: Log) -> None:
 
 
 def announcements(commands: Iterable[Command]) -> Iterator[Announce]:
-    """Yield what the commands tell a person."""
+    """Yield the announcements among the commands."""
     for command in commands:
         if isinstance(command, Announce) and command.kind != "plan":
             yield command
@@ -164,14 +164,13 @@ class Difference:
 
 
 class JournalReplay:
-    """Steps a core through the journal of one of our own runs: the very events of the flight, in order.
+    """Steps a core through the journal of a sidelong run: the recorded events of the flight, in order.
 
-    mission: the whole core, where the flight's exchange with the autopilot was recorded and is to be repeated:
-    uploads, switches and yields are compared then too. Without it the controller alone is stepped, through what was
-    found out in flight.
+    mission: the complete core, if the journal holds the exchange with the autopilot. Uploads, switches and yields are
+    then compared too. None: only the controller is stepped, with the recorded results of the exchange.
 
-    After ``run``, ``compared`` counts the commands that were compared, and ``difference`` is the first that was not
-    the same to the last bit, or None.
+    After ``run``, ``compared`` counts the compared commands. ``difference`` is the first command that was not
+    identical bit for bit, or None.
     """
 
     def __init__(self, controller: StandoffController, mission: MissionController | None = None) -> None:
@@ -185,7 +184,7 @@ class JournalReplay:
         self._expected: deque[Output] = deque()
 
     def run(self, records: Iterable[Any]) -> Iterator[Replayed]:
-        """Yield the events of the journal with what the step made of them now, without those that nobody sees."""
+        """Yield the events of the journal with the step's present results; skip those that no consumer needs."""
         controller, outputs_too, left_out = self.controller, self._outputs, self._left_out
         for record in records:
             kind = type(record)

@@ -43,15 +43,15 @@ Asked = Sequence[tuple[float, Requirement]]
 
 
 def asked_at(asked: Asked, time_s: float) -> Requirement:
-    """Return the requirement at a time; before the first one that one."""
+    """Return the requirement at a time; times before the first requirement use the first."""
     return next((one for since_s, one in reversed(asked) if since_s <= time_s), asked[0][1])
 
 
 def middle_rad(requirement: Requirement, course_rad: Angle) -> Angle | float:
-    """Return the direction from the target to the middle of where it is to be watched from.
+    """Return the direction from the target to the centre of the required observation sector.
 
     Args:
-        requirement: what is required.
+        requirement: the observation requirement.
         course_rad: the target's course, one value or an array.
 
     """

@@ -89,7 +89,7 @@ class Summary:
         return table
 
     def _ground_rows(self) -> Iterator[tuple[str, str]]:
-        """Yield what is known over elevation data only."""
+        """Yield the values that need elevation data."""
         if self.time_in_sight is not None:
             yield "time in sight", _percent(self.time_in_sight)
         if self.min_clearance_m is not None:
@@ -129,7 +129,7 @@ class SummaryCollector:
         self._departures_s += [snapshot.time_s] * (snapshot.moves - len(self._departures_s))
         aircraft, estimate = snapshot.aircraft, snapshot.estimate
         if aircraft is None or estimate is None or estimate.time_s <= self.judged_s or snapshot.turn_payload:
-            return  # what is not seen is not watched
+            return  # a target that was never detected cannot be scored
         self.judged_s = estimate.time_s
         if self._asked[-1][1] != snapshot.requirement:
             self._asked.append((estimate.time_s, snapshot.requirement))

@@ -1,4 +1,4 @@
-"""The true tracks of target and aircraft, as a simulation writes them beside its telemetry."""
+"""The true tracks of target and aircraft, as a simulation writes them alongside its telemetry."""
 
 from __future__ import annotations
 
@@ -29,10 +29,13 @@ _VELOCITY_SPAN_S = 1.0  # the file's millimetres are too coarse to difference ne
 class Truth:
     """Rows in order of time.
 
-    time_s has shape (n,), n >= 2, on the vehicle's clock; positions_deg has shape (4, n): target latitude and
-    longitude, aircraft latitude and longitude. ground has shape (2, n): the aircraft's height over the ground below
-    it in metres, and 1 where it sees the target; NaN where the file does not tell. target has shape (n,): the name of
-    the one that the payload looks at, '' where the file does not tell.
+    Attributes:
+        time_s: the vehicle's clock, shape (n,), n >= 2.
+        positions_deg: target latitude and longitude, aircraft latitude and longitude, shape (4, n).
+        ground: the aircraft's height above ground in metres, and 1 where it sees the target, shape (2, n); NaN where
+            the file has no value.
+        target: the name of the target that the payload looks at, shape (n,); '' where the file has no value.
+
     """
 
     time_s: npt.NDArray[np.float64]
@@ -69,7 +72,7 @@ class Truth:
     def over_ground(self, start_s: float) -> tuple[float | None, float | None]:
         """Return the share of the rows since ``start_s`` that see the target, and the least height over the ground.
 
-        None where no row tells.
+        None if no row has a value.
         """
         clearance_m, in_sight = self.ground[:, self.time_s >= start_s]
         seen, heights_m = in_sight[np.isfinite(in_sight)], clearance_m[np.isfinite(clearance_m)]
@@ -82,7 +85,7 @@ class Truth:
             return []
         rows_s = np.clip(self.time_s, begin_s, end_s)
         step = np.ceil((rows_s - begin_s) / step_s).astype(np.int64)
-        # From row to row, so that damaged times make no more moments than there are rows to make them of.
+        # Iterate over rows, so that damaged times cannot produce more moments than there are rows.
         rows = np.flatnonzero((np.diff(step) > 0) & (np.diff(self.time_s) <= _GAP_MAX_S)).tolist()
         numbers = (number for row in rows for number in range(int(step[row]), int(step[row + 1])))
         return self.at_each([begin_s + number * step_s for number in numbers], plane)
@@ -90,7 +93,7 @@ class Truth:
     def _places_m(
         self, time_s: npt.NDArray[np.float64], columns: slice, plane: LocalPlane
     ) -> npt.NDArray[np.float64]:
-        """Return (n, 2) in the plane of whatever these two columns tell in degrees, at times (n,)."""
+        """Return these two columns (degrees) as positions in the plane, shape (n, 2), at times of shape (n,)."""
         degrees = np.array([np.interp(time_s, self.time_s, column) for column in self.positions_deg[columns]]).T
         return np.array([plane.east_north_m(*place) for place in degrees.tolist()]).reshape(-1, 2)
 
@@ -139,7 +142,7 @@ def truth_if_whole(path: Path | None, until_s: float, tell: Callable[[str], obje
     Args:
         path: The truth file; None if there is none.
         until_s: When the run ended, by the vehicle's clock.
-        tell: Called with the reason why the truth cannot be used.
+        tell: Called with the reason if the truth cannot be used.
 
     Returns:
         The truth, None if there is none or it does not cover the run.

@@ -1,1 +1,1 @@
-"""Who else is told of target and aircraft, and what a target that co-operates tells itself."""
+"""Outputs of target and aircraft to other systems, and input from a beacon on the target."""

@@ -1,8 +1,9 @@
-"""What a target that co-operates says of its own place: FOLLOW_TARGET or cursor on target (CoT), by UDP.
+"""Beacon input: a cooperative target sends its own position as FOLLOW_TARGET or cursor on target (CoT) by UDP.
 
-It is one more measurement of the target, through the same door as laser and camera. Its place is that of the moment
-it came, less the age that a CoT event tells of itself. One beacon is listened to: the one that is named (by system
-id, uid or call sign), or the only one that is there; where two speak and none is named, neither is believed.
+A beacon position is one more measurement of the target. It passes the same plausibility check as laser and camera.
+Its time of measurement is the time of reception, minus the age of a CoT event. sidelong uses one beacon: the
+configured one (by system id, uid or call sign), or the only one received. If it receives several beacons and none is
+configured, it rejects all of them.
 """
 
 from __future__ import annotations
@@ -25,14 +26,20 @@ from sidelong.estimators.sensing.readings import BEACON_MESSAGES, Source, Target
 _FOLLOW_TARGET, _COT = BEACON_MESSAGES
 _UNKNOWN_ERROR_M = 9_999_999.0
 _AGE_MAX_S = 2.0
-_AGE_USED_S = 0.9  # a stamp that is always older the door takes for a clock that is off
+_AGE_USED_S = 0.9  # the plausibility check treats stamps that are always older as a clock offset
 _DATAGRAM_MAX = 8192
 _POSITION_TOLD = 1
 
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """One beacon's word. names: any of them may be the one that is asked for; sigma_m: 0 where it is not told."""
+    """One beacon's message.
+
+    Attributes:
+        names: system id, or uid and call sign; the configured name may match any of them.
+        sigma_m: position error, 1 sigma, m; 0 where the message has none.
+
+    """
 
     message: str
     names: tuple[str, ...]
@@ -43,7 +50,7 @@ class Heard:
 
 
 def decode(data: bytes, now: datetime) -> list[Heard]:
-    """Return what a datagram tells of places; nothing for what is damaged, or something else."""
+    """Return the positions in a datagram; an empty list if it is damaged or of another kind."""
     if data.lstrip()[:1] == b"<":
         heard = _cot(data, now)
         return [heard] if heard is not None else []
@@ -63,7 +70,7 @@ def decode(data: bytes, now: datetime) -> list[Heard]:
 
 
 def _cot(data: bytes, now: datetime) -> Heard | None:
-    if b"<!" in data:  # no event has a need of entities
+    if b"<!" in data:  # no valid event needs entities
         return None
     with suppress(ElementTree.ParseError, ValueError, KeyError, UnicodeError, LookupError):
         event = ElementTree.fromstring(data)
@@ -84,9 +91,17 @@ def _cot(data: bytes, now: datetime) -> Heard | None:
 
 
 class BeaconInput(asyncio.DatagramProtocol):
-    """Hands on the readings of one beacon, and tells in words what is not believed, each thing once.
+    """Forwards the readings of one beacon, and reports each reason for a rejection once.
 
-    sigma_m is that of a beacon that does not tell its own; now_s is the vehicle's clock.
+    Args:
+        plane: The local plane of the mission.
+        name: The configured beacon; None: the only one received.
+        sigma_m: Position error, 1 sigma, m, of a beacon that does not send its own.
+        now_s: Returns the time of the vehicle's clock, s.
+        put: Called with each reading.
+        tell: Called with each message for the operator.
+        now: Returns the time of day in UTC.
+
     """
 
     def __init__(

@@ -1,7 +1,7 @@
-"""Target and aircraft for other displays, as cursor on target (CoT): one small XML event each a second.
+"""Cursor on target (CoT) output: one XML event per second for the target and one for the aircraft.
 
-``ce`` is what the schema wants where it stands for an error: one sigma, here along the long axis of the estimate's
-ellipse. Nothing is sent of a lost track: the last event then goes stale by itself.
+The schema defines ``ce`` as a 1-sigma error where it stands for an error. sidelong sends the long axis of the
+estimate's ellipse. It sends no events for a lost track: the last event then becomes stale automatically.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sidelong.mission.core.plan import AircraftState
 
 _MACHINE_FUSED, _MACHINE_GPS = "m-f", "m-g"
 _UNKNOWN = "9999999.0"
-_ONE_SIGMA = 1.0 - math.exp(-0.5)  # so much of a two-dimensional Gaussian lies within one sigma
+_ONE_SIGMA = 1.0 - math.exp(-0.5)  # the share of a two-dimensional Gaussian within one sigma
 _SEND_EVERY_S = 1.0
 PLAIN_CALLSIGN = "target"
 _STALE_AFTER = timedelta(seconds=10.0)
@@ -112,7 +112,7 @@ def _utc(at: datetime) -> str:
 
 
 class CotOutput:
-    """A ``Display`` that sends both by ``sender``. height_m tells the aircraft's above the ellipsoid, where known."""
+    """A ``Display`` that sends both by ``sender``. height_m returns the aircraft's ellipsoidal height if known."""
 
     def __init__(
         self,
@@ -130,7 +130,7 @@ class CotOutput:
         pass
 
     def show(self, snapshot: Snapshot) -> None:
-        """Send what is known if it is time to."""
+        """Send the available positions if the next event is due."""
         estimate, now_s = snapshot.estimate, time.monotonic()
         if now_s < self._next_s or snapshot.aircraft is None:
             return

@@ -25,9 +25,9 @@ _KNOTS_PER_M_S = 3600.0 / 1852.0
 
 
 class _Periodic:
-    """A ``Display`` that tells of the target, once in ``every_s`` of the wall clock; nothing of a lost one.
+    """A ``Display`` that sends the target once every ``every_s`` of the wall clock; it sends no lost target.
 
-    It keeps to the target that its aircraft watched first: who follows must not be sent to another.
+    It always sends the target that its aircraft watched first: a follower must not be redirected to another one.
     """
 
     def __init__(self, sender: Sender, plane: LocalPlane, altitude_m: float, every_s: float) -> None:
@@ -94,7 +94,7 @@ class FollowTargetOutput(_Periodic):
 
 
 class NmeaOutput(_Periodic):
-    """Sends the target as a GPS receiver tells its own place: RMC and GGA."""
+    """Sends the target's position as a GPS receiver sends its own: RMC and GGA."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Ways to send small messages to somebody else, none of which ever waits: what the network does not take is lost."""
+"""Non-blocking senders of small messages: a message that the network does not accept is dropped."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class DatagramSender:
 
 
 class StreamSender:
-    """Sends by TCP or TLS and connects again by itself; to be made in the running event loop.
+    """Sends by TCP or TLS and reconnects automatically; create it in the running event loop.
 
-    What the other side says is read and left: a server passes on what others tell it. tell hears when the connection
-    is there and when it is lost.
+    It reads and discards incoming data, because a server forwards the messages of its other clients. It calls tell
+    when the connection is established and when it is lost.
     """
 
     def __init__(
@@ -93,14 +93,14 @@ class StreamSender:
 
 
 def tls_context(certificate: Path | None, key: Path | None, authority: Path | None, name: str) -> ssl.SSLContext:
-    """Return what a client needs: its own certificate and key, and whom to believe (None: what the system does).
+    """Return a client's TLS context: its certificate and key, and the trusted authorities (None: the system's).
 
     Raises InputError, beginning with ``name``, for files that do not serve.
     """
     try:
         context = ssl.create_default_context(cafile=authority)
         if authority is not None:
-            # From Python 3.13 on a certificate has to tell its use, which few authorities of a server's own do.
+            # Since Python 3.13 a certificate must state its key usage; those of private authorities rarely do.
             context.verify_flags &= ~ssl.VERIFY_X509_STRICT
     except (OSError, ssl.SSLError) as error:
         raise InputError(f"{name}: {authority} holds no certificates ({_reason(error)}).") from error
