@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from sidelong.estimators.terrain.ground import Ground
     from sidelong.mission.core.sight import Sight, SightAt
 
-# Lasers miss for a second or two all the time; that is nothing to tell anybody.
+# Laser dropouts of one or two seconds are normal and need no message.
 _COASTING_AFTER_S = 3.0
 
 _LIKELY_WIND = 0.25  # of the airspeed
@@ -53,7 +53,7 @@ def tracker_of(config: Config) -> Tracker:
 
 
 def tracker_settings(sensors: SensorsSection, lost_after_s: float) -> TrackerSettings:
-    """Return what the tracker is told of the configured sensors."""
+    """Return the tracker's settings for the configured sensors."""
     mount = sensors.mount_deg
 
     def chosen(component_id: int | None) -> SourceChoice | None:
@@ -101,7 +101,7 @@ def controller_of(
         tell("compiling the planner and the filter, once for this version of the program: up to a minute")
 
     def check(plan: Plan) -> str | None:
-        # Asked each time: fences and ground are known only when the plane is.
+        # Called each time: fences and ground are known only once the plane is.
         cleared = controller.cleared(plan)
         return cleared if isinstance(cleared, str) else None
 
@@ -131,10 +131,10 @@ def controller_of(
 
 
 def winds_m_s(config: Config) -> list[float]:
-    """Return the wind speeds to be ready for, besides none: a likely one where nobody tells of any beforehand.
+    """Return the wind speeds to prepare for, in addition to 0: a likely one if none is configured.
 
     With the table for still air, plans change 105 times an hour in 4 m/s at 22 m/s; with the likely one 63 times,
-    with that wind's own 59 times. In flight it may take minutes to have its own on a busy machine.
+    with that wind's own 59 times. In flight, its own table may take minutes to compute on a busy machine.
     """
     winds_m_s = {*config.planner.winds_m_s}
     if not config.link.connections:
@@ -226,7 +226,7 @@ def fence_outlines(config: Config, plane: LocalPlane) -> tuple[list[Outline], li
 
 
 def fence_check(config: Config, plane: LocalPlane) -> Callable[[Plan], str | None]:
-    """Return what tells which fence a plan would break. Raises InputError naming a fence that is no polygon."""
+    """Return the check of plans against the fences. Raises InputError if a fence is not a valid polygon."""
     fences = config.fences
     try:
         built = Fences(*fence_outlines(config, plane), fences.floor_m, fences.ceiling_m, fences.margin_m)
@@ -238,10 +238,10 @@ def fence_check(config: Config, plane: LocalPlane) -> Callable[[Plan], str | Non
 def settle(
     controller: StandoffController, config: Config, plane: LocalPlane, home_deg: tuple[float, float]
 ) -> Ground | None:
-    """Tell the control step of fences and ground, once the plane and home (latitude, longitude) are known.
+    """Pass fences and ground to the control step, once the plane and home (latitude, longitude, degrees) are known.
 
-    Returns the ground, None where no elevation data is configured. Raises InputError naming a fence that is no
-    polygon, or elevation data that does not serve.
+    Returns the ground, None if no elevation data is configured. Raises InputError if a fence is not a valid polygon,
+    or if the elevation data is unusable.
     """
     surroundings, aircraft = controller.surroundings, config.aircraft
     surroundings.check = fence_check(config, plane)
@@ -249,7 +249,7 @@ def settle(
     ground = ground_of(config, plane, home_deg)
     if ground is None:
         return None
-    # What is compiled takes a second to load: only who has elevation data waits for it.
+    # Compiled code takes a second to load, so it is imported only if there is elevation data.
     from sidelong.mission.terrain.heights import FlightHeights, HeightRules  # noqa: PLC0415
     from sidelong.mission.terrain.sight import SightField  # noqa: PLC0415
 

@@ -67,7 +67,7 @@ class _Commands(TyperGroup):
 
 
 class _Command(TyperCommand):
-    """One command; what is wrong with a value is told in words of our own only."""
+    """One command; invalid values are reported with sidelong's own messages only."""
 
     def make_context(self, *arguments: Any, **options: Any) -> Any:
         try:

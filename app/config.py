@@ -36,8 +36,8 @@ else:
 DEMONSTRATION = "demo"  # the target of a launch without a configuration
 MAX_AIRCRAFT = 8  # of a fleet
 _COT_TYPE = r"^[a-z](-[A-Za-z0-9.]+)+$"
-# A circle that is chosen by itself is flown round in 22 s, as recorded targets are watched best, if the band
-# has room for it; such a share is left to the bank limit.
+# The automatic radius gives a 22 s orbit, the best value for recorded targets, if the range band has room for it.
+# _BANK_RESERVE is the margin to the bank limit.
 _AUTO_RADIUS_S, _BANK_RESERVE = 3.5, 1.1
 
 LatLon = tuple[Annotated[float, Field(ge=-90, le=90)], Annotated[float, Field(ge=-180, le=180)]]
@@ -69,19 +69,19 @@ class AircraftSection(Section):
     airspeed_m_s: float = Field(15.0, gt=3, le=80)
     """Airspeed while circling, m/s."""
     radius_m: float = Field(50.0, ge=10, le=2000)
-    """Radius of the circle flown beside the target, m; "auto": 3.5 s of flight, with room in the range band."""
+    """Radius of the circle next to the target, m; "auto": 3.5 s of flight, with room in the range band."""
     bank_max_deg: float = Field(45.0, ge=10, le=70)
     """Bank limit of the autopilot (ArduPlane ROLL_LIMIT_DEG, PX4 FW_R_LIM), degrees."""
     roll_rate_max_deg_s: float = Field(30.0, ge=2, le=180)
     """Roll rate the aircraft reaches in its ordinary turns, degrees/s."""
     height_m: float = Field(100.0, ge=20, le=3000)
-    """Height at which it circles, above what height_above says, m."""
+    """Height of the circle above the reference in height_above, m."""
     height_above: Literal["home", "ground"] = "home"
-    """home: one height for all; ground: above the ground under the target, for which [terrain] is needed."""
+    """home: above home; ground: above the ground under the target, which requires [terrain]."""
     clearance_m: float = Field(50.0, ge=0, le=1000)
-    """Least height over the ground everywhere on its way, where [terrain] tells the ground, m."""
+    """Minimum height above the ground along the whole path, if [terrain] is configured, m."""
     climb_m_s: float = Field(3.0, gt=0, le=30)
-    """Climb rate it reaches with its engine as usual, m/s."""
+    """Climb rate of the aircraft in normal operation, m/s."""
     descent_m_s: float = Field(2.0, gt=0, le=30)
     """Descent rate it reaches, m/s."""
 
@@ -96,14 +96,14 @@ class AircraftSection(Section):
 
 
 class RequirementSection(Section):
-    """What is asked for: the range band and the side."""
+    """The requirement: the range band and the side."""
 
     range_min_m: float = Field(100.0, ge=20, le=5000)
-    """Least allowed horizontal range to the target (Dmin), m."""
+    """Minimum horizontal range to the target (Dmin), m."""
     range_max_m: float = Field(500.0, ge=50, le=20000)
-    """Greatest allowed horizontal range to the target (Dmax), m."""
+    """Maximum horizontal range to the target (Dmax), m."""
     side: Annotated[str, AfterValidator(_known_side)] = "left"
-    """Side of the target's motion to watch from: left, right, either, or compass bearings from it, like 120-200."""
+    """Side of the target's motion to fly on: left, right, either, or compass bearings from it, like 120-200."""
     target_speed_max_m_s: float = Field(3.0, ge=0, le=50)
     """Highest speed expected of the target, m/s."""
     threshold: float = Field(0.9, gt=0, le=2)
@@ -163,33 +163,33 @@ class SensorsSection(Section):
     """Laser and gimbal."""
 
     range_sigma_m: float = Field(0.8, gt=0, le=100)
-    """Standard deviation of the slant range where the sensor does not tell, m."""
+    """Standard deviation of the slant range if the sensor does not report it, m."""
     angle_sigma_deg: float = Field(0.35, gt=0, le=20)
     """Standard deviation of the gimbal's yaw and pitch, degrees."""
     latency_s: float = Field(0.0, ge=0, le=5)
-    """How much later than the truth the payload stamps its messages, s."""
+    """Delay between a measurement and its time stamp by the payload, s."""
     range_component: int | None = Field(None, ge=0, le=255)
-    """MAVLink component of the laser; found by itself when not given."""
+    """MAVLink component of the laser; detected automatically if not given."""
     gimbal_component: int | None = Field(None, ge=0, le=255)
-    """MAVLink component of the gimbal; found by itself when not given."""
+    """MAVLink component of the gimbal; detected automatically if not given."""
     gimbal_frame: Literal["earth", "vehicle", "body"] | None = None
-    """What the gimbal's angles are relative to, where its frame flags are wrong: north, heading or airframe."""
+    """Reference of the gimbal's angles if its frame flags are wrong: north, heading or airframe."""
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where the gimbal sits from the autopilot: forward, right, down, m."""
+    """Position of the gimbal relative to the autopilot: forward, right, down, m."""
     mount_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """How a gimbal that is fixed to the airframe is turned against it: roll, pitch, yaw, degrees."""
+    """Mounting angles of a gimbal fixed to the airframe: roll, pitch, yaw, degrees."""
     yaw_bias_sigma_deg: float = Field(1.0, ge=0, le=20)
-    """What is known beforehand of the gimbal's constant yaw error; 0: none is estimated, degrees."""
+    """1-sigma prior of the gimbal's yaw bias; 0: no bias is estimated, degrees."""
     pitch_bias_sigma_deg: float = Field(0.5, ge=0, le=20)
-    """The same of its pitch error, degrees."""
+    """1-sigma prior of the gimbal's pitch bias; 0: no bias is estimated, degrees."""
     range_bias_sigma_m: float = Field(0.0, ge=0, le=50)
-    """The same of the laser's constant error; 0: none is estimated, m."""
+    """1-sigma prior of the laser's range bias; 0: no bias is estimated, m."""
     filter: Literal["imm", "ekf", "ukf"] = "imm"
     """Motion model of the target filter."""
     target_kind: Literal["unknown", "walker", "cyclist", "car", "boat", "animal"] = "unknown"
-    """What moves, where it is known: how much the filter lets its motion wander."""
+    """Kind of target, if known: sets the process noise of the filter."""
     angles_alone: bool = True
-    """Where [terrain] tells the ground and the laser is silent, go on by the line of sight and the ground."""
+    """If the laser sends no range and [terrain] is configured, estimate from the line of sight and the ground."""
 
 
 class PayloadSection(Section):
@@ -200,11 +200,11 @@ class PayloadSection(Section):
     url: Annotated[str, AfterValidator(checked_payload_url)] | None = None
     """Its address (udp://HOST:PORT, tcp://HOST:PORT, serial:///dev/NAME:BAUD); none: its factory address."""
     range_unit_m: float | None = Field(None, gt=0, le=10)
-    """Unit of the range that it sends, m; none: the unit in its manual."""
+    """Unit of the range it sends, m; none: the unit in its manual."""
     flip_yaw: bool = False
-    """Whether its yaw is positive in the other direction than its manual says."""
+    """Whether its yaw has the opposite sign to its manual."""
     flip_pitch: bool = False
-    """Whether its pitch is positive in the other direction than its manual says."""
+    """Whether its pitch has the opposite sign to its manual."""
     range_delay_s: float = Field(0.05, ge=0, le=2)
     """Age of a range when the payload sends it, s; the default is half the period of a laser of 10 Hz."""
     angles_delay_s: float = Field(0.0, ge=0, le=2)
@@ -221,17 +221,17 @@ class LinkSection(Section):
     urls: list[str] = Field(default_factory=list)
     """Several links to one vehicle, instead of url: the better one is used, another when that fails."""
     system_id: int | None = Field(None, ge=1, le=255)
-    """MAVLink system id of the vehicle, where several are heard; none: the only one there."""
+    """MAVLink system id of the vehicle, if several share the link; none: the only one."""
     signing_key_file: Path | None = None
     """Key of MAVLink signing, a file only you can read (sidelong sign makes one); none: nothing is signed."""
     heartbeat_timeout_s: float = Field(10.0, ge=1, le=600)
     """How long to wait for the autopilot's first heartbeat, s."""
     few_messages: bool | None = None
-    """Ask for as few messages as the mission can live on; none: on a serial line of 57,600 baud or less."""
+    """Request only the messages that the mission needs; none: on a serial line of 57,600 baud or less."""
     take_over_from: list[str] = Field(default_factory=list)
-    """Modes out of which a flying aircraft may be taken that else are left alone: RTL, LAND and so on, failsafe."""
+    """Further modes from which sidelong may take over a flying aircraft: RTL, LAND and so on, failsafe."""
     set_parameters: bool = False
-    """Set the autopilot's parameters that stand in the way, and set them back at the end."""
+    """Temporarily change conflicting autopilot parameters; restore them at the end."""
 
     @property
     def connections(self) -> tuple[str, ...]:
@@ -278,18 +278,18 @@ def _address(*schemes: str) -> AfterValidator:
 
 
 class SharingSection(Section):
-    """Who else is told of target and aircraft, and a beacon that the target carries."""
+    """External outputs (CoT, FOLLOW_TARGET, NMEA), and a beacon that the target carries."""
 
     cot: Annotated[str, _address("udp", "tcp", "tls")] | None = None
     """Cursor on target (CoT), target and aircraft, to udp://, tcp:// or tls://HOST:PORT; none: not sent."""
     cot_certificate_file: Path | None = None
-    """By TLS: the own certificate (PEM); none: the server asks for none."""
+    """For TLS: client certificate (PEM); none: the server requires none."""
     cot_key_file: Path | None = None
-    """By TLS: its key (PEM, without a password); none: in the certificate's file."""
+    """For TLS: its key (PEM, without a password); none: in the certificate's file."""
     cot_authority_file: Path | None = None
-    """By TLS: who has signed the server's certificate (PEM); none: whom the system believes."""
+    """For TLS: certificate authority of the server (PEM); none: the authorities the system trusts."""
     cot_server_name: str | None = None
-    """By TLS: the name in the server's certificate; none: the host's."""
+    """For TLS: the name in the server's certificate; none: the host's."""
     cot_type: str = Field("a-n-G", pattern=_COT_TYPE)
     """Type of the target in the CoT schema: a-n-G is a neutral thing on the ground."""
     cot_callsign: str = Field("target", min_length=1, max_length=40)
@@ -307,11 +307,11 @@ class SharingSection(Section):
     nmea: Annotated[str, _address("udp")] | None = None
     """The target as a GPS receiver's NMEA sentences (RMC, GGA), to udp://HOST:PORT; none: not sent."""
     beacon: Annotated[str, _address("udp")] | None = None
-    """Listen at udp://ADDRESS:PORT to a beacon that the target carries, FOLLOW_TARGET or CoT; none: there is none."""
+    """Listen at udp://ADDRESS:PORT to a beacon that the target carries, FOLLOW_TARGET or CoT; none: no beacon."""
     beacon_name: str | None = None
-    """Its system id, uid or call sign; none: the only one that is heard."""
+    """Its system id, uid or call sign; none: the only one received."""
     beacon_sigma_m: float = Field(5.0, gt=0, le=200)
-    """Standard deviation of its place, each axis, where it does not tell, m."""
+    """Standard deviation of its position, each axis, if it does not report it, m."""
 
 
 class SimulationSection(Section):
@@ -324,13 +324,13 @@ class SimulationSection(Section):
     speed: float = Field(10.0, gt=0, le=100)
     """Simulated time over wall time."""
     seed: int = Field(1, ge=0)
-    """Of all its noise."""
+    """Random seed of all noise."""
     wind_speed_m_s: float = Field(0.0, ge=0, le=30)
     """Steady wind, m/s."""
     wind_from_deg: float = Field(270.0, ge=0, le=360)
     """Where the wind comes from, degrees clockwise from north."""
     home: LatLon | None = None
-    """Where it stands, [latitude, longitude] in degrees; none: where the autopilot's own simulator does."""
+    """Home position, [latitude, longitude] in degrees; none: that of the autopilot's own simulator."""
 
 
 class Config(Section):
@@ -351,7 +351,7 @@ class Config(Section):
 
     @property
     def radius_words(self) -> float | str:
-        """The radius as it was asked for."""
+        """The radius as configured."""
         return "auto" if self._radius_fits else self.aircraft.radius_m
 
     @model_validator(mode="wrap")

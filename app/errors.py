@@ -6,7 +6,7 @@ import sys
 
 
 class InputError(Exception):
-    """What was asked for cannot be done as asked: names the field or file and the way out. Exit code 2."""
+    """The request is invalid: the message names the field or file and the remedy. Exit code 2."""
 
 
 def missing_package(what: str, package: str, otherwise: str = "") -> InputError:
@@ -23,8 +23,8 @@ def missing_package(what: str, package: str, otherwise: str = "") -> InputError:
 
 
 class FlightError(Exception):
-    """The flight could not go on: says what happened and what the vehicle does now. Exit code 1."""
+    """The flight failed: the message gives the reason and what the vehicle does now. Exit code 1."""
 
 
 class Interrupted(Exception):
-    """A signal has ended the work: says which, and what the vehicle does now. Exit code 130."""
+    """A signal ended the work: the message names it and what the vehicle does now. Exit code 130."""

@@ -1,4 +1,4 @@
-"""A table of a file that people write, and the sentence that tells what is wrong in it."""
+"""A table of a configuration file, and the error messages for its values."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""A process that ends when it is told to, whatever a library's threads do.
+"""Shut down the process on request, even if threads of a library are blocked.
 
-MAVSDK's blocking calls run in threads that nothing can cancel. Python waits for such threads without a bound, first
-where ``asyncio.run`` ends (see :mod:`sidelong.app.event_loop`) and again where the interpreter does; one call that
-never comes back would hold both.
+MAVSDK's blocking calls run in threads that cannot be cancelled. Python waits for such threads without a time limit:
+when ``asyncio.run`` ends (see :mod:`sidelong.app.event_loop`), and again when the interpreter ends. One call that
+never returns would block both.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def heed_again(unraisable: sys.UnraisableHookArgs) -> None:
 
 
 def interrupt_dropped() -> bool:
-    """Tell whether an interrupt was dropped, of which a library made an error; with this it is taken."""
+    """Return whether a library turned an interrupt into an error; cancel its pending repetition."""
     if _again is not None:
         _again.cancel()
     return _again is not None

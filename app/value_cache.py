@@ -1,7 +1,7 @@
 """Value tables on disk: computed once per configuration, then read in milliseconds.
 
-A file is the SHA-256 of key and values, then the values as little-endian 32-bit floats. Whatever is not exactly that
-is computed anew: a damaged table would be believed otherwise.
+A file is the SHA-256 of key and values, then the values as little-endian 32-bit floats. Any other
+content is computed again, as a damaged table would go unnoticed.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ async def have_at_hand(configurations: Iterable[TableConfiguration]) -> None:
 
 
 async def _made_beside(configuration: TableConfiguration) -> ValueTable:
-    import asyncio  # noqa: PLC0415  # with a flight it is there; who only reads a table goes without
+    import asyncio  # noqa: PLC0415  # in a flight it is loaded already; reading a table does not need it
 
     process = await asyncio.create_subprocess_exec(
         *helper_command("sidelong.app.value_cache"),

@@ -140,7 +140,7 @@ class ArduPlane:
         return VehicleCommand(_mav.MAV_CMD_DO_SET_MODE, (_CUSTOM_MODE_ENABLED, _RTL))
 
     def fly_circle(self, order: CircleOrder, take_over: bool) -> VehicleCommand:
-        # Only COMMAND_INT is understood, the sign of a radius says nothing, and it is kept in whole metres. Without
+        # Only COMMAND_INT is supported, the sign of the radius is ignored, and it is stored in whole metres. Without
         # the flag it is refused in any other mode, so it cannot override a pilot or another station.
         return VehicleCommand(
             _mav.MAV_CMD_DO_REPOSITION,

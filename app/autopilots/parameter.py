@@ -66,7 +66,7 @@ class ParameterNote:
 
 @dataclass(frozen=True, slots=True)
 class RequiredParameter:
-    """A parameter whose present value stands in the way, what it has to be, and why."""
+    """A parameter whose present value conflicts with the mission, its required value, and the reason."""
 
     name: str
     present: float

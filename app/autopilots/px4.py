@@ -94,7 +94,7 @@ class Px4:
 
     def tail(self, home: Home) -> tuple[RawItem, ...]:
         # MIS_TKO_LAND_REQ 2, the fixed-wing default, drops a mission without a landing to HOLD. The circle before
-        # it never completes, so these items are only reached when somebody asks for the landing: a straight approach
+        # it never completes, so these items are only reached if a landing is commanded: a straight approach
         # to home from the south, flat enough and outside the circle where it begins, as PX4 demands.
         x, y = round(home.latitude_deg * 1e7), round(home.longitude_deg * 1e7)
         south_x = x - round(_APPROACH_M / _METRES_PER_DEGREE * 1e7)

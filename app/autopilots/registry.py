@@ -1,4 +1,4 @@
-"""The autopilots that this program flies: a new one is a module beside this and a line here."""
+"""The supported autopilots: to add one, add a module to this folder and a line here."""
 
 from __future__ import annotations
 

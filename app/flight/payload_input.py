@@ -112,7 +112,7 @@ class PayloadInput:
     """Passes a payload's measurements to the listeners of a vehicle, stamped with the vehicle's time.
 
     Args:
-        vehicle: whose payload it is.
+        vehicle: the vehicle that carries the payload.
         rate: seconds of the vehicle's clock per second of this computer's.
         on_frame: receives each measurement as a MAVLink frame, for the record.
 

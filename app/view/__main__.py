@@ -52,7 +52,7 @@ async def _serve() -> None:
         log_level="error",
         access_log=False,
         server_header=False,
-        proxy_headers=False,  # who asks is who is connected
+        proxy_headers=False,  # the client address is that of the connection
         timeout_graceful_shutdown=1,
         ssl_certfile=options["cert"],
         ssl_keyfile=options["key"],

@@ -1,8 +1,8 @@
-"""Who may see the page, and who may press its buttons.
+"""Access control of the page and of its buttons.
 
-On loopback everybody on this machine may do both. Elsewhere the address that was printed carries a token, for the
-operator or for viewers; it is exchanged for a session, kept as a cookie. The session that came last by the operator's
-token has the buttons, all others only see. Pure but for the random session names.
+On loopback every user of this machine has both. On other addresses the printed URL carries a token, for the operator
+or for viewers; it is exchanged for a session cookie. The latest session with the operator's token may use the
+buttons; all others are read-only. Pure except for the random session names.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Access:
         self._operator = ""
 
     def knows_host(self, name: str) -> bool:
-        """Tell whether a Host header names this page as it is served, so that no foreign name leads here."""
+        """Return whether a Host header matches the served address, to reject requests by another host name."""
         name = name.rpartition(":")[0] if name.rpartition(":")[2].isdigit() else name
         if self.local:
             return name in LOOPBACK
@@ -91,7 +91,7 @@ class Access:
         return None
 
     def sees(self, session: str) -> bool:
-        """Tell whether the page may be shown."""
+        """Return whether the page may be shown."""
         return self.local or session in self._sessions
 
     def refusal(self, session: str) -> str | None:
@@ -103,5 +103,5 @@ class Access:
         return "this page is for watching only"
 
     def who(self, client: str) -> str:
-        """Return how the one who pressed is written down."""
+        """Return the name under which a button press is recorded."""
         return f"operator at {'this machine' if self.local else client}"

@@ -20,11 +20,11 @@ DEFAULT_PORT = 8420
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Anything but loopback asks for a token, which the printed address then carries. Port 0 takes a free one.
+    """Address of the page. Any host but loopback requires a token, part of the printed URL. Port 0: any free port.
 
-    opens_browser: whether a browser of this desktop is opened.
-    map: what lies under the flight. cert, key: PEM files of the server's certificate and its key; with them the page
-    is served by TLS. Raises InputError for an empty host, and for one file without the other.
+    opens_browser: whether to open a browser on this desktop.
+    map: background map file. cert, key: PEM files of the server's certificate and its key; with them the page
+    is served over TLS. Raises InputError for an empty host, and for one file without the other.
     """
 
     host: str = LOOPBACK[0]

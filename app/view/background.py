@@ -1,6 +1,6 @@
-"""The map that lies under the flight: raster tiles from one file, or one picture with its bounds.
+"""The background map: raster tiles from one file, or one image with its bounds.
 
-A tile is read when it is asked for; nothing of the file is kept in memory.
+A tile is read on request; the file is not cached in memory.
 """
 
 from __future__ import annotations
@@ -170,5 +170,5 @@ def media_type(data: bytes) -> str | None:
 
 
 def is_tile(zoom: int, column: int, row: int) -> bool:
-    """Tell whether there can be such a tile."""
+    """Return whether the tile's coordinates are valid."""
     return 0 <= zoom <= _ZOOM_MAX and max(column, row) < 1 << zoom and min(column, row) >= 0

@@ -1,4 +1,4 @@
-"""A ``Display`` that feeds the page in the browser, beside the one on the terminal, and brings its buttons back."""
+"""A ``Display`` that feeds the page in the browser, in addition to the terminal, and passes on its button presses."""
 
 from __future__ import annotations
 
@@ -107,12 +107,12 @@ class ViewDisplay:
         return self._address.opens_browser
 
     async def keep_fresh(self) -> None:
-        """Go on telling the page how things stand while nothing happens, until cancelled."""
+        """Keep sending the state to the page while there are no events, until cancelled."""
         while True:
             await asyncio.sleep(_SEND_EVERY_S)
             self.pump_if_due()
 
-    # -- what the flight tells -----------------------------------------------------------------------------
+    # -- from the flight -----------------------------------------------------------------------------------
 
     def connected(self, status: Callable[[], VehicleStatus]) -> None:
         self._inner.connected(status)
@@ -160,10 +160,10 @@ class ViewDisplay:
             self._trail.append([round(aircraft.time_s, 1), round(aircraft.east_m, 1), round(aircraft.north_m, 1)])
         self.pump_if_due()
 
-    # -- what the page is told, and tells ------------------------------------------------------------------
+    # -- to and from the page ------------------------------------------------------------------------------
 
     def pump_if_due(self) -> None:
-        """Send the page how things stand if it is time to."""
+        """Send the state to the page if it is due."""
         if time.monotonic() - self._sent_at_s >= _SEND_EVERY_S:
             self.pump()
 
@@ -232,7 +232,7 @@ class ViewDisplay:
             self._request(AlarmReported(time_s, press["alarm"], "acknowledged", who=who))
             return
         if press["action"] == "change":
-            # JSON's whole numbers come as int: what is compiled for floats would be compiled anew for them.
+            # JSON's whole numbers arrive as int: functions compiled for floats would be compiled again for them.
             given: Json = press["values"]
             values: Json = {key: value if key == "side" else float(value) for key, value in given.items()}
             self._request(MissionChange(time_s, **values, who=who))
@@ -243,7 +243,7 @@ class ViewDisplay:
 
 @contextlib.asynccontextmanager
 async def served(view: View, tell: Callable[[str], object]) -> AsyncIterator[View]:
-    """Serve a page meanwhile; ``tell`` hears where it is."""
+    """Serve a page inside the context; the callback receives its address."""
     with view:
         tell(f"live map: {view.url}")
         opening = asyncio.create_task(asyncio.to_thread(webbrowser.open, view.url)) if view.opens_browser else None

@@ -93,7 +93,7 @@ class Feed:
         raise FeedError(complaint[-1] if complaint else f"it was not ready within {timeout_s:g} s")
 
     def close(self) -> None:
-        """End the process: it ends by itself when its input does."""
+        """End the process: it exits when its input is closed."""
         self.alive = False
         for stream in (self._process.stdin, self._process.stdout, self._complaints):
             if stream is not None:

@@ -1,4 +1,4 @@
-"""A replay as frames for the page: how things stood every fifth of a second, what was said, what was decided when."""
+"""A replay as frames for the page: states every 0.2 s, messages, and decision times."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _TRAIL_MAX, _WORDS_MAX, _SAMPLES_MAX, _RECENT_S = 2000, 400, 1200, 180.0
 
 @dataclass(slots=True)
 class Frames:
-    """times_s and states (JSON) of the frames; said: (time_s, kind, text); decided_s: when a move was decided.
+    """Frames of a replay: times_s and states (JSON); said: (time_s, kind, text); decided_s: times of decided moves.
 
-    start_s: when watching began, or else the first estimate came; None where neither did.
+    start_s: when tracking began, else time of the first estimate; None if there was neither.
     """
 
     times_s: list[float] = field(default_factory=list)
@@ -33,7 +33,7 @@ class Frames:
     plane: LocalPlane | None = None
 
     def noted(self, steps: Iterable[Replayed], encoder: StateEncoder, proposals: bool = False) -> Iterator[Replayed]:
-        """Pass the steps on, keeping what the page needs of them. proposals: made anew each second, told once."""
+        """Yield the steps, storing what the page needs. proposals: moves repeat each second; store each one once."""
         step_s, last_s, moved_s, watching = _STEP_S, -math.inf, -math.inf, False
         for step in steps:
             snapshot, encoder.plane = step.snapshot(), self.plane
@@ -62,7 +62,7 @@ class Frames:
         return self.times_s[0], self.times_s[-1]
 
     def index(self, time_s: float) -> int:
-        """Return the last frame of up to a time, the first of before."""
+        """Return the index of the last frame up to a time, or of the first frame if all are later."""
         return max(bisect.bisect_right(self.times_s, time_s) - 1, 0)
 
     def state(self, index: int) -> Json:

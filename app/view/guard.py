@@ -73,7 +73,7 @@ class Listener(socket.socket):
 
 
 class GuardedProtocol(H11Protocol):
-    """uvicorn's protocol for connections of a ``Listener``: it says when a request has come and was answered."""
+    """uvicorn's protocol for connections of a ``Listener``: reports when a request has arrived and was answered."""
 
     _connection: _Connection | None = None
 

@@ -1,4 +1,4 @@
-"""The terminal: a panel that says how things stand, decisions above it; plain lines when it is no terminal."""
+"""The terminal display: a status panel with decisions above it; plain lines if the output is not a terminal."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ _QUALITY_STYLES = {TrackQuality.GOOD: "green", TrackQuality.COASTING: "yellow", 
 
 
 class PanelDisplay:
-    """A ``FlightDisplay`` on the terminal. Use as ``with``. Quiet, it says nothing.
+    """A ``FlightDisplay`` on the terminal. Use as ``with``. In quiet mode it prints nothing.
 
-    keyboard: the file descriptor of the terminal where a person may type changes; None: there is none. calm: without
-    a panel, print what is not urgent once in ten seconds at most; the live map and the journal have it all.
+    keyboard: file descriptor of the terminal for typed changes; None: there is none. calm: without a panel, print
+    messages that are not urgent at most every ten seconds; the live map and the journal contain all messages.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class PanelDisplay:
     # -- one line ------------------------------------------------------------------------------------------
 
     def line(self, shown: Snapshot) -> str:
-        """Return how things stand in one line."""
+        """Return the status as one line."""
         parts = [self._time(shown), f"{shown.phase} {shown.mode}".strip()]
         range_m = target_range_m(shown)
         if range_m is not None and shown.estimate is not None:

@@ -13,7 +13,7 @@ SPEED_MAX = 1000.0
 
 
 class Player:
-    """Where a replay stands. what_if: the same flight decided otherwise, shown beside it; clock: of the wall, s."""
+    """Playback state of a replay. what_if: the flight with other decisions, shown alongside; clock: wall time, s."""
 
     def __init__(
         self, frames: Frames, speed: float, clock: Callable[[], float], what_if: Frames | None = None
@@ -22,7 +22,7 @@ class Player:
         self._speed, self._playing = speed, True
         self._begin_s, self._end_s = frames.span_s
         self._at_s = frames.start_s if frames.start_s is not None else self._begin_s
-        self._told = -1  # the frame that was told last; -1: begin anew
+        self._told = -1  # index of the frame sent last; -1: start again
         self._told_s = -math.inf
         self._looked_s = clock()
 
@@ -47,7 +47,7 @@ class Player:
                     self._seek(there_s)
 
     def told(self) -> Json:
-        """Return what the page is to be told now: what came since the last call, or all of it after a jump."""
+        """Return the data to send to the page: all since the last call, or everything after a jump."""
         self._advance()
         frames, anew = self._frames, self._told < 0
         index, since_s = frames.index(self._at_s), -math.inf if anew else self._told_s

@@ -1,4 +1,4 @@
-"""The page's process as it is begun, and what it is told alike of a flight and of a replay."""
+"""Start the page's process, and send it the data common to flights and replays."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def start_page(address: Address, replay: bool = False, fleet: Sequence[str] = ()
 
 
 def under_flight(address: Address, shading: Shading | None) -> Json:
-    """Return what the page's setting says of map and ground."""
+    """Return the page's settings for map and ground."""
     under = address.map
     told = None if under is None else {"zooms": under.zooms, "bounds_deg": under.bounds_deg}
     return {"map": told, "shade_m": None if shading is None else shading.edges_m}

@@ -1,4 +1,4 @@
-"""What a person types at the terminal in flight: a line, asked once, then a wish like those of the page's buttons."""
+"""Changes typed at the terminal in flight: a line, confirmed once, becomes a request like the page's buttons."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _ORDERS: dict[str, Literal["hold", "resume", "end"]] = {"hold": "hold", "resume"
 
 
 def read_wish(line: str) -> Wish | None:
-    """Return what a line asks for, its time not set; None where it is not understood.
+    """Return the change requested by a line, its time not set; None if the line is invalid.
 
-    Several changes stand behind one another with commas: radius 80, side left.
+    Several changes are separated by commas: radius 80, side left.
     """
     order = _ORDERS.get(line.strip())
     if order is not None:
@@ -48,7 +48,7 @@ def read_wish(line: str) -> Wish | None:
 
 
 class Prompt:
-    """The line as it is typed. ``text`` is what the person sees; ``wish`` hears what was asked and confirmed."""
+    """The line as it is typed. ``text``: shown to the operator; ``wish``: called with each confirmed request."""
 
     def __init__(self, wish: Callable[[Wish], object]) -> None:
         self._wish = wish

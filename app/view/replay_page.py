@@ -27,7 +27,7 @@ def serve_replay(
     speed: float,
     tell: Callable[[str], object],
 ) -> None:
-    """Serve until Ctrl-C, or until the page's process ends. tell hears the page's address."""
+    """Serve until Ctrl-C, or until the page's process ends. The callback receives the page's address."""
     player = Player(frames, speed, time.monotonic, what_if)
     feed, url, _ = start_page(address, replay=True)
     has_ground = config.terrain.folder is not None and frames.plane is not None

@@ -1,8 +1,8 @@
-"""The page's server: static files, a stream of states to each browser, and the buttons back.
+"""The page's server: static files, a stream of states to each browser, and the button presses.
 
-Who may see and press is ``sidelong.app.view.access``'s matter. No foreign page reaches this one: not by a name of its
-own (Host), not from its own origin (Origin, Sec-Fetch-Site), not around it (frames). Every request is small and
-quick.
+``sidelong.app.view.access`` controls who may view the page and press buttons. Other sites cannot reach this server:
+not by another host name (Host), from another origin (Origin, Sec-Fetch-Site) or in a frame. Every request is small
+and fast.
 
 This module is imported by the server's process alone and must stay quick to load: nothing of mission or estimators.
 """
@@ -57,7 +57,7 @@ _HEADERS = {
 _BODY_MAX_BYTES, _BODY_WITHIN_S = 1024, 5.0
 _PAGES_MAX = 50  # streams of states
 _TRAIL_KEPT, _SERIES_KEPT, _WORDS_KEPT = 2400, 2400, 500  # 20 minutes of trail
-_UNSENT_MAX = 50  # states; a browser that is further behind is made to begin anew
+_UNSENT_MAX = 50  # states; a browser that is further behind must reconnect
 _ACTIONS: dict[str, set[str | None]] = {"hold": {None}, "resume": {None}, "end": {None}, "side": {"left", "right"}}
 _NUMBERS, _NUMBER_MAX, _WORDS_MAX = ("radius_m", "range_min_m", "range_max_m", "height_m"), 1e5, 20  # of a change
 _ALARM = re.compile("[a-z]{1,20}")
@@ -65,7 +65,7 @@ _SERIES = ("nis", "range_age_s", "gimbal_age_s", "link_age_s")
 
 
 class History:
-    """What a page that opens late has to be told."""
+    """Data for a page that is opened during the flight."""
 
     def __init__(self, setting: Json | None = None) -> None:
         self.setting: Json = setting or {}
@@ -114,7 +114,7 @@ def _sample(state: Json) -> Json:
 
 
 class Server:
-    """The application. ``tell`` passes a message of the flight on to all pages; ``press`` gets their buttons."""
+    """The application: passes messages of the flight to all pages; ``press`` receives their button presses."""
 
     def __init__(
         self,
@@ -347,7 +347,7 @@ def button_of(press: Json, fleet: frozenset[str] = frozenset()) -> Json:
 
 
 def replay_button_of(press: Json) -> Json:
-    """Return a press on a replay's page as far as it is known: nothing there commands a flight. Raises as above."""
+    """Return a press on a replay's page if it is valid; none of them commands a flight. Raises as above."""
     action, value = press["action"], press.get("value")
     is_number = isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
     if action not in {"play", "pause", "seek", "speed", "step"} or is_number != (action not in {"play", "pause"}):

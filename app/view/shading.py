@@ -1,4 +1,4 @@
-"""The ground as a shaded picture under the map, made beside the flight."""
+"""A shaded relief image of the ground under the map, computed in a separate thread."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Shading:
         self._maker.start()
 
     def is_new(self) -> bool:
-        """Tell once that the picture is there."""
+        """Return True once, when the image is ready."""
         new = self.edges_m is not None and not self._told
         self._told |= new
         return new

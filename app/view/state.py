@@ -1,6 +1,6 @@
-"""What the page is told, as plain JSON: metres in the plane, radians clockwise from north, seconds.
+"""The data sent to the page, as plain JSON: metres in the plane, radians clockwise from north, seconds.
 
-What is not known is null: JSON has no NaN.
+Unknown values are null: JSON has no NaN.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ _ON_TRANSITION = 1.2  # a transition is shown for this share of the time it take
 
 
 def setting(config: Config, plane: LocalPlane | None, name: str, requirement: Requirement | None = None) -> Json:
-    """Return what stays the same until a person changes it, ``name`` being what is shown.
+    """Return the settings, which change only on request. name: title of the page.
 
-    The fences are told only once the plane is known. requirement: as it is now, the configured one by default.
+    The fences are included once the plane is known. requirement: the current one; by default the configured one.
     """
     requirement = requirement or config.requirement.requirement()
 
@@ -131,13 +131,13 @@ class StateEncoder:
 
     def __init__(self, airspeed_m_s: float, height_m: float) -> None:
         self._airspeed_m_s, self._height_m = airspeed_m_s, height_m
-        self.plane: LocalPlane | None = None  # set once it is known: places are then told in degrees too
+        self.plane: LocalPlane | None = None  # set once it is known: positions are then sent in degrees too
         self._watch = PresentWatch()
         self._in_band, self._on_side = _Share(), _Share()
         self._thinned: dict[int, tuple[Path, list[list[float]]]] = {}
 
     def state(self, snapshot: Snapshot, silent_s: float, vehicle: VehicleStatus | None = None) -> Json:
-        """Return the state; silent_s is how long the vehicle has said nothing."""
+        """Return the state; silent_s is the time since the last message of the vehicle, s."""
         sensor_status, time_s, watch = snapshot.sensor_status, snapshot.time_s, self._watch.of(snapshot)
         return {
             "time_s": _number(time_s, 2),
@@ -172,7 +172,7 @@ class StateEncoder:
         }
 
     def _asked(self, snapshot: Snapshot) -> Json:
-        """Return what a person may change in flight, as it is now."""
+        """Return the current values of the settings that the operator can change in flight."""
         requirement = snapshot.requirement
         return {
             "radius_m": snapshot.radius_m,
