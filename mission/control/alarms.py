@@ -66,11 +66,11 @@ class Alarm:
 
     Attributes:
         key: Its name, such as ``target``.
-        text: What is wrong, now.
-        advice: What to do about it.
+        text: The present fault.
+        advice: Recommended action.
         since_s: When it was raised.
-        countdown_s: Time until the aircraft acts on its own; None: it does not.
-        acknowledged: Whether the operator has seen it.
+        countdown_s: Time until the aircraft acts automatically; None: it does not.
+        acknowledged: Whether the operator has acknowledged it.
 
     """
 
@@ -84,7 +84,11 @@ class Alarm:
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """text: returns what is wrong, '' if nothing is. after_s: how long before it is raised; clear_s: cleared."""
+    """Definition of one alarm.
+
+    ``text`` returns the present fault, '' if there is none. The alarm is raised after ``after_s`` and cleared after
+    ``clear_s``.
+    """
 
     key: str
     text: Callable[[Alarms, Situation], str]

@@ -83,7 +83,7 @@ from sidelong.mission.geometry.escape import escapes
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
 from sidelong.mission.health.health import Health
 
-# A stronger wind, as a share of the airspeed, is not flown in: one that is reported all the same is not believed.
+# Reports of a wind above this share of the airspeed are rejected: the aircraft cannot fly in such a wind.
 _WIND_MAX_SHARE = 0.9
 _CROSSED_COUNT = 3  # decisions until the circle is left: one report of a height may be wrong
 _SILENT_S = 2.0
@@ -146,7 +146,7 @@ class StandoffController:
         self._low_battery_reports = 0
 
     def step(self, event: Event) -> tuple[Command, ...]:
-        """Take one event; return what is to be done about it, in order."""
+        """Process one event; return the commands and announcements that result, in order."""
         self.sighted = ()
         told: tuple[Command, ...]
         admitted, told = self.door.admit(event)
@@ -389,7 +389,7 @@ class StandoffController:
         return self._upload_circle("decision", present, reason)
 
     def cleared(self, plan: Plan) -> Plan | str:
-        """Return the plan with its heights, or in words which fence it breaks, or what is in its way."""
+        """Return the plan with its heights, or in words the fence that it breaks or the obstacle in its path."""
         height_m = self.flown_height_m
         cleared = self.surroundings.cleared(plan, height_m, self._target_m)
         if isinstance(cleared, str):
@@ -408,7 +408,7 @@ class StandoffController:
     def _target_m(self) -> tuple[float, float] | None:
         return None if self.estimate is None else (self.estimate.east_m, self.estimate.north_m)
 
-    # -- what the vehicle and its exchange tell ------------------------------------------------------------
+    # -- reports of the vehicle and of the exchange --------------------------------------------------------
 
     def _control_acquired(self, event: ControlAcquired) -> tuple[Command, ...]:
         self.phase, self._own_mode = Phase.WATCHING, event.mode

@@ -23,7 +23,7 @@ def aircraft_after(change: MissionChange, aircraft: Aircraft) -> Aircraft:
 
 
 def describe_change(change: MissionChange) -> str:
-    """Return what is changed, in words."""
+    """Return the changes in words."""
     words = []
     if change.radius_m is not None:
         words.append(f"radius {change.radius_m:g} m")

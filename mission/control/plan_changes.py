@@ -1,11 +1,11 @@
-"""The plan that is flown, and the one on its way to the autopilot.
+"""The plan that is flown, and the plan on its way to the autopilot.
 
-At most one is under way. It is uploaded (the autopilot holds it, still flying the line before), then activated at its
-planned time; one that got ready too late to be joined is dropped. Where only a command makes it depart, that is sent
-as much earlier as commands take to be obeyed. Until it is known whether an activated plan is flown it stays under
-way, and that it is may be known late.
+At most one plan is pending. It is uploaded while the autopilot still flies the previous path, then activated at its
+planned time. A plan that is ready too late to be joined is dropped. If only a command starts it, the command is sent
+earlier by the autopilot's response time. An activated plan stays pending until the autopilot confirms it; the
+confirmation may arrive late.
 
-What is sent is the wanted circle with the radius that makes the autopilot fly it.
+The circle that is sent has the radius that makes the autopilot fly the planned radius.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.geometry.progress import nearest_arc_m, off_track, point_at
 
-# A plan that got ready after its time still departs, up to so much later, while the aircraft is near its line: a
-# transition parts slowly from the line before it. Later than that the aircraft banks the wrong way for it.
+# A late plan still departs within this time, while the aircraft is near its path: a transition leaves the previous
+# path slowly. After it the aircraft banks the wrong way for the plan.
 _LATE_S, _JOINABLE_M, _JOINABLE_RAD = 1.5, 15.0, math.radians(15.0)
-# Off its transition for so long, an aircraft does not come back by itself. So it is when it turns that much tighter
-# than any plan asks for: it orbits a waypoint that it cannot reach, near to the line all the time.
+# An aircraft that is off its transition for this time does not return automatically. The same holds if it turns this
+# much tighter than any plan: it orbits a waypoint that it cannot reach, near its path all the time.
 _OFF_TRACK_S, _ORBITS = 6.0, 2.0
 # The present circle is sent again when its flown radius is off by more than this share.
 _RADIUS_TOLERANCE = 0.03
@@ -35,7 +35,7 @@ _RADIUS_TOLERANCE = 0.03
 
 @dataclass(slots=True)
 class PlanChange:
-    """A plan on its way to the autopilot. commanded: its circle as the autopilot is told."""
+    """A plan on its way to the autopilot. ``commanded`` is its circle as sent to the autopilot."""
 
     number: int
     plan: Plan
@@ -59,17 +59,17 @@ class PlanChanges:
         self.moves = self.uploads = self.failures = 0
         self._door, self._latency = door, latency
         self._not_taken: PlanChange | None = None  # the last departure that failed: should it be flown after all
-        self._commanded: Circle | None = None  # as the autopilot was told to fly the present circle
+        self._commanded: Circle | None = None  # the present circle as sent to the autopilot
         self._flown_radius = FlownRadius()
         self._on_line_s = math.inf  # when the aircraft was last seen on its transition; inf: it flies none
 
     def begin(self, plan: Plan, flown: Circle, commanded: Circle) -> None:
-        """Begin with a circle that is flown already, and that the autopilot was told as ``commanded``."""
+        """Begin with a circle that is already flown and was sent to the autopilot as ``commanded``."""
         self.present, self._commanded = plan, commanded
         self._flown_radius = FlownRadius(flown.radius_m / commanded.radius_m)
 
     def observe(self, aircraft: AircraftState) -> None:
-        """Take where the aircraft is, where that is no dead reckoning."""
+        """Update the aircraft's state, unless it is dead reckoned."""
         if self._commanded is not None:
             self._flown_radius.observe(aircraft, self._commanded)
 
@@ -162,7 +162,7 @@ class PlanChanges:
     # -- how the present plan is flown ---------------------------------------------------------------------
 
     def is_off_track(self, aircraft: AircraftState) -> bool:
-        """Tell whether the aircraft has left its transition for good."""
+        """Return whether the aircraft has left its transition for good."""
         present = self.present
         if present is None or present.transition is None:
             return False
@@ -181,7 +181,7 @@ class PlanChanges:
 
 
 def _can_still_join(aircraft: AircraftState | None, plan: Plan, late_s: float) -> bool:
-    """Tell whether the aircraft, which has flown on, is still so near to the plan's line that it can take it."""
+    """Return whether the aircraft, which has flown on, is still near enough to the plan's path to join it."""
     assert aircraft is not None
     if late_s > _LATE_S:
         return False

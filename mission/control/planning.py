@@ -1,4 +1,4 @@
-"""The planner in use: made anew when what is asked changes, and told again of winds and fleet."""
+"""The planner in use: rebuilt when the requirement changes, and updated with wind and fleet data."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import approach
 from sidelong.mission.geometry.progress import dead_reckoned
 
-# What the fleet advised is followed for so long.
+# Fleet advice expires after this time.
 _ADVICE_S = 5.0
-# An approach begun is flown on for so long at least, while its circle still lies in the target's range.
+# Minimum duration of an approach, while its circle is still within the target's range.
 _APPROACH_S = 10.0
 
 
 class Planning:
-    """``make_planner`` builds the planner for an aircraft and a requirement, at once and of what is at hand.
+    """Holds the planner and rebuilds it when the aircraft or the requirement changes.
 
-    It is called again, within a step, when one of them changes. prepared_winds_m_s: in flight.
+    ``make_planner`` builds it within one control step, from data in memory. ``prepared_winds_m_s`` are the wind
+    speeds prepared in flight.
     """
 
     def __init__(self, make_planner: PlannerFactory, aircraft: Aircraft, requirement: Requirement) -> None:
@@ -33,7 +34,7 @@ class Planning:
         self.planner: Planner = make_planner(aircraft, requirement)
 
     def renew(self, aircraft: Aircraft, requirement: Requirement) -> None:
-        """Plan for what is asked now."""
+        """Rebuild the planner for a new aircraft or requirement."""
         self._aircraft, self._requirement = aircraft, requirement
         self.planner = self.make_planner(aircraft, requirement)
         if isinstance(self.planner, WindPlanner):
@@ -44,7 +45,7 @@ class Planning:
                 self.planner.advise(told)
 
     def prepare_wind(self, speed_m_s: float) -> bool:
-        """Use what is at hand for winds of this speed; tell whether that is new to the planner."""
+        """Prepare the planner for winds of this speed from data in memory; return whether that is new to it."""
         if speed_m_s in self.prepared_winds_m_s or not isinstance(self.planner, WindPlanner):
             return False
         self.prepared_winds_m_s.append(speed_m_s)
@@ -54,20 +55,20 @@ class Planning:
     # -- the fleet -----------------------------------------------------------------------------------------
 
     def advise(self, told: FleetAdvice | NeighbourPlanned) -> None:
-        """Take what is told of the fleet."""
+        """Pass fleet advice, or a neighbour's plan, to the planner."""
         before = self.target
         if isinstance(told, NeighbourPlanned):
             self._neighbours[told.name] = told
         else:
             self._advice = told
-            if before not in ("", told.target):  # what it remembers is of another one
+            if before not in ("", told.target):  # the planner's memory belongs to another target
                 self.renew(self._aircraft, self._requirement)
         if isinstance(self.planner, CooperativePlanner):
             self.planner.advise(told)
 
     @property
     def target(self) -> str:
-        """Which target the fleet wants watched; '' before it has told, and alone."""
+        """Name of the target that the fleet assigns; '' without a fleet and before its first advice."""
         return "" if self._advice is None else self._advice.target
 
     @property
@@ -81,7 +82,7 @@ class Planning:
         return "" if advice is None or time_s - advice.time_s > _ADVICE_S else advice.separation
 
     def watch_from(self, requirement: Requirement) -> None:
-        """Plan for the side that the fleet has given out, of which a cooperative planner is told by advice."""
+        """Plan for the side that the fleet assigns; a cooperative planner receives the side with the advice."""
         if isinstance(self.planner, CooperativePlanner):
             self._requirement = requirement
         else:
@@ -99,7 +100,7 @@ class Planning:
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
-        """Decide as the planner does; out of its range, go to a circle beside the target first."""
+        """Return the planner's decision; out of its range, approach a circle next to the target first."""
         range_m = math.hypot(aircraft.east_m - target.east_m, aircraft.north_m - target.north_m)
         if range_m <= self._requirement.range_max_m:
             return self.planner.decide(aircraft, target, present, wind, latency_s)

@@ -1,24 +1,24 @@
-"""The door of plausibility: what the vehicle and its payload say, before anything is decided on it.
+"""Input plausibility monitor: checks vehicle and payload data before any decision uses them.
 
 Rules
 -----
-1. The vehicle's clock is the line of its own stamps (:class:`sidelong.estimators.sensing.clock.VehicleClock`). A
-   stamp elsewhere is refused; a line elsewhere is followed once it has proved true. Until then nothing of the payload
-   is taken. One that begins anew is an autopilot that has started anew: Yield; one that did so seconds ago has moved
-   meanwhile.
-2. The aircraft's position is believed as far as flight allows (:mod:`sidelong.mission.control.position_check`). What
-   lies elsewhere is bridged by dead reckoning; after ``BRIDGED_S`` of that, or of a fault that GPS or EKF report,
-   there is ``doubt``: the circle is held, and nothing is decided. Nothing new is begun from the first complaint on. A
-   place whose clock stood still or was another one is not bridged from: there is doubt at once. After a silence
-   nothing is begun or seen from a place until GPS and EKF have spoken again: it may have drifted, and they tell a
-   second later.
-3. A payload's stamp is compared with the vehicle's clock. A source whose clock is constantly off is corrected, and it
-   is told; a single stamp that fits neither clock is refused. A source that is refused falls silent for the tracker,
-   so that another may take over. A stamp of 0 is none: the reading is taken as of now.
-4. Every magnitude has a bound; what is beyond is no reading.
-5. Two lines of stamps, or two places, that take turns are two vehicles with one system id: Yield, latched.
+1. The vehicle's clock follows the vehicle's time stamps (:class:`sidelong.estimators.sensing.clock.VehicleClock`).
+   A deviating stamp is rejected. A persistent offset is accepted after confirmation; until then no payload data is
+   used. A clock that restarts at zero means that the autopilot rebooted: Yield. If the reboot was some seconds ago,
+   the aircraft has moved since.
+2. The aircraft's position must be kinematically plausible (:mod:`sidelong.mission.control.position_check`).
+   A rejected position is replaced by dead reckoning. After ``BRIDGED_S`` of that, or of a GPS or EKF fault, ``doubt``
+   is set: the aircraft holds its circle and nothing is decided. No new plan begins from the first fault on.
+   If the clock stood still or was replaced, dead reckoning is not possible and ``doubt`` is set at once.
+   After a telemetry gap the position may have drifted, and GPS and EKF report faults about a second late. So no plan
+   begins and no detection is used until GPS and EKF have reported again.
+3. A payload's stamp is compared with the vehicle's clock. A constant offset is corrected and reported. A single stamp
+   that fits neither clock is rejected. The tracker receives nothing from a rejected source, so that another source
+   may replace it. A stamp of 0 means "no stamp": the reading is treated as current.
+4. Every quantity has limits; readings beyond them are dropped.
+5. Two alternating clocks, or two alternating positions, mean two vehicles with one system id: Yield, latched.
 
-Whatever is refused, corrected or doubted is told, each thing once in ``_TOLD_AGAIN_S``.
+Rejections, corrections and doubts are reported, each at most once in ``_TOLD_AGAIN_S``.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ from sidelong.mission.core.events import (
 
 BRIDGED_S = 3.0
 _FAULT_VALID_S = 30.0  # a link may be silent between two reports
-_DRIFT_M_S = 10.0  # of a position told while GPS or EKF complain
-_AWAITED_S = 5.0  # so long for a word of GPS and EKF after a silence
+_DRIFT_M_S = 10.0  # drift of positions reported during a GPS or EKF fault
+_AWAITED_S = 5.0  # timeout for GPS and EKF reports after a telemetry gap
 _TOLD_AGAIN_S = 30.0
 _SOURCES_MAX = 32
 _DISPLACED_MIN = 3
 _OVERTAKEN_S = 1.0
-_BOOT_S = 4.0  # who has started anew so long ago has been silent and has moved meanwhile
+_BOOT_S = 4.0  # an autopilot that booted longer ago than this was silent and has moved
 
 _SPEED_MAX_M_S, _CLIMB_MAX_M_S = 150.0, 60.0
 _HEIGHT_MIN_M, _HEIGHT_MAX_M = -500.0, 12_000.0
@@ -69,11 +69,14 @@ Admitted = tuple[Event | None, tuple[Announce, ...]]
 
 
 class Plausibility:
-    """One flight's door. wind_max_m_s: no wind above is believed.
+    """Input checks of one flight. Reported winds of ``wind_max_m_s`` and more are rejected.
 
-    doubt: why nothing may be decided now, in words, or None. dead_reckoned: whether the latest position was. The
-    latest position is ``position.believed``. no_heartbeat and vehicle_silent are set by the health model: whether the
-    flight mode is too old to command by, and whether the vehicle's clock stands still.
+    Attributes:
+        doubt: Why nothing may be decided now, in words; None if decisions are allowed.
+        dead_reckoned: Whether the latest position (``position.believed``) is dead reckoned.
+        no_heartbeat: Whether the flight mode is too old for commands; set by the health model.
+        vehicle_silent: Whether the vehicle's clock stands still; set by the health model.
+
     """
 
     def __init__(self, wind_max_m_s: float = math.inf) -> None:
@@ -87,11 +90,11 @@ class Plausibility:
         self._wind_max_m_s = wind_max_m_s
         self._bank_rad = 0.0
         self._displaced = 0  # positions in a row that are of another time, and elsewhere
-        # Whether a stamp was long overtaken, or refused, since the latest believed position.
+        # Whether a stamp was overtaken by far, or rejected, since the latest accepted position.
         self._overtaken = self._refused = False
         self._faults: dict[str, tuple[float, float, str]] = {}  # by source: since, latest, what
         self._good_s: dict[str, float] = {}
-        self._awaited_s: dict[str, float] = {}  # by source of which nothing was heard since a silence: since when
+        self._awaited_s: dict[str, float] = {}  # by source without a report since a telemetry gap: since when
         self._sources: dict[tuple[type, Source], SourceClock] = {}
         self._told_s: dict[str, float] = {}
         self._told: list[Announce] = []
@@ -115,11 +118,11 @@ class Plausibility:
 
     @property
     def place_is_known(self) -> bool:
-        """Whether the aircraft's position serves to tell by it where a target is."""
+        """Whether the aircraft's position is good enough to locate a target from it."""
         return self.doubt is None and not self.faulty
 
     def admit(self, event: Event) -> Admitted:
-        """Return the event as it may be believed, None where it may not be, and what a person is told of it."""
+        """Return the checked event, None if it is rejected, and the announcements for the operator."""
         judge = self._judges.get(type(event))
         if judge is None:
             return event, ()
@@ -180,7 +183,7 @@ class Plausibility:
             self._awaited_s = dict.fromkeys((*self._good_s, *self._faults), now_s)
 
     def _on_time(self, stamp_s: float, place: PositionReading | None) -> bool:
-        """Tell whether a stamp is of the vehicle's clock; place is where the aircraft is said to be then."""
+        """Return whether a stamp belongs to the vehicle's clock; ``place`` is the position reported with it."""
         clock = self.clock
         if clock.goes_on(stamp_s):
             self._displaced = 0
@@ -246,7 +249,7 @@ class Plausibility:
         return min(valid, default=None)
 
     def _judge(self, now_s: float) -> None:
-        """Settle whether there is doubt of the position."""
+        """Update ``doubt``, and announce when it begins or ends."""
         fault, astray_s = self._fault(now_s), self.position.astray_s
         doubt = None
         if fault is not None and now_s - fault[0] > BRIDGED_S:

@@ -1,11 +1,11 @@
-"""The aircraft's own position, believed as far as flight allows.
+"""Kinematic plausibility check of the aircraft's own position.
 
-A reading is believed when it lies where dead reckoning from the last believed one puts the aircraft, within what the
-aircraft can have accelerated meanwhile. One that lies elsewhere is replaced by dead reckoning: by the velocity it
-tells, where that goes on from the last one, else by the last velocity turned as the bank turns it. Where the last one
-believed was the odd one, what follows from the one before it is believed. A new place that
-holds for ``_PROOF_S`` while GPS and EKF have nothing to complain of is believed after all. Two places that take turns
-are two vehicles.
+A reading is accepted when the aircraft can have flown there from the last accepted one. The reference is dead
+reckoning; the tolerance is the acceleration that is possible in the time between them. A rejected reading is replaced
+by dead reckoning. It uses the reported velocity if that continues the last one, else the last velocity turned by the
+bank angle. If the last accepted reading was the outlier, readings that follow from the one before it are accepted.
+A new position that persists for ``_PROOF_S`` while GPS and EKF report no fault is accepted.
+Positions that alternate between two places come from two vehicles.
 """
 
 from __future__ import annotations
@@ -23,25 +23,29 @@ _VELOCITY_SLACK_M_S, _VELOCITY_RATE_M_S2 = 6.0, 15.0
 _CLIMB_SLACK_M, _CLIMB_RATE_M_S = 20.0, 10.0
 _PROOF_S = 15.0
 SILENT_S = 3.0
-"""A place after so long without one is one after a silence."""
+"""Gap between two readings above which the next one counts as received after a telemetry gap."""
 _CIRCLING_RAD, _OFF_CIRCLE_M = math.radians(12.0), 60.0
-_ODD_S = 1.0  # so long after the one before it a believed reading may turn out to have been the odd one
+_ODD_S = 1.0  # an accepted reading may prove to be an outlier within this time after the one before it
 _FLYING_M_S = 5.0
-_SETTLED = 5  # so many readings in order, before there is anything to hold on to
+_SETTLED = 5  # consecutive readings before the reference position counts as reliable
 _TURNS_MAX, _TURN_MAX_S, _SLOW_TURNS_MAX, _SLOW_TURN_MAX_S = 20, 0.5, 8, 3.0
 
 
 class PositionCheck:
-    """What is believed of the aircraft's position.
+    """State of the position check.
 
-    astray_s: since when readings have lain elsewhere, None while they do not. jump_m: how far the first of them lay.
-    two_places_m: the distance of two places that take turns, None where there is one; slow_places_m: the same where
-    the second one is seldom received.
+    Attributes:
+        believed: The latest accepted or dead-reckoned position; None before the first one.
+        astray_s: Since when readings have been rejected (vehicle's clock); None while they are accepted.
+        jump_m: How far the first rejected reading was from the reference.
+        two_places_m: Distance of two alternating positions; None while there is one position.
+        slow_places_m: The same, if the second position is received seldom.
+
     """
 
     def __init__(self) -> None:
         self.believed: PositionReading | None = None
-        self._before: PositionReading | None = None  # the reading that was believed before the latest one
+        self._before: PositionReading | None = None  # the accepted reading before the latest one
         self.astray_s: float | None = None
         self.jump_m = 0.0
         self.two_places_m: float | None = None
@@ -54,7 +58,7 @@ class PositionCheck:
         self._drifted_m = 0.0
 
     def allow(self, drifted_m: float) -> None:
-        """Let the next reading lie so much farther off: what was told lately may have drifted."""
+        """Increase the tolerance of the next reading: recent positions may have drifted."""
         self._drifted_m = drifted_m
 
     def shift(self, seconds: float) -> None:
@@ -67,9 +71,13 @@ class PositionCheck:
             self._elsewhere_since_s += seconds
 
     def stayed(self, place: PositionReading, passed_s: float, *, jumped: bool) -> bool:
-        """Tell whether no more time than that has gone by for the aircraft, whatever its stamps tell.
+        """Return whether the aircraft has moved no farther than ``passed_s`` allows, whatever its time stamps say.
 
-        jumped: readings that lie elsewhere have jumped there; they may go on, or come back, and neither is a flight.
+        Args:
+            place: The reported position.
+            passed_s: Elapsed time.
+            jumped: Whether rejected readings are jumps. They may continue or return; neither is flown motion.
+
         """
         places = (self.believed, self._elsewhere if jumped and self.astray_s is not None else None)
         return any(one is not None and _stayed(one, place, passed_s) for one in places)
@@ -77,10 +85,14 @@ class PositionCheck:
     def take(
         self, reading: PositionReading, bank_rad: float, *, possible: bool, sound: bool
     ) -> PositionReading | None:
-        """Return the reading, or dead reckoning in its place; None for a late one that cannot have been.
+        """Return the reading, or dead reckoning in its place; None for a late reading that is not plausible.
 
-        bank_rad is the aircraft's now; possible tells whether any aircraft can be there, sound whether GPS and EKF
-        are content.
+        Args:
+            reading: The reported position.
+            bank_rad: The aircraft's present bank angle.
+            possible: Whether the reading is within the absolute limits.
+            sound: Whether GPS and EKF report no fault.
+
         """
         last = self.believed
         if last is None:
@@ -114,7 +126,7 @@ class PositionCheck:
         before = self._elsewhere
         agrees = before is not None and _reachable(before, reading, 0.0)
         if self.astray_s is None:
-            # What lies elsewhere after a longer silence is nothing that dead reckoning has drifted from meanwhile.
+            # After a longer gap a rejected position cannot be explained by drift of dead reckoning.
             self.astray_s = max(last.time_s, reading.time_s - _DRIFTING_MAX_S)
             self.jump_m = math.hypot(reading.east_m - last.east_m, reading.north_m - last.north_m)
             in_turn = before is not None and reading.time_s - before.time_s < _TURN_MAX_S
@@ -140,13 +152,16 @@ class PositionCheck:
 
 def _stayed(last: PositionReading, place: PositionReading, passed_s: float) -> bool:
     if math.hypot(last.velocity_east_m_s, last.velocity_north_m_s) < _FLYING_M_S:
-        return False  # at rest no place tells the time
+        return False  # at rest the position shows no elapsed time
     moved_m = math.hypot(place.east_m - last.east_m, place.north_m - last.north_m)
     return moved_m < _SLACK_M + math.hypot(place.velocity_east_m_s, place.velocity_north_m_s) * passed_s
 
 
 def _reachable(last: PositionReading, reading: PositionReading, reckoned_for_s: float) -> bool:
-    """Tell whether an aircraft that was there can be here; reckoned_for_s: how long the first was dead reckoned."""
+    """Return whether ``reading`` is kinematically reachable from ``last``.
+
+    ``reckoned_for_s`` is how long ``last`` has been dead reckoned.
+    """
     step_s = reading.time_s - last.time_s
     speed_m_s = math.hypot(last.velocity_east_m_s, last.velocity_north_m_s)
     off_m = math.hypot(
@@ -163,7 +178,10 @@ def _reachable(last: PositionReading, reading: PositionReading, reckoned_for_s: 
 
 
 def _still_circles(last: PositionReading, reading: PositionReading, bank_rad: float) -> bool:
-    """Tell whether a place heard after silence is on the circle that was flown, if one was: there it needs nobody."""
+    """Return whether a position received after a telemetry gap is on the circle that was flown.
+
+    If the aircraft was not turning, return True. The autopilot flies such a circle without commands.
+    """
     if abs(bank_rad) < _CIRCLING_RAD:
         return True
     speed_m_s = math.hypot(last.velocity_east_m_s, last.velocity_north_m_s)
@@ -183,7 +201,7 @@ def _velocity_follows(
 
 
 def _dead_reckoned(last: PositionReading, told: PositionReading, bank_rad: float) -> PositionReading:
-    """Return where the aircraft is at the time of a reading whose place is not believed."""
+    """Return the dead-reckoned position at the time of a rejected reading."""
     step_s = told.time_s - last.time_s
     east_m_s, north_m_s = last.velocity_east_m_s, last.velocity_north_m_s
     speed_m_s = math.hypot(east_m_s, north_m_s)

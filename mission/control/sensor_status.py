@@ -1,4 +1,4 @@
-"""What the vehicle and its payload last said, for a person who watches over them."""
+"""The latest reports of the vehicle and its payload, for the operator."""
 
 from __future__ import annotations
 

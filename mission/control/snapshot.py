@@ -1,4 +1,4 @@
-"""Where the mission stands, as displays and summaries are told."""
+"""Mission status for displays and summaries."""
 
 from __future__ import annotations
 

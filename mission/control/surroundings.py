@@ -23,10 +23,13 @@ def _all_in_sight(*_target: float) -> Sight:
 
 @dataclass(slots=True)
 class Surroundings:
-    """``check`` names the fence that a plan would break, or returns None.
+    """Checks of plans against fences and terrain.
 
-    ``heights`` gives plans theirs; None: the one that is configured, for all. ``sight`` tells what the ground hides
-    about a target of this place and velocity.
+    Attributes:
+        check: Returns the name of the fence that a plan would break, or None.
+        heights: Assigns heights to plans; None: the configured height for all.
+        sight: Returns what terrain hides around a target of given position and velocity.
+
     """
 
     check: FenceCheck = _no_fence

@@ -1,4 +1,4 @@
-"""What a person is told of the target: that it is seen, not seen for a while, lost, or back."""
+"""Announcements about the target: in view, not seen for some time, lost, or in view again."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.events import Announce
 
-# A target unseen for less than this is no news: lasers miss for some seconds all the time.
+# A shorter gap is not announced: lasers often miss for some seconds.
 _AFTER_S = 8.0
 
 
@@ -18,13 +18,13 @@ class _Sight(StrEnum):
 
 
 class TargetNews:
-    """Remembers what was last told."""
+    """Keeps the latest announcement."""
 
     def __init__(self) -> None:
         self._told: _Sight | None = None
 
     def tell(self, time_s: float, estimate: TargetEstimate) -> tuple[Announce, ...]:
-        """Return what is new about the target; nothing where nothing is."""
+        """Return a new announcement about the target; None if nothing has changed."""
         unseen_s = time_s - estimate.last_sighting_s
         sight = _Sight.SEEN
         if estimate.quality is TrackQuality.LOST:

@@ -14,11 +14,11 @@ from sidelong.mission.geometry.progress import nearest_arc_m, off_track, point_a
 
 _SENDS = 5
 _MIN_AGAIN_S, _AGAIN_ROUND_TRIPS = 0.4, 2.0
-# After the last request: what is reported still later is told by a vehicle that has had it.
+# After the last request: a later report comes from a vehicle that has received it.
 _SETTLED_S, _SETTLED_ROUND_TRIPS = 0.5, 1.5
 _REPORTS = 2  # of the line before, after that
 _ON_M, _ON_RAD = 25.0, math.radians(25.0)  # so near to a plan the aircraft flies it
-_TRACK_S, _TRACK_BEFORE_S, _TRACK_NEITHER_S = 2.0, 10.0, 15.0  # so long, of the vehicle's clock
+_TRACK_S, _TRACK_BEFORE_S, _TRACK_NEITHER_S = 2.0, 10.0, 15.0  # durations on the vehicle's clock
 
 
 class Answer(StrEnum):
@@ -30,12 +30,12 @@ class Answer(StrEnum):
 
 
 class Activation:
-    """Makes the line of ``layout`` current while that of ``before`` is flown.
+    """Makes the path of ``layout`` current while that of ``before`` is flown.
 
-    MISSION_SET_CURRENT is repeated, each time for an item that the aircraft cannot have passed, should it have heard
-    of the one before. A vehicle that is read in order heeds none while it waits for the end of a reading to be told,
-    or for the items of an upload that was announced once too often: it is told again. Where no answer comes, a
-    question whose answer passes through the same link tells which reports are newer than the last request.
+    MISSION_SET_CURRENT is repeated. Each request names an item that the aircraft cannot have passed if it received
+    the previous request. A vehicle that reads items in order ignores requests while it waits for a MISSION_ACK after
+    a download, or for the items of an upload that was announced twice: the acknowledgement is sent again. If no
+    answer comes, a query over the same link shows which reports are newer than the last request.
     """
 
     def __init__(
@@ -107,12 +107,12 @@ class Activation:
                 self.answer = Answer.NOT_TAKEN
 
     def target(self, report: PositionTargetReported) -> None:
-        """Take where the autopilot says it flies to: told at once, if that is a new place."""
+        """Process the reported position target; if it is new, the autopilot reported the switch at once."""
         if self._sends and not self._target_was_on_line and self._is_on_line(report):
             self.answer = Answer.FLOWN
 
     def counted(self, report: MissionCountReported) -> None:
-        """Take the answer to the question: what is reported from now on is newer than the last request."""
+        """Process the answer to the query: later reports are newer than the last request."""
         if self.unanswered and not self._settled:
             self._settled = True
             self._outbox.end_reading()
@@ -142,6 +142,6 @@ class Activation:
 
 
 def _flies(aircraft: AircraftState, plan: Plan) -> tuple[bool, bool]:
-    """Tell whether an aircraft is close to a plan, and whether it has left it."""
+    """Return whether an aircraft is close to a plan, and whether it has left it."""
     point = point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
     return not off_track(aircraft, point, _ON_M, _ON_RAD), off_track(aircraft, point)

@@ -1,9 +1,9 @@
-"""Writing a mission, or the changed part of one: all items are sent at once, and what is unanswered is sent again.
+"""Upload of a mission or of its changed part: all items are sent at once, unanswered ones again.
 
-Autopilots take the items strictly in their order and leave any other alone, so they may be sent without waiting for
-each request: a lost packet costs a fraction of a second, and nothing can be stored out of its place. What was stored
-is read back where items are stored one by one. Elsewhere the list is taken whole and acknowledged; where that may
-have been the acknowledgement of another upload, or of a part of this one, the list is read.
+Autopilots accept items strictly in order and ignore the rest. So items may be sent without waiting for each request:
+a lost packet costs a fraction of a second, and no item is stored at a wrong index. If the autopilot stores items one
+by one, they are read back. Otherwise it accepts the whole list and acknowledges it. The list is read if the
+acknowledgement may belong to another upload, or to a part of this one.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sidelong.mission.exchange.reports import (
     VehicleReport,
 )
 
-# So long nothing is heard before everything unanswered is sent again; once the round trip is known, so many of them.
+# Retransmission timeout: a constant at first, a multiple of the round trip once that is known.
 _AGAIN_S, _MIN_AGAIN_S, _AGAIN_ROUND_TRIPS = 0.25, 0.1, 2.0
 _READ_S = 5.0  # after an upload that was not acknowledged
 _SLOWER, _SLOWEST = 1.25, 2.0
@@ -47,13 +47,18 @@ class _Phase(StrEnum):
 
 
 class MissionWrite:
-    """Makes the vehicle hold ``items``, of which those outside ``changed`` are on board already.
+    """Writes ``items``; those outside ``changed`` are already on board.
 
-    ``changed`` as long as ``items`` replaces the whole list, however long that was. marked tells which item is to be
-    flown on taking the list over. deadline_s is of the link's clock. mission_ids_before: of uploads before, whose
-    acknowledgements may still come; doubt_before: so may that of one whose id is not known. loses: items of an upload
-    before were lost; then, and as soon as one is, they are sent twice where that is allowed. ``result`` is None while
-    it goes on; ACCEPTED: verified. After TIMEOUT and DENIED what is on board at ``changed`` is not known.
+    Attributes:
+        items: The mission. If ``changed`` has the same length, it replaces the whole list on board.
+        changed: The range of items to write.
+        marked: The item to fly when the list is activated.
+        deadline_s: Timeout, on the link's clock.
+        mission_ids_before: Ids of earlier uploads whose acknowledgements may still arrive.
+        doubt_before: Whether the acknowledgement of an upload of unknown id may still arrive.
+        loses: Whether an earlier upload lost items. Then, or after the first loss, items are sent twice if allowed.
+        result: None while the upload runs. ACCEPTED: verified. TIMEOUT, DENIED: the items at ``changed`` are unknown.
+
     """
 
     def __init__(
@@ -78,7 +83,7 @@ class MissionWrite:
         self._again_s = max(_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS * round_trip_s) if round_trip_s else _AGAIN_S
         self._at_once = round_trip_s > _LONG_ROUND_TRIP_S
         self._overtaken = False
-        self._over = False  # it has told that it receives nothing
+        self._over = False  # the vehicle has reported that it is not receiving a mission
         self._awaited = changed.start
         self._refusals, self._refused = 0, False
         self._onboard: dict[int, RawItem] = {}
@@ -120,7 +125,7 @@ class MissionWrite:
                 self._item(report)
 
     def expire(self) -> None:
-        """Send again what is unanswered, or give up."""
+        """Send unanswered messages again, or fail after the deadline."""
         if self.result is not None:
             return
         if self._read is not None:
@@ -137,7 +142,7 @@ class MissionWrite:
             self._say()
 
     def cancel(self) -> None:
-        """Break it off: not one item more. What is on board is not known then."""
+        """Cancel: send no further item. What is on board is then unknown."""
         if self.result is None:
             self._outbox.send_mission("MISSION_ACK", type=CANCELLED)
             self.result = WriteResult.TIMEOUT
@@ -155,7 +160,7 @@ class MissionWrite:
         self._over = False
         self._due_s = report.link_s + self._again_s
         if self._phase is _Phase.ANNOUNCING:
-            # After a repetition nothing tells which announcement is answered.
+            # After a retransmission it is ambiguous which announcement is answered.
             measured_s = report.link_s - self._said_s
             self.round_trip_s = measured_s if repeats == 0 else max(measured_s, self._round_trip_before_s)
             self._again_s = max(_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS * self.round_trip_s)
@@ -193,7 +198,7 @@ class MissionWrite:
             if self._quirks.stores_items_one_by_one:
                 self._verify()
             else:
-                self._over = True  # the answer to the last item, sent behind this one, tells which
+                self._over = True  # the answer to the last item, sent after this one, shows which
         elif report.result != ACCEPTED:
             self.result = WriteResult.DENIED
         elif report.mission_id and report.mission_id in self._mission_ids_before:
@@ -204,7 +209,7 @@ class MissionWrite:
             self.mission_id, self.result = report.mission_id, WriteResult.ACCEPTED
 
     def _may_be_given_up(self, now_s: float) -> bool:
-        """Tell whether not all may have come: PX4 acknowledges the item that came last again after giving up, too."""
+        """Return whether items may be missing: PX4 repeats its answer to the last item even after giving up."""
         return self._awaited != self.changed[-1] and now_s - self._requested_s > _GIVEN_UP_S
 
     def _say(self) -> None:
@@ -215,7 +220,7 @@ class MissionWrite:
         self._refused = False
         if self._phase is _Phase.ANNOUNCING:
             if self._repeats and not self._quirks.stores_items_one_by_one:
-                outbox.end_reading()  # it may wait for that, and heed nothing else
+                outbox.end_reading()  # it may wait for that, and ignore everything else
             if len(changed) == len(self.items):
                 outbox.send_mission("MISSION_COUNT", count=len(self.items))
             else:
@@ -260,7 +265,7 @@ class MissionWrite:
         return MissionRead(self._outbox, self._quirks, deadline_s, self.round_trip_s or 0.0)
 
     def _is_wanted_still(self, report: VehicleReport) -> bool:
-        """Tell whether the vehicle still asks for items, though an acknowledgement has come."""
+        """Return whether the vehicle still requests items although an acknowledgement has arrived."""
         asked = (
             isinstance(report, MissionItemRequested) and report.seq in self.changed and report.seq >= self._awaited
         )
