@@ -102,10 +102,10 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
 
     Args:
         settings: The mission.
-        airspeeds_m_s: Between which airspeeds the paper's best one is to be found; None: it is not asked for.
+        airspeeds_m_s: Airspeed range in which to search for the paper's best airspeed; None: no search.
 
     Returns:
-        The values for the JSON summary, and why the requirement cannot be kept, '' if it can.
+        The values for the JSON summary, and why the requirement cannot be met, '' if it can.
 
     """
     if airspeeds_m_s is not None and settings.planner.name != _PAPER:

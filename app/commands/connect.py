@@ -1,4 +1,4 @@
-"""``sidelong connect``: what is at the other end of a link, and whether it is ready."""
+"""``sidelong connect``: check the vehicle at the other end of a link, and its readiness."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def connect(
     ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Tell what is there: autopilot, mode, position, sensors, parameters, and what is not ready yet and why.
+    """List the detected components (autopilot, mode, position, sensors, parameters) and failing pre-flight checks.
 
-    Nothing is armed or changed. Of a fleet file all aircraft are asked, one after the other.
+    This command arms and changes nothing. With a fleet file, it checks all aircraft, one after the other.
 
     For example:
       sidelong connect udpin://0.0.0.0:14540

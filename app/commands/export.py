@@ -53,7 +53,7 @@ def export(
 
 
 def write_export(source: Path, wanted: Format, out: Path | None = None, config: Path | None = None) -> None:
-    """Write a run folder or log in a format and tell the file. Raises InputError."""
+    """Write a run folder or log in a format and print the file's name. Raises InputError."""
     if FleetFolder(source).journal.is_file():
         if config is not None:
             raise InputError(f"{source} is the run of a fleet: --config is for the folder of one aircraft in it.")
@@ -63,7 +63,7 @@ def write_export(source: Path, wanted: Format, out: Path | None = None, config: 
         out = source / f"flight.{wanted}" if source.is_dir() else source.with_suffix(f".{wanted}")
     with share_progress(f"reading {source.name}") as progress:
         flown = read_flight(source, config=config, progress=progress, target_needed=False)
-    # A run folder's tlog tells what its journal does not: the autopilot, home and the time of day.
+    # A run folder's tlog holds what its journal lacks: the autopilot, home and the time of day.
     context = LogContext.of(open_log(RunFolder.open(source).tlog if source.is_dir() else source))
     with _whole(out) as partial:
         if wanted is Format.MCAP:
@@ -78,7 +78,7 @@ def write_export(source: Path, wanted: Format, out: Path | None = None, config: 
 
 
 def _write_fleet(folder: FleetFolder, wanted: Format, out: Path | None) -> None:
-    """Write the tracks of all aircraft into one file; what is of one aircraft alone into each one's folder."""
+    """Write the tracks of all aircraft into one file; write single-aircraft formats into each aircraft's folder."""
     sources = {path.parent.name: path.parent for path in sorted(folder.path.glob("*/journal.jsonl"))}
     if wanted in MISSIONS or wanted is Format.KLV:
         if out is not None:
@@ -109,9 +109,9 @@ def _write_fleet(folder: FleetFolder, wanted: Format, out: Path | None) -> None:
 
 @contextlib.contextmanager
 def _whole(out: Path) -> Iterator[Path]:
-    """Give the file to write: what is broken off leaves the one of before as it was; a pipe is written as it is.
+    """Yield the file to write: an interrupted export leaves the previous file unchanged. A pipe is written directly.
 
-    Raises InputError where it cannot be written.
+    Raises InputError if the file cannot be written.
     """
     whole = out.is_file() or not out.exists()
     partial = out.with_name(f"{out.name}.partial") if whole else out

@@ -1,4 +1,4 @@
-"""What flights of one aircraft and of a fleet have in common: how they are run, and whether records are kept."""
+"""Functions shared by flights of one aircraft and of a fleet: running the flight and retaining its records."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def run_flight(flight: Coroutine[Any, Any, T]) -> T:
 
 @contextlib.contextmanager
 def kept_if_armed(records: Path) -> Iterator[Callable[[Life], Life]]:
-    """Remove a run folder when what is done meanwhile fails before anything was armed.
+    """Remove a run folder if the body of the ``with`` fails before an aircraft was armed.
 
-    Yields what is to hear of the flight's life. Raises FlightError where that failed by itself.
+    Yields a function to call with each flight's life. Raises FlightError if the flight itself failed.
     """
     lives: list[Life] = []
 

@@ -142,7 +142,7 @@ def _lines(presets: Mapping[str, Preset | PayloadPreset], fleet: int | None) -> 
 
 
 def _fleet_lines(values: dict[str, float], count: int) -> Iterator[str]:
-    """Write the aircraft: every key explained with the first, the others with what tells them apart."""
+    """Write the aircraft: the first with every key explained, the others with their distinguishing keys only."""
     lowest_m = AircraftSection.model_fields["height_m"].default
     for number in range(count):
         own = values | {"height_m": lowest_m + number * LAYER_M}

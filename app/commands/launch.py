@@ -173,10 +173,10 @@ def launch(
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Fly: circle beside the target and move the circle as the target moves.
+    """Fly: circle to one side of the target and relocate the circle as the target moves.
 
-    Without --connect this starts a simulated vehicle and target and flies them, about ten times faster than the
-    clock.
+    Without --connect, this command starts a simulated vehicle and target. They run about ten times faster than real
+    time.
 
     For example:
       sidelong launch
@@ -218,7 +218,7 @@ def launch(
         if len(several.aircraft) > 1:
             _check_fleet(several, point_gimbal, system_id)
             check_space(out, duration, len(several.aircraft), warn)
-            # What flies takes a second to load; a wrong option is told before.
+            # The flight modules take a second to load; report a wrong option first.
             from sidelong.app.commands.launch_fleet import fly_fleet  # noqa: PLC0415
 
             with shielded_output():
@@ -258,7 +258,7 @@ def launch(
 
 
 def _is_unasked(view: bool | None, quiet: bool, json: Path | None) -> bool:
-    """Return whether the map is shown although nobody asked for it: in a desktop session."""
+    """Return whether to show the map without a request: in a desktop session."""
     return view is None and is_desktop() and not quiet and str(json) != "-"
 
 
@@ -272,7 +272,7 @@ def _page_address(
     map_file: Path | None,
     map_bounds: str | None,
 ) -> Address | None:
-    """Return where the page is served; a page that nobody asked for takes another port where that one is in use."""
+    """Return the address of the page; a page that was not requested uses another port if the default is in use."""
     if not unasked:
         return page_address(bool(view), host, port, cert, key, map_file, map_bounds)
     address = page_address(True, host, free_port(port), cert, key, map_file, map_bounds)
@@ -296,7 +296,7 @@ def _with_simulated_payload(settings: Config, speed: float | None, url: str | No
 
 
 def _check_input(settings: Config, point_gimbal: bool) -> None:
-    """Raise InputError for what is not there or cannot be, before anything is connected or computed."""
+    """Raise InputError for missing files and impossible options, before any connection or computation."""
     check_sharing(settings.sharing)
     for url in settings.link.connections:
         checked_url(url)

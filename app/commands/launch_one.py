@@ -36,7 +36,7 @@ from sidelong.app.view.prompt import keyboard_descriptor
 
 @dataclass(frozen=True, slots=True)
 class FlightEnded:
-    """How a flight ended. reason: what it is told and exits with, None when it has come to its end."""
+    """How a flight ended. reason: the error to report and to exit with, None after a regular end."""
 
     folder: RunFolder
     summary: Summary

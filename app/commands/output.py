@@ -22,10 +22,10 @@ _WIDE = 400  # characters, more than any table
 
 
 class _Standard:
-    """Standard output, or standard error when that is asked for, as it is at the moment.
+    """The current standard output, or standard error on request.
 
-    Shielded, it never raises: a reader that went away or a full disk loses what is said, once and for all. ``lost``
-    then says why. What an encoding lacks is told as ``?`` either way.
+    Shielded, it never raises: if the reader closes the pipe or the disk is full, all further output is dropped.
+    ``lost`` then holds the reason. A character that the encoding lacks is always printed as ``?``.
     """
 
     def __init__(self) -> None:
@@ -65,7 +65,7 @@ class _Standard:
 class _Console(Console):
     def on_broken_pipe(self) -> None:
         abandon(standard.stream)
-        raise SystemExit(0)  # whoever read this has seen enough
+        raise SystemExit(0)  # the reader closed the pipe
 
 
 standard = _Standard()
@@ -80,7 +80,7 @@ def print_whole(table: Table) -> None:
 
 @contextlib.contextmanager
 def shielded_output() -> Iterator[None]:
-    """Keep the trouble of writing to the terminal from what is done meanwhile."""
+    """Shield the body of the ``with`` from errors of writing to the terminal."""
     standard.shielded = True
     try:
         yield
@@ -89,7 +89,7 @@ def shielded_output() -> Iterator[None]:
 
 
 def warn(text: str) -> None:
-    """Tell on standard error what does not end the work."""
+    """Print a warning on standard error; the work continues."""
     with contextlib.suppress(OSError):
         print(f"sidelong: {text}", file=sys.stderr)
 
@@ -150,7 +150,7 @@ def latitude_longitude_deg(option: str, text: str | None) -> tuple[float, float]
 
 
 def _finite(value: Any) -> Any:
-    """JSON has no infinity: what is infinite (the time between moves beside a standing target) is null."""
+    """JSON has no infinity: what is infinite (the time between moves at a stationary target) is null."""
     if isinstance(value, dict):
         return {key: _finite(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

@@ -49,7 +49,7 @@ def share_progress(name: str, clock_s: Callable[[], float] = monotonic) -> Itera
 
 
 def table_progress(tell: Callable[[str], None]) -> Callable[[float], None]:
-    """Return what tells, now and then, how far the computation of the value table is."""
+    """Return a callback that reports the progress of the value table's computation in steps of 25 %."""
     told = -1.0
 
     def progress(share: float) -> None:
@@ -63,7 +63,7 @@ def table_progress(tell: Callable[[str], None]) -> Callable[[float], None]:
 
 @contextmanager
 def runs_progress(runs: int) -> Iterator[tuple[Callable[[int], None], Callable[[float], None]]]:
-    """Yield what is told of runs done and of a value table's share: a bar, or lines where there is no terminal."""
+    """Yield the callbacks for finished runs and the value table's share: a bar, or lines without a terminal."""
     terminal = Console(stderr=True)
     if not terminal.is_terminal:
         yield _lines(terminal, runs), lambda _share: None

@@ -30,7 +30,7 @@ RadiusOption = Annotated[
 
 
 def warn_of_little_room(config: Config) -> None:
-    """Tell of a circle that leaves too little room in the range band."""
+    """Warn about a circle that leaves too little margin in the range band."""
     warning = room_warning(config)
     if warning is not None:
         console.print(f"note: {warning}", soft_wrap=True)

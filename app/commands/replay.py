@@ -72,9 +72,9 @@ def replay(
     quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Run the filter and the planner over a recorded flight: what was decided, and how far off the estimate was.
+    """Run the filter and the planner over a recorded flight: show its decisions and the error of the estimate.
 
-    With --view a page plays it, and what --set would have decided is shown beside what was flown.
+    With --view, a page plays the flight. With --set, it shows the changed decisions alongside the flown ones.
 
     For example:
       sidelong replay runs/20261121T100000Z --verify
@@ -87,7 +87,7 @@ def replay(
     if view and verify:
         raise InputError("--verify compares, --view shows; give one of them.")
     if truth is not None:
-        read_truth(truth)  # a wrong one is told before anything is computed
+        read_truth(truth)  # report a wrong file before any computation
     address = page_address(view, LOOPBACK[0], view_port, None, None, map_file, map_bounds)
     fleet = FleetFolder(log)
     if fleet.journal.is_file():
@@ -144,7 +144,7 @@ def _replay_log(
     controller = controller_of(settings, table_progress(console.print), console.print)
 
     def fence(plane: LocalPlane) -> None:
-        # A log does not tell where home is: the first position of an aircraft on the ground is near it.
+        # A log does not hold the home position: the first position of an aircraft on the ground is near it.
         origin_deg = (plane.origin_latitude_deg, plane.origin_longitude_deg)
         judged.collector.ground = settle(controller, settings, plane, origin_deg)
         if frames is not None:
@@ -231,7 +231,7 @@ def _exchange_of(settings: Config, controller: StandoffController, header: Heade
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """How a replay is shown on the page, and told besides."""
+    """Options for a replay on the page and for its summary."""
 
     name: str
     address: Address
@@ -240,7 +240,7 @@ class _Shown:
     json: Path | None
 
     def serve(self, result: Summary, frames: Frames, what_if: Frames | None, settings: Config) -> None:
-        """Tell the summary, then serve the page until it is left."""
+        """Print the summary, then serve the page until the operator closes it."""
         console.print(result.table())
         write_json(self.json, result.as_json())
         if not frames.times_s:
@@ -290,7 +290,7 @@ def _encoder(settings: Config) -> StateEncoder:
 
 
 class _Judged:
-    """Follows a replay: prints what is said, and gathers what the summary needs."""
+    """Follows a replay: prints its messages, and gathers the values of the summary."""
 
     def __init__(
         self,
@@ -320,7 +320,7 @@ class _Judged:
                     self._progress.console.print(Text(f"{self._since(said.time_s):>7}  {said.text}"))
 
     def _since(self, time_s: float) -> str:
-        """Return a flight's time as it was told in flight; of a log that of the vehicle's clock."""
+        """Return the time as displayed in flight; for a log, the time of the vehicle's clock."""
         if not self._of_a_flight:
             return clock(time_s)
         return "" if self.engaged_s is None else clock(max(time_s - self.engaged_s, 0.0))

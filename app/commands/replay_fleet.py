@@ -1,4 +1,4 @@
-"""``sidelong replay`` of a fleet's run: each aircraft by itself, then what the coordinator said to them."""
+"""``sidelong replay`` of a fleet's run: each aircraft separately, then the coordinator's messages to them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sidelong.app.section import validated
 def replay_fleet(folder: FleetFolder, replay_one: Callable[[RunFolder], Summary], verify: bool) -> dict[str, Any]:
     """Replay a fleet's run; ``replay_one`` replays an aircraft's. Returns what ``--json`` writes.
 
-    Raises FlightError where the coordinator says otherwise than in flight.
+    Raises FlightError if the coordinator's output differs from the flight's.
     """
     progress, task = progress_bar(folder.path.name)
     journal = JournalReader(folder.journal, FLEET_JOURNAL_TYPES, lambda share: progress.update(task, completed=share))

@@ -47,7 +47,7 @@ def report(
         write_fleet_report(FleetFolder(run), out)
         return
     if truth is not None:
-        read_truth(truth)  # a wrong one is told before anything is computed
+        read_truth(truth)  # report a wrong file before any computation
     write_report(run, out, png, truth, config)
 
 

@@ -23,9 +23,9 @@ def sign(
     remove: Annotated[bool, typer.Option("--remove", help="Take the key back from the vehicle.")] = False,
     timeout: Annotated[float, typer.Option(min=1.0, help="Wait this long for a heartbeat, s.")] = 10.0,
 ) -> None:
-    """Make a key for MAVLink signing and set it up on a vehicle, which then obeys only what is signed with it.
+    """Make a key for MAVLink signing and set it up on a vehicle. The vehicle then accepts only signed messages.
 
-    The vehicle has to be disarmed, and on a cable: the key is sent in the clear. Then fly with --signing-key FILE.
+    Disarm the vehicle and connect it by cable: the key is sent unencrypted. Then fly with --signing-key FILE.
 
     For example:
       sidelong sign plane.key

@@ -259,7 +259,7 @@ def _hills(terrain: Path, home: str | None, planners: list[PlannerName] | None, 
     home_deg = latitude_longitude_deg("--home", home)
     if home_deg is None:
         raise InputError("--terrain needs a place within the elevation data; give --home LAT,LON.")
-    from sidelong.app.study.hills import hills_of  # noqa: PLC0415  # what is compiled takes a second to load
+    from sidelong.app.study.hills import hills_of  # noqa: PLC0415  # compiled code takes a second to load
 
     return hills_of(elevation_data(terrain).ground(LocalPlane(*home_deg), home_deg))
 
@@ -296,7 +296,7 @@ def _from_anywhere(requirement: Requirement) -> bool:
 
 
 def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:
-    """Fly what is not in the store yet."""
+    """Fly the runs that are missing in the store."""
     missing = study.missing()
     if missing < study.total:
         console.print(f"{study.total - missing} of {study.total} runs are in {study.store.file} already")
@@ -368,7 +368,7 @@ def _only(found: tuple[Design, ...], numbers: list[int] | None) -> tuple[Design,
 
 
 def _merge(given: Overrides, options: Overrides) -> None:
-    """Let the options that were given replace what is configured."""
+    """Replace configured values with the given options."""
     for section, keys in options.items():
         given.setdefault(section, {}).update({key: value for key, value in keys.items() if value is not None})
 

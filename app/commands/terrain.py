@@ -22,7 +22,7 @@ def terrain(
     ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Tell what elevation data covers and where it is void.
+    """Show the area that elevation data covers and where it is void.
 
     For example:
       sidelong terrain dem

@@ -57,7 +57,7 @@ class FleetAircraft:
 
     @property
     def settled(self) -> bool:
-        """Whether nothing is waited for: it flies by our commands, its flight is over, or it is not wanted yet."""
+        """Whether it is settled: sidelong controls it, its flight is over, or the fleet does not need it yet."""
         ours = self.controller.phase in (Phase.WATCHING, Phase.HOLDING)
         return ours or bool(self.outcome) or not self.wanted.is_set()
 

@@ -23,9 +23,9 @@ from sidelong.mission.fleet.vehicle import FleetMember
 
 
 def coordinator_of(fleet: FleetFile, progress: Callable[[float], None] = lambda _share: None) -> FleetCoordinator:
-    """Return the coordinator, ready to run without a pause; progress hears of the value tables' computation.
+    """Return the coordinator, compiled and ready to run; progress is called with the value tables' progress.
 
-    It gives out the roles by the predictive planner's costs, whatever planner the aircraft fly by.
+    It assigns the roles by the predictive planner's costs, whichever planner the aircraft use.
     """
     members = fleet.members
     configs = {member.name: member.config for member in members}
@@ -64,7 +64,7 @@ def _all_in_sight(*_target: float) -> Sight:
 
 
 def _warm_up(planner: TeamPlanner) -> None:
-    """Run once what a flight together calls, on what is thrown away: loading compiled code takes a moment."""
+    """Call the compiled functions of a fleet flight once and discard the results, so that they are loaded."""
     track = JointTrack({name: TrackerSettings() for name in ("west", "east")})
     for name, east_m, bearing_rad in (("west", -250.0, 0.5 * math.pi), ("east", 250.0, -0.5 * math.pi)):
         track.add(name, Sighting(0.0, 270.0, bearing_rad, 0.3, 1.0, 0.01, 0.01, east_m, 0.0, 80.0))

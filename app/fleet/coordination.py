@@ -114,7 +114,7 @@ class Coordination:
     def told_by_others_s(self, name: str) -> float:
         """Return mission time by the clocks of the others, s; NaN where none of them advances.
 
-        The clock of an aircraft that has landed or is silent stands still and does not count.
+        The clock of an aircraft that has landed or sends no messages has stopped and does not count.
         """
         since_s = time.monotonic() - _STANDING_S
         known = [
@@ -130,11 +130,11 @@ class Coordination:
         return -math.inf if offset_s is None else participant.now_s() + offset_s
 
     def offset_s(self, name: str) -> float | None:
-        """Return what is added to an aircraft's time to make it mission time; None before it is known."""
+        """Return the offset from an aircraft's time to mission time; None before it is known."""
         return self.coordinator.offset_s(name)
 
     async def keep_time(self) -> None:
-        """Let the coordinator know how time goes on, until cancelled."""
+        """Send clock events to the coordinator until cancelled."""
         while True:
             await asyncio.sleep(_POLL_S)
             self.keep_up(time.monotonic())
@@ -153,7 +153,7 @@ class Coordination:
     # -- what the aircraft report --------------------------------------------------------------------------
 
     def stepped(self, name: str) -> Stepped:
-        """Return what hears of each step of that aircraft's core."""
+        """Return the callback for each step of that aircraft's core."""
         participant = self._participants[name]
 
         def heard(event: InboundEvent, outputs: Sequence[Output]) -> None:
@@ -208,14 +208,14 @@ class Coordination:
     # -- what a person asks --------------------------------------------------------------------------------
 
     def watch_from(self, side: Side, who: str) -> None:
-        """Make that the wanted side."""
+        """Set the required side."""
         self._put(SideRequested(self.now_s, side, who))
 
     def relieve(self, name: str, who: str) -> None:
         """Let another one take that aircraft's place."""
         self._put(ReliefRequested(name, self.now_s, who))
 
-    # -- what the coordinator says -------------------------------------------------------------------------
+    # -- output of the coordinator -------------------------------------------------------------------------
 
     def _put(self, event: FleetEvent) -> None:
         self._journal.write(event)

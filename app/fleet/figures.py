@@ -81,7 +81,7 @@ def _seen_longest(flown: FleetFlown, target: str) -> tuple[list[Moment], bool]:
 
 
 def _sides(flown: FleetFlown) -> Drawing:
-    """Draw when each aircraft was on the wanted side and in the band, and was to be; on top when any was."""
+    """Draw when each aircraft was on the required side and in the band, and was assigned; on top when any was."""
     begin_s, end_s = start_s(flown), _end_s(flown)
     times_s = np.arange(begin_s, end_s, _STEP_S)
     any_kept = {name: np.zeros(len(times_s), bool) for name in flown.asked}

@@ -50,7 +50,7 @@ class FleetAircraftSection(AircraftSection):
     autopilot: Literal["arduplane", "px4"] | None = None
     """Which autopilot it behaves like where it is simulated; none: as [simulation] has it."""
     reserve: bool = False
-    """It waits on the ground until it is wanted: another is lost, or has to be relieved."""
+    """It waits on the ground until the fleet needs it: another is lost, or must be relieved."""
     relieve_after_min: float | None = Field(None, gt=0)
     """Watching time after which another aircraft relieves it, min; none: only when its battery is low."""
     sensors: SensorsSection = SensorsSection()  # type: ignore[call-arg]  # every field has a default
@@ -227,7 +227,7 @@ class FleetFile(Config):
             # Each target once on others' displays, all aircraft by their names; follow modes listen to one sender.
             told: dict[str, Any] = {"cot_own_callsign": one.name} if len(self.aircraft) > 1 else {}
             if len(self.target) > 1:
-                told["cot_callsign"] = PLAIN_CALLSIGN  # each by its own name
+                told["cot_callsign"] = PLAIN_CALLSIGN  # each uses its own name
             if one is not next(other for other in self.aircraft if not other.reserve):
                 told |= {"follow_target": None, "nmea": None}
             yield Member(

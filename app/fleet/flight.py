@@ -91,7 +91,7 @@ class FleetFlight:
         return any(recording.begun for recording in self._recordings)
 
     def watch_from(self, side: Side, who: str) -> str:
-        """Make that the wanted side, by a person's wish; return why not, '' where it is done."""
+        """Set the required side at an operator's request; return the reason for a refusal, '' if it is set."""
         if self._coordination is None:
             return "nothing is flown yet"
         self._coordination.watch_from(side, who)
@@ -105,7 +105,7 @@ class FleetFlight:
         return ""
 
     async def fly(self, life: Life, progress: Callable[[float], None]) -> FleetEnded:
-        """Connect, check, take off, watch and wind up."""
+        """Connect, check, take off, watch and shut down."""
         try:
             return await self._fly(life, progress)
         finally:
@@ -225,9 +225,10 @@ class FleetFlight:
             one.flight.share_plane(self._aircraft[0].flight.plane)
 
     def _go_on_with(self, done: Sequence[BaseException | None]) -> None:
-        """Go on with those that are ready. done: for each aircraft what went wrong.
+        """Continue with the aircraft that are ready. done: the error of each aircraft.
 
-        Where others fly already, what is not ready is left out: they have nobody else. Raises what went wrong else.
+        If others already fly, aircraft that are not ready are left out, so that the flight continues. Otherwise this
+        raises the error.
         """
         pairs = list(zip(self._aircraft, done, strict=True))
         ready = [one for one, error in pairs if error is None]
@@ -308,7 +309,7 @@ class FleetFlight:
             await asyncio.gather(*clocks, return_exceptions=True)
 
     def _in_turn(self) -> list[FleetAircraft]:
-        """Return who flies first: those in the air, then the rest from the highest layer down."""
+        """Return the aircraft in take-off order: those in the air, then the rest from the highest layer down."""
         for one in self._aircraft:
             if is_flying(one.session.vehicle):
                 one.wanted.set()
@@ -318,7 +319,7 @@ class FleetFlight:
         )
 
     async def _fly_one(self, one: FleetAircraft, coordination: Coordination, stopped: asyncio.Event) -> None:
-        """Fly one aircraft, a reserve as soon as it is wanted."""
+        """Fly one aircraft; a reserve starts when the fleet needs it."""
         events = [asyncio.create_task(event.wait()) for event in (one.wanted, stopped, self._over)]
         await asyncio.wait(events, return_when=asyncio.FIRST_COMPLETED)
         for event in events:

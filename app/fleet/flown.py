@@ -1,4 +1,4 @@
-"""The flight of a fleet, read from its folder: each aircraft's own, and what was said between them."""
+"""The flight of a fleet, read from its folder: each aircraft's own, and the coordinator's messages."""
 
 from __future__ import annotations
 
@@ -45,7 +45,8 @@ class AircraftPart:
 class FleetFlown:
     """The flight of a fleet: those of its aircraft that flew.
 
-    asked: (since, requirement) of each target, the first from -inf on, and said, by the coordinator: in mission time.
+    asked: (since, requirement) of each target, in mission time; the first from -inf on. said: the coordinator's
+    messages, in mission time.
     """
 
     name: str

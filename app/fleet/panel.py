@@ -72,7 +72,7 @@ class AircraftDisplay:
             self._line(Text(f"{self._since(shown.time_s):>7}  {self.name}: " + "  ".join(filter(None, self.cells()))))
 
     def cells(self) -> tuple[str, ...]:
-        """Return how things stand, in the columns of the panel."""
+        """Return the present state, in the columns of the panel."""
         shown = self.snapshot
         if shown is None:
             return ("", "", "", "", "", "")
@@ -94,7 +94,7 @@ class AircraftDisplay:
 
 
 class FleetPanel:
-    """Use as ``with``; quiet, it says nothing. names_targets: there are several of them."""
+    """Use as ``with``; quiet: print nothing. names_targets: there are several targets."""
 
     def __init__(self, console: Console, quiet: bool = False, names_targets: bool = False) -> None:
         self._console, self._quiet, self._names_targets = console, quiet, names_targets

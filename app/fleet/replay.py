@@ -1,4 +1,4 @@
-"""The coordinator of a fleet through its own journal: the same events, and the same said of them."""
+"""Replay of a fleet's coordinator through its own journal: the same events must give the same output."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sidelong.mission.fleet.events import FleetCommand, FleetEvent
 
 @dataclass(frozen=True, slots=True)
 class FleetDifference:
-    """Where a replay first said otherwise than was said in flight."""
+    """The first output of a replay that differs from the flight."""
 
     event: FleetEvent
     flown: FleetCommand | None

@@ -1,4 +1,4 @@
-"""What the flight of a fleet came to: what at least one aircraft kept, and how far apart they stayed."""
+"""Summary of a fleet's flight: the requirement met by at least one aircraft, and their separation."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BoolArray = npt.NDArray[np.bool_]
 _STEP_S, _APART_STEP_S = 0.5, 0.2
 _HOLDS_S = 2.5  # how long a moment counts where none follows
 _GAP_MAX_S = 2.0  # of a track: nothing is known of longer ones
-_AIRBORNE_M = 10.0  # above home; lower, aircraft may stand side by side
+_AIRBORNE_M = 10.0  # above home; below it, aircraft may be parked side by side
 
 
 @dataclass(slots=True)
@@ -79,7 +79,7 @@ class AircraftSummary:
 
 @dataclass(frozen=True, slots=True)
 class TargetSummary:
-    """What was kept of one target by at least one aircraft; longest_off_side_any_s: the longest time without."""
+    """Results for one target by at least one aircraft; longest_off_side_any_s: the longest time without any."""
 
     name: str
     time_on_side_any: float | None
@@ -138,9 +138,9 @@ def summarise_fleet(
     outcome: str,
     source: Literal["truth", "estimate"],
 ) -> FleetSummary:
-    """Judge what the aircraft kept together: the wanted side is the requirement's, whatever side each held.
+    """Score the aircraft together: the required side is the requirement's, whichever side each aircraft held.
 
-    asked: of each target, in mission time.
+    asked: requirements of each target, in mission time.
     """
     by_target = [judged_by_target(one.moments, asked, one.offset_s) for one in flown]
     of_all = [Judgement.joined(list(own.values())) for own in by_target]

@@ -140,7 +140,7 @@ class VehicleClockReader:
         if message.name == "TIMESYNC" and fields["tc1"]:
             round_trip_s = heard_s - fields["ts1"] * 1e-9
             if not 0.0 <= round_trip_s < _ASKED_MAX_S:
-                return None  # somebody else's question
+                return None  # the reply to another system's request
             half_s, vehicle_s = 0.5 * round_trip_s, self._unwrapped_s(math.fmod(fields["tc1"] * 1e-9, _WRAP_S))
             host_s = time.time() - half_s
             self._host_rate.look(vehicle_s, host_s)

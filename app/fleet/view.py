@@ -22,7 +22,7 @@ class FleetRequests(Protocol):
     """What a person may ask of the whole fleet; each returns why not, '' where it is passed on."""
 
     def watch_from(self, side: Side, who: str) -> str:
-        """Make that the wanted side."""
+        """Set the required side."""
         ...
 
     def relieve(self, name: str, who: str) -> str:
@@ -31,9 +31,9 @@ class FleetRequests(Protocol):
 
 
 class FleetView(ViewDisplay):
-    """A ``FlightDisplay`` of the first aircraft; ``of`` returns everybody's. Use as ``with``, as ``ViewDisplay``.
+    """A ``FlightDisplay`` of the first aircraft; ``of`` returns each aircraft's. Use as ``with``, as ``ViewDisplay``.
 
-    ``requests`` has to be set before a button is pressed. sides: the wanted one of each target, where there are
+    ``requests`` must be set before a button is pressed. sides: the required side of each target if there are
     several.
     """
 
@@ -100,7 +100,7 @@ class FleetView(ViewDisplay):
         return super()._set() | {"fleet": list(self._aircraft)}
 
     def _state(self, snapshot: Snapshot, silent_s: float) -> Json:
-        """Return the first one's state with the others, and with the wanted side in place of its own."""
+        """Return the first aircraft's state with the others, and with the required side in place of its own."""
         state = super()._state(snapshot, silent_s)
         others = [
             other_aircraft(name, one.snapshot)

@@ -58,7 +58,7 @@ class DriverSettings:
         range_unit_m: unit of the range that the payload sends, m; None: the unit of its manual.
         flip_yaw: whether the payload's yaw is positive in the other direction than its manual says.
         flip_pitch: the same of its pitch.
-        relative_to: what the payload's angles are relative to; None: what its manual or its mode says.
+        relative_to: reference of the payload's angles; None: the reference of its manual or its mode.
         over_tcp: whether the bytes go over TCP, for which some protocols have another frame.
 
     """
@@ -147,7 +147,7 @@ class PayloadDriver(Protocol):
         ...
 
     def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
-        """Return what the gimbal is sent of the aircraft; to be called whenever its attitude is known anew."""
+        """Return the aircraft data to send to the gimbal; call it after each new attitude."""
         ...
 
     def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:

@@ -13,7 +13,7 @@ class Framer:
     Args:
         headers: the byte sequences that frames begin with, all of one length.
         length_of: returns the length of the frame at the beginning of the buffer; 0: it is not a frame; None: more
-            bytes are needed to tell.
+            bytes are needed.
         is_intact: returns whether the checksum of a complete frame is right.
 
     """

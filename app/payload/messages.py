@@ -1,4 +1,4 @@
-"""A payload's measurements as the MAVLink messages of a payload component, so that all who read those read them."""
+"""A payload's measurements as the MAVLink messages of a payload component, for any MAVLink receiver."""
 
 from __future__ import annotations
 

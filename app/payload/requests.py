@@ -10,7 +10,7 @@ _GIVEN_UP_S, _GIVEN_UP_FIRST_S = 0.3, 1.0
 
 
 class Period:
-    """Tells when something that is repeated is due again."""
+    """Timer of a periodic request."""
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
@@ -65,5 +65,5 @@ class RoundTrips:
         return 0.5 * (sent_s + now_s)
 
     def clear(self) -> None:
-        """Forget what is pending."""
+        """Discard pending requests."""
         self._sent_s.clear()

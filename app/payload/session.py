@@ -21,17 +21,17 @@ _RATE_OVER_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class PayloadStatus:
-    """What a payload delivers now.
+    """Present data and state of a payload.
 
     Attributes:
-        identity: what it reports of itself.
+        identity: the identity that the payload reports.
         range_hz: ranges per second over the last 2 s.
         angles_hz: attitudes per second over the last 2 s.
         round_trip_s: shortest recent time between a request and its reply, s; None where it is not known.
         damaged: frames refused since the beginning.
         range: the latest range, None before the first.
         angles: the latest attitude, None before the first.
-        missing: what is not delivered or does not agree, in words; empty where nothing is wrong.
+        missing: messages about missing or inconsistent data; empty without a fault.
         height_ratio: height by range and angles over the autopilot's height; None while it is not known.
 
     """

@@ -83,7 +83,7 @@ class SiyiDriver:
         self._identity_due.restart()
 
     def due(self, now_s: float) -> list[bytes]:
-        """Return the requests to send now: streams, and polls of what is not streamed."""
+        """Return the requests to send now: streams, and polls for data without a stream."""
         requests: list[bytes] = []
         if self._identity_due.is_due(now_s):
             if not self.identity.model:

@@ -13,8 +13,8 @@ _JUMP_S = 5.0
 class VehicleTimeline:
     """Converts this computer's time to the vehicle's.
 
-    The message that was delayed least tells the offset of the clocks. A simulated vehicle's clock runs up to ``rate``
-    times as fast, as fast as its latest stamps show, and now and then it waits: it is carried on for a moment only.
+    The least delayed message gives the offset of the clocks. A simulated vehicle's clock runs up to ``rate`` times as
+    fast. Its latest stamps show its present rate. It may pause, so it is extrapolated only for a short time.
 
     Args:
         rate: seconds of the vehicle's clock per second of this computer's.

@@ -16,10 +16,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PlannerNeeds:
-    """What a planner may be made of.
+    """The inputs from which a planner is made.
 
-    winds_m_s: wind speeds to be ready for, besides none. progress hears of the share 0..1 of a computation that takes
-    seconds. check tells which fence or ground a plan would break, or None; sight what the ground hides.
+    winds_m_s: wind speeds to prepare for, in addition to zero. progress: called with the share 0..1 of a computation
+    that takes seconds. check: returns the fence or ground that a plan would violate, or None. sight: returns what the
+    terrain hides.
     """
 
     aircraft: Aircraft
@@ -49,7 +50,7 @@ class PlannerKind(Protocol):
         ...
 
     def is_compiled(self) -> bool:
-        """Tell whether making one waits for no compiler."""
+        """Return whether the planner can be made without compilation."""
         ...
 
     def factory(self, needs: PlannerNeeds) -> PlannerFactory:

@@ -1,4 +1,4 @@
-"""The planners that can be configured, the default first: a new one is a module beside this and a line here."""
+"""The configurable planners, the default first. Add a new one as a module in this folder and a line here."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def one_flown(
         return run_closed_loop(settings, planner, number, table, keep_track)
     if settings.hills is None:
         return run(settings, planner, number, table, keep_track)
-    from sidelong.app.study.hills import run_over  # noqa: PLC0415  # what is compiled takes a second to load
+    from sidelong.app.study.hills import run_over  # noqa: PLC0415  # compiled code takes a second to load
 
     assert table is not None
     return run_over(settings, number, table, keep_track)

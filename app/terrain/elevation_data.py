@@ -126,7 +126,7 @@ def elevation_data(path: Path) -> ElevationData:
 
 def _in_plane(heights: HeightArray, posts: Posts, plane: LocalPlane, reach_m: float, sigma_m: float) -> Ground:
     """Return heights (rows, columns) at posts as a grid of the plane, twice as fine so that peaks stay."""
-    from sidelong.estimators.terrain.ground import Ground  # noqa: PLC0415  # what is compiled takes a second to load
+    from sidelong.estimators.terrain.ground import Ground  # noqa: PLC0415  # compiled code takes a second to load
 
     spacing_m = 0.5 * posts.step_north_deg * _METRES_PER_DEG
     count = 2 * math.floor(min(reach_m / spacing_m, 0.5 * math.sqrt(_POSTS_MAX))) + 1
