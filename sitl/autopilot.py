@@ -37,10 +37,10 @@ class Autopilot(ABC):
     hears_once_a_loop: ClassVar[bool]  # or as soon as something comes
     home_known_s: ClassVar[float]  # after boot
     ready_s: ClassVar[float]  # after boot the vehicle can be armed
-    unknown_interval_result: ClassVar[int]  # of a message that there is not
+    unknown_interval_result: ClassVar[int]  # for an unknown message
     unknown_request_result: ClassVar[int]
-    arming_refusal: ClassVar[tuple[int, str]]  # result and text of an arming that comes too early
-    preflight_failure: ClassVar[str]  # until then, where the checks are asked for
+    arming_refusal: ClassVar[tuple[int, str]]  # result and text if armed too early
+    preflight_failure: ClassVar[str]  # until then, if the checks are requested
     quirks: ClassVar[ProtocolQuirks]
     default_interval_s: ClassVar[Mapping[int, float]]
     mission_types: ClassVar[tuple[int, ...]] = (
@@ -109,11 +109,11 @@ class Autopilot(ABC):
 
     @abstractmethod
     def mode_of_command(self, base_mode: int, main: int, sub: int) -> int | None:
-        """Return the custom mode that a DO_SET_MODE asks for, None if there is no such mode."""
+        """Return the custom mode that a DO_SET_MODE requests, None if there is no such mode."""
 
     @abstractmethod
     def navigate(self, dt_s: float) -> float:
-        """Fly the mode: set height_goal_m, return the lateral acceleration wanted."""
+        """Fly the mode: set height_goal_m, return the required lateral acceleration."""
 
     @abstractmethod
     def watch_links(self) -> None:
@@ -209,7 +209,7 @@ class Autopilot(ABC):
 
     @property
     def ground_silent_s(self) -> float:
-        """How long no ground station has been heard, by its clock; 0 while none ever was."""
+        """Time since the last message of a ground station, on the station's clock, s; 0 before the first."""
         return 0.0 if self.gcs_heard_s is None else (self.now_s - self.gcs_heard_s) / self.settings.link_rate
 
     def landing_height_m(self, spot: Place) -> float:
@@ -252,7 +252,7 @@ class Autopilot(ABC):
             self.radio.broadcast(mavlink.MAVLink_statustext_message(severity, chunk, number, sequence))
 
     def messages(self, message_id: int) -> list[Any]:
-        """Build the telemetry of an id; empty if there is none or nothing to tell now."""
+        """Build the messages of a telemetry id; empty if it is unknown or has no data now."""
         if message_id in self.silenced:
             return []
         builder = self._builders.get(message_id)

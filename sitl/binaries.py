@@ -1,4 +1,4 @@
-"""Somebody's own simulator programs, with a payload beside each and one target for all."""
+"""Run external simulator programs, each with its own payload, and one target for all."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def run_binaries(
     logs: Path | None,
     stopped: Callable[[], bool],
 ) -> None:
-    """Run the programs until ``stopped`` or all have ended; one that has ended by itself is told.
+    """Run the programs until ``stopped`` or all have ended; report each one that ends early.
 
     logs: where their folders are kept.
 

@@ -29,7 +29,7 @@ _CALM = Wind()
 
 
 class BinaryError(Exception):
-    """The binary cannot be run; the message says why."""
+    """The binary cannot be run; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ def run_of(
         where = f"{place.latitude_deg},{place.longitude_deg},{place.altitude_m},{_HEADING_DEG}"
         command = [str(binary), "--model", "plane", "--speedup", f"{speed:g}", "--home", where]
         command += ["-I", str(instance), "--sysid", str(instance + 1)]
-        # Where the binary still lies in its source tree, so do the parameters of its stock aircraft.
+        # A binary inside its source tree has the parameters of its stock aircraft there, too.
         defaults = binary.parents[min(3, len(binary.parents) - 1)] / "Tools/autotest/models/plane.parm"
         files = [str(defaults)] if defaults.exists() else []
         own = folder / "own.parm"
@@ -162,7 +162,7 @@ class Binary:
 
     @property
     def last_words(self) -> str:
-        """What it said before it ended."""
+        """The last output of the program."""
         text = self._log.read_text(errors="replace").strip()
         return f"it ended with code {self._process.returncode}: {text[-_LAST_WORDS:]}"
 

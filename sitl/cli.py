@@ -342,9 +342,9 @@ def _accompany(
 
 
 def _stop_signal(pace: Pace | None = None) -> Callable[[], bool]:
-    """Return what tells whether SIGINT or SIGTERM has come since now, or standard input has ended where it counts.
+    """Return a function that reports whether SIGINT or SIGTERM was received or, with pace, standard input closed.
 
-    There a program may tell, line by line, what time of the simulation it has come to.
+    With pace, a program writes the simulation time it has processed to standard input, line by line.
     """
     received: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):

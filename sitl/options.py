@@ -1,4 +1,4 @@
-"""What command-line options say, as values. A wrong one ends the program in one sentence that names it."""
+"""Convert command-line options to values. An invalid option ends the program with a sentence that names it."""
 
 from __future__ import annotations
 

@@ -9,11 +9,11 @@ _SILENT_MAX_S = 2.0
 
 
 class Pace:
-    """Told what time the program has come to, it lets the simulation be ahead by what a quick one needs to follow.
+    """Limits the simulation's lead over the controlling program, which reports the time it has processed.
 
-    The lead is what every question and answer between the two may take of the vehicle's time, whatever else the
-    machine does: it is kept to what a link takes, so that a simulation gets slower rather than its link worse. A
-    program that has told nothing yet, or nothing for two seconds of the wall clock, is not waited for.
+    The lead adds to the delay of each exchange between the two, in the vehicle's time. It is limited to the delay of
+    a real link, so a busy machine slows the simulation down instead of degrading its link. The simulation does not
+    wait for a program that has reported nothing yet, or nothing for two seconds of wall time.
     """
 
     def __init__(self, speed: float) -> None:
@@ -21,7 +21,7 @@ class Pace:
         self._told: tuple[float, float] | None = None
 
     def follow(self, time_s: float, now_s: float) -> None:
-        """Hear that the program has come to ``time_s`` of the simulation, at ``now_s`` of the wall clock."""
+        """Store that the program has processed ``time_s`` of the simulation at wall time ``now_s``."""
         self._told = time_s, now_s
 
     def limit_s(self, now_s: float) -> float:

@@ -172,8 +172,8 @@ def serve(
 ) -> None:
     """Fly until ``stopped`` or for duration_s, all vehicles on one clock.
 
-    Each sends to its stations and to whoever speaks to its socket. speed is simulated over wall time.
-    pace tells how far it may go. device_address: where the first vehicle's device listens.
+    Each sends to its stations and to every sender on its socket. speed: simulated time over wall time.
+    pace: limits the simulation time. device_address: where the first vehicle's device listens.
     """
     ports: dict[socket.socket, _Port] = {}
     devices: list[_DevicePort | _TcpDevicePort] = []

@@ -23,7 +23,7 @@ class RangeMessage(StrEnum):
 class GimbalFrame(StrEnum):
     EARTH = "earth"
     VEHICLE = "vehicle"
-    UNNAMED = "unnamed"  # relative to the vehicle, without a flag that says so: mounts of ArduPlane 4.3 and 4.4
+    UNNAMED = "unnamed"  # relative to the vehicle, but without the flag: mounts of ArduPlane 4.3 and 4.4
 
 
 Release = tuple[int, int]
@@ -40,7 +40,7 @@ class Home:
     altitude_m: float
 
 
-# Where the stock simulators of the two projects stand.
+# The default home positions of the stock simulators.
 DEFAULT_HOMES = {
     Flavour.ARDUPLANE: Home(-35.3632621, 149.1652370, 584.09),
     Flavour.PX4: Home(47.3977419, 8.5455938, 489.2),
@@ -63,15 +63,15 @@ class PayloadSettings:
 
 @dataclass(frozen=True, slots=True)
 class Quirks:
-    """How a device differs from its manual, and what its wires do.
+    """Deviations of a device from its manual, and its transmission errors.
 
     Attributes:
-        range_unit_m: what one count of its range stands for; None: as in the manual.
-        yaw_mirrored: whether it counts yaw in the other direction.
-        streams: whether it sends unasked what it was asked to stream.
-        reach_m: the laser's reach.
-        silent_beyond: whether it says nothing beyond its reach, instead of sending the value for no echo.
-        damaged: fraction of its frames of which a byte arrives changed.
+        range_unit_m: length of one count of its range, m; None: as in the manual.
+        yaw_mirrored: whether its yaw has the opposite sign.
+        streams: whether it streams data after a streaming request.
+        reach_m: the laser's maximum range.
+        silent_beyond: whether it sends nothing beyond its reach, instead of the value for no echo.
+        damaged: fraction of its frames that arrive with a changed byte.
 
     """
 
@@ -83,7 +83,7 @@ class Quirks:
     damaged: float = 0.0
 
 
-# Where several targets set off, by default: each within a laser's reach of vehicles that stand in a row.
+# Default start positions of several targets: each within laser range of vehicles in a row.
 STARTS_M = ((250.0, 300.0), (650.0, -300.0), (850.0, 300.0), (250.0, -300.0))
 
 
@@ -104,18 +104,18 @@ class TargetSettings:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """airspeed_m_s is the equivalent airspeed the autopilot holds, as its parameter says it.
+    """Settings of one vehicle. airspeed_m_s: equivalent airspeed that the autopilot holds, as in its parameter.
 
-    looks_at: which of the targets its payload sees to begin with; home_east_m: of its home from the first vehicle's.
+    looks_at: index of the target its payload sees at first; home_east_m: its home's offset from the first vehicle's.
     """
 
     flavour: Flavour = Flavour.ARDUPLANE
     release: Release | None = None  # of its firmware; None: the newest
     system_id: int = 1
     seed: int = 0
-    target_seed: int | None = None  # of the targets alone, where there are several vehicles; none: seed
+    target_seed: int | None = None  # of the targets alone, if there are several vehicles; None: seed
     airspeed_m_s: float = 15.0
-    endurance_s: float = 3.0 * 3600.0  # so long a battery lasts
+    endurance_s: float = 3.0 * 3600.0  # battery endurance
     wind: Wind = field(default_factory=Wind)
     home: Home | None = None
     home_east_m: float = 0.0
@@ -124,7 +124,7 @@ class Settings:
     payload: PayloadSettings | None = field(default_factory=PayloadSettings)
     device: str = ""  # protocol of a payload with a port of its own; "": it sends MAVLink
     quirks: Quirks = field(default_factory=Quirks)  # of the device
-    signing_key: bytes | None = field(default=None, repr=False)  # what is not signed with it is not heard
+    signing_key: bytes | None = field(default=None, repr=False)  # frames not signed with it are dropped
     link_rate: float = 1.0  # seconds of the vehicle in one of the stations'
     boot_unix_s: float = 1.7e9
     terrain: Path | None = None  # folder of .hgt tiles; flat without

@@ -1,4 +1,4 @@
-"""Several vehicles about the same targets: who stands where, each with its own sensors' noise."""
+"""Several vehicles with common targets: their home positions, and separate sensor noise for each."""
 
 from __future__ import annotations
 

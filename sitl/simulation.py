@@ -1,4 +1,4 @@
-"""The simulation: vehicle, target and payload on one clock that only moves when it is told to."""
+"""The simulation: vehicle, target and payload on one clock that advances only by :meth:`Simulation.advance`."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from sidelong.sitl.world.truth import TruthRow
 STEP_S = 0.02
 _OBSERVE_EVERY = round(PERIOD_S / STEP_S)
 _HEARTBEAT_EVERY = round(1.0 / STEP_S)
-_AIRFIELD_M = 500.0  # about home an aircraft takes off and lands, whatever the tiles say
+_AIRFIELD_M = 500.0  # the ground around home is flat for takeoff and landing, whatever the tiles contain
 _REBOOT_S = 2.0
-_SILENT_S = 60.0  # of the stations' clock: then one that came by itself is forgotten
+_SILENT_S = 60.0  # of the stations' clock: after this silence, a station that was not configured is removed
 _EXPIRE_EVERY = round(5.0 / STEP_S)
 _WALK_SPEED_M_S = 3.0
 _TRACK_SPEED_M_S = 6.0
@@ -38,7 +38,7 @@ _LEAN = 0.05  # of the aircraft's bank, by which a stabilised camera leans in a 
 class Simulation:
     """Datagrams in by :meth:`receive`, time by :meth:`advance`, datagrams out by :meth:`take`.
 
-    A station is any hashable address; :meth:`connect` makes one that is sent to before it has spoken.
+    A station is any hashable address; :meth:`connect` adds one that is sent to before it has sent anything.
     ``time_s`` runs from 0; the vehicle's own clock does too until a reboot.
     """
 
@@ -54,14 +54,14 @@ class Simulation:
         self.device: Device | None = None
         if settings.device:
             self.device = DEVICES[settings.device](settings.quirks, np.random.default_rng(settings.seed))
-        self.unplugged = False  # the device neither hears nor answers
+        self.unplugged = False  # the device neither receives nor answers
         self._seen: Seen | None = None
         latency_steps = 0 if settings.payload is None else round(settings.payload.latency_s / STEP_S)
         self._slants_m: deque[float] = deque(maxlen=latency_steps + 1)  # true ones: the laser's range is that old
         self._measured: Measurement | None = None
         self._streamed: list[bytes] = []
         self.muted: set[str] = set()  # payload messages withheld, by name
-        self.lost_s = math.inf  # from then on nothing is seen or heard of the vehicle
+        self.lost_s = math.inf  # from then on nothing is received from the vehicle
         self.on_truth: Callable[[TruthRow], None] = lambda _row: None
         self._latency_s = settings.payload.latency_s if settings.payload is not None else 0.0
         self._in_flight: deque[tuple[float, list[Any]]] = deque()
@@ -162,7 +162,7 @@ class Simulation:
         ground_m = self.hills.height_m(craft.east_m, craft.north_m)
         craft.ground_m = 0.0 if math.hypot(craft.east_m, craft.north_m) < _AIRFIELD_M else ground_m
         in_sight = self.hills.sees_target(aircraft_m, target_m)
-        # On the ground the payload is tried out on what is about; it tells something in any case.
+        # On the ground the payload measures nearby objects, so it always has data.
         sight = Sight.between(aircraft_m, target_m, in_sight or not craft.flying)
         valid = outlier = False
         self._measured = None
@@ -221,7 +221,7 @@ class Simulation:
 
 
 def target_motions(targets: Sequence[TargetSettings], seed: int, home_east_m: float) -> list[Motion]:
-    """Return the motions of targets, each drawn by itself, in the plane of a home so far east of the first one."""
+    """Return the targets' motions, drawn separately, in the plane of a home this far east of the first one."""
     shifted = (replace(one, start_m=(one.start_m[0] - home_east_m, one.start_m[1])) for one in targets)
     return [target_motion(one, (seed, number) if number else seed) for number, one in enumerate(shifted)]
 

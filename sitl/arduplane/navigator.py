@@ -10,7 +10,7 @@ from sidelong.sitl.protocol.parameters import Parameters
 from sidelong.sitl.world.airframe import Airframe, true_over_equivalent_airspeed
 from sidelong.sitl.world.place import Place
 
-_LINE_RADII = 3.0  # a circle further away than so many radii is approached along the leg to its centre
+_LINE_RADII = 3.0  # a circle further away than this many radii is approached along the leg to its centre
 _RIGHT_ANGLE_RAD = math.pi / 2
 
 

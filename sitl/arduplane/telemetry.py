@@ -1,4 +1,4 @@
-"""What ArduPlane tells of itself."""
+"""The telemetry of ArduPlane."""
 
 from __future__ import annotations
 

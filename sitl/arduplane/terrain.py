@@ -1,7 +1,7 @@
-"""ArduPlane's terrain database: it asks the ground program for heights, keeps them, and reports the ground below.
+"""ArduPlane's terrain database: it requests heights from the ground station, stores and reports the height below.
 
 Heights come in blocks of 8 x 7 squares, each of 4 x 4 posts 100 m apart. Here blocks overlap by one row of posts, so
-that any place lies between four posts of one block.
+that every position is between four posts of one block.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _METRES_PER_DEG = 111_318.84502145034  # ArduPilot's LATLON_TO_M, in degrees
 
 
 class TerrainDatabase:
-    """Heights above the sea about a place, as far as they have been told."""
+    """Terrain heights (AMSL) around a position, as far as they have been received."""
 
     def __init__(self, latitude_deg: float, longitude_deg: float) -> None:
         self._origin_deg = latitude_deg, longitude_deg

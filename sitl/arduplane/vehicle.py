@@ -99,7 +99,7 @@ class ArduPlane(Autopilot):
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
         }
         self.files = FileServer({"@PARAM/param.pck": self.parameters.packed}, FileErrors.FAILED, FileErrors.NOT_FOUND)
-        # One that has no heights asks for them; here only where there are hills to ask about.
+        # ArduPlane requests missing heights; here only if there is terrain.
         self.terrain = TerrainDatabase(home.latitude_deg, home.longitude_deg) if settings.terrain else None
         stores: tuple[Store, ...] = (self.mission, PointStore(False), PointStore(False))
         self.attach(stores, ArduPlaneTelemetry(self).builders())
@@ -354,7 +354,7 @@ class ArduPlane(Autopilot):
         else:
             east_m, north_m = self.plane.east_north_m(latitude_deg, longitude_deg)
         self.set_mode(Mode.GUIDED)
-        # The sign of the radius says nothing; param 4 turns the flight round. Without a usable radius the last stays.
+        # The sign of the radius is ignored; param 4 sets the direction. Without a valid radius the last one is kept.
         # Releases before 4.5 take NaN for counter-clockwise, those before 4.4 have no radius of its own.
         direction = command.number(4) if self.release >= (4, 5) else command.param(4)
         clockwise = direction == 0.0

@@ -30,21 +30,21 @@ _HEARTBEAT_S = 1.0
 _WAIT_S = 0.05
 _RETRY_S = 0.5
 _SCHEMES = ("tcpout", "udpin", "udpout")
-_ON_GROUND_M = 5.0  # so near to the height of home
-_STEP_BACK_S = 1.0  # a vehicle's clock that goes back further than this has been started anew
+_ON_GROUND_M = 5.0  # height above home below which the vehicle is on the ground
+_STEP_BACK_S = 1.0  # a vehicle whose clock steps back by more than this has rebooted
 
 
 class CompanionError(Exception):
-    """The vehicle cannot be reached; the message says why."""
+    """The vehicle cannot be reached; the message gives the reason."""
 
 
 class Companion:
     """Measures at each position the vehicle reports, stamped with that position's time.
 
-    Pure: give it the vehicle's messages, send what it returns. motion: of the target, in a plane with its origin at
-    the vehicle's home, from the first measurement on; nothing is measured before home is known, and the target goes
-    on from where it is when the vehicle reboots. vehicle_id None: of the first autopilot heard. Raises HillsError
-    the ground at home is not known.
+    Pure: pass it the vehicle's messages, send the messages it returns. motion: of the target, in a plane with its
+    origin at the vehicle's home, from the first measurement on. Nothing is measured before home is known; when the
+    vehicle reboots, the target continues from its position. vehicle_id None: the first autopilot received. Raises
+    HillsError if the ground at home is not known.
     """
 
     def __init__(
@@ -135,9 +135,9 @@ def accompany(
     """Join the vehicle at ``url`` as component 154 of its system until ``stopped``.
 
     url: tcpout://HOST:PORT, udpin://HOST:PORT or udpout://HOST:PORT. key: of the vehicle's signing, if it demands
-    that. straight_to: a UDP address that every frame is sent to as well. A vehicle that is not there yet, or goes, is
-    waited for: on_wait then hears once why, on_ready whenever it has been joined. Raises CompanionError for a URL
-    that can never be reached, and where several vehicles are heard and none is named.
+    that. straight_to: a UDP address that every frame is sent to as well. The function waits for a missing or lost
+    vehicle: on_wait then receives the reason once; on_ready is called after each connection. Raises CompanionError
+    for an unusable URL, and if several vehicles are received and none is selected.
     """
     scheme, _, address = url.partition("://")
     port = address.rpartition(":")[2]
@@ -164,7 +164,7 @@ def accompany(
             raise CompanionError(f"cannot reach {url}: {error.strerror or error}") from error
 
 
-class _TcpLink(mavutil.mavtcp):  # type: ignore[misc]  # pymavlink tells no types
+class _TcpLink(mavutil.mavtcp):  # type: ignore[misc]  # pymavlink has no types
     """pymavlink's, but an end of the connection is an error instead of a line on the console."""
 
     def handle_eof(self) -> None:
@@ -215,7 +215,7 @@ def _send(link: Any, message: Any) -> None:
 
 
 def _send_straight(udp: socket.socket, address: tuple[str, int], message: Any) -> None:
-    with suppress(ConnectionError):  # nobody listens there yet, or any more
+    with suppress(ConnectionError):  # there is no receiver yet, or no longer
         udp.sendto(message.get_msgbuf(), address)
 
 
@@ -226,7 +226,7 @@ def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
     while not stopped():
         message = link.recv_match(type="HEARTBEAT", blocking=True, timeout=_WAIT_S)
         now_s = time.monotonic()
-        if now_s >= heartbeat_s:  # a vehicle met by udpout answers whom it has heard
+        if now_s >= heartbeat_s:  # over udpout a vehicle answers only known senders
             heartbeat_s = now_s + _HEARTBEAT_S
             _send(link, Payload.heartbeat())
         if message is not None and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
@@ -241,7 +241,7 @@ def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
 
 
 def _ask(companion: Companion, link: Any) -> None:
-    """Ask for positions and attitudes as often as the payload measures, and for home until it is known."""
+    """Request positions and attitudes at the payload's rate, and home until it is known."""
     vehicle_id = companion.vehicle_id
     for message_id in (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_ATTITUDE):
         link.mav.command_long_send(

@@ -19,7 +19,7 @@ _LOCKED = 4 | 8 | 32  # roll and pitch to the horizon, yaw relative to the aircr
 
 
 class SimulatedGremsy:
-    """Streams what was asked for, by the index of a parameter or the number of a message."""
+    """Streams the requested data, by the index of a parameter or the number of a message."""
 
     def __init__(self, quirks: Quirks, rng: np.random.Generator) -> None:
         self.quirks = quirks

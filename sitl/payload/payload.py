@@ -34,7 +34,7 @@ _FLAGS = {
 class Sight:
     """The true line from the laser to the target: bearing and elevation (negative looks down).
 
-    clear: no hill stands in between.
+    clear: no hill is in between.
     """
 
     slant_range_m: float
@@ -76,7 +76,7 @@ class Measurement:
 
 
 class Payload:
-    """Measures at the times it is asked. Each kind of noise has its own random stream."""
+    """Measures at the requested times. Each kind of noise has its own random stream."""
 
     def __init__(self, settings: PayloadSettings, seed: np.random.SeedSequence) -> None:
         self._settings = settings

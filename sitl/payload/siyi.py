@@ -18,7 +18,7 @@ _RANGE_MIN_M = 5.0
 
 
 class SimulatedSiyi:
-    """Answers requests, and streams what it was asked to."""
+    """Answers requests, and streams the requested data."""
 
     def __init__(self, quirks: Quirks, rng: np.random.Generator) -> None:
         self.quirks = quirks

@@ -17,7 +17,7 @@ _SENDS_ANGLES_S = 3.0  # after a request
 
 
 class SimulatedTopotek:
-    """Sends angles for some seconds after it was asked, and ranges while it is ranging."""
+    """Sends angles for some seconds after a request, and ranges while it is ranging."""
 
     def __init__(self, quirks: Quirks, rng: np.random.Generator) -> None:
         self.quirks = quirks

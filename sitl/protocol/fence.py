@@ -1,4 +1,4 @@
-"""Geofence and rally points: kept and given back, swapped as a whole; nothing acts on them."""
+"""Geofence and rally points: stored and returned, replaced as a whole; they have no effect on the flight."""
 
 from __future__ import annotations
 

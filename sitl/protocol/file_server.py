@@ -1,4 +1,4 @@
-"""MAVLink's file transfer (FTP), as far as ground stations ask for it: lists and reads; nothing is ever written."""
+"""MAVLink FTP, as far as ground stations use it: listing and reading, no writing."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ class _Request:
 class FileServer:
     """Answers the payloads of FILE_TRANSFER_PROTOCOL. files: by their whole paths, made when they are opened.
 
-    One file is open at a time, and stays as it was when it was opened. unknown, not_open: how the autopilot refuses
-    what it does not know, and to read what is not open.
+    One file is open at a time; its content does not change while it is open. unknown, not_open: the autopilot's
+    refusals of an unknown request, and of reading a file that is not open.
     """
 
     def __init__(

@@ -14,7 +14,7 @@ RELATIVE_FRAMES = (mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, mavlink.MAV_FRAME_GLOB
 
 
 class ItemRefused(Exception):
-    """An item the vehicle does not take; ``result`` is the MAV_MISSION_RESULT that says so."""
+    """An item that the vehicle rejects; ``result`` is the MAV_MISSION_RESULT of the rejection."""
 
     def __init__(self, result: int) -> None:
         super().__init__(f"MAV_MISSION_RESULT {result}")

@@ -1,4 +1,4 @@
-"""A bad radio link: it loses, delays, doubles and reorders datagrams, and carries only so many bytes a second."""
+"""A bad radio link: it drops, delays, duplicates and reorders datagrams, and has a limited data rate."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _BITS_PER_BYTE = 10  # with start and stop bit
 @dataclass(frozen=True, slots=True)
 class LinkFaults:
     loss: float = 0.0  # fraction, each direction
-    duplicate: float = 0.0  # fraction of what is not lost
+    duplicate: float = 0.0  # fraction of the datagrams that are not lost
     delay_s: float = 0.0  # of the stations' clock, each direction
-    jitter_s: float = 0.0  # more than that at most, drawn anew each time: datagrams overtake each other
+    jitter_s: float = 0.0  # maximum additional delay, drawn for each datagram: datagrams overtake each other
     baud: float = float("inf")  # of a serial line, each direction
 
 

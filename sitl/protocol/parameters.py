@@ -89,7 +89,7 @@ class Parameters:
                 value = self._decode(message.param_value, message.param_type)
                 if math.isfinite(value):
                     self.set(name, value)
-                if math.isfinite(value) or self._bytewise:  # PX4 tells the value that it keeps
+                if math.isfinite(value) or self._bytewise:  # PX4 sends the value it has stored
                     radio.broadcast(self._value_message(name, self._index(name)))
 
     def _refuse(self, station: Station, message: Any, radio: Radio, index: int, error: int) -> None:

@@ -18,7 +18,7 @@ Datagram = tuple[Hashable, bytes]
 
 
 class Station:
-    """Someone who listens: a ground station, a companion, a payload of its own."""
+    """A MAVLink station: a ground station, a companion computer or a separate payload."""
 
     __slots__ = (
         "_next_due_s",
@@ -33,7 +33,7 @@ class Station:
 
     def __init__(self, address: Hashable, interval_s: Mapping[int, float], now_s: float) -> None:
         self.address = address
-        self.expected = False  # was named beforehand: is sent to for ever, heard or not
+        self.expected = False  # configured: it is sent to indefinitely, even if it never sends
         self.sequence: dict[int, int] = {}
         self.heard_s: float | None = None
         self.parser = SignedParser(None)
@@ -104,7 +104,7 @@ class Radio:
             station.expected, station.parser = before.expected, before.parser
 
     def drop_silent(self, since_s: float) -> None:
-        """Forget the stations that came by themselves and have not been heard since."""
+        """Remove the stations that were not configured and have sent nothing since ``since_s``."""
         for address, station in list(self.stations.items()):
             if not station.expected and station.heard_s is not None and station.heard_s < since_s:
                 self.signing.detach(station.parser)
@@ -121,7 +121,7 @@ class Radio:
             self._address(station, frame, message.crc_extra, component)
 
     def forward(self, message: Any, origin: Station) -> None:
-        """Pass another system's or component's frame on, unchanged, to everyone who has been heard."""
+        """Forward a frame of another system or component, unchanged, to every station that has sent something."""
         frame = bytes(message.get_msgbuf())
         for station in self.stations.values():
             if station is not origin and station.heard_s is not None:

@@ -1,4 +1,4 @@
-"""MAVLink signing as a vehicle does it: what is unsigned is not heard, but for a few messages that order nothing.
+"""MAVLink signing as on a vehicle: unsigned messages are dropped, except for a few that command nothing.
 
 The checking is pymavlink's. One key and one set of stream times for all links; each link has an id of its own.
 """
@@ -19,7 +19,7 @@ _FLAGS_BYTE = 2
 
 
 class KeyFileError(Exception):
-    """The file holds no key; the text says why."""
+    """The file holds no key; the message gives the reason."""
 
 
 def read_key(path: Path) -> bytes:
@@ -40,7 +40,7 @@ def signing_time(unix_s: float) -> int:
     return int((unix_s - _EPOCH_UNIX_S) * _UNITS_PER_S)
 
 
-class SignedParser(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink tells no types
+class SignedParser(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no types
     """pymavlink's parser, but a frame with a false signature does not move its stream's time."""
 
     def check_signature(self, frame: bytearray, system_id: int, component_id: int) -> bool:
@@ -62,7 +62,7 @@ class _Buffer:
 
 
 class Signing:
-    """A vehicle's key, or none: then all is heard. unsigned: message ids that are heard without a signature."""
+    """A vehicle's key; without one, all is accepted. unsigned: message ids that are accepted without a signature."""
 
     def __init__(self, key: bytes | None, unsigned: frozenset[int]) -> None:
         self._key, self._unsigned = key, unsigned
@@ -81,7 +81,7 @@ class Signing:
             self._apply(parser)
 
     def attach(self, parser: Any) -> None:
-        """Make a link's parser refuse what is not signed."""
+        """Make a link's parser refuse unsigned frames."""
         link_id = next(number for number in range(256) if number not in self._parsers or number == 255)
         parser.signing.link_id = link_id
         self._parsers[link_id] = parser

@@ -16,7 +16,7 @@ from sidelong.sitl.world.geodesy import HomePlane
 NAN = math.nan
 _IMU_WITHOUT_MAGNETOMETER = 0x1A3F  # accelerations, rates, pressure, its altitude, temperature
 
-Builder = Callable[[], Any]  # a message, a list of messages, or None when there is nothing to tell
+Builder = Callable[[], Any]  # a message, a list of messages, or None if there is no data
 
 
 def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[float, float, float, float]:
@@ -74,7 +74,7 @@ class Reported(Protocol):
 
 
 class Telemetry:
-    """Makes messages; ``builders`` tells which, by message id."""
+    """Builds messages; ``builders`` maps message ids to functions."""
 
     gps_fix: ClassVar[int]
     gps_dilution: ClassVar[tuple[int, int]]  # horizontal, vertical, times 100
@@ -256,7 +256,7 @@ class Telemetry:
         ]
 
     def _highres_imu(self) -> Any:
-        """Tell the specific force of a coordinated turn; there is no magnetometer, as ``fields_updated`` says."""
+        """Return the specific force of a coordinated turn; there is no magnetometer, as ``fields_updated`` shows."""
         craft = self._craft
         pressure_hpa, temperature_c = self._air()
         return mavlink.MAVLink_highres_imu_message(

@@ -1,8 +1,8 @@
-"""The mission protocol, as the vehicle's side of it: upload, download, clear, set current.
+"""The vehicle's side of the mission protocol: upload, download, clear, set current.
 
-One upload at a time for each mission type. The vehicle asks for one item after the other and asks again when
-nothing comes; an upload without a word from its sender is given up. What a vehicle does with the items (keep each
-as it arrives, or swap the whole list at the end) is its :class:`Store`'s business.
+One upload at a time for each mission type. The vehicle requests one item after the other and repeats unanswered
+requests; it cancels an upload whose sender is silent. The vehicle's :class:`Store` decides whether each item is
+stored on arrival or the whole list is replaced at the end.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ class ProtocolQuirks:
     timeout_s: float
     max_items: int
     partial_writes: bool
-    reads_in_order: bool  # a list is read from its first item on until it is acknowledged, and meanwhile it is busy
+    reads_in_order: bool  # a list is read from its first item on; the vehicle is busy until the ack
     busy_result: int  # the answer to anyone else while an upload runs
-    restarts: bool  # a new count from the sender starts over at any time, or only while item 0 is awaited
+    restarts: bool  # a new count restarts the upload at any time, or only before item 0 arrives
     wrong_sequence_result: int | None  # None: the item is ignored
     repeats_final_ack: bool  # a second copy of the item that came last is acknowledged, also where not all have come
     timeout_result: int | None
@@ -87,7 +87,7 @@ class _Download:
 
 
 class Transfer:
-    """Serves one mission type. beside: those of the same vehicle, this one too: read in order, it is busy in all."""
+    """Serves one mission type. beside: all transfers of the vehicle, this one included; in-order reads block all."""
 
     def __init__(
         self,
@@ -108,10 +108,10 @@ class Transfer:
         self._tell, self._beside = tell, beside
         self._upload: _Upload | None = None
         self._latest: tuple[tuple[int, int], int, int | None] | None = None  # sender, index and checksum
-        self._downloads: dict[Station, _Download] = {}  # of those who read in order
+        self._downloads: dict[Station, _Download] = {}  # the in-order downloads
 
     def is_busy_with(self, station: Station) -> bool:
-        """Tell whether it heeds nothing but the list that this station reads or writes."""
+        """Return whether it serves only the list that this station reads or writes."""
         return self._quirks.reads_in_order and (self._is_written_by(station) or self._read_by(station) is not None)
 
     def _is_written_by(self, station: Station) -> bool:
@@ -303,7 +303,7 @@ class Transfer:
         self._send_count(station, sender, now_s)
 
     def _on_clear(self, station: Station, sender: tuple[int, int]) -> None:
-        if self.is_busy_with(station):  # told in words only
+        if self.is_busy_with(station):  # reported as a status text only
             self._tell(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN CLEAR CMD: Busy\t")
         elif self._may_start(station, sender):
             self._acknowledge(station, sender, self.store.clear())

@@ -1,6 +1,6 @@
-"""PX4's mission: kept whole, swapped whole when an upload completes, and checked for feasibility afterwards.
+"""PX4's mission: stored as a whole, replaced when an upload completes, and checked for feasibility afterwards.
 
-An acknowledgement says only that the items have arrived. An upload equal to what is there changes nothing.
+An acknowledgement only confirms that the items have arrived. An upload equal to the stored mission changes nothing.
 """
 
 from __future__ import annotations

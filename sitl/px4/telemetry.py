@@ -1,4 +1,4 @@
-"""What PX4 tells of itself."""
+"""The telemetry of PX4."""
 
 from __future__ import annotations
 

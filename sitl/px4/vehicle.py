@@ -39,7 +39,7 @@ QUIRKS = ProtocolQuirks(
     timeout_severity=mavlink.MAV_SEVERITY_CRITICAL,
     timeout_text="Operation timeout\t",
 )
-_RECHECK_S = 0.8  # an infeasible mission keeps its successor from starting for so long
+_RECHECK_S = 0.8  # delay before a mission starts after an infeasible one
 _REACHED_REPEATS = 10
 _CLIMB_OVER_M = 10.0  # a takeoff is flown above its height
 _SIGNED_RADIUS_PARAM = {
@@ -118,7 +118,7 @@ class Px4(Autopilot):
         if mode not in list(Mode):
             return False
         if mode == Mode.MISSION and not self._mission_valid:
-            # The change is acknowledged all the same; only what is flown tells.
+            # The change is acknowledged all the same; only the flight shows the failure.
             self.say(mavlink.MAV_SEVERITY_CRITICAL, "No valid mission available, loitering\t")
             mode = Mode.HOLD
         if mode == self.mode:
@@ -283,7 +283,7 @@ class Px4(Autopilot):
 
     @property
     def _take_off_and_landing(self) -> int:
-        """What a mission has to have, as MIS_TKO_LAND_REQ counts it; releases before 1.14 ask for nothing."""
+        """Required mission items, as a value of MIS_TKO_LAND_REQ; releases before 1.14 require none."""
         return int(self.parameters["MIS_TKO_LAND_REQ"]) if "MIS_TKO_LAND_REQ" in self.parameters else 0
 
     def _check_mission(self, was_rejected: bool) -> None:

@@ -9,7 +9,7 @@ GRAVITY_M_S2 = 9.80665
 
 
 def true_over_equivalent_airspeed(altitude_m: float) -> float:
-    """Return the factor by which air is passed faster than its pressure tells, in the standard troposphere."""
+    """Return the ratio of true to equivalent airspeed in the standard troposphere."""
     return float((1.0 - 2.25577e-5 * altitude_m) ** -2.128)
 
 

@@ -17,7 +17,7 @@ _EYE_M = 1.0  # of the target over its ground: what is to be seen of it
 
 
 class HillsError(Exception):
-    """There is no ground to be had; the message says why."""
+    """There is no elevation data; the message gives the reason."""
 
 
 class Hills:
@@ -58,7 +58,7 @@ class Hills:
         return aircraft_m[2] - self.height_m(*aircraft_m[:2]), in_sight
 
     def see(self, one_m: tuple[float, float, float], other_m: tuple[float, float, float]) -> bool:
-        """Tell whether no hill stands between two points (east, north, height)."""
+        """Return whether no hill is between two points (east, north, height)."""
         if self._folder is None:
             return True
         distance_m = math.hypot(other_m[0] - one_m[0], other_m[1] - one_m[1])

@@ -16,7 +16,7 @@ _WALK_CHANCES = (0.12, 0.15, 0.15, 0.10, 0.15, 0.15, 0.12, 0.06)
 
 
 class Motion(Protocol):
-    """Where the target is (east, north); asked with times that never fall."""
+    """The position of the target (east, north); called with times that never decrease."""
 
     def at(self, time_s: float) -> tuple[float, float]: ...
 

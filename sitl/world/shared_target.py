@@ -8,15 +8,15 @@ import time
 from sidelong.sitl.world.motion import Motion
 
 _SILENT_S = 1.0  # of this computer's clock: then another vehicle's clock leads
-_FAR_S = 2.0  # a vehicle's clock that is so far off is set anew
-_SHARE = 0.02  # of what it is off less, each time: positions come unevenly
+_FAR_S = 2.0  # a vehicle's clock offset is reset at this error
+_SHARE = 0.02  # share of the error corrected each time, as positions arrive at irregular intervals
 
 
 class SharedTarget:
-    """A target that moves by the clock of the first vehicle that is heard. Any thread may ask.
+    """A target that moves by the clock of the first vehicle received. Thread-safe.
 
-    The others' clocks are compared with that one's as their positions come, and go after it where one of the
-    simulators falls behind. Where the leading one ends, another leads on.
+    The others' clocks are compared with that clock as their positions arrive, and follow it if a simulator falls
+    behind. If the leading vehicle ends, another vehicle leads.
     """
 
     def __init__(self, motion: Motion) -> None:
@@ -26,7 +26,7 @@ class SharedTarget:
         self._led_s = 0.0
 
     def seen_from(self, home_east_m: float) -> Motion:
-        """Return its motion in the plane of a home so far east of the first one, by the clock of who asks."""
+        """Return its motion in the plane of a home this far east of the first one, by the caller's clock."""
         return _Seen(self, home_east_m)
 
     def at(self, seen: _Seen, time_s: float) -> tuple[float, float]:

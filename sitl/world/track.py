@@ -31,7 +31,7 @@ _COLUMNS = (
 
 
 class TrackError(ValueError):
-    """The file cannot be used as a track; the message names it and says why."""
+    """The file cannot be used as a track; the message names it and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +204,7 @@ def _delimiter(header: str) -> str:
 
 
 def _point(cells: list[str]) -> _Point | None:
-    """Return a row's time and place, None where a cell is empty. Raises ValueError for one that is no number."""
+    """Return a row's time and position, None if a cell is empty. Raises ValueError if a cell is not a number."""
     if len(cells) < 3 or not all(cell.strip() for cell in cells):
         return None
     return _seconds(cells[0]), float(cells[1]), float(cells[2])

@@ -51,7 +51,7 @@ class TruthRow:
 class TruthFile:
     """Writes rows to a file, flushed at least once a simulated second.
 
-    A file that cannot be written ends the writing, not the flight: on_trouble hears of it once.
+    A write error ends the writing, not the flight; on_trouble receives it once.
     """
 
     def __init__(self, file: TextIO, on_trouble: Callable[[str], object] = lambda _text: None) -> None:

@@ -1,4 +1,4 @@
-// The alarms: a banner each, the page's title, a sound that can be muted, vibration. They stay until their cause is gone.
+// The alarms: one banner each, the page's title, a sound that can be muted, vibration. They stay while their cause lasts.
 
 const SOUND_EVERY_MS = 4000;
 const TITLE = document.title;
@@ -20,7 +20,7 @@ export class AlarmList {
     this.sounding = null;
     this.soundedAt = 0;
     mute.addEventListener("click", () => this.toggle());
-    // A browser lets a page make sounds only after a person has touched it.
+    // A browser allows a page to play sounds only after a user interaction.
     for (const kind of ["pointerdown", "keydown"]) document.addEventListener(kind, () => this.wake(), { once: true });
     setInterval(() => this.sound(), 500);
     this.label();
@@ -57,7 +57,7 @@ export class AlarmList {
     return `${alarm.aircraft} ${alarm.key}`;
   }
 
-  // A banner is changed in place: one that is made anew is read out again, and moves from under the finger.
+  // A banner is changed in place: screen readers repeat a new banner, and it moves away from the finger.
   line(alarm) {
     let line = [...this.list.children].find((one) => one.dataset.key === this.key(alarm));
     if (!line) {

@@ -109,7 +109,7 @@ export class FlightMap {
     this.targetTrail.splice(0, this.targetTrail.length - TRAIL_KEPT);
   }
 
-  // -- where to look ---------------------------------------------------------------------------------------
+  // -- view ------------------------------------------------------------------------------------------------
 
   follow() {
     this.view = null;
@@ -208,7 +208,7 @@ export class FlightMap {
     this.draw();
   }
 
-  // The place under the cursor, in degrees where they are known, and what is measured.
+  // The position under the cursor, in degrees if known, and the measured distance.
   point(event) {
     const [east, north] = this.metres(event);
     const { origin } = this.setting;
@@ -288,7 +288,7 @@ export class FlightMap {
     }
   }
 
-  // Name and height beside an aircraft, on the side where there is room.
+  // Name and height next to an aircraft, on the side where there is room.
   nameOf(one, name, x, y) {
     const words = svg("text", { class: "label", x: x(one.at_m[0]) + 12, y: y(one.at_m[1]) + 4 }, this.others);
     words.textContent = one.height_m === null ? name : `${name}, ${Math.round(one.height_m)} m`;
@@ -349,7 +349,7 @@ export class FlightMap {
     this.fences.replaceChildren(...outlines("keep-in"), ...outlines("keep-out"));
   }
 
-  // What lies under the flight. Tiles are those of the zoom whose pixels are about as large as the screen's.
+  // The background map. The tiles' zoom level is the one whose pixels are about as large as the screen's.
   drawUnder(width, height, { east, north, scale }) {
     const { origin, map, shade_m: shade } = this.setting;
     const wanted = new Map(); // url -> west, north, east, south, m
@@ -417,7 +417,7 @@ export class FlightMap {
     this.scales.replaceChildren(...words);
   }
 
-  // A bar of a round length, and which way north is.
+  // The scale bar, of a round length, and the north arrow.
   drawScale(width, height, scale, words, word) {
     const rough = SCALE_PX / scale;
     const power = 10 ** Math.floor(Math.log10(rough));

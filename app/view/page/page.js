@@ -27,14 +27,14 @@ let heardAt = performance.now();
 let over = false;
 let drawn = true;
 let answered = 0;
-let pending = null; // the request that waits for an answer: {text, since}
+let pending = null; // the unanswered request: {text, since}
 
 function clock(timeS) {
   const since = Math.max(0, timeS - startS);
   return `${Math.floor(since / 60)}:${String(Math.floor(since % 60)).padStart(2, "0")}`;
 }
 
-// -- what the flight tells -----------------------------------------------------------------------------------
+// -- data from the flight ------------------------------------------------------------------------------------
 
 function hear(told) {
   heardAt = performance.now();
@@ -77,7 +77,7 @@ function set(setting) {
   }
 }
 
-// The button by which another aircraft takes the place of this one.
+// The button that lets another aircraft replace this one.
 function relief(name) {
   if (document.querySelector(`[data-name="${name}"]`)) return;
   const button = document.createElement("button");
@@ -97,7 +97,7 @@ function say(timeS, kind, text) {
   while (byId("log").childElementCount > LOG_KEPT) byId("log").lastChild.remove();
 }
 
-// What became of the operator's last request. A new request replaces the answer to an older one at once.
+// The result of the operator's last request. A new request replaces the answer to an older one at once.
 function answer(text) {
   pending = null;
   const look = /refused|not passed on/.test(text) ? "refused" : "accepted";
@@ -126,7 +126,7 @@ function showPending() {
   else showAnswer(`${pending.text}: pending${seconds > 1 ? `, ${seconds} s` : ""}`, "pending");
 }
 
-// -- showing it ----------------------------------------------------------------------------------------------
+// -- display -------------------------------------------------------------------------------------------------
 
 function chip(id, text, look) {
   const element = byId(id);
@@ -137,12 +137,12 @@ function chip(id, text, look) {
 
 const known = (value, text) => (value === null || value === undefined ? "–" : text(value));
 
-// What stands has no course that means anything.
+// The course of a stationary target is meaningless.
 const moves = (target) => target && Math.hypot(...target.velocity_m_s) >= 0.2;
 
 const share = (value) => known(value, (v) => `${Math.round(100 * v)} %`);
 
-// [name, text, look] of what an operator reads first.
+// [name, text, style] of the most important readings.
 function keyTiles() {
   const { target, vehicle } = state;
   const look = (good) => (good === false ? "bad" : "");
@@ -156,7 +156,7 @@ function keyTiles() {
   ];
 }
 
-// When 120 % of the energy for the flight home are left.
+// Time until 120 % of the energy for the flight home is left.
 function leaves(vehicle) {
   if (!vehicle || vehicle.endurance_s === null || vehicle.home_s === null) return "–";
   const left = vehicle.endurance_s - 1.2 * vehicle.home_s;
@@ -178,14 +178,14 @@ function tiles() {
       ["voltage", known(vehicle.battery_v, (v) => `${v.toFixed(1)}\u00a0V`), ""],
       ["GPS", known(vehicle.gps, (v) => v), vehicle.gps_good === false ? "bad" : ""],
       ["link", known(vehicle.link_percent, (v) => `${v} %${delay(vehicle.round_trip_s)}`), vehicle.link_percent < 80 ? "warn" : ""],
-    ] : []), // a recording does not tell
+    ] : []), // not known in a replay
   ];
 }
 
-// A number stays beside its unit.
+// No line break between a number and its unit.
 const delay = (seconds) => (seconds === null ? "" : `, ${Math.round(seconds * 1000)}\u00a0ms`);
 
-// The same for engineers.
+// Further readings for engineers.
 function innerTiles() {
   return [
     ["plan changes", state.moves, ""],
@@ -239,10 +239,10 @@ function places() {
   }
 }
 
-// The aircraft and the target by their names, where they are of several.
+// The names of the aircraft and the target, if there are several.
 const called = (what) => (what === "aircraft" ? map.setting.fleet?.[0] : state.target?.name) || what;
 
-// What the mission's end means and how to go on.
+// The result of the end of the mission, and how to continue.
 function ended() {
   const line = byId("over");
   const next = {
@@ -312,7 +312,7 @@ function asked(question) {
   });
 }
 
-// What was changed in the form, by name; null where it was left.
+// The changed fields of the form, by name; null if unchanged.
 function changed() {
   const dialog = byId("change");
   const form = dialog.querySelector("form");
@@ -378,5 +378,5 @@ buttons();
 const stream = new EventSource("events");
 stream.onmessage = (event) => hear(JSON.parse(event.data));
 stream.onerror = () => {
-  if (over) stream.close(); // nobody is there to come back
+  if (over) stream.close(); // the server has ended: do not reconnect
 };

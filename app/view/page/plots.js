@@ -93,7 +93,7 @@ class Plot {
     this.latest.textContent = now.map((v) => (v === null || v === undefined ? "–" : v.toFixed(kind.digits))).join("  ");
   }
 
-  // One polyline for each unbroken stretch: gaps where nothing is known, and where an angle wraps around.
+  // One polyline for each unbroken stretch: gaps where values are missing, and where an angle wraps around.
   strokes(samples, line, x, y) {
     const stretches = [[]];
     let last = null;

@@ -1,4 +1,4 @@
-// The replay's bar: play, pause, seek, speed, and from decision to decision. Nothing of it commands a flight.
+// The replay's bar: play, pause, seek, speed, and from decision to decision. None of the buttons commands a flight.
 
 const SPEEDS = [0.5, 1, 2, 5, 10, 20, 50, 100];
 
@@ -13,7 +13,7 @@ export class ReplayBar {
     this.root = root;
     this.press = press;
     this.playing = true;
-    this.held = false; // the slider, by a hand
+    this.held = false; // whether the user holds the slider
     const find = (selector) => root.querySelector(selector);
     [this.play, this.seek, this.at, this.speed, this.decided] = ["#play", "#seek", "#at", "#speed", "#decided"].map(find);
     this.play.addEventListener("click", () => this.toggle());
@@ -41,7 +41,7 @@ export class ReplayBar {
     event.preventDefault();
   }
 
-  // What is known of the whole flight; startS: since when times are counted.
+  // The data of the whole flight; startS: origin of the displayed times.
   set({ begin_s: begin, end_s: end, decided_s: decided }, startS) {
     this.root.hidden = false;
     this.startS = startS;

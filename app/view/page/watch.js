@@ -1,4 +1,4 @@
-// What matters first: whether the target is within the range band and watched from the required side.
+// The main indicator: whether the target is within the range band and the aircraft on the required side.
 
 const degrees = (radians) => Math.round((radians * 180) / Math.PI);
 
