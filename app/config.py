@@ -64,7 +64,7 @@ def _known_side(words: str) -> str:
 
 
 class AircraftSection(Section):
-    """The aircraft as it is flown for this mission."""
+    """The aircraft and its limits for this mission."""
 
     airspeed_m_s: float = Field(15.0, gt=3, le=80)
     """Airspeed while circling, m/s."""

@@ -148,7 +148,7 @@ class ControlLoop:
                 helper.cancel()
             self._vehicle.listeners.remove(self.received)
 
-    # -- what the core says --------------------------------------------------------------------------------
+    # -- outputs of the core -------------------------------------------------------------------------------
 
     def _handle(self, output: Output) -> None:
         if isinstance(output, DERIVED):

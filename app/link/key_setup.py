@@ -90,7 +90,7 @@ class KeySetup:
         if not self._told(setup, system_id, signed=True, proves=lambda frame: not frame.signed):
             raise FlightError(f"{self._url}: the vehicle still signs; is this the key that it was given?")
 
-    # -- how -----------------------------------------------------------------------------------------------
+    # -- steps ---------------------------------------------------------------------------------------------
 
     def _checked(self, timeout_s: float) -> int:
         """Return the vehicle's system id; refuse one that is armed or behind a radio."""

@@ -18,7 +18,7 @@ from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.app.link.vehicle import Vehicle
 
-_ANSWER_S = 0.8  # since the last answer; then those that are missing are asked for again
+_ANSWER_S = 0.8  # timeout since the last answer, after which missing parameters are requested again
 _IDLE_S, _IDLE_ROUNDS = 1.6, 2  # timeout, and number of timeouts, before a parameter is treated as absent
 _REAL32 = 9  # MAV_PARAM_TYPE
 
@@ -62,7 +62,7 @@ async def read_parameters(vehicle: Vehicle, names: Iterable[str]) -> dict[str, f
             idle_s, idle_rounds = (idle_s + answer_s, idle_rounds + 1) if len(values) == before else (0.0, 0)
             if idle_s >= _IDLE_S and idle_rounds >= _IDLE_ROUNDS:
                 break
-    # Some of PX4's whole numbers look like no number on the way; the slow way reads them.
+    # Some of PX4's integers are NaN in the float field; they are read one by one through MAVSDK.
     found = {name: await vehicle.link.parameter(name) if value is None else value for name, value in values.items()}
     return {name: found[name] for name in wanted if found.get(name) is not None}  # type: ignore[misc]  # none is None
 

@@ -1,7 +1,7 @@
-"""Our own transports under MAVSDK's raw connection: for links that are signed, and for several links to one vehicle.
+"""Sidelong's transports under MAVSDK's raw connection: for signed links, and for several links to one vehicle.
 
-Threads: each transport's receives, one of MAVSDK's sends, and one here asks each link for its delay. One lock keeps
-what they share; no call into MAVSDK is made while it is held, nor any that waits.
+Threads: each transport's thread receives, a MAVSDK thread sends, and one thread here measures the delay of each link.
+One lock protects their shared data; no MAVSDK call and no blocking call is made while it is held.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""ArduPlane's terrain database: it requests heights from the ground station, stores and reports the height below.
+"""ArduPlane's terrain database: requests heights from the ground station, stores them, and reports the height below.
 
 Heights come in blocks of 8 x 7 squares, each of 4 x 4 posts 100 m apart. Here blocks overlap by one row of posts, so
 that every position is between four posts of one block.

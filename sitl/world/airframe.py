@@ -76,7 +76,7 @@ class Airframe:
 
     @property
     def course_rad(self) -> float:
-        """The direction of motion over the ground; the nose while it stands still."""
+        """The direction of motion over the ground; the heading of the nose at zero ground speed."""
         if self.velocity_east_m_s == 0.0 and self.velocity_north_m_s == 0.0:
             return self.heading_rad
         return math.atan2(self.velocity_east_m_s, self.velocity_north_m_s)
