@@ -1,4 +1,4 @@
-// The alarms: one banner each, the page's title, a sound that can be muted, vibration. They last as long as their cause.
+// The alarms: one banner each, the page title, a sound that can be muted, vibration. Each lasts as long as its cause.
 
 const SOUND_EVERY_MS = 4000;
 const TITLE = document.title;
