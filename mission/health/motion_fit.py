@@ -37,7 +37,7 @@ WINDOW_S = 12.0
 """How far back a verdict looks, at two samples a second."""
 _SAMPLES, _SAMPLES_MIN, _SPAN_MIN_S = 24, 12, 6.0
 _TURNED_MIN_RAD = 0.8
-_WRONG_M, _BETTER_SHARE, _AS_GOOD_SHARE = 8.0, 0.3, 0.7
+_WRONG_M, _BETTER_SHARE, _AS_GOOD_SHARE = 8.0, 0.5, 0.7
 _OWN_SHARE = 0.3
 _JUMP_M = 40.0
 
@@ -113,13 +113,24 @@ class MotionFit:
         self._jumped = None
         settled = abs(position.time_s - self._cleared_s) > WINDOW_S  # a wrong frame lets the target jump on and on
         if samples and settled and math.dist(sighted_m, samples[-1].sighted_m) > _JUMP_M:
-            if jumped is None or math.dist(sighted_m, jumped.sighted_m) > _JUMP_M:
-                self._jumped = sample  # an outlier, unless the next one agrees
+            if jumped is None:
+                self._jumped = sample  # an outlier, unless the next one is far away, too
                 return
             self._cleared_s = position.time_s
             samples.clear()  # something has changed: what was before would hide it
             samples.append(jumped)
         samples.append(sample)
+
+    @property
+    def level_direction(self) -> tuple[float, float] | None:
+        """East and north of the latest line of sight, as flagged; None before the first."""
+        if not self._samples:
+            return None
+        last = self._samples[-1]
+        return (
+            (last.sighted_m[0] - last.own_m[0]) / last.range_m,
+            (last.sighted_m[1] - last.own_m[1]) / last.range_m,
+        )
 
     def verdict(self, established: Verdict = SOUND) -> Verdict | None:
         """Return what is wrong, ``SOUND`` where nothing is, None while it cannot be known.

@@ -2,7 +2,8 @@
 
 Rules
 -----
-1. A laser whose range stays the same to ``_SAME_RANGE_M`` while the aircraft turns by ``_TURNED_RAD`` is stuck.
+1. A laser whose range stays the same to ``_SAME_RANGE_M`` while the aircraft turns by ``_TURNED_RAD``, or comes
+   ``_CLOSED_M`` nearer along the line of sight, is stuck.
 2. A gimbal whose orientation stays the same to ``_SAME_SIGHT`` meanwhile is frozen: in a turn, a line of sight to
    a target turns relative to north as well as to the aircraft.
 3. Of the ways to read the gimbal's frame and the laser's unit, the right one makes the target move straight
@@ -28,9 +29,10 @@ from sidelong.mission.health.motion_fit import FACTORS, SOUND, WINDOW_S, MotionF
 _SAME_RANGE_M, _SAME_SIGHT = 0.5, 5e-4
 _SAME_S, _TURNED_RAD, _SAME_COUNT = 5.0, 0.8, 5
 _MOVES_AGAIN = 3
+_CLOSED_M, _PASSED_RAD = 40.0, 0.25
 _SAMPLE_EVERY_S, _JUDGE_EVERY_S, _FRESH_S = 0.45, 1.0, 0.6
 _MARGIN_S = 1.0
-_FOUND_AFTER, _CLEARED_AFTER = 2, 6  # judgements in a row
+_FOUND_AFTER, _CLEARED_AFTER = 3, 6  # judgements in a row
 _FLYING_M_S = 5.0
 _REJECTED_SHARE, _ACCEPTED_AGAIN, _WINDOW_S, _SIGHTINGS_MIN = 0.25, 0.15, 30.0, 40
 
@@ -40,25 +42,35 @@ class _Repeats:
 
     def __init__(self) -> None:
         self._anchor: tuple[float, ...] | None = None
-        self.since_s = self._turned_rad = 0.0
+        self.since_s = self._turned_rad = self._moved_by = 0.0
         self._count = self._moved = 0
         self.found = False
 
-    def note(self, values: tuple[float, ...], same: float, time_s: float, turned_rad: float) -> None:
+    def note(self, values: tuple[float, ...], same: float, time_s: float, turned_rad: float, moved: float) -> None:
+        """Take a value.
+
+        Args:
+            values: the value, a tuple of numbers.
+            same: by how much each number may differ.
+            time_s: of the reading.
+            turned_rad: how far the aircraft has turned since the flight began, either way.
+            moved: how much the aircraft's own motion has changed the value since then, 1 for what is unmistakable.
+
+        """
         anchor = self._anchor
         if anchor is not None and _is_same(anchor, values, same):
             self._count += 1
             self._moved = 0
-            self.found |= (
-                self._count >= _SAME_COUNT
-                and time_s - self.since_s >= _SAME_S
-                and turned_rad - self._turned_rad >= _TURNED_RAD
+            lasts = self._count >= _SAME_COUNT and time_s - self.since_s >= _SAME_S
+            self.found |= lasts and (
+                turned_rad - self._turned_rad >= _TURNED_RAD or abs(moved - self._moved_by) >= 1.0
             )
             return
         self._moved += 1
         if not self.found or self._moved >= _MOVES_AGAIN:
             self.found = False
             self._anchor, self.since_s, self._turned_rad, self._count = values, time_s, turned_rad, 0
+            self._moved_by = moved
 
 
 def _is_same(anchor: tuple[float, ...], values: tuple[float, ...], same: float) -> bool:
@@ -89,7 +101,8 @@ class PayloadCheck:
         self._range: RangeReading | None = None
         self._gimbal_source: Source | None = None
         self._course_rad: float | None = None
-        self._turned_rad = 0.0
+        self._turned_rad = self._closed = self._passed = 0.0
+        self._sight: tuple[float, float] | None = None
         self._sampled_s = self._judged_s = -math.inf
         self._agreeing = 0
         self._verdict = self._established = SOUND
@@ -102,15 +115,25 @@ class PayloadCheck:
 
     def position(self, reading: PositionReading) -> None:
         """Take the aircraft's position; its course tells how far it has turned."""
-        self._position = reading
+        before, self._position = self._position, reading
         east_m_s, north_m_s = reading.velocity_east_m_s, reading.velocity_north_m_s
         if east_m_s * east_m_s + north_m_s * north_m_s < _FLYING_M_S**2:
             self._course_rad = None
             return
         course_rad = math.atan2(east_m_s, north_m_s)
-        if self._course_rad is not None:
+        if self._course_rad is not None and before is not None:
+            self._move(before, reading)
             self._turned_rad += abs(wrap_rad(course_rad - self._course_rad))
         self._course_rad = course_rad
+
+    def _move(self, before: PositionReading, now: PositionReading) -> None:
+        """Add up how far the aircraft has come along the line of sight, and by what angle it has gone past."""
+        if self._sight is None or self._range is None:
+            return
+        east_m, north_m = now.east_m - before.east_m, now.north_m - before.north_m
+        east, north = self._sight
+        self._closed += (east_m * east + north_m * north) / _CLOSED_M
+        self._passed += (north_m * east - east_m * north) / max(self._range.slant_range_m, 50.0) / _PASSED_RAD
 
     def range(self, reading: RangeReading) -> None:
         """Take a range of the laser in use."""
@@ -118,7 +141,9 @@ class PayloadCheck:
             self._range_repeats = _Repeats()
             self._begin_fit()
         self._range = reading
-        self._range_repeats.note((reading.slant_range_m,), _SAME_RANGE_M, reading.time_s, self._turned_rad)
+        self._range_repeats.note(
+            (reading.slant_range_m,), _SAME_RANGE_M, reading.time_s, self._turned_rad, self._closed
+        )
         self._settle()
 
     def gimbal(self, reading: GimbalReading) -> None:
@@ -127,7 +152,7 @@ class PayloadCheck:
             self._gimbal_source = reading.source
             self._sight_repeats = _Repeats()
             self._begin_fit()
-        self._sight_repeats.note(reading.quaternion_wxyz, _SAME_SIGHT, reading.time_s, self._turned_rad)
+        self._sight_repeats.note(reading.quaternion_wxyz, _SAME_SIGHT, reading.time_s, self._turned_rad, self._passed)
         position, attitude, slant = self._position, self._attitude, self._range
         if (
             reading.time_s - self._sampled_s < _SAMPLE_EVERY_S
@@ -145,6 +170,7 @@ class PayloadCheck:
             self._fit.clear()
         else:
             self._fit.add(position, attitude, reading, slant.slant_range_m, self._turned_rad)
+            self._sight = self._fit.level_direction
         if reading.time_s - self._judged_s >= _JUDGE_EVERY_S:
             self._judged_s = reading.time_s
             self._judge(reading.frame)
