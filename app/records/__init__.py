@@ -1,1 +1,1 @@
-"""What is kept of a flight and read again: telemetry logs, the journal, truth tracks, run folders, exports."""
+"""Records of a flight, written and read: telemetry logs, the journal, truth tracks, run folders, exports."""

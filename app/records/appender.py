@@ -1,7 +1,7 @@
 """A file that grows while something flies: bytes go in from any thread and reach the disk from one of its own.
 
 Nothing here ever holds up or ends a flight: a slow disk makes the backlog grow up to a limit, a full or vanished
-one ends the recording, and both are told once through ``on_trouble``.
+one ends the recording. Both are reported once through ``on_trouble``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _CLOSE_TIMEOUT_S = 5.0
 class Appender:
     """Appends to ``path``, which must not exist yet. Use as ``with``.
 
-    The kernel has ``opening`` at once and what is appended 0.25 s later: so much a killed process loses.
+    ``opening`` reaches the kernel immediately, appended data after 0.25 s: a killed process loses at most that.
     on_trouble gets one sentence when the recording has ended early, from the thread that found out. Raises OSError
     when the file exists or cannot be made; after that nothing raises.
     """

@@ -19,7 +19,7 @@ _LATEST_US = 10**13  # no vehicle has been up for longer than four months
 
 
 class Entry(NamedTuple):
-    """name and fields are those of the log's own format; instance tells devices of a kind apart."""
+    """name and fields are those of the log's own format; instance distinguishes devices of a kind."""
 
     time_us: int
     name: str

@@ -3,7 +3,7 @@
 A line names the type of a frozen dataclass and gives its fields; floats are written so that they come back bit for
 bit, NaN and the infinities as Python's json spells them. It ends in its own checksum: a line that was cut or
 damaged is recognised, and every whole line is read, whatever happened to its neighbours. The first line is the
-header. The journal knows no event types of its own; the reader is told which there are.
+header. The journal defines no event types; the reader receives them as an argument.
 
 msgspec reads a line as it is written today, which nearly all are. What it refuses (NaN, a number where another kind
 is wanted, words of before) json and cattrs read as they always have, ten times slower; both give the same values.
@@ -50,8 +50,8 @@ _Record = TypeVar("_Record")
 class Header:
     """What a replay needs before the first event. plane is None when the run began before it was known.
 
-    home_deg is (latitude, longitude); journals of before did not tell it. autopilot and home_altitude_m are there
-    where the exchange with the autopilot was recorded too.
+    home_deg is (latitude, longitude); journals of earlier versions lack it. autopilot and home_altitude_m are present
+    if the exchange with the autopilot was recorded too.
     """
 
     program: str
@@ -96,7 +96,7 @@ def _array(kind: type, values: Any) -> Any:
 
 @cache
 def _decode(kind: type) -> Callable[[bytes], Any]:
-    """Return what reads a type's fields. msgspec tells no two dataclasses apart: for them their fields do."""
+    """Return the decoder of a type's fields. msgspec cannot distinguish dataclasses, so their fields do."""
     hints = get_type_hints(kind)
     several = {name: get_args(hint) for name, hint in hints.items() if sum(map(is_dataclass, get_args(hint))) > 1}
     if not several:
@@ -172,7 +172,7 @@ class JournalReader:
         end = body.find(_FIELDS, len(_OPENING))
         try:
             return _decode(self._kinds[body[len(_OPENING) : end]])(body[end + len(_FIELDS) :])
-        except Exception:  # as below; what is wrong with it, if anything is, the other way tells
+        except Exception:  # as below; the slower reader reports any error
             record = _record(body)
         return None if record is None else self._structured(*record)
 

@@ -26,7 +26,7 @@ from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.core.events import Command, Event
 
 _EVERY_S = 0.2
-_SEEN_FOR_S = 1.0  # so long a sighting is the sensor's present line of sight
+_SEEN_FOR_S = 1.0  # how long a sighting is the sensor's present line of sight
 _VERSION = 19
 _LASER_ON, _SLANT_RANGE_MEASURED = 1, 16  # of Generic Flag Data
 _CE90 = 0.9
@@ -35,7 +35,7 @@ _LEAP_SECONDS = 0
 
 
 class KlvLog:
-    """Takes a flight's events in order and writes ``path`` anew.
+    """Takes a flight's events in order and replaces ``path``.
 
     booted is when the vehicle's clock was zero; home_altitude_m is above sea level. Raises InputError when the
     package stanag4609 is not installed, OSError when the file cannot be written.

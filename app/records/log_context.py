@@ -14,7 +14,7 @@ from sidelong.app.records.log import Log
 _NAMES = frozenset({"HEARTBEAT", "HOME_POSITION", "GLOBAL_POSITION_INT"})
 _AUTOPILOT_COMPONENT = 1
 _DATED_S = 1e9  # a smaller one was not counted from 1970
-_STAMPS = 21  # so many tell the time of day: a single one may be wrong
+_STAMPS = 21  # number of stamps for the time of day: a single one may be wrong
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class LogContext:
 
     @staticmethod
     def of(log: Log) -> LogContext:
-        """Return what the log tells. Raises InputError when it cannot be read."""
+        """Return the context of the log. Raises InputError when it cannot be read."""
         autopilot, home_m, reckoned_m = AUTOPILOTS[0], None, None
         boots_s: list[float] = []
         for message in log.messages(_NAMES):

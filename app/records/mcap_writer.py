@@ -1,4 +1,4 @@
-"""JSON messages in an MCAP file; each topic's schema is told by its first message."""
+"""JSON messages in an MCAP file; each topic's schema follows from its first message."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def mcap_writer_class() -> Any:
 
 
 class McapWriter:
-    """Writes ``path`` anew. booted is when the vehicle's clock was zero; without it times count from 1970.
+    """Replaces ``path``. booted is when the vehicle's clock was zero; without it times count from 1970.
 
     Raises InputError when the package mcap is not installed, OSError when the file cannot be written.
     """

@@ -1,4 +1,4 @@
-"""What a flight's filter was told: its events as they pass the door, and the sightings that they complete."""
+"""Input of a flight's filter: events that pass the plausibility check, and the sightings that they complete."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from sidelong.mission.core.events import Event
 
 
 class Sensing:
-    """Goes through a flight's events as its control step did. attitude: the latest that was believed."""
+    """Goes through a flight's events as its control step did. attitude: the latest accepted one."""
 
     def __init__(self, tracker: Tracker) -> None:
         self.attitude: AttitudeReading | None = None
         self._tracker, self._door = tracker, Plausibility()
 
     def take(self, event: Event) -> tuple[Event | None, tuple[SightingOutcome, ...]]:
-        """Return the event as it may be believed, None where it may not be, and the sightings that it completed."""
+        """Return the accepted event, None if it is rejected, and the sightings that it completed."""
         admitted, _ = self._door.admit(event)
         if isinstance(admitted, AttitudeReading):
             self.attitude = admitted

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 Progress = Callable[[float], None]
-"""Is told the fraction that is done, 0 to 1."""
+"""Called with the completed fraction, 0 to 1."""
 
 WINDOW_BYTES = 2 << 20
 

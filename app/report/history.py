@@ -1,7 +1,7 @@
 """A flight as arrays and lists: what the figures and tables of a report are made of.
 
 The journal holds what the vehicle said and what was commanded, not the estimates: the same readings go through the
-same tracker again and give the same estimates. A log of somebody else's flight has no commands; all else holds.
+same tracker again and give the same estimates. A log of another system's flight has no commands.
 """
 
 from __future__ import annotations
@@ -218,7 +218,7 @@ class HistoryBuilder:
         """Return the history so far; there must be at least two positions."""
         aircraft = _track(self._positions)
         start_s = self._start_s
-        if start_s is None:  # nobody took over: the log begins where the target is first seen
+        if start_s is None:  # no takeover: the log begins where the target is first seen
             start_s = self._estimates[0].time_s if self._estimates else float(aircraft.time_s[0])
         # What is seen before the fleet has named its target is of the first one named.
         first = next(filter(None, self._targets), "")

@@ -18,7 +18,7 @@ _SUMMARY = TypeAdapter(Summary)
 
 
 def summary_of(history: History, outcome: str) -> Summary:
-    """Return the summary of a flight that left none: it was cut off, or it is somebody else's log."""
+    """Return the summary of a flight that left none: it was cut off, or it is another system's log."""
     asked, changes = history.requirements, history.plan_changes
     judged = judge_moments(from_band(history.moments, asked), asked)
     departures_s = [change.departed_s for change in changes if change.departed_s is not None]

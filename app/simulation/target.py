@@ -30,7 +30,7 @@ class TargetTruth:
 
 
 class Target(Protocol):
-    """A target whose whole motion is known beforehand."""
+    """A target with precomputed motion."""
 
     def at(self, time_s: float) -> TargetTruth:
         """Return the truth at a time from 0 to the end of the motion."""

@@ -42,7 +42,7 @@ _RATES = Rates(attitude_hz=1)
 
 
 class _OnTicks:
-    """A target whose motion was computed beforehand for each tick of the vehicle."""
+    """A target with precomputed motion for each tick of the vehicle."""
 
     def __init__(self, target: SampledTarget, ticks: int) -> None:
         self._rows = target.sampled(np.arange(ticks) / _RATES.tick_hz).tolist()

@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 def on_cluster(address: str, tell: Callable[[str], None] = lambda _words: None) -> Executor:
-    """Return what flies batches on the workers of the scheduler at ``address``; its dashboard is told.
+    """Return what flies batches on the workers of the scheduler at ``address``; its dashboard is printed.
 
     Raises InputError when dask.distributed is not installed; when flying, if no scheduler answers or its workers run
     other code.

@@ -93,7 +93,7 @@ def designs(
     """Return the designs of every combination of the swept values over what is configured.
 
     overrides: the configured values by section and key, the study's own under ``study``. Combinations that no
-    planner can fly are told to ``skip``, in words. Raises InputError for a wrong value, for a single design that
+    planner can fly are passed to ``skip``. Raises InputError for a wrong value, for a single design that
     cannot be flown, and where none is left.
     """
     if math.prod(len(values) for _, values in sweeps) > _DESIGNS_MAX:

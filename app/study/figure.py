@@ -33,7 +33,7 @@ def write_figure(result: StudyResult, file: Path) -> None:
 
 
 def draw_paths(axes: Axes, tracks: Mapping[PlannerName, Track]) -> None:
-    """Draw where the planners flew, beside the target that is the same for all."""
+    """Draw the planners' paths together with the target, which is the same for all."""
     for k, (name, track) in enumerate(tracks.items()):
         axes.plot(*track.aircraft_m.T, linewidth=0.8, label=name, zorder=3 - 0.1 * k)
     target = next(iter(tracks.values()))

@@ -55,7 +55,7 @@ _CHI2_95 = 5.991
 
 
 class FleetPlannerName(StrEnum):
-    """Who steers the aircraft: this project's joint decisions, or laws of the literature that hold phases."""
+    """How the aircraft are steered: by sidelong's joint decisions, or by phase-holding laws of the literature."""
 
     JOINT = "joint"
     FIELD = "phased field"
@@ -64,7 +64,7 @@ class FleetPlannerName(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """One aircraft is lost at a moment: it flies on alone, sees nothing, and nobody counts on it."""
+    """Loss of one aircraft at a moment: it flies on alone, detects nothing, and the others ignore it."""
 
     aircraft: int
     time_s: float
@@ -76,7 +76,7 @@ class FleetResult:
 
     min_separation_m: the least distance of two aircraft in three dimensions; handovers: of the wanted side.
     position_error_m: root mean square of the joint estimate; in_ellipse: share of it within 95 %; 0 and 1 with
-    perfect sensors. aircraft: each by itself, judged as if it were alone. logs (aircraft, n, 6) as judged.
+    perfect sensors. aircraft: each scored as if it were alone. logs (aircraft, n, 6) as judged.
     """
 
     time_on_side_any: float
@@ -266,7 +266,7 @@ class FleetRun:
         )
 
     def _set_up(self, table: ValueTable, team: TeamSettings | None) -> list[_Member]:
-        """Set the aircraft up in turn on the wanted and the opposite side, each in a height layer of its own."""
+        """Set the aircraft up in turn on the required and the opposite side, each in a height layer of its own."""
         settings, flown = self._settings, self._scene
         requirement, aircraft = settings.requirement(), settings.aircraft()
         members = []

@@ -30,7 +30,7 @@ from sidelong.mission.predictive.cost_kernel import IntArray
 
 @compiled
 def fly_on(f: Flight, target: Target, frame: Airframe, steps: int) -> None:
-    """Follow the plan, or the commanded curvature where there is one, for so many steps, or to the end; log them."""
+    """Follow the plan, or the commanded curvature if any, for ``steps`` steps, or to the end; log them."""
     for _ in range(min(steps, len(f.log) - f.counts[STEP])):
         step, body = f.counts[STEP], body_of(f)
         truth, row = target.sampled[step], f.log[step]
@@ -66,7 +66,7 @@ def see(
     from_step: int,
     until_step: int,
 ) -> int:
-    """Take in what all payloads see on a stretch; return the step to go on from, earlier if nobody is believed.
+    """Take in what all payloads see on a stretch; return the step to continue from, earlier if all are rejected.
 
     state, spare: of the joint filter; clock (2,): its time, and that of the last accepted sighting. logs (m, steps,
     6) of the aircraft; noise (m, steps, 3); seeing (m,): whose payloads work. rejections (1,): in a row, of all.

@@ -1,4 +1,4 @@
-"""A study with several aircraft on each target: joint decisions, and beside them laws that hold phases."""
+"""A study with several aircraft on each target: joint decisions, compared with laws that hold phases."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sidelong.app.study.report import spread, targets_json
 from sidelong.app.study.settings import StudySettings
 from sidelong.mission.predictive.value_table import ValueTable
 
-# What is told of each aircraft by itself, with the percentile of its tail.
+# Measures reported for each aircraft, with the percentile of their tail.
 _OF_EACH = {
     "time_in_band": 5,
     "time_on_side": 5,
@@ -28,7 +28,7 @@ _OF_EACH = {
     "moves_per_hour": 95,
     "reversals_per_hour": 95,
 }
-# What is told of all together.
+# Measures reported for all aircraft together.
 _OF_ALL = {
     "time_on_side_any": 5,
     "time_on_side_any_now": 5,
@@ -56,7 +56,7 @@ def fly_fleets(
     progress: Callable[[int], None],
     planners: Sequence[FleetPlannerName] = tuple(FleetPlannerName),
 ) -> FleetStudy:
-    """Fly all runs on so many processes, one for each core by default. progress hears of each run that is done."""
+    """Fly all runs in parallel processes, one per core by default. progress is called after each run."""
     tasks = [(planner, number) for number in settings.numbers for planner in planners]
     found: dict[tuple[FleetPlannerName, int], FleetResult] = {}
     processes = min(jobs or os.cpu_count() or 1, len(tasks))

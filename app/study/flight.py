@@ -73,7 +73,7 @@ FloatArray = npt.NDArray[np.float64]
 
 
 class SampledTarget(Protocol):
-    """A target whose whole motion is known beforehand."""
+    """A target with precomputed motion."""
 
     def sampled(self, time_s: FloatArray) -> FloatArray:
         """Return (n, 5) at times (n,): east, north, velocity east, velocity north, course."""
@@ -94,7 +94,7 @@ class Flown:
 
 
 def payload_in(errors: PayloadErrors, told: TrackerSettings, perfect: bool = False, apart: bool = False) -> Payload:
-    """Return a payload as the loops know it: what its errors are, and what the filter is told of them."""
+    """Return a payload for the loops: its actual errors, and the errors that the filter assumes."""
     return Payload(
         perfect,
         apart,
@@ -122,14 +122,14 @@ def filtering_in(told: TrackerSettings, drift_per_s: tuple[float, float, float])
 
 
 def can_fly(settings: TrackerSettings) -> bool:
-    """Tell whether the loop flies such a payload: measured at once, at the aircraft's place, with its own filter."""
+    """Return whether the loop supports the payload: no latency, no lever arm, the loop's filter."""
     placed = any(settings.lever_arm_body_m) or any(settings.mount_roll_pitch_yaw_rad)
     return settings.filter == "imm" and settings.latency_s == 0.0 and not placed and settings.quality_min <= 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensed:
-    """The payload of a run: its errors, what the tracker is told of them, and the noise. perfect knows the truth."""
+    """The payload of a run: its errors, those the tracker assumes, and the noise. perfect: the truth is known."""
 
     errors: PayloadErrors
     told: TrackerSettings
@@ -304,7 +304,7 @@ class CompiledFlight:
         return track
 
     def _reconsider(self) -> None:
-        """Let the track decide what a sighting beyond the gate means, and whether to begin, first or anew."""
+        """Let the track decide what a sighting beyond the gate means, and whether to start or restart."""
         flight, track = self._flight, self._track()
         if not track.add(_sighting(*flight.rejected[-1])).accepted:
             return

@@ -72,7 +72,7 @@ FLAT = Hills((np.zeros((0, 0), np.float32), 0.0, 0.0, 1.0, 1.0), 0.0, False, 0.0
 
 
 class Payload(NamedTuple):
-    """Errors of laser and gimbal, and what the filter is told of them; perfect: the truth is known.
+    """Errors of laser and gimbal, and those that the filter assumes; perfect: the truth is known.
 
     apart: it is measured with outside of the loop.
     """
@@ -279,7 +279,7 @@ def _carry_on(f: Flight, filtering: Filtering, hills: Hills, time_s: float) -> N
 def _see(
     f: Flight, body: Body, target: Target, target_m: float, payload: Payload, filtering: Filtering, hills: Hills
 ) -> bool:
-    """Take in a sighting. False where it lies beyond the gate, and perhaps the track is to begin, first or anew."""
+    """Process a sighting. Return False if it is outside the gate; the track may then have to start or restart."""
     step, height_m = f.counts[STEP], f.numbers[HEIGHT_M]
     seen = seen_from(body, height_m, target.sampled[step], target_m, target.noise[step], payload)
     unseen_s, nis = body.time_s - f.numbers[SEEN_S], np.inf

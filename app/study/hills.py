@@ -25,7 +25,7 @@ from sidelong.mission.predictive.value_table import ValueTable
 from sidelong.mission.terrain.heights import FlightHeights, HeightRules
 from sidelong.mission.terrain.sight import SightField
 
-_SPREAD_M = 8_000.0  # targets start so far about home
+_SPREAD_M = 8_000.0  # targets start within this distance of home
 _LOOKED_EVERY = 50  # steps: whether any place of the side and the band sees the target
 _AZIMUTHS, _RING_M = 72, 20.0
 

@@ -23,7 +23,7 @@ from sidelong.estimators.filters.target_filter import bias_drift
 
 
 class JointSight:
-    """Sees the target from all aircraft for a run of so many steps. heights_m: of each aircraft."""
+    """Sees the target from all aircraft for a given number of steps. heights_m: of each aircraft."""
 
     def __init__(self, settings: StudySettings, flown: Scene, heights_m: Sequence[float], steps: int) -> None:
         errors, told = payload_of(settings)

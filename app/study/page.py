@@ -154,7 +154,7 @@ def _map(
 
 
 def _worst(study: Study, command: str) -> Iterator[str]:
-    """Draw the runs that were on the side shortest of the first planner, and tell how to fly each again."""
+    """Draw the runs that were on the side shortest of the first planner, and show how to fly each again."""
     found: list[tuple[float, RunId, Design]] = []
     for design in study.designs:
         planner = next(iter(study.result(design).planners.values()))

@@ -1,4 +1,4 @@
-"""How those who steer in a run are asked, and timed."""
+"""Calling and timing planners."""
 
 from __future__ import annotations
 

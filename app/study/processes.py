@@ -16,9 +16,9 @@ _AHEAD = 2  # batches for each process: one that is flown, one that waits
 
 
 def on_processes(jobs: int | None) -> Executor:
-    """Return what flies batches on so many processes, one for each core by default; on one, in this very process.
+    """Return a function that flies batches in parallel processes, one per core by default; one: in this process.
 
-    An interrupt of the one who waits ends them at once.
+    An interrupt of the waiting process ends them immediately.
     """
     processes = jobs or os.cpu_count() or 1
     if processes == 1:
@@ -26,7 +26,7 @@ def on_processes(jobs: int | None) -> Executor:
 
     def fly(designs: Designs, batches: Iterable[tuple[Batch, ValueTable | None]]) -> Iterator[Flown]:
         with uninterrupted():
-            # Not forked: a fork copies the locks that other threads of this process hold just then, for ever locked.
+            # Not forked: a fork copies the locks that other threads of this process hold, and they stay locked.
             pool = multiprocessing.get_context("spawn").Pool(processes, _begin, (designs,))
         done: SimpleQueue[Flown | BaseException] = SimpleQueue()
         under_way = 0

@@ -1,4 +1,4 @@
-"""Recorded tracks as the targets of a study: resampled, smoothed, and told why one is left out."""
+"""Recorded tracks as the targets of a study: resampled and smoothed, with the reason for each rejected track."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ _SPREADS_OVER_GROUND: tuple[_Spread, ...] = (
 
 
 def study_title(result: StudyResult) -> str:
-    """Return one line that tells what was flown."""
+    """Return one line that describes the study."""
     s = result.settings
     target = f"to {s.target_speed_max_m_s:g} m/s"
     if s.tracks:
@@ -134,7 +134,7 @@ _SUMMARY_OVER_GROUND: tuple[tuple[str, Callable[[PlannerResult], str]], ...] = (
 
 
 def targets_json(settings: StudySettings) -> dict[str, Any]:
-    """Return what was flown against, as ``--json`` tells it."""
+    """Return the study's conditions, as written by ``--json``."""
     return {
         "runs": settings.runs,
         "noise_draws": settings.noise_draws,

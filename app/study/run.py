@@ -46,7 +46,7 @@ def run(
 
 
 def first_circle(settings: StudySettings, flown: Scene) -> Circle:
-    """Return the circle that a run begins on, beside the target."""
+    """Return the initial circle of a run, to one side of the target."""
     requirement = settings.requirement()
     normal_rad = flown.target.at(0.0).course_rad + requirement.side.normal_turn_rad
     if requirement.sector is not None:
@@ -97,7 +97,7 @@ def _steered(
 
 
 def payload_of(settings: StudySettings) -> tuple[PayloadErrors, TrackerSettings]:
-    """Return the errors of the payload, and what the tracker is told of it."""
+    """Return the errors of the payload, and the tracker's settings for it."""
     sensors = settings.sensors
     errors = PayloadErrors(sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg))
     return errors, tracker_settings(sensors, settings.lost_after_s)

@@ -1,4 +1,4 @@
-"""What the tracker of a study is told: laser, gimbal and autopilot with noise."""
+"""Sensor input of a study's tracker: laser, gimbal and autopilot with noise."""
 
 from __future__ import annotations
 

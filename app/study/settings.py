@@ -130,7 +130,7 @@ class StudySettings:
 
     @property
     def radius_m(self) -> float:
-        """Radius of the circle flown beside the target."""
+        """Radius of the circle flown to one side of the target."""
         return self.still_air_radius_m * (1.0 + self.wind_speed_m_s / self.airspeed_m_s) ** 2
 
     @property

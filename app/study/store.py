@@ -41,7 +41,7 @@ CREATE TABLE designs (design TEXT PRIMARY KEY, shape TEXT NOT NULL) WITHOUT ROWI
 PRAGMA application_id = {_APPLICATION_ID};
 PRAGMA user_version = {_FORMAT};
 """
-# What is not of one run, or told by its target.
+# Values that do not belong to one run, or follow from its target.
 _NOT_SHAPING = ("planners", "runs", "only", "tracks", "skipped", "noise_draws", "hills")
 
 

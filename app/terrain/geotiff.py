@@ -14,7 +14,7 @@ from sidelong.app.terrain.tile import HIGHEST_M, LOWEST_M, HeightArray, Posts, a
 _MARGIN = 1e-9
 _METRES = dict.fromkeys(("", "m", "metre", "meter", "metres", "meters"), 1.0)
 _METRES |= dict.fromkeys(("ft", "foot", "feet"), 0.3048) | dict.fromkeys(("us-ft", "us survey foot"), 1200.0 / 3937.0)
-# So many pixels are thinned out in some seconds; they have to be unpacked for that.
+# This number of pixels is decimated in a few seconds; they must be unpacked for it.
 _PIXELS_MAX = 400_000_000
 
 

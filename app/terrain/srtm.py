@@ -1,6 +1,6 @@
 """SRTM tiles: a degree squared of big-endian 16-bit heights, rows from north to south, -32768 where void.
 
-The name tells the south-west corner: N36W085.hgt.
+The name gives the south-west corner: N36W085.hgt.
 """
 
 from __future__ import annotations

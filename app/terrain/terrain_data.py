@@ -1,4 +1,4 @@
-"""MAVLink's terrain protocol, the answering side: an autopilot asks for heights, our tiles tell them.
+"""MAVLink's terrain protocol, the answering side: an autopilot requests heights, sidelong sends them from its tiles.
 
 TERRAIN_REQUEST names the south-west corner of a block of 8 x 7 squares, each of 4 x 4 posts grid_spacing metres
 apart, and a mask of the squares that are wanted; each is answered by one TERRAIN_DATA. Squares count from the corner

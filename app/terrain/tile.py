@@ -80,7 +80,7 @@ class Tile(Protocol):
 
 
 def at_posts(wanted: Posts, own: Posts, stored: HeightArray, first_row: int, first_column: int) -> HeightArray:
-    """Return heights at wanted posts, bilinear between those stored; void beside a void, and beyond the tile.
+    """Return heights at wanted posts, bilinear between those stored; void next to a void, and beyond the tile.
 
     stored (rows, columns) is the part of a tile's own posts that begins at first_row and first_column.
     """
