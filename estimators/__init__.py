@@ -1,13 +1,13 @@
-"""Where the target is: from laser and gimbal readings to a position and velocity with covariance.
+"""Target estimation: from laser and gimbal readings to a position and velocity with covariance.
 
 Pure: time comes in as an argument, nothing here reads a clock, a socket or a file.
 
     readings -> sources -> pairing -> sighting -> track (gate, history, quality) -> estimate
                               ^                     |
-                             pose              imm, ekf or ukf
+                            pose              imm, ekf or ukf
 
-:class:`sidelong.estimators.tracking.tracker.Tracker` is the whole of it; who has sightings already begins at
-:class:`sidelong.estimators.tracking.track.Track`.
+:class:`sidelong.estimators.tracking.tracker.Tracker` contains all of it. Programs that already have detections use
+:class:`sidelong.estimators.tracking.track.Track` directly.
 
 Frames
 ------
@@ -17,7 +17,7 @@ body     forward, right, down of the aircraft (FRD).
 sight    forward along the line of sight, right, down: the gimbal's frame.
 
 A rotation is named ``to_from``: ``v_ned = ned_from_body @ v_body``.
-Quaternions are (w, x, y, z) and name the same way.
+Quaternions are (w, x, y, z) and named the same way.
 
 Angles are radians inside the code, degrees only at the edges (``_deg``). Bearings and courses are compass
 angles: clockwise from north, so a bearing b points along (sin b, cos b) in the plane.

@@ -1,4 +1,4 @@
-"""What is known of the target: the one value that planning reads."""
+"""The target estimate: the only value about the target that planning reads."""
 
 from __future__ import annotations
 

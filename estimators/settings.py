@@ -1,4 +1,4 @@
-"""What the estimation is told: the sensors' errors, where they sit, which of them to use, and when to give up."""
+"""Settings of the estimation: sensor errors and mounting, source selection, and timeouts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class SourceChoice:
     orientation: int | None = None
 
     def matches(self, source: Source) -> bool:
-        """Tell whether a source is one of those meant; what is None does not matter."""
+        """Return whether a source matches the selection; None matches any."""
         return all(
             wanted is None or wanted == found
             for wanted, found in (
@@ -42,7 +42,7 @@ class TrackerSettings:
     """What moves: how much its motions are let wander."""
 
     range_sigma_m: float = 0.8
-    """Slant range, where the sensor tells no sigma of its own."""
+    """Slant range error, used if the sensor reports no sigma."""
     yaw_sigma_rad: float = math.radians(0.35)
     pitch_sigma_rad: float = math.radians(0.35)
     """Line of sight."""
@@ -58,7 +58,7 @@ class TrackerSettings:
     gimbal_frame: Literal["earth", "vehicle", "body"] | None = None
     """What the gimbal's angles are relative to, where its frame flags are wrong; None: as flagged."""
     fix_source: SourceChoice | None = None
-    """None chooses by itself; a camera's fixes are then used only while no laser is heard."""
+    """None selects automatically; a camera's fixes are then used only while no laser is received."""
     lever_arm_body_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """From the aircraft's position to the gimbal: forward, right, down."""
     mount_roll_pitch_yaw_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -71,16 +71,16 @@ class TrackerSettings:
     soft_nis: float = 11.3
     """Between this and the gate a sighting weighs less the farther it lies: 1 % of the good ones."""
     reacquire_after: int = 6
-    """So many rejected sightings in a row that agree with one another restart the track."""
+    """Number of consecutive rejected detections, consistent with one another, that restart the track."""
     coasting_after_s: float = 1.0
     lost_after_s: float = 60.0
     lost_sigma_m: float = 100.0
-    """A track is lost after so long without a sighting, or at so large a position sigma."""
+    """A track is lost after this time without a detection, or at this position sigma."""
 
     yaw_bias_sigma_rad: float = math.radians(1.0)
     pitch_bias_sigma_rad: float = math.radians(0.5)
     range_bias_sigma_m: float = 0.5
-    """What is known beforehand of the constant errors of gimbal and laser."""
+    """Prior of the constant errors of gimbal and laser."""
 
     target_speed_sigma_m_s: float = 5.0
     """Each axis, before the first sightings."""

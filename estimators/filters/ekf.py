@@ -96,7 +96,7 @@ class TargetEkf:
         return self._prior.updated(self._kf.x[BIASES:], self._kf.P[BIASES:, BIASES:])
 
     def copy(self) -> Self:
-        """Return a filter that goes on by itself from the same state."""
+        """Return an independent filter with the same state."""
         other = copy.copy(self)
         # filterpy replaces its arrays and never writes into them.
         other._kf = copy.copy(self._kf)

@@ -125,7 +125,7 @@ class TargetImm:
         return self.state[:, PROBABILITY]
 
     def copy(self) -> Self:
-        """Return a filter that goes on by itself from the same state."""
+        """Return an independent filter with the same state."""
         other = object.__new__(type(self))
         other.__dict__.update(self.__dict__)
         return other

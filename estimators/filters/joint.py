@@ -41,7 +41,7 @@ class PayloadFix(Fix):
 
 
 def prior_of(payloads: Sequence[TrackerSettings], clock_sigmas_s: Sequence[float]) -> Biases:
-    """Return what is known of all payloads' errors before anything was seen: BLOCK numbers for each."""
+    """Return the prior of all payloads' errors: BLOCK numbers for each."""
     sigmas = [
         (one.yaw_bias_sigma_rad, one.pitch_bias_sigma_rad, one.range_bias_sigma_m, clock_s)
         for one, clock_s in zip(payloads, clock_sigmas_s, strict=True)
@@ -50,7 +50,7 @@ def prior_of(payloads: Sequence[TrackerSettings], clock_sigmas_s: Sequence[float
 
 
 class JointImm:
-    """Implements :class:`estimators.filters.target_filter.TargetFilter` for sightings that tell their payload."""
+    """Implements :class:`estimators.filters.target_filter.TargetFilter` for detections that name their payload."""
 
     def __init__(self, settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> None:
         """biases: of all payloads, as :func:`prior_of` has them."""
@@ -105,7 +105,7 @@ class JointImm:
         return Biases(mean[NUMBERS:], covariance[NUMBERS:, NUMBERS:])
 
     def widen_clock(self, payload: int, sigma_s: float) -> None:
-        """Count so much of doubt about a payload's clock from now on, before its first sighting."""
+        """Add this uncertainty of a payload's clock from now on, before its first detection."""
         n, at = self.size, NUMBERS + BLOCK * payload + 3
         self.state = self.state.copy()
         self.state[:, 1 + n + at * (n + 1)] = sigma_s**2
@@ -116,7 +116,7 @@ class JointImm:
         return mean, covariance
 
     def copy(self) -> Self:
-        """Return a filter that goes on by itself from the same state."""
+        """Return an independent filter with the same state."""
         other = object.__new__(type(self))
         other.__dict__.update(self.__dict__)
         return other

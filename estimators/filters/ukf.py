@@ -110,7 +110,7 @@ class TargetUkf:
         return self._prior.updated(self._kf.x[BIASES:], self._kf.P[BIASES:, BIASES:])
 
     def copy(self) -> Self:
-        """Return a filter that goes on by itself from the same state."""
+        """Return an independent filter with the same state."""
         other = copy.copy(self)
         other._kf = copy.copy(self._kf)
         other._kf.hx = other._expected

@@ -9,10 +9,10 @@ _MIN_STEP_S = 0.01
 
 
 class BeaconErrors:
-    """Tells with what sigma each fix is to be taken for an independent measurement.
+    """Returns the sigma with which each fix can be treated as an independent measurement.
 
-    Fixes in the time that an error lasts count together as one: averaging them makes none of them better. For errors
-    that fade as exp(-t / tau), variances are multiplied by 2 tau / step, what their mean's grows by.
+    Fixes within the correlation time of the error count together as one: averaging them does not improve them. For
+    errors that fade as exp(-t / tau), variances are multiplied by 2 tau / step, the growth of their mean's variance.
     """
 
     def __init__(self) -> None:

@@ -1,9 +1,9 @@
-"""Whose clock says what: the vehicle's own, told by its stamps alone, and those of its payload against it.
+"""Clock tracking: the vehicle's clock from its time stamps, and its payload's clocks relative to it.
 
-A stamp fits a line of stamps when it is at most ``LATE_S`` behind its latest and ``AHEAD_S`` ahead of it (on a slow
-link three of its steps). The vehicle's clock follows one line. Stamps elsewhere begin another, which is followed once
-it has gone on for long enough while nothing more of the first was heard: a link that was silent, or an autopilot that
-has started anew. Two lines that take turns, again and again, are two vehicles with one system id.
+A stamp fits a clock when it is at most ``LATE_S`` behind its latest stamp and ``AHEAD_S`` ahead of it (on a slow link
+three of its steps). The vehicle's clock follows one sequence of stamps. Deviating stamps begin another sequence. It
+replaces the first one once it has lasted long enough without a stamp of the first: after a link outage or an
+autopilot reboot. Two sequences that alternate repeatedly are two vehicles with one system id.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ LATE_S, AHEAD_S = 5.0, 2.0
 SILENCE_MAX_S = 60.0
 """A line this little ahead may well be the same clock after a silence."""
 BOOTING_S = 60.0
-"""A line that begins so near to zero is an autopilot that has started anew."""
+"""A sequence that begins nearer to zero than this means that the autopilot rebooted."""
 
 PROOF_S = 20.0
-"""So long any other line has to go on."""
+"""Confirmation time of any other sequence."""
 
 _QUICK_S, _REBOOT_S = 0.5, 2.0
 _STAMPS_MIN = 5
@@ -47,16 +47,20 @@ class _Line:
     count: int = 1
     turns: int = 0
     slow_turns: int = 0
-    other_s: float = -math.inf  # the followed clock when this was last heard
+    other_s: float = -math.inf  # the followed clock when this sequence was last received
     was_followed: bool = False
 
 
 class VehicleClock:
-    """The vehicle's clock: ``now_s`` is its latest believed stamp, -inf before the first.
+    """The vehicle's clock: ``now_s`` is its latest accepted stamp, -inf before the first.
 
-    shift_s: how far the latest change of lines moved the clock. restarted: whether that was an autopilot that has
-    started anew; returned: whether it was back to the line before. two_lines_s: the distance of two lines that take
-    turns, None where there is one; slow_lines_s: the same where the second one is seldom received.
+    Attributes:
+        shift_s: How far the latest change of sequences moved the clock.
+        restarted: Whether that change was an autopilot reboot.
+        returned: Whether that change was back to the previous sequence.
+        two_lines_s: Distance of two alternating sequences; None while there is one.
+        slow_lines_s: The same, if the second one is seldom received.
+
     """
 
     def __init__(self) -> None:
@@ -72,12 +76,12 @@ class VehicleClock:
 
     @property
     def now_s(self) -> float:
-        """The latest believed stamp."""
+        """The latest accepted stamp."""
         return self._own.last_s if self._own is not None else -math.inf
 
     @property
     def tick_s(self) -> float:
-        """Longest step of the clock lately: a payload's stamp may be so much ahead of it."""
+        """Longest recent step of the clock: a payload's stamp may be this much ahead of it."""
         return max(self._ticks_s, default=1.0)
 
     @property
@@ -93,9 +97,10 @@ class VehicleClock:
         return self._other.last_s - self._other.first_s if self._in_question and self._other is not None else 0.0
 
     def take(self, stamp_s: float, confirmed_after_s: float | None = None) -> Stamp:
-        """Take a stamp of the vehicle.
+        """Process a stamp of the vehicle.
 
-        confirmed_after_s: how long another line has to go on before it is followed; None: as its distance tells.
+        ``confirmed_after_s`` is how long another sequence has to last before it is followed; None: depends on its
+        distance.
         """
         if self.goes_on(stamp_s):
             return Stamp.GOOD
@@ -103,7 +108,7 @@ class VehicleClock:
         return self._taken_elsewhere(self._own, stamp_s, confirmed_after_s)
 
     def goes_on(self, stamp_s: float) -> bool:
-        """Take a stamp if it goes on from the clock's own, as nearly all do; tell whether it does."""
+        """Accept a stamp if it continues the clock, as nearly all do; return whether it does."""
         own = self._own
         if own is None:
             self._own = _Line(stamp_s, stamp_s)
@@ -134,7 +139,7 @@ class VehicleClock:
             self._misses = 0
         else:
             self._misses = 0
-            if not self._in_question:  # the own line has been heard since
+            if not self._in_question:  # a stamp of the followed sequence has arrived since
                 other.turns = other.turns + 1 if gone_s < _TURN_MAX_S else 0
                 other.slow_turns = other.slow_turns + 1 if gone_s < _SLOW_TURN_MAX_S else 0
                 other.first_s, other.count = stamp_s, 0
@@ -184,7 +189,7 @@ class SourceClock:
     def corrected_s(self, stamp_s: float, clock: VehicleClock) -> float | None:
         """Return the stamp on the vehicle's clock, or None when it fits neither that nor the source's own."""
         ahead_s = stamp_s - clock.now_s
-        if abs(clock.now_s - self._sampled_s) >= _SAMPLE_EVERY_S:  # a clock that stands still is no measure
+        if abs(clock.now_s - self._sampled_s) >= _SAMPLE_EVERY_S:  # a clock that stands still gives no measurement
             self._sampled_s = clock.now_s
             self._samples.append(ahead_s)
             self._estimate(clock.tick_s)

@@ -1,1 +1,1 @@
-"""The ground as elevation data tells it: heights, slopes, where a ray meets it, what it hides."""
+"""Terrain from elevation data: heights, slopes, ray intersection and visibility."""

@@ -95,7 +95,7 @@ class Ground:
     def sees(
         self, a_m: tuple[float, float, float], b_m: tuple[float, float, float], clearance_m: float = 0.0
     ) -> bool:
-        """Tell whether the line between two points (east, north, height) clears the ground. Voids hide nothing."""
+        """Return whether the line between two points (east, north, height) clears the ground. Voids hide nothing."""
         return sight_clearance_m(self.grid, a_m, b_m, sight_step_m(self.grid)) >= clearance_m
 
     def horizon_m(

@@ -104,7 +104,7 @@ class GroundedFilter:
         return self._inner.biases()
 
     def copy(self) -> Self:
-        """Return a filter that goes on by itself from the same state."""
+        """Return an independent filter with the same state."""
         other = copy.copy(self)
         other._inner = self._inner.copy()
         return other

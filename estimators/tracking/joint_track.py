@@ -1,9 +1,8 @@
-"""One track of a target from the sightings of several payloads, and who of them is not to be believed.
+"""One track of a target from the detections of several payloads, with exclusion of faulty payloads.
 
-All payloads feed one filter that knows each one's errors. Beside it each has a track of its own, by which they are
-held against one another: a payload that sees the target elsewhere than the largest group that agrees is left out,
-with the reason in words, and taken in again when it has agreed for some seconds. Of two that contradict each other
-the surer one is believed.
+All payloads feed one filter that estimates the errors of each. In addition each payload has its own track. A payload
+whose track disagrees with the largest consistent group is excluded, with the reason in words. It is included again
+after some seconds of agreement. If two payloads contradict each other, the one with the smaller sigma is used.
 """
 
 from __future__ import annotations
@@ -21,16 +20,17 @@ from sidelong.estimators.tracking.fusion import agreeing, apart_m, squared_dista
 from sidelong.estimators.tracking.track import Track
 
 _COMPARED_EVERY_S = 1.0
-# A payload is left out, and taken in again, only after it has contradicted or agreed for so long.
+# A payload is excluded, or included again, only after this time of contradiction or agreement.
 _REFUSED_AFTER_S, _BELIEVED_AFTER_S = 3.0, 10.0
-# Squared distance from the surest believed payload at which the filter is begun anew: it went with a bad one.
+# Squared distance from the best accepted payload at which the filter restarts: it followed a faulty payload.
 _ASTRAY = 50.0
 
 
 class JointTrack:
-    """Of one target. settings: what is known of each payload; sightings come on one time for all.
+    """Joint track of one target. All detections share one time base.
 
-    The first one's settings hold for the track itself: gates, losses, kind of target. Raises ValueError for none.
+    ``settings`` describe each payload; those of the first apply to the track: gates, losses, kind of target. Raises
+    ValueError if there are none.
     """
 
     def __init__(self, settings: Mapping[str, TrackerSettings]) -> None:
@@ -83,14 +83,14 @@ class JointTrack:
         return {self._names[payload]: reason for payload, reason in self._refused.items()}
 
     def calibration(self, name: str) -> Calibration:
-        """Return what is known of a payload's errors."""
+        """Return the estimated errors of a payload."""
         last, _ = self._track.last
         biases = last.biases() if last is not None else prior_of(self._settings, self._clock_sigmas_s)
         first = BLOCK * self._names.index(name)
         own = slice(first, first + 3)
         return Biases(biases.mean[own], biases.covariance[own, own]).calibration
 
-    # -- who is believed --------------------------------------------------------------------------------------
+    # -- which payloads are used ------------------------------------------------------------------------------
 
     def _compare(self, time_s: float) -> None:
         """Hold the payloads' own tracks against one another."""
@@ -119,7 +119,7 @@ class JointTrack:
         self._follow(group, alive, time_s)
 
     def _follow(self, group: Sequence[int], alive: Mapping[int, TargetEstimate], time_s: float) -> None:
-        """Begin anew where the filter has gone with a payload that is left out now."""
+        """Restart the filter if it has followed a payload that is excluded now."""
         joint = self._track.estimate(time_s)
         trusted = [payload for payload in group if payload not in self._refused]
         if joint is None or not trusted or not self._refused:

@@ -25,7 +25,7 @@ _SPAN_S = 12.0
 _WAIT_S = 1.5
 _GIMBAL_GAP_MAX_S = 1.0
 _WAITING_MAX = 32  # so that what has waited is never long to take in
-# The laser is silent after so long; then a line of sight in so much time counts, with a range that says nothing.
+# Timeout of the laser. After it one line of sight per interval is used, with an uninformative range.
 _SILENT_S, _ALONE_EVERY_S = 1.0, 0.2
 _UNKNOWN_M, _REACH_M = 2e3, 5_000.0
 _time_s = attrgetter("time_s")
@@ -48,7 +48,7 @@ class Pairing:
         self.unpaired = 0
 
     def add_gimbal(self, gimbal: GimbalReading) -> None:
-        """Keep a line of sight; one whose quaternion is no rotation is dropped."""
+        """Store a line of sight; drop one whose quaternion is not a rotation."""
         length_2 = sum(part * part for part in gimbal.quaternion_wxyz)
         if abs(length_2 - 1.0) >= 0.1 or not self._gimbals.add(gimbal) or self.ground is None:
             return
@@ -129,7 +129,7 @@ class Pairing:
             slant_range_m=range_m,
             bearing_rad=sight.bearing_rad,
             depression_rad=sight.depression_rad,
-            # The same position error in all three axes adds to each measured number by itself.
+            # The same position error in all three axes adds to each measured number separately.
             range_sigma_m=math.hypot(range_sigma_m, settings.position_sigma_m),
             bearing_sigma_rad=math.hypot(
                 shared * settings.yaw_sigma_rad,
@@ -155,7 +155,7 @@ class Pairing:
         return None if level_m is None else level_m / math.cos(sight.depression_rad)
 
     def _gimbal_at(self, time_s: float) -> tuple[GimbalReading, float] | None:
-        """Return where the gimbal pointed, and the gap between the readings that tell it."""
+        """Return the gimbal's direction, and the gap between the readings that it is interpolated from."""
         pair = self._gimbals.around(time_s)
         if pair is None:
             return None

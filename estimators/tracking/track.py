@@ -65,7 +65,7 @@ class Track:
         self._kept: deque[tuple[float, TargetFilter]] = deque(maxlen=_KEPT)
 
     def forget_since(self, time_s: float) -> None:
-        """Undo all sightings since a time; without any earlier one the track begins again."""
+        """Undo all detections since a time; without an earlier one the track restarts."""
         while self._kept and self._kept[-1][0] > time_s:
             self._kept.pop()
         if self._kept:
@@ -179,7 +179,7 @@ class Track:
             self._accept(sighting, before, after)
 
     def _one_target_explains(self, sightings: list[AnySighting]) -> bool:
-        """Tell whether these lie as near one another as one target's would: outliers scatter, a jump does not."""
+        """Return whether these are as close as detections of one target: outliers scatter, a jump does not."""
         last = sightings[-1]
         # Three sigma of a difference of two, along the longer axis.
         reach_m = 3.0 * math.sqrt(2.0 * float(last.covariance.trace()))
@@ -240,7 +240,7 @@ class Track:
 
     @property
     def calibration(self) -> Calibration:
-        """What is known of the payload's errors."""
+        """The estimated errors of the payload."""
         return (self._filter.biases() if self._filter else Biases.prior(self._settings)).calibration
 
 

@@ -41,7 +41,7 @@ _Stamped = TypeVar("_Stamped", GimbalReading, RangeReading)
 
 
 class Tracker:
-    """Pose history, source selection, pairing and track behind one door. Time comes from the readings.
+    """Pose history, source selection, pairing and track in one interface. Time comes from the readings.
 
     A reading may come late or out of order by a few seconds.
     """

@@ -121,7 +121,7 @@ class RoundTripReported:
 
 @dataclass(frozen=True, slots=True)
 class YieldRequested:
-    """Something outside the mode says that somebody else flies now (RC takeover, a foreign mission)."""
+    """An event outside the mode shows that another operator flies now (RC takeover, a foreign mission)."""
 
     time_s: float
     reason: str
@@ -243,7 +243,7 @@ class DecisionRecord:
 
 @dataclass(frozen=True, slots=True)
 class Announce:
-    """Tell the person in plain words; ``kind`` lets a display colour or filter it."""
+    """Announce something to the operator in plain words; ``kind`` lets a display colour or filter it."""
 
     time_s: float
     kind: Literal[
@@ -284,7 +284,7 @@ class HealthChanged:
 
 @dataclass(frozen=True, slots=True)
 class Yield:
-    """Somebody else flies: send nothing to the autopilot any more."""
+    """Another operator flies: send nothing to the autopilot any more."""
 
     time_s: float
     reason: str

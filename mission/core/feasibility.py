@@ -82,5 +82,5 @@ def _band_too_narrow(aircraft: Aircraft, requirement: Requirement) -> Iterator[C
 
 
 def fits_band(aircraft: Aircraft, requirement: Requirement) -> bool:
-    """Tell whether the whole circle lies in the range band of a standing target (19)."""
+    """Return whether the whole circle lies in the range band of a standing target (19)."""
     return requirement.range_min_m + 2.0 * aircraft.radius_m <= requirement.range_max_m

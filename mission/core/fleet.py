@@ -1,7 +1,7 @@
-"""What an aircraft of a fleet is told of the others: events of its control step, so that its journal replays alone.
+"""Fleet data for one aircraft, as events of its control step, so that its journal replays alone.
 
-All places are in the local plane that the whole fleet shares, all heights above the same home, and all times on the
-clock of the vehicle that is told.
+All positions are in the local plane that the whole fleet shares, all heights above the same home, and all times on
+the clock of the receiving vehicle.
 """
 
 from __future__ import annotations
@@ -79,5 +79,5 @@ class CooperativePlanner(Planner, Protocol):
     """A planner that counts on the others."""
 
     def advise(self, told: FleetAdvice | NeighbourPlanned) -> None:
-        """Take what is told of the fleet; the next decision is made by it."""
+        """Process fleet data; the next decision uses it."""
         ...

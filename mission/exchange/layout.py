@@ -32,7 +32,7 @@ class MissionLayout:
     min_items: int = 0
 
     def __contains__(self, seq: int) -> bool:
-        """Tell whether an item is one of the present line."""
+        """Return whether an item belongs to the present path."""
         return self.first <= seq < self.end
 
     def line(self) -> tuple[RawItem, ...]:

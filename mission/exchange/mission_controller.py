@@ -41,7 +41,7 @@ from sidelong.mission.exchange.takeover import Takeover, TakeoverSettings
 from sidelong.mission.exchange.vehicle_command import CommandExchange
 
 DERIVED = (ControlAcquired, PlanStatus, ExternalControl)
-_FREQUENT = (AttitudeReading, PositionReading, GimbalReading, RangeReading)  # told apart sooner than by all others
+_FREQUENT = (AttitudeReading, PositionReading, GimbalReading, RangeReading)  # dispatched before all others
 
 InboundEvent = Event | ExchangeEvent
 Output = Command | SendMessage | TakeoverFailed | ControlAcquired | PlanStatus | ExternalControl
@@ -143,7 +143,7 @@ class MissionController:
                 self._takeover.observe(aircraft, event.height_m)
 
     def _settle(self) -> None:
-        """Hand round what this step has led to, until there is no more."""
+        """Dispatch queued events until none remain."""
         outbox = self._outbox
         while outbox.sent or outbox.derived:
             self._outputs += outbox.sent

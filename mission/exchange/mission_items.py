@@ -63,7 +63,7 @@ class MissionItemBackend:
         self._layout: MissionLayout | None = None
         self._read: MissionRead | None = None
         self._change: _Change | None = None
-        self._not_taken: _Change | None = None  # the latest one: should it be flown after all, that is heard
+        self._not_taken: _Change | None = None  # the latest one; if it is flown after all, that is still reported
         self._left: MissionLayout | None = None  # the line before, until an item of the present one was reported
         self._ownership = MissionOwnership(outbox, dialect.quirks)
         self._upload = MissionUpload(outbox, dialect, settings.home, self._ownership)
@@ -157,7 +157,7 @@ class MissionItemBackend:
         return tuple(self._dialect.raw(item) for item in items)
 
     def take_control(self) -> None:
-        """Begin to look out for somebody else who commands the vehicle: it is ours now."""
+        """Begin to detect other operators: sidelong has control of the vehicle now."""
         self._ownership.begin()
 
     # -- plans ---------------------------------------------------------------------------------------------
@@ -245,7 +245,7 @@ class MissionItemBackend:
         late_s = self._outbox.time_s - plan.departure_s
         on_the_way_s = self._outbox.vehicle_s(self._upload.round_trip_s)
         repeated = change.activation.repeated
-        if repeated:  # the one before may have been heard, and this one may be on its way for long
+        if repeated:  # the previous request may have arrived, and this one may be delayed
             late_s = max(late_s, 0.0) + _REPEAT_AHEAD_S + _REPEAT_ROUND_TRIPS * on_the_way_s
         elif on_the_way_s > _NEGLIGIBLE_S:
             late_s += on_the_way_s
@@ -390,7 +390,7 @@ class MissionItemBackend:
         can_ask = not self._upload.under_way and layout is not None and index is not None and index in layout
         self._ownership.audit(index if can_ask else None)
 
-    # -- telling -------------------------------------------------------------------------------------------
+    # -- reporting -----------------------------------------------------------------------------------------
 
     def _fail(self, change: _Change, why: str) -> None:
         self._change = None

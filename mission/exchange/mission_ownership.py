@@ -65,7 +65,7 @@ class MissionOwnership:
 
     @property
     def doubtful(self) -> bool:
-        """Whether one of the latest uploads ended in doubt: its acknowledgement may still come."""
+        """Whether one of the latest uploads has an unknown result: its acknowledgement may still arrive."""
         return not all(whole for _, whole in self._written)
 
     def begin(self) -> None:
@@ -84,7 +84,7 @@ class MissionOwnership:
         self._identity.ours.add((report.total, report.mission_id))
 
     def writing(self, items: int) -> None:
-        """Begin to write a mission of so many items."""
+        """Begin to write a mission with this number of items."""
         self._identity.writing = items - self._quirks.home_at_zero
 
     def written(self, items: tuple[RawItem, ...], mission_id: int, accepted: bool) -> None:

@@ -22,8 +22,8 @@ from sidelong.mission.exchange.reports import (
 
 _AGAIN_S, _AGAIN_ROUND_TRIPS = 0.25, 2.0
 _SLOWER, _SLOWEST = 1.25, 2.0
-_DISTURBED_MAX = 5  # so often the requests are sent ahead of the answers
-_UNANSWERED_MAX = 4  # requests; then the vehicle may have given the reading up, and heeds none any more
+_DISTURBED_MAX = 5  # how often requests are sent ahead of the answers
+_UNANSWERED_MAX = 4  # requests; then the vehicle may have ended the download, and ignores requests
 
 
 class MissionRead:
@@ -37,7 +37,7 @@ class MissionRead:
         self._deadline_s, self._again_s = deadline_s, max(_AGAIN_S, _AGAIN_ROUND_TRIPS * round_trip_s)
         self._disturbed = 0
         self._count: int | None = None
-        self._read_of = 0  # so many items, of the mission that mission_id tells
+        self._read_of = 0  # number of items of the mission with mission_id
         self._read: dict[int, RawItem] = {}
         self._due_s = math.inf
         self._asked_s, self._repeats = outbox.link_s, 0
@@ -91,7 +91,7 @@ class MissionRead:
                 self._ask()
 
     def call_off(self) -> None:
-        """Read no more: a vehicle that is read in order heeds nothing else until it is told."""
+        """Stop reading: a vehicle that reads items in order ignores other messages until it receives MISSION_ACK."""
         if not self.done and self._in_order:
             self._outbox.end_reading()
         self.done = True

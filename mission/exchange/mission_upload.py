@@ -14,7 +14,7 @@ from sidelong.mission.exchange.raw_item import RawItem
 from sidelong.mission.exchange.reports import VehicleReport
 
 _DURATION_WEIGHT = 0.5
-_LOSES_UPLOADS = 5  # so long a link that lost items is taken to lose more
+_LOSES_UPLOADS = 5  # number of uploads for which a link that lost items is treated as lossy
 
 
 class MissionUpload:
@@ -31,7 +31,7 @@ class MissionUpload:
         self._layout: MissionLayout | None = None
         self._result: WriteResult | None = None
         self._began_s = 0.0
-        self._since_lost = _LOSES_UPLOADS  # so many uploads without an item that was lost
+        self._since_lost = _LOSES_UPLOADS  # number of uploads without a lost item
         self.took_s = 0.0
         self.round_trip_s = 0.0
 
@@ -92,7 +92,7 @@ class MissionUpload:
             self._write.cancel()
 
     def forget(self) -> None:
-        """Hear no more of what is being written; what is on board is not known then."""
+        """Ignore further messages about the running upload; what is on board is then unknown."""
         if self._write is not None:
             self._ownership.written(self._write.items, 0, False)
         self._write = self._layout = self._result = None

@@ -19,7 +19,7 @@ from sidelong.mission.exchange.vehicle_command import CommandExchange, describe_
 
 _PERIOD_S = 1.0  # of the vehicle's time
 _SAME_E7 = 200  # two metres
-_REMEMBERED, _REMEMBERED_S = 4, 10.0  # at least so many orders, and all of so long, of the link's clock
+_REMEMBERED, _REMEMBERED_S = 4, 10.0  # at least this many commands, and all within this time of the link's clock
 
 
 class OrbitCommandBackend:
@@ -68,7 +68,7 @@ class OrbitCommandBackend:
         return CommandExchange(self._outbox, self._dialect.fly_circle(order, take_over=True))
 
     def take_control(self) -> None:
-        """Begin to look out for somebody else who commands the vehicle: it is ours now."""
+        """Begin to detect other operators: sidelong has control of the vehicle now."""
         self._in_control = True
         self._suspicion.forget()
 
@@ -100,7 +100,7 @@ class OrbitCommandBackend:
         """Do what is due."""
         self._waits = False
         if self._suspicion.active:
-            return  # somebody else may be at work: not one message more until that is known
+            return  # another operator may be in command: send nothing until that is known
         if self._command is not None:
             self._command.expire()
             self._judge()

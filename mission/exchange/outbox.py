@@ -36,7 +36,7 @@ class TakeoverFailed:
 
 @dataclass(frozen=True, slots=True)
 class ExternalControl(YieldRequested):
-    """The exchange has noticed that somebody else commands the vehicle."""
+    """The exchange has detected that another operator commands the vehicle."""
 
 
 Derived = ControlAcquired | PlanStatus | ExternalControl
@@ -82,5 +82,5 @@ class Outbox:
         self.send_mission("MISSION_ITEM_INT", seq=seq, current=int(current), **asdict(item))
 
     def report(self, event: Derived | Announce | TakeoverFailed) -> None:
-        """Tell the control step, or a person."""
+        """Report to the control step, or to the operator."""
         self.derived.append(event)

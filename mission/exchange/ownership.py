@@ -26,7 +26,7 @@ class Suspicion:
         self.active = False
 
     def is_confirmed_by(self, link_s: float) -> bool:
-        """Take a report that does not fit; tell whether that proves somebody else at work."""
+        """Process a report that does not fit; return whether it proves that another operator is in command."""
         self.active = True
         while self._reports_s and link_s - self._reports_s[0] > _REMEMBERED_S:
             self._reports_s.popleft()
@@ -35,7 +35,7 @@ class Suspicion:
         return len(self._reports_s) >= _MIN_REPORTS and link_s - self._reports_s[0] >= span_s
 
     def forget(self) -> None:
-        """Begin anew, after a change of our own: what comes late belongs to what was before."""
+        """Reset after a change by sidelong: late reports belong to the previous mission."""
         self.active = False
         self._reports_s.clear()
 
@@ -52,7 +52,7 @@ class MissionIdentity:
     ours: set[tuple[int, int]] = field(default_factory=set)
     expected: int | None = None
     doubtful: set[int] = field(default_factory=set)
-    writing: int | None = None  # a mission of so many items is under way: it may be on board already
+    writing: int | None = None  # number of items being written; the mission may be on board already
 
     def written(self, total: int, mission_id: int, accepted: bool = True) -> None:
         """Take over a mission that is on board, or may be. mission_id 0: not known yet."""
@@ -67,12 +67,12 @@ class MissionIdentity:
             self.expected = total
 
     def is_open(self, total: int, mission_id: int) -> bool:
-        """Tell whether only the items themselves show whose the mission of a report is."""
+        """Return whether only the items themselves show who wrote the reported mission."""
         unknown = mission_id != 0 and (total, mission_id) not in self.ours
         return unknown and self.writing is None and total in self.doubtful
 
     def is_ours(self, total: int, mission_id: int) -> bool:
-        """Tell whether a report is of a mission of ours; learn its id where one is expected."""
+        """Return whether a report is about a mission of sidelong; learn its id if one is expected."""
         if (total, mission_id) in self.ours or self._is_under_way(total, mission_id):
             return True
         if total != self.expected and total not in self.doubtful:
@@ -82,7 +82,7 @@ class MissionIdentity:
         return True
 
     def _is_under_way(self, total: int, mission_id: int) -> bool:
-        """Tell whether a report is of what is being written: a list without id grows item by item as they arrive."""
+        """Return whether a report is about the list being written: without id it grows item by item."""
         if self.writing is None:
             return False
         shortest = min((own_total for own_total, _ in self.ours), default=self.writing)

@@ -70,7 +70,7 @@ class PlanBackend(Protocol):
         ...
 
     def take_control(self) -> None:
-        """Begin to look out for somebody else who commands the vehicle: it is ours now."""
+        """Begin to detect other operators: sidelong has control of the vehicle now."""
         ...
 
     def receive(self, report: VehicleReport) -> None:

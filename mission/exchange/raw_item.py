@@ -46,12 +46,12 @@ def raw_item(item: Item) -> RawItem:
 
 
 def at_place(x: int, y: int, item: RawItem) -> bool:
-    """Tell whether 1e-7 degrees are an item's place."""
+    """Return whether an item's position is in units of 1e-7 degrees."""
     return max(abs(x - item.x), abs(y - item.y)) <= _COMPARED_METRES_AS_DEGREES_E7
 
 
 def same_item(a: RawItem, b: RawItem) -> bool:
-    """Tell whether the items are the same up to the vehicle's rounding; PX4 keeps nothing of a take-off's pitch."""
+    """Return whether the items are equal up to the vehicle's rounding; PX4 does not store a take-off's pitch."""
     return (
         a.command == b.command
         and at_place(a.x, a.y, b)
@@ -64,5 +64,5 @@ def same_item(a: RawItem, b: RawItem) -> bool:
 
 
 def same_items(sent: Sequence[RawItem], onboard: Sequence[RawItem]) -> bool:
-    """Tell whether the vehicle holds what was sent, up to its own rounding."""
+    """Return whether the vehicle stores what was sent, up to its own rounding."""
     return len(sent) == len(onboard) and all(map(same_item, sent, onboard))

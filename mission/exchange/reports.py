@@ -24,7 +24,7 @@ class MissionCurrentReported:
 
 @dataclass(frozen=True, slots=True)
 class MissionCountReported:
-    """MISSION_COUNT to us: so many items are on board."""
+    """MISSION_COUNT addressed to sidelong: the number of items on board."""
 
     time_s: float
     link_s: float

@@ -32,7 +32,7 @@ _STARTED_S = 2.0  # a mode that was accepted is reported so soon, of the link's 
 _HIGH_ENOUGH = 0.7  # of the height wanted, to begin watching
 _AT_HEIGHT_M = 5.0
 _LIKE_OURS = (0.7, 1.3)  # a circle flown already with a radius within this share of ours was commanded by us
-_ROUND = 2.5  # so many radii from its centre an aircraft counts as circling
+_ROUND = 2.5  # within this many radii of its centre an aircraft counts as circling
 _TICK_S = 0.1
 
 Script = Iterator[None]
@@ -169,7 +169,7 @@ class Takeover:
     def _until(
         self, holds: Callable[[], bool], link_s: float = math.inf, vehicle_s: float = math.inf
     ) -> Iterator[None]:
-        """Wait until something holds, or for so long."""
+        """Wait until a condition holds, or until the timeout."""
         link_end_s, vehicle_end_s = self._outbox.link_s + link_s, self._outbox.time_s + vehicle_s
         while not holds() and self._outbox.link_s < link_end_s and self._outbox.time_s < vehicle_end_s:
             self._until_s = min(link_end_s, self._outbox.link_s + _TICK_S)

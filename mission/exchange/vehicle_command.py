@@ -38,7 +38,7 @@ class VehicleCommand:
 
 
 def describe_result(result: int | None) -> str:
-    """Return a MAV_RESULT in words; None: nothing was heard."""
+    """Return a MAV_RESULT in words; None: no answer received."""
     return "no answer" if result is None else _RESULTS.get(result, f"result {result}")
 
 

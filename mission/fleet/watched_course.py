@@ -1,4 +1,4 @@
-"""The course whose sides a fleet shares out: one for all, also for who comes while the target stands."""
+"""The course that defines the sides for a whole fleet, including aircraft that join while the target stands."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def off_track(
     cross_track_m: float = OFF_TRACK_M,
     course_error_rad: float = OFF_TRACK_RAD,
 ) -> bool:
-    """Tell whether an aircraft is too far from the point of its plan that fits best to be following it."""
+    """Return whether an aircraft is too far from the nearest point of its plan to be following it."""
     off_m = math.hypot(aircraft.east_m - point.east_m, aircraft.north_m - point.north_m)
     off_rad = math.remainder(aircraft.course_rad - point.course_rad, 2.0 * math.pi)
     return off_m > cross_track_m or abs(off_rad) > course_error_rad

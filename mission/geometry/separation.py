@@ -23,7 +23,7 @@ from sidelong.mission.geometry.progress import line_of
 
 MIN_SEPARATION_M = 50.0
 _STEP_S = 1.0
-_FOREIGN_S = 30.0  # a foreign aircraft's straight line is believed for so long
+_FOREIGN_S = 30.0  # a foreign aircraft's straight-line prediction is valid for this time
 _SPEED_ERROR = 0.05  # share of the airspeed by which each aircraft may be ahead of its line's time, or behind it
 _LINE_ERROR_M = 10.0  # flown lines differ from planned ones
 _LONGEST_S = 180.0

@@ -32,5 +32,5 @@ def range_after_lap_m(
 
 
 def must_move(range_after_lap_m: float, requirement: Requirement) -> bool:
-    """Tell whether another lap would end outside [Dmin, C Dmax] (16)."""
+    """Return whether another lap would end outside [Dmin, C Dmax] (16)."""
     return not requirement.range_min_m <= range_after_lap_m <= requirement.threshold * requirement.range_max_m
