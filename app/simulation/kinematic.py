@@ -337,8 +337,8 @@ class KinematicVehicle:
         east_m_s = state.ground_speed_m_s * math.sin(state.course_rad)
         north_m_s = state.ground_speed_m_s * math.cos(state.course_rad)
         if self._is_due(rates.attitude_hz):
-            heading_rad = math.atan2(east_m_s - self._wind.east_m_s, north_m_s - self._wind.north_m_s)
-            self._say("ATTITUDE", time_boot_ms=boot_ms, roll=self.aircraft.bank_rad, pitch=0.0, yaw=heading_rad)
+            roll_rad, yaw_rad = self.aircraft.bank_rad, self.heading_rad
+            self._say("ATTITUDE", time_boot_ms=boot_ms, roll=roll_rad, pitch=0.0, yaw=yaw_rad)
         if self._is_due(rates.position_hz):
             latitude_deg, longitude_deg = self._start.plane.latitude_longitude_deg(state.east_m, state.north_m)
             self._say(
@@ -362,6 +362,14 @@ class KinematicVehicle:
             line_m = truth.east_m - state.east_m, truth.north_m - state.north_m, -self.height_m
             with_range = self._is_due(rates.laser_hz)
             self._sent += self._payload.measure(self.time_s, boot_ms, *line_m, with_range=with_range)
+
+    @property
+    def heading_rad(self) -> float:
+        """Where the nose points: the course through the air, clockwise from north."""
+        state, wind = self.aircraft.state, self._wind
+        east_m_s = state.ground_speed_m_s * math.sin(state.course_rad) - wind.east_m_s
+        north_m_s = state.ground_speed_m_s * math.cos(state.course_rad) - wind.north_m_s
+        return math.atan2(east_m_s, north_m_s)
 
     def _send_status(self) -> None:
         autopilot = self._autopilot.mav_autopilot

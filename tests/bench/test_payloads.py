@@ -8,7 +8,7 @@ import pytest
 from sidelong.app.payload.driver import AnglesMeasured, DriverSettings, RangeMeasured
 from sidelong.app.payload.registry import kind_by_name
 from sidelong.sitl.payload.devices import DEVICES
-from tests.faults.flight import ClosedLoop, Scenario
+from tests.faults.flight import FaultedFlight, Scenario
 from tests.payload.damage import damaged_stream, intact_frames
 from tests.payload.test_flight import DeviceLoop, error_m, shares
 
@@ -45,7 +45,7 @@ def test_side_and_band_of_each_payload_are_within_a_point_of_mavlink():
         runs = []
         for seed in SEEDS:
             scenario = Scenario(seed=seed, flavour="px4" if seed % 2 else "arduplane", duration_s=DURATION_S)
-            loop = ClosedLoop(scenario) if kind == "mavlink" else DeviceLoop(scenario, kind)
+            loop = FaultedFlight(scenario) if kind == "mavlink" else DeviceLoop(scenario, kind)
             one = loop.fly()
             runs.append((*shares(one), error_m(one)))
         flown[kind] = np.mean(runs, axis=0)

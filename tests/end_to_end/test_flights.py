@@ -25,6 +25,7 @@ def flown(request, tmp_path_factory) -> tuple[Path, dict]:
     summary = folder / "summary.json"
     done = sidelong(
         *("launch", "--autopilot", request.param, "--duration", 240, "--speed", 30, "--seed", 3),
+        *("--target", "walk"),
         *("--planner", "paper", "--out", folder / "runs", "--json", summary),
     )
     assert done.returncode == 0, done.stdout + done.stderr

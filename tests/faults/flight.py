@@ -40,7 +40,7 @@ HOME_DEG = (47.4, 8.5)
 _HOME = Home(*HOME_DEG, 400.0)
 _PLANE = LocalPlane(*HOME_DEG)
 _HEIGHT_M = 100.0
-_ERRORS = PayloadErrors(yaw_bias_rad=0.0, outliers=0.02, dropouts_per_s=0.1 / 3.0)
+ERRORS = PayloadErrors(yaw_bias_rad=0.0, outliers=0.02, dropouts_per_s=0.1 / 3.0)
 _RATES = Rates(
     tick_hz=10, position_hz=10, attitude_hz=10, gimbal_hz=10, laser_hz=10, status_hz=1, mission_current_hz=1
 )
@@ -132,7 +132,7 @@ class FaultedFlight(ClosedLoop[Message]):
         )
 
     def payload(self, rng: np.random.Generator) -> Payload | None:
-        return Payload(_ERRORS, rng)
+        return Payload(ERRORS, rng)
 
     def fly(self) -> Flown:
         while self.simulated.time_s < self._scenario.duration_s - 1e-6:

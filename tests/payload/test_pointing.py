@@ -8,14 +8,14 @@ import pytest
 from sidelong.app.flight.point_payload import PayloadPointer
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.mission.control.snapshot import Phase
-from tests.faults.flight import ClosedLoop, Scenario
+from tests.faults.flight import FaultedFlight, Scenario
 
 _HEIGHT_M = 100.0
 
 
 @pytest.fixture(scope="module")
 def snapshot():
-    loop = ClosedLoop(Scenario(seed=2, flavour="arduplane", duration_s=30.0))
+    loop = FaultedFlight(Scenario(seed=2, flavour="arduplane", duration_s=30.0))
     loop.fly()
     return loop.controller.snapshot()
 
