@@ -41,7 +41,7 @@ from sidelong.mission.exchange.takeover import Takeover, TakeoverSettings
 from sidelong.mission.exchange.vehicle_command import CommandExchange
 
 DERIVED = (ControlAcquired, PlanStatus, ExternalControl)
-_FREQUENT = (AttitudeReading, PositionReading, GimbalReading, RangeReading)  # dispatched before all others
+_FREQUENT = (AttitudeReading, PositionReading, GimbalReading, RangeReading)  # skip the slower check for ExchangeEvent
 
 InboundEvent = Event | ExchangeEvent
 Output = Command | SendMessage | TakeoverFailed | ControlAcquired | PlanStatus | ExternalControl
