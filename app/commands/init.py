@@ -155,7 +155,7 @@ def _fleet_lines(values: dict[str, float], count: int) -> Iterator[str]:
             if number == 0:
                 yield from _entry(f"aircraft.{key}", key, field, own.get(key))
             elif key in own:
-                yield f"{key} = {_toml(own[key])}"
+                yield f"{key} = {toml(own[key])}"
         for key in ("url", "urls", "system_id", "autopilot", "reserve", "target"):
             if number == 0:
                 yield from _comment(FleetAircraftSection.model_fields[key].description or "")
@@ -166,26 +166,26 @@ def _fleet_lines(values: dict[str, float], count: int) -> Iterator[str]:
     yield "[[target]]"
     for key, field in TargetSection.model_fields.items():
         yield from _comment(field.description or "")
-        yield f"{key} = {_toml(field.default)}" if field.default is not None else f"# {key} = {_FLEET_EXAMPLES[key]}"
+        yield f"{key} = {toml(field.default)}" if field.default is not None else f"# {key} = {_FLEET_EXAMPLES[key]}"
 
 
 def _entry(path: str, key: str, field: FieldInfo, chosen: Any) -> Iterator[str]:
     default = field.get_default(call_default_factory=True, validated_data={})
     example = _EXAMPLES.get(path)
-    told = [field.description or "", _limits(field)]
+    told = [field.description or "", limits_in_words(field)]
     if chosen is not None and default not in (None, chosen):
-        told.append(f"Default {_toml(default)}.")
+        told.append(f"Default {toml(default)}.")
     yield from _comment(" ".join(filter(None, told)))
     if chosen is None and default in (None, []):
         yield f"# {key} = {example}"
     else:
-        yield f"{key} = {_toml(default if chosen is None else chosen)}"
+        yield f"{key} = {toml(default if chosen is None else chosen)}"
 
 
-def _limits(field: FieldInfo) -> str:
+def limits_in_words(field: FieldInfo) -> str:
     """Return the limits of a field in words, '' where it has none."""
     if get_origin(field.annotation) is Literal:
-        return f"One of {', '.join(_toml(value) for value in get_args(field.annotation))}."
+        return f"One of {', '.join(toml(value) for value in get_args(field.annotation))}."
     words = []
     for limit in field.metadata:
         match limit:
@@ -204,6 +204,6 @@ def _comment(text: str) -> list[str]:
     return textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ", break_on_hyphens=False)
 
 
-def _toml(value: Any) -> str:
+def toml(value: Any) -> str:
     """Return a plain value as TOML writes it: strings, numbers and booleans are the same as in JSON."""
     return json.dumps(value, allow_nan=False)

