@@ -36,7 +36,7 @@ def version_of(url: str) -> str:
     """Return name, release and commit of the vehicle at a URL, as ``sidelong connect`` reads them."""
     command = [sys.executable, "-m", "sidelong.app", "connect", url, "--listen", "0.5", "--json", "-"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=ROOT, check=True)
-    found = json.loads(done.stdout[done.stdout.index("\n{") :])
+    found = json.loads(done.stdout)
     return f"{found['autopilot']} {found['release']} ({found['commit']})"
 
 
