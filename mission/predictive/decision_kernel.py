@@ -12,7 +12,7 @@ from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import ARC, Craft, line_at, sharpness_per_m2, turn_radius_m
 from sidelong.mission.predictive.cost_kernel import CostTerms, Table, fading_per_s, least
-from sidelong.mission.predictive.future_kernel import Motions, Turns, first_of, winding
+from sidelong.mission.predictive.future_kernel import Motions, Turns, straight_on, winding
 from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S, Kept, lines_from, move_line, ramp_on
 from sidelong.mission.predictive.rollout_kernel import Futures, Lines, Pose, lines_costs, single_line, times_s
 from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame, scene_of
@@ -212,9 +212,8 @@ def look_deeper(
     if moves were free, and where the ground hides something: second moves know nothing of it. What gains less than
     min_gain may be given any cost above that.
     """
-    # The turns that it may begin need the second move to tell; that it goes its old way again matters from the first.
-    likely = first_of(futures, max(1, 1 + len(futures.weight) - len(looker.turns.rate_rad_s)))
-    stay_cost = look_ahead(scene, now, likely, looker, sight, costs)
+    # The turns that the target may begin only matter with a second move.
+    stay_cost = look_ahead(scene, now, straight_on(futures), looker, sight, costs)
     depth, prices, air = looker.depth, looker.prices, scene.air
     if depth.beam == 0 or len(sight.needed_m) > 0 or doubtful(scene, looker.motions):
         return stay_cost

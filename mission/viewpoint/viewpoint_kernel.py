@@ -9,7 +9,6 @@ import numpy as np
 
 from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
-from sidelong.mission.viewpoint.trail_kernel import TRAIL_SIZE, remember
 
 _STOPPED_BELOW_M_S = 0.9
 _MOVING_ABOVE_M_S = 1.0
@@ -20,13 +19,12 @@ COURSE_SIGMA_MAX_RAD = 0.8
 
 # The memory, an array: what it holds, the aircraft's own airspeed as a share of the wanted one, and when that was
 # looked at, then the times and courses of the last seconds of motion, oldest first, then times and places of the last
-# minute, and the trail.
+# minute.
 STANDING, COURSE, PRESUMED, SIDE, MADE_GOOD, AIRSPEED_SHARE, AIRSPEED_S, RECENT = range(8)
 _RECENT_MAX = 200  # of them: more than at any rate that decisions are made at
 _PLACES = RECENT + 1 + 2 * _RECENT_MAX
 _PLACES_MAX, _PLACE_EVERY_S = 72, 0.95
-TRAIL = _PLACES + 1 + 3 * _PLACES_MAX
-MEMORY_SIZE = TRAIL + TRAIL_SIZE
+MEMORY_SIZE = _PLACES + 1 + 3 * _PLACES_MAX
 
 
 class Known(NamedTuple):
@@ -111,7 +109,7 @@ def held_course_rad(target: Known, memory: FloatArray) -> float:
 
 @compiled
 def remember_place(target: Known, memory: FloatArray) -> None:
-    """Keep a place for the course made good, about one each second, and for the trail."""
+    """Keep a place for the course made good, about one each second."""
     places, count = memory[_PLACES + 1 :], int(memory[_PLACES])
     if count > 0 and target.time_s < places[3 * count - 3] + _PLACE_EVERY_S:
         return
@@ -121,7 +119,6 @@ def remember_place(target: Known, memory: FloatArray) -> None:
         count -= 1
     places[3 * count], places[3 * count + 1], places[3 * count + 2] = target.time_s, target.east_m, target.north_m
     memory[_PLACES] = count + 1
-    remember(memory[TRAIL:], target.east_m, target.north_m)
 
 
 @inlined
