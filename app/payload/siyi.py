@@ -20,12 +20,12 @@ from sidelong.app.payload.driver import (
     AnglesMeasured,
     DriverSettings,
     Frame,
-    Identity,
     Measured,
     RangeMeasured,
 )
+from sidelong.app.payload.framed_driver import FramedDriver
 from sidelong.app.payload.framing import Framer
-from sidelong.app.payload.requests import Period, RoundTrips
+from sidelong.app.payload.requests import Period
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw, multiply
 
@@ -49,14 +49,11 @@ _AIRCRAFT_PERIOD_S = 0.1
 _STREAMING_S = 0.5  # without a measurement for this long, they are polled
 
 
-class SiyiDriver:
+class SiyiDriver(FramedDriver):
     """State of one connection to a SIYI gimbal camera."""
 
     def __init__(self, settings: DriverSettings) -> None:
-        self.identity = Identity()
-        self._settings = settings
-        self._framer = Framer((_HEADER,), _length, _is_intact)
-        self._trips = RoundTrips()
+        super().__init__(settings, Framer((_HEADER,), _length, _is_intact))
         self._sequence = 0
         self._frame: Frame = "vehicle"
         self._upside_down = False
@@ -64,21 +61,9 @@ class SiyiDriver:
         self._poll_due = {_ATTITUDE: Period(_ANGLES_PERIOD_S), _RANGE: Period(_RANGE_PERIOD_S)}
         self._streamed_s: dict[int, float] = {}  # when a stream was requested, or brought a measurement
 
-    @property
-    def damaged(self) -> int:
-        """Number of byte sequences that began like a frame and were none."""
-        return self._framer.damaged
-
-    @property
-    def round_trip_s(self) -> float | None:
-        """Shortest recent time between a request and its reply, s."""
-        return self._trips.shortest_s
-
     def restart(self, now_s: float) -> None:
         """Request identification and streams again."""
-        self._framer.clear()
-        self._trips.clear()
-        self.identity = Identity()
+        super().restart(now_s)
         self._streamed_s.clear()
         self._identity_due.restart()
 
@@ -102,11 +87,6 @@ class SiyiDriver:
             if not streams and not self._trips.awaits(command, now_s) and self._poll_due[command].is_due(now_s):
                 requests.append(self._request(now_s, command))
         return requests
-
-    def receive(self, data: bytes, now_s: float) -> list[Measured]:
-        """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
-        measured = (self._measured(frame, now_s) for frame in self._framer.feed(data))
-        return [one for one in measured if one is not None]
 
     def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
         """Return the aircraft's attitude for the gimbal's own stabilisation, at 10 Hz."""
@@ -137,7 +117,7 @@ class SiyiDriver:
         self._sequence = (self._sequence + 1) & 0xFFFF
         return frame
 
-    def _measured(self, frame: bytes, now_s: float) -> Measured | None:
+    def _measured(self, frame: bytes, now_s: float) -> Sequence[Measured | None]:
         *_, command = _HEAD.unpack_from(frame)
         data = frame[_HEAD.size : -_CRC_BYTES]
         if command in _STREAMS and not self._trips.awaits(command, now_s):
@@ -145,16 +125,16 @@ class SiyiDriver:
         time_s = self._trips.measured_s(command, now_s)
         match command:
             case 0x0D if len(data) >= 6:
-                return self._angles(time_s, data)
+                return (self._angles(time_s, data),)
             case 0x15 if len(data) == 2:
-                return self._range(time_s, data)
+                return (self._range(time_s, data),)
             case 0x02 if data:
                 self._take_model(data)
             case 0x01 if len(data) >= 8 and any(data[:3]):
                 self.identity.firmware = f"{data[6]}.{data[5]}.{data[4]}"
             case 0x0A if len(data) >= 6:
                 self._frame, self._upside_down = _FRAMES.get(data[4], "vehicle"), data[5] == _UPSIDE_DOWN
-        return None
+        return ()
 
     def _take_model(self, data: bytes) -> None:
         code = data[0]

@@ -15,12 +15,12 @@ from sidelong.app.payload.driver import (
     AircraftPose,
     AnglesMeasured,
     DriverSettings,
-    Identity,
     Measured,
     RangeMeasured,
 )
+from sidelong.app.payload.framed_driver import FramedDriver
 from sidelong.app.payload.framing import Framer
-from sidelong.app.payload.requests import Period, RoundTrips
+from sidelong.app.payload.requests import Period
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 
@@ -35,34 +35,19 @@ _IDENTITY_PERIOD_S, _ANGLES_PERIOD_S, _RANGE_PERIOD_S, _RANGING_PERIOD_S = 1.0, 
 _PUSHED_S = 0.5  # without a range for this long, it is polled
 
 
-class TopotekDriver:
+class TopotekDriver(FramedDriver):
     """State of one connection to a Topotek gimbal camera."""
 
     def __init__(self, settings: DriverSettings) -> None:
-        self.identity = Identity()
-        self._settings = settings
-        self._framer = Framer(_HEADERS, _length, _is_intact)
-        self._trips = RoundTrips()
+        super().__init__(settings, Framer(_HEADERS, _length, _is_intact))
         self._identity_due, self._angles_due = Period(_IDENTITY_PERIOD_S), Period(_ANGLES_PERIOD_S)
         self._range_due, self._ranging_due = Period(_RANGE_PERIOD_S), Period(_RANGING_PERIOD_S)
         self._pushed_s = self._range_s = -math.inf
         self._follows = False
 
-    @property
-    def damaged(self) -> int:
-        """Number of byte sequences that began like a frame and were none."""
-        return self._framer.damaged
-
-    @property
-    def round_trip_s(self) -> float | None:
-        """Shortest recent time between a request and its reply, s."""
-        return self._trips.shortest_s
-
     def restart(self, now_s: float) -> None:
         """Request identification, angles and ranging again."""
-        self._framer.clear()
-        self._trips.clear()
-        self.identity = Identity()
+        super().restart(now_s)
         self._follows = False
         for period in (self._identity_due, self._angles_due, self._ranging_due):
             period.restart()
@@ -86,11 +71,6 @@ class TopotekDriver:
             requests.append(encode(_LENS, "r", "LRF", "00"))
         return requests
 
-    def receive(self, data: bytes, now_s: float) -> list[Measured]:
-        """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
-        measured = (self._measured(frame, now_s) for frame in self._framer.feed(data))
-        return [one for one in measured if one is not None]
-
     def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
         """Return nothing: angles are relative to the aircraft, for which the gimbal needs no position."""
         return ()
@@ -107,21 +87,21 @@ class TopotekDriver:
         commands.append(encode(_GIMBAL, "w", "GIP", f"{_hundredths(pitch_rad):04X}{_SPEED:02X}", fixed=False))
         return commands
 
-    def _measured(self, frame: bytes, now_s: float) -> Measured | None:
+    def _measured(self, frame: bytes, now_s: float) -> Sequence[Measured | None]:
         command, data = frame[7:_HEAD_BYTES], frame[_HEAD_BYTES:-_CHECKSUM_BYTES]
         if command == b"LRF" and not self._trips.awaits(command, now_s):
             self._pushed_s = now_s
         time_s = self._trips.measured_s(command, now_s)
         if command in _ANGLES_MESSAGES and len(data) == 12:
-            return self._angles(time_s, data)
+            return (self._angles(time_s, data),)
         if command == b"LRF":
-            return self._range(time_s, now_s, data)
+            return (self._range(time_s, now_s, data),)
         text = data.decode("ascii", "replace").strip()
         if command == b"PA2":
             self.identity.model = text or "Topotek"
         elif command == b"VSN":
             self.identity.firmware = text
-        return None
+        return ()
 
     def _angles(self, time_s: float, data: bytes) -> AnglesMeasured | None:
         try:

@@ -18,12 +18,12 @@ from sidelong.app.payload.driver import (
     AircraftPose,
     AnglesMeasured,
     DriverSettings,
-    Identity,
     Measured,
     RangeMeasured,
 )
+from sidelong.app.payload.framed_driver import FramedDriver
 from sidelong.app.payload.framing import Framer
-from sidelong.app.payload.requests import Period, RoundTrips
+from sidelong.app.payload.requests import Period
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 
@@ -41,35 +41,20 @@ _POSITION_KNOWN = 0x0F
 _ATTITUDE_AND_POSITION = 0x07
 
 
-class ViewproDriver:
+class ViewproDriver(FramedDriver):
     """State of one connection to a Viewpro gimbal camera."""
 
     def __init__(self, settings: DriverSettings) -> None:
-        self.identity = Identity()
-        self._settings = settings
-        self._framer = Framer((_HEADER,), _length, _is_intact)
-        self._trips = RoundTrips()
+        super().__init__(settings, Framer((_HEADER,), _length, _is_intact))
         self._counter = 0
         self._handshake_due, self._identity_due = Period(_HANDSHAKE_PERIOD_S), Period(_IDENTITY_PERIOD_S)
         self._laser_due, self._aircraft_due = Period(_LASER_PERIOD_S), Period(_AIRCRAFT_PERIOD_S)
         self._range_s = -math.inf
         self._follows = False
 
-    @property
-    def damaged(self) -> int:
-        """Number of byte sequences that began like a frame and were none."""
-        return self._framer.damaged
-
-    @property
-    def round_trip_s(self) -> float | None:
-        """Shortest recent time between a handshake and the status that answers it, s."""
-        return self._trips.shortest_s
-
     def restart(self, now_s: float) -> None:
         """Request identification and ranging again."""
-        self._framer.clear()
-        self._trips.clear()
-        self.identity = Identity()
+        super().restart(now_s)
         self._follows = False
         self._identity_due.restart()
         self._laser_due.restart()
@@ -88,10 +73,6 @@ class ViewproDriver:
             self._trips.sent(_STATUS, now_s)
             requests.append(self._frame(_HANDSHAKE, b"\0"))
         return requests
-
-    def receive(self, data: bytes, now_s: float) -> list[Measured]:
-        """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
-        return [one for frame in self._framer.feed(data) for one in self._measured(frame, now_s)]
 
     def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
         """Return the aircraft's attitude and position for the gimbal's own stabilisation, at 10 Hz."""
