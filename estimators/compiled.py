@@ -4,7 +4,8 @@ numba notices a change of a function's own file, but not of a function or consta
 of the folder therefore contains a digest of all kernels and of the modules that they import.
 
 The folder is below ``NUMBA_CACHE_DIR`` if that is set, else in the user's cache (``XDG_CACHE_HOME`` or ``~/.cache``).
-If it cannot be written, a folder for this user below the system's temporary folder is used.
+If it cannot be written, a folder for this user below the system's temporary folder is used; where another user made
+that one, a new folder for each process.
 """
 
 from __future__ import annotations
@@ -64,18 +65,22 @@ def _chosen_folder() -> Path:
         candidates.insert(0, Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sidelong")
     if os.environ.get("NUMBA_CACHE_DIR"):
         candidates.insert(0, Path(os.environ["NUMBA_CACHE_DIR"]))
+    name = f"kernels-{_kernel_digest()}"
     for base in candidates:
-        folder = base / f"kernels-{_kernel_digest()}"
+        folder = base / name
         try:
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            base.mkdir(mode=0o700, parents=True, exist_ok=True)
+            folder.mkdir(mode=0o700, exist_ok=True)
             os.utime(folder)  # used now
         except OSError:
             continue
-        # Code is loaded from here: in a folder that other users can create, it must be our own.
-        if os.access(folder, os.W_OK) and folder.stat().st_uid == os.getuid():
+        # Code is loaded from here. Other users can create folders below the system's temporary folder: there, both
+        # the folder and its base, whose owner could exchange it, must be our own.
+        owners = {one.stat().st_uid for one in ((base, folder) if base == private else (folder,))}
+        if os.access(folder, os.W_OK) and owners == {os.getuid()}:
             _remove_unused(base, folder.stat().st_mtime - _UNUSED_S)
             return folder
-    return private  # numba reports that it cannot be written
+    return Path(tempfile.mkdtemp(prefix="sidelong-"))  # of this process alone
 
 
 def _remove_unused(base: Path, before_s: float) -> None:

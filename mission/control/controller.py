@@ -281,7 +281,7 @@ class StandoffController:
     def _read(self, reading: Reading) -> None:
         self.sighted = self.tracker.add(reading)
         if self.sighted:
-            self.health.sighted(reading.time_s, self.sighted)
+            self.health.payload.sightings(reading.time_s, self.sighted)
         self._sensor_status.note(reading, self.sighted, self.tracker)
 
     # -- the aircraft's position is the tick ---------------------------------------------------------------

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 from sidelong.estimators.rotations import Quaternion
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
-from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.mission.core.events import ClockTick, Event, HealthChanged, LinkReported, ModeReported
 from sidelong.mission.core.inputs import Input, InputReport, InputState
 from sidelong.mission.health.payload_check import PayloadCheck
@@ -134,11 +133,6 @@ class Health:
             if state is InputState.INCONSISTENT or (one is Input.POSITION and state is InputState.STALE):
                 return self._inputs[one].text
         return ""
-
-    def sighted(self, time_s: float, outcomes: Sequence[SightingOutcome]) -> None:
-        """Take what became of sightings."""
-        if outcomes:
-            self.payload.sightings(time_s, outcomes)
 
     def changes(
         self,
