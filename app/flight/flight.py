@@ -34,6 +34,7 @@ from sidelong.app.flight.point_gimbal import GimbalPointer
 from sidelong.app.flight.point_payload import PayloadPointer
 from sidelong.app.flight.preflight import autopilot_of, check_release, check_takeover, checks
 from sidelong.app.flight.recording import Recording
+from sidelong.app.flight.resumption import Resumption
 from sidelong.app.flight.round_trip import RoundTripWatch
 from sidelong.app.flight.source_rates import SourceRates
 from sidelong.app.flight.streams import StreamKeeper, ask_for_streams, is_slow
@@ -72,6 +73,8 @@ from sidelong.mission.exchange.reports import TakeoverRequested
 _CLOSE_S = 30.0
 _LISTEN_S = 1.0
 _POLL_S = 0.1
+_RESUMED_WITHIN_S = 4.0
+_SAME_HOME_M, _SAME_HOME_HEIGHT_M = 30.0, 10.0  # arming sets it again, by another GPS fix
 _DELAY_EVERY_S = 1.0
 _READY_WITHIN_S = 60.0  # of the vehicle's time
 _READY_WALL_S = 20.0  # a fast simulation's minute is over before every question is answered
@@ -324,7 +327,9 @@ class Flight:
         alarms = self._alarm_watch(loop)
         observers.append(alarms)
 
-        self._display.begin(plane, partial(_request, changes, alarms, loop))
+        resumption = Resumption(self._resume, self._display.note)
+        shared.callback(resumption.stop)
+        self._display.begin(plane, partial(self._request, changes, alarms, loop, resumption))
         shared.callback(_without_garbage_searches())
         running = asyncio.create_task(loop.run())
         over = asyncio.create_task(self._until_over(ended))
@@ -347,10 +352,60 @@ class Flight:
         """Return the request to take over, and show the autopilot's warnings from now on."""
         vehicle = self._vehicle
         self._takeover_s = vehicle.latest["HEARTBEAT"].received_s
-        vehicle.texts.listeners.append(self._warned)
+        if self._warned not in vehicle.texts.listeners:
+            vehicle.texts.listeners.append(self._warned)
         arm_period_s, round_trip_s = 1.0 / self._vehicle_rate, vehicle.round_trip_s or 0.0
         flying, mode = is_flying(vehicle), mode_of(vehicle)
         return TakeoverRequested(self._telemetry.now_s, link_s, flying, mode, arm_period_s, round_trip_s)
+
+    async def _resume(self) -> None:
+        """Check the vehicle again after a yield, then ask the core to take it over.
+
+        Raises InputError with what is not ready.
+        """
+        ready, loop = self._ready, self._loop
+        assert ready is not None
+        assert loop is not None
+        objection = self._controller.resume_objection()
+        if objection:
+            raise InputError(objection)  # the core has announced it, too
+        check_takeover(self._vehicle, self._config.link.take_over_from)
+        if not is_flying(self._vehicle):
+            raise InputError("the aircraft is on the ground; end this watch and start another one to take off.")
+        sources, until_s = SourceRates(self._vehicle), time.monotonic() + _RESUMED_WITHIN_S
+        with contextlib.closing(sources):
+            while True:
+                rates = await sources.heard(_LISTEN_S, self._config.sharing)
+                home = await home_of(self._vehicle)
+                found = checks(self._config, self._vehicle, self._autopilot, ready.table, home, rates)
+                missing = [check for check in found if not check.ready]
+                if not missing:
+                    break
+                if time.monotonic() > until_s:
+                    raise InputError("not ready, " + "; ".join(map(str, missing)) + ".")
+        if home is not None and _has_moved(home, ready.home, ready.plane):
+            raise InputError("the autopilot has another home than at take-off; end this watch and start another one.")
+        check_takeover(self._vehicle, self._config.link.take_over_from)
+        loop.put(self._takeover(loop.link_s))
+
+    def _request(
+        self,
+        changes: MissionChanges,
+        alarms: AlarmWatch,
+        loop: ControlLoop,
+        resumption: Resumption,
+        wish: Wish,
+    ) -> None:
+        """Pass a person's wish on to what takes it."""
+        match wish:
+            case MissionChange():
+                changes.take(wish)
+            case AlarmReported():
+                alarms.acknowledge(wish)
+            case _:
+                loop.put(wish)
+                if wish.action == "resume" and self._controller.phase is Phase.YIELDED:
+                    resumption.begin()
 
     def _observers(self, plane: LocalPlane, home: Home, shared: contextlib.ExitStack) -> list[Display]:
         """Return all displays of the flight; ``shared`` stops them."""
@@ -424,6 +479,9 @@ class Flight:
 
     def _acquired(self, acquired: ControlAcquired) -> None:
         self._vehicle.texts.listeners.remove(self._warned)
+        if self._start_s < math.inf:
+            self._display.note("circling again: the target is watched from now on")
+            return
         self._start_s, self._battery_percent = acquired.time_s, self._status().battery_percent
         self._display.engage(self._start_s, self._duration_s)
         self._display.note("circling: the target is watched from now on")
@@ -498,21 +556,17 @@ class Flight:
         return judged if begin is None or end is None else replace(judged, battery_percent=(begin, end))
 
 
+def _has_moved(home: Home, before: Home, plane: LocalPlane) -> bool:
+    east_m, north_m = plane.east_north_m(home.latitude_deg, home.longitude_deg)
+    before_m = plane.east_north_m(before.latitude_deg, before.longitude_deg)
+    moved_m = math.dist((east_m, north_m), before_m)
+    return moved_m > _SAME_HOME_M or abs(home.altitude_m - before.altitude_m) > _SAME_HOME_HEIGHT_M
+
+
 async def _all_ended(running: asyncio.Task[None], *beside: asyncio.Task[Any]) -> None:
     for task in beside:
         task.cancel()
     await asyncio.gather(running, *beside, return_exceptions=True)
-
-
-def _request(changes: MissionChanges, alarms: AlarmWatch, loop: ControlLoop, wish: Wish) -> None:
-    """Pass a person's wish on to what takes it."""
-    match wish:
-        case MissionChange():
-            changes.take(wish)
-        case AlarmReported():
-            alarms.acknowledge(wish)
-        case _:
-            loop.put(wish)
 
 
 def _without_garbage_searches() -> Callable[[], None]:

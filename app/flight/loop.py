@@ -161,6 +161,7 @@ class ControlLoop:
             case Announce():
                 self._display.say(output)
             case ControlAcquired():
+                self.outcome = None
                 self._acquired(output)
             case TakeoverFailed():
                 self.failed = output
@@ -168,7 +169,7 @@ class ControlLoop:
             case Yield():
                 self._executor.drop()
                 self.outcome = f"yielded: {output.reason}"
-                text = f"yielding: {output.reason}; commanding nothing more"
+                text = f"yielding: {output.reason}; commanding nothing more until you resume"
                 self._display.say(Announce(output.time_s, "yield", text))
             case HealthChanged():
                 self._health_changed(output)

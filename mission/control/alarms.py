@@ -236,7 +236,7 @@ _INPUTS = {
     Input.SIGHTINGS: "check the gimbal's mount and flags, and the units of the laser",
 }
 _RULES = (
-    _Rule("yield", _yielded, "you, or another station, fly the aircraft; start launch again to resume the watch"),
+    _Rule("yield", _yielded, "you, or another station, fly the aircraft; resume to let sidelong watch on"),
     _Rule("separation", _separation, "change the height of one of the two, or take over", clear_s=0.0),
     _Rule("link", _link, "check radio and antenna; to act now use the transmitter", clear_s=0.0),
     _Rule("battery", _battery, "let it fly home now, or switch to RTL", after_s=2.0),

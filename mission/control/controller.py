@@ -9,7 +9,8 @@ Rules
 4. When the measured ratio of flown to commanded radius changes, the present circle is sent again.
 5. An aircraft that has left its transition for some seconds (circling a waypoint that it cannot reach, say) is sent
    to the transition's circle directly.
-6. Any flight mode but the one taken over in means that somebody else flies: Yield, latched.
+6. Any flight mode but the one taken over in means that somebody else flies: Yield, latched. Only an operator's wish
+   to resume ends it: the aircraft is then taken over again, and the watch goes on with the live track.
 7. A target lost for ``give_up_after_s`` ends the mission, and so does a low battery: the aircraft flies home.
 8. What a person changes in flight holds from the next decision on: the planner is made anew, and where it stays, the
    present circle is sent again as changed.
@@ -143,6 +144,8 @@ class StandoffController:
         self._crossed = 0  # decisions in a row at which another aircraft was too near below the circle
         self._height_m: float | None = None  # the aircraft's, above home
         self._over = ""  # why the mission was yielded or has ended
+        self.resuming = False  # being taken over again after a yield
+        self._acquired_s = -math.inf
         self._low_battery_reports = 0
 
     def step(self, event: Event) -> tuple[Command, ...]:
@@ -329,7 +332,7 @@ class StandoffController:
             reason = "the aircraft has left its line: going to the circle directly"
             return self._upload_circle("plan", present, reason)
         unseen_s = self.time_s - target.last_sighting_s
-        if unseen_s > self.settings.give_up_after_s:
+        if min(unseen_s, self.time_s - self._acquired_s) > self.settings.give_up_after_s:
             reason = f"the target has not been seen for {unseen_s:.0f} s"
             self._end(Phase.ENDED, reason)
             return (End(self.time_s, self.settings.give_up_action, reason),)
@@ -411,7 +414,8 @@ class StandoffController:
     # -- reports of the vehicle and of the exchange --------------------------------------------------------
 
     def _control_acquired(self, event: ControlAcquired) -> tuple[Command, ...]:
-        self.phase, self._own_mode = Phase.WATCHING, event.mode
+        self.phase, self._own_mode, self._acquired_s = Phase.WATCHING, event.mode, event.time_s
+        self.resuming = False
         begun = Plan(event.circle, None, event.time_s)
         cleared = self.cleared_first(begun)
         plan = begun if isinstance(cleared, str) else cleared
@@ -427,13 +431,26 @@ class StandoffController:
         return ()
 
     def _yield(self, time_s: float, reason: str) -> tuple[Command, ...]:
-        if self.phase not in _FLYING:
+        if self.phase not in _FLYING and not self.resuming:
             return ()
         self._end(Phase.YIELDED, reason)
         return (Yield(time_s, reason),)
 
+    def resume_objection(self) -> str:
+        """Return why the watch cannot be resumed now, in words; '' if it can."""
+        if self.phase is not Phase.YIELDED:
+            return f"the mission is {self.phase}"
+        if not self._sensor_status.connected or self.door.no_heartbeat:
+            return "nothing is heard from the autopilot"
+        return self.door.two_vehicles or self.door.doubt or self.health.unknown
+
+    def resume(self) -> None:
+        """Leave the yield: the aircraft is being taken over again. Nothing may object to it."""
+        self.phase, self._over, self.resuming = Phase.WAITING, "", True
+        self.planning.renew(self.settings.aircraft, self.settings.requirement)  # it planned for another path
+
     def _end(self, phase: Phase, reason: str) -> None:
-        self.phase, self._over = phase, reason
+        self.phase, self._over, self.resuming = phase, reason, False
         self.changes.withdraw()
 
     def _link_reported(self, event: LinkReported | RoundTripReported) -> tuple[Command, ...]:
@@ -486,6 +503,10 @@ class StandoffController:
     # -- what a person asks for ----------------------------------------------------------------------------
 
     def _operator(self, event: OperatorRequest) -> tuple[Command, ...]:
+        if self.phase is Phase.YIELDED and event.action == "resume":
+            objection = self.resume_objection()
+            text = f"resume refused: {objection}" if objection else "operator: resume; the vehicle is checked again"
+            return (Announce(event.time_s, "operator", text),)
         if self.phase not in _FLYING:
             return (Announce(event.time_s, "operator", f"{event.action} refused: the mission is {self.phase}"),)
         settings = self.settings

@@ -65,7 +65,7 @@ class PlanChanges:
 
     def begin(self, plan: Plan, flown: Circle, commanded: Circle) -> None:
         """Begin with a circle that is already flown and was sent to the autopilot as ``commanded``."""
-        self.present, self._commanded = plan, commanded
+        self.present, self._commanded, self._not_taken = plan, commanded, None
         self._flown_radius = FlownRadius(flown.radius_m / commanded.radius_m)
 
     def observe(self, aircraft: AircraftState) -> None:

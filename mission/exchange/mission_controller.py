@@ -16,6 +16,7 @@ from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.events import (
     ActivatePlan,
+    Announce,
     Command,
     ControlAcquired,
     End,
@@ -59,16 +60,22 @@ class MissionController:
     ) -> None:
         self.controller = controller
         self._dialect = dialect
-        self._outbox = outbox = Outbox()
-        missions = MissionItemBackend(outbox, dialect, backend_settings)
-        orbits = OrbitCommandBackend(outbox, dialect, backend_settings)
-        self._backends: tuple[PlanBackend, ...] = (missions, orbits) if takeover_settings.by_command else (missions,)
-        self._backend: PlanBackend = orbits if takeover_settings.by_command else missions
-        self._takeover = Takeover(outbox, dialect, backend_settings, takeover_settings, missions, orbits)
+        self._outbox = Outbox()
+        self._settings = backend_settings, takeover_settings
+        self._begin_anew()
         self._way_home: CommandExchange | None = None
         self._silent = self._closing = False
         self._mode = ""
         self._outputs: list[Output] = []
+
+    def _begin_anew(self) -> None:
+        """Assume nothing of what is on board: at the start, and after somebody else has flown."""
+        outbox, dialect, (settings, takeover) = self._outbox, self._dialect, self._settings
+        missions = MissionItemBackend(outbox, dialect, settings)
+        orbits = OrbitCommandBackend(outbox, dialect, settings)
+        self._backends: tuple[PlanBackend, ...] = (missions, orbits) if takeover.by_command else (missions,)
+        self._backend: PlanBackend = orbits if takeover.by_command else missions
+        self._takeover = Takeover(outbox, dialect, settings, takeover, missions, orbits)
 
     @property
     def next_timer_s(self) -> float:
@@ -113,6 +120,8 @@ class MissionController:
             self._way_home.expire()
             return
         if self._silent:
+            if isinstance(event, TakeoverRequested) and not self._closing:
+                self._resume(event)
             return
         match event:
             case TimerExpired():
@@ -130,11 +139,22 @@ class MissionController:
                 self._takeover.receive(event)
         self._takeover.step()
 
+    def _resume(self, request: TakeoverRequested) -> None:
+        objection = self.controller.resume_objection()
+        if objection:
+            self._outbox.report(Announce(request.time_s, "operator", f"resume refused: {objection}"))
+            return
+        self.controller.resume()
+        self._silent = False
+        self._begin_anew()
+        self._takeover.begin(request)
+
     def _observe(self, event: Event) -> None:
+        if isinstance(event, ModeReported):
+            self._mode = event.mode
         if self._silent:
             return
         if isinstance(event, ModeReported):
-            self._mode = event.mode
             self._takeover.mode_reported(event.mode)
         elif isinstance(event, PositionReading):
             aircraft = self.controller.aircraft
@@ -149,7 +169,10 @@ class MissionController:
             self._outputs += outbox.sent
             outbox.sent.clear()
             derived, outbox.derived = outbox.derived, []
-            for event in derived:
+            for one in derived:
+                event = one
+                if isinstance(one, TakeoverFailed) and self.controller.resuming:
+                    event = ExternalControl(one.time_s, f"not resumed, {one.reason}")
                 self._outputs.append(event)
                 if isinstance(event, DERIVED) and not self._closing:
                     self._route(self.controller.step(event))

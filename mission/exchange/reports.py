@@ -104,6 +104,7 @@ class TimerExpired:
 class TakeoverRequested:
     """Bring the aircraft onto a circle of ours: from the ground, or from ``mode``, in which it flies already.
 
+    After a yield it resumes the watch: a person has asked for it, and the vehicle was checked again.
     arm_period_s: between two requests to arm; round_trip_s: as far as it is known. Both are of the link's clock.
     """
 

@@ -143,11 +143,13 @@ class Takeover:
             flown, adopted = yield from self._flown_circle()
             circle, commanded = self._wanted(flown)
             if not by_command and not adopted:
-                first = replace(self._first(circle), circle=commanded)
-                yield from self._load(first, ())
+                first, mode = replace(self._first(circle), circle=commanded), self._mode
+                load = self._load(first, ())
+                # PX4 itself leaves the mission mode when its mission is replaced.
+                yield from load if mode == self._dialect.mission_mode else self._while_in(mode, load)
                 yield from self._start_mission()
                 self._outbox.send("MISSION_SET_CURRENT", seq=self._missions.line_first)
-                yield from self._until_circling(first, _MODE_WITHIN_S)
+                yield from self._while_in(self._dialect.mission_mode, self._until_circling(first, _MODE_WITHIN_S))
         if by_command:
             yield from self._take_over_by_command(replace(self._first(circle), circle=commanded))
         mode = self._dialect.circle_mode if by_command else self._dialect.mission_mode
@@ -174,6 +176,13 @@ class Takeover:
         while not holds() and self._outbox.link_s < link_end_s and self._outbox.time_s < vehicle_end_s:
             self._until_s = min(link_end_s, self._outbox.link_s + _TICK_S)
             yield
+
+    def _while_in(self, mode: str, part: Script) -> Script:
+        """Run a part of the script, unless the pilot changes the flight mode meanwhile."""
+        for _ in part:
+            yield
+            if self._mode != mode:
+                raise _FailedError(f"the flight mode was changed to {self._mode} meanwhile")
 
     def _commanded(self, command: VehicleCommand | CommandExchange) -> Iterator[None]:
         exchange = command if isinstance(command, CommandExchange) else CommandExchange(self._outbox, command)
@@ -208,8 +217,14 @@ class Takeover:
         radius_m = self._settings.radius_m
         if flown is None:
             self._note("already flying: taking over from where it is")
-            here = self._here()
-            circle = Circle.tangent_to(here.east_m, here.north_m, here.course_rad, radius_m, self._settings.clockwise)
+            here, clockwise = self._here(), self._settings.clockwise
+            either = [
+                Circle.tangent_to(here.east_m, here.north_m, here.course_rad, radius_m, sense)
+                for sense in (clockwise, not clockwise)
+            ]
+            circle = next(
+                (one for one in either if not isinstance(self._settings.cleared(Plan(one)), str)), either[0]
+            )
             self._first(circle)
             return circle, circle
         self._note("already circling: taking over the circle that is flown")
@@ -300,15 +315,19 @@ class Takeover:
     def _start_mission(self) -> Script:
         link_end_s = self._outbox.link_s + _MODE_WITHIN_S
         mode = self._dialect.mission_mode
+        expected = (self._mode, mode, self._dialect.circle_mode)
+        # PX4 checks a new mission some time after it has taken it. Until then it refuses the mode, or accepts the
+        # command and stays in HOLD. Where an accepted command is final, another mode is the pilot's choice.
+        final = self._dialect.quirks.stores_items_one_by_one
         while True:
             yield from self._commanded(self._dialect.start_mission())
             assert self._command is not None
-            # PX4 checks a new mission some time after it has taken it. Until then it refuses the mode, or accepts the
-            # command and stays in HOLD.
             if self._command.accepted:
-                yield from self._until(lambda: self._mode == mode, _STARTED_S)
-            if self._mode == mode or self._outbox.link_s >= link_end_s:
+                yield from self._until(lambda: self._mode == mode, _MODE_WITHIN_S if final else _STARTED_S)
+            if self._mode == mode or self._outbox.link_s >= link_end_s or (final and self._command.accepted):
                 break
+            if self._mode not in expected:
+                raise _FailedError(f"the flight mode was changed to {self._mode} meanwhile")
             if not (self._command.accepted or self._command.refused_for_now):
                 break
             yield from self._until(lambda: False, _START_AGAIN_S)

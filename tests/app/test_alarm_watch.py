@@ -89,7 +89,7 @@ def test_after_a_yield_nothing_is_sent(rig, last):
     yielded = replace(last, time_s=last.time_s + 1.0, phase=Phase.YIELDED, over="the flight mode was changed to RTL")
     rig.show(yielded)
     assert rig.alarms("raised") == ["yield"]
-    assert "start launch again" in rig.events[-1].text
+    assert "resume to let sidelong watch on" in rig.events[-1].text
     assert rig.texts == []
 
 

@@ -192,7 +192,7 @@ def test_a_yield_is_told_and_the_flight_goes_on_silently():
     core = Core({ModeReported: (Yield(1.0, "the pilot"),)})
     loop, _, _, shown = run_loop(core, MODE, STOP)
     assert loop.outcome == "yielded: the pilot"
-    assert shown == ["yielding: the pilot; commanding nothing more"]
+    assert shown == ["yielding: the pilot; commanding nothing more until you resume"]
 
 
 def test_a_takeover_that_fails_ends_it():

@@ -559,7 +559,7 @@ def test_a_yield_is_explained_with_what_to_do_next(page, display, snapshots):
     line = page.locator("#over")
     line.wait_for()
     assert "the flight mode was changed to RTL" in line.inner_text()
-    assert "start launch again to take over" in line.inner_text()
+    assert "Press Resume" in line.inner_text()
 
 
 # -- requests -------------------------------------------------------------------------------------------------------

@@ -9,12 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sidelong.app.analysis.replay import JournalReplay
 from sidelong.app.assembly import mission_controller_of, tracker_of
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 from sidelong.app.config import Config
+from sidelong.app.flight.recording import JOURNAL_TYPES
 from sidelong.app.link.frames import FrameSplitter
 from sidelong.app.link.merger import LinkMerger
 from sidelong.app.link.quality import LinkQuality
+from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
 from sidelong.app.simulation.link import NO_FAULTS, Link
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.sitl_vehicle import RATES_HZ, SitlVehicle
@@ -182,6 +185,22 @@ class Flight(ClosedLoop[bytes]):
                 self.lines[output.number] = self.core._backend.line(plan, output.wind)
             for listener in self.output_listeners:
                 listener(output)
+
+    def replayed(self, path):
+        """Write the flight's journal, and replay it with a core of its own."""
+        writer = JournalWriter(path, Header("test", {}, self.telemetry.plane, {}), pytest.fail)
+        for event, outputs in zip(self.events, self.outputs, strict=True):
+            writer.write(event)
+            for output in outputs:
+                writer.write(output)
+        writer.close()
+        lines = path.read_bytes().splitlines(keepends=True)[1:]
+        assert [encode(record) for record in JournalReader(path, JOURNAL_TYPES)] == lines
+        again = self.make_core(type(self.planner)(self.seed))
+        replay = JournalReplay(again.controller, again)
+        for _ in replay.run(JournalReader(path, JOURNAL_TYPES)):
+            pass
+        return replay
 
     def flown_line(self):
         """Return what the vehicle flies from now on, to the circle that never completes; None outside a mission."""

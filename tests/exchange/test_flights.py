@@ -8,9 +8,6 @@ from dataclasses import replace
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.analysis.replay import JournalReplay
-from sidelong.app.flight.recording import JOURNAL_TYPES
-from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
 from sidelong.mission.core.events import ActivatePlan, Announce, Command, PlanStatus, UploadPlan, Yield
 from sidelong.mission.exchange.mission_controller import DERIVED
 from sidelong.mission.exchange.outbox import ExternalControl, SendMessage, TakeoverFailed
@@ -24,23 +21,6 @@ def statuses(flight, stage):
     return [one.number for one in flight.found(PlanStatus) if one.stage == stage]
 
 
-def replayed(flight, path):
-    """Write the flight's journal, and replay it with a core of its own."""
-    writer = JournalWriter(path, Header("test", {}, flight.telemetry.plane, {}), pytest.fail)
-    for event, outputs in zip(flight.events, flight.outputs, strict=True):
-        writer.write(event)
-        for output in outputs:
-            writer.write(output)
-    writer.close()
-    lines = path.read_bytes().splitlines(keepends=True)[1:]
-    assert [encode(record) for record in JournalReader(path, JOURNAL_TYPES)] == lines
-    again = flight.make_core(type(flight.planner)(flight.seed))
-    replay = JournalReplay(again.controller, again)
-    for _ in replay.run(JournalReader(path, JOURNAL_TYPES)):
-        pass
-    return replay
-
-
 @pytest.mark.parametrize("guidance", ["mission", "command"])
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])
 def test_a_replay_repeats_uploads_and_switches_to_the_last_bit(in_the_air, tmp_path, flavour, guidance):
@@ -49,7 +29,7 @@ def test_a_replay_repeats_uploads_and_switches_to_the_last_bit(in_the_air, tmp_p
     assert len(statuses(flight, "departed")) >= 2
     assert not flight.found(Yield)
     assert not [one for one in flight.found(Announce) if "another station" in one.text]
-    replay = replayed(flight, tmp_path / "journal.jsonl")
+    replay = flight.replayed(tmp_path / "journal.jsonl")
     assert replay.difference is None
     assert replay.compared >= len(flight.found((SendMessage, Command, *DERIVED, TakeoverFailed)))
 

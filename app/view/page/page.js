@@ -246,7 +246,7 @@ const called = (what) => (what === "aircraft" ? map.setting.fleet?.[0] : state.t
 function ended() {
   const line = byId("over");
   const next = {
-    yielded: "sidelong commands nothing more; start launch again to take over.",
+    yielded: "You fly the aircraft; sidelong commands nothing. Press Resume to let it watch on: the vehicle is checked again first.",
     ended: "Nothing more is commanded; start launch again to watch on.",
   }[state.phase];
   line.hidden = !next;
@@ -283,9 +283,10 @@ function buttons() {
   const inHand = state !== null && IN_HAND.has(state.phase) && !over;
   for (const button of byId("buttons").children) {
     const { action } = button.dataset;
-    const apt = (action !== "hold" || state?.phase === "watching") && (action !== "resume" || state?.phase === "holding");
-    button.disabled = !(inHand && apt);
-    button.title = inHand ? "" : `refused: the mission is ${over ? "over" : state?.phase ?? "not begun"}`;
+    const apt = (action !== "hold" || state?.phase === "watching") && (action !== "resume" || ["holding", "yielded"].includes(state?.phase));
+    const resumes = action === "resume" && state?.phase === "yielded" && !over;
+    button.disabled = !((inHand || resumes) && apt);
+    button.title = inHand || resumes ? "" : `refused: the mission is ${over ? "over" : state?.phase ?? "not begun"}`;
   }
 }
 
