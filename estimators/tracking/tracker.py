@@ -164,6 +164,16 @@ class Tracker:
         return self._track.estimate(now_s)
 
     @property
+    def last_seen(self) -> tuple[float, float, float, float] | None:
+        """Time, position (east, north) and its one-sigma error as of the last sighting; None before the first."""
+        last, time_s = self._track.last
+        if last is None:
+            return None
+        mean, covariance = last.moments()
+        sigma_m = math.sqrt(float(max(covariance[0, 0], covariance[1, 1])))
+        return time_s, float(mean[0]), float(mean[1]), sigma_m
+
+    @property
     def range_source(self) -> Source | None:
         """The laser in use, None before the first."""
         return self._ranges.chosen

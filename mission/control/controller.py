@@ -19,6 +19,8 @@ Rules
 10. Every input has a health state (:mod:`sidelong.mission.health.health`). Readings of a laser or gimbal that
     contradicts the other inputs are not used, and the sightings made with them are undone: the target counts as not
     seen since then. Without heartbeat nothing new is commanded.
+    While the target is not seen, the aircraft keeps away from where it can be by now
+    (:mod:`sidelong.mission.geometry.retreat`).
 11. In a fleet the joint estimate, the target and the side come with ``FleetAdvice`` while that is fresh; without it
     the aircraft goes on by its own. A plan that comes too near to another aircraft counts as one that breaks a fence.
 
@@ -51,6 +53,7 @@ from sidelong.mission.control.sensor_status import SensorStatus
 from sidelong.mission.control.snapshot import Phase, Snapshot
 from sidelong.mission.control.surroundings import Surroundings
 from sidelong.mission.control.target_news import TargetNews
+from sidelong.mission.control.unseen import UnseenTarget
 from sidelong.mission.control.upload_latency import UploadLatency
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
@@ -82,6 +85,7 @@ from sidelong.mission.core.plan import AircraftState, Decision, Plan, PlannerFac
 from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Wind
 from sidelong.mission.geometry.escape import escapes
 from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m
+from sidelong.mission.geometry.retreat import LEAVE_S, Reach, retreats
 from sidelong.mission.health.health import Health
 
 # Reports of a wind above this share of the airspeed are rejected: the aircraft cannot fly in such a wind.
@@ -147,6 +151,7 @@ class StandoffController:
         self.resuming = False  # being taken over again after a yield
         self._acquired_s = -math.inf
         self._low_battery_reports = 0
+        self._unseen = UnseenTarget(tracker)
 
     def step(self, event: Event) -> tuple[Command, ...]:
         """Process one event; return the commands and announcements that result, in order."""
@@ -336,11 +341,21 @@ class StandoffController:
             reason = f"the target has not been seen for {unseen_s:.0f} s"
             self._end(Phase.ENDED, reason)
             return (End(self.time_s, self.settings.give_up_action, reason),)
+        fault = bool(self.health.payload_fault)
+        reach = self._unseen.reach(self.time_s, target, fault, self.settings.requirement.target_speed_max_m_s)
+        if reach is not None:
+            away = self._hold_away(aircraft, present, reach)
+            if away or fault or target.quality is TrackQuality.GOOD:
+                return away
         if unseen_s > self.settings.lost_after_s or target.quality is TrackQuality.LOST:
             self.decision = Decision(self.time_s, None, f"holding the circle: target unseen for {unseen_s:.0f} s")
             return self._circle_as_changed(aircraft, present)
         decision = self.planning.decide(aircraft, target, present, self._wind, self.latency.expected_s)
         told: tuple[Command, ...] = ()
+        if decision.plan is not None and reach is not None and not self._keeps_away(decision.plan, reach):
+            decision = replace(
+                decision, plan=None, reason="staying: the target is not seen and may be too near there"
+            )
         if decision.plan is not None:
             cleared = self.cleared(decision.plan)
             if isinstance(cleared, str):
@@ -372,6 +387,29 @@ class StandoffController:
             text = f"no separated circle is free: {crossed}"
             return (Announce(self.time_s, "decision", text),) if self._crossed == _CROSSED_COUNT else ()
         reason = f"leaving the circle: {crossed}"
+        return (Announce(self.time_s, "decision", reason), self._upload(plan, reason))
+
+    def _keeps_away(self, plan: Plan, reach: Reach) -> bool:
+        clear_m = reach.after(self.latency.expected_s).clearance_m(plan, self.settings.aircraft.airspeed_m_s)
+        return clear_m >= self.settings.requirement.range_min_m
+
+    def _hold_away(self, aircraft: AircraftState, present: Plan, reach: Reach) -> tuple[Command, ...]:
+        """Return the plan to a circle farther away, if the unseen target may come too near to the present one."""
+        settings, latency_s, plan = self.settings, self.latency.expected_s, None
+        airspeed_m_s, keep_m = settings.aircraft.airspeed_m_s, settings.requirement.range_min_m
+        flown_m = nearest_arc_m(present, aircraft)
+        if flown_m >= present.transition_m:
+            present = replace(present, transition=None)
+        clear_m = reach.clearance_m(present, airspeed_m_s, LEAVE_S, flown_m)
+        if clear_m < keep_m:
+            start, later = dead_reckoned(aircraft, latency_s), reach.after(latency_s)
+            plans = retreats(start, later, settings.requirement.side.clockwise, settings.aircraft, keep_m)
+            cleared = (self.cleared(replace(plan, departure_s=self.time_s + latency_s)) for plan in plans)
+            plan = next((one for one in cleared if isinstance(one, Plan)), None)
+        if plan is None or reach.clearance_m(plan, airspeed_m_s, LEAVE_S) <= clear_m:
+            self.decision = Decision(self.time_s, None, "holding the circle: the target is not seen")
+            return ()
+        reason = f"moving away: the target is not seen and may be within {keep_m:.0f} m"
         return (Announce(self.time_s, "decision", reason), self._upload(plan, reason))
 
     def _upload(self, plan: Plan, reason: str) -> UploadPlan:

@@ -3,13 +3,19 @@
 The aircraft circles, so a wrong frame of the gimbal or a wrong unit of the laser makes the apparent target circle as
 well. Each hypothesis (a frame of the line of sight, a factor of the range) gives a series of apparent target
 positions. A target that moves at constant velocity for some seconds leaves small residuals about a straight line; a
-wrong hypothesis leaves residuals of the size of the aircraft's own circle. The height over the ground is not needed.
+wrong hypothesis leaves residuals of the size of the aircraft's own circle.
+
+The height over the ground is a second, independent witness of the range's unit: slant range and line of sight put
+the target at a height. If a unit puts it on the ground, and the reported range far above or below, the unit is found
+even where noise at long range hides the difference in motion. The ground is flat at the height of home, or the
+elevation data.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -40,6 +46,13 @@ _TURNED_MIN_RAD = 0.8
 _WRONG_M, _BETTER_SHARE, _AS_GOOD_SHARE = 8.0, 0.5, 0.7
 _OWN_SHARE = 0.3
 _JUMP_M = 40.0
+_LEVEL_SHARE, _OFF_LEVEL_SHARE = 0.3, 0.5  # of the aircraft's height over the ground
+_HEIGHT_MIN_M = 25.0
+_FIT_M, _FIT_SHARE = 8.0, 0.01  # residual of a target that turns, and of noise as a share of the range
+_DISCRIMINATES, _LEVEL_LATELY_S = 2.0, 25.0
+
+GroundHeights = Callable[[FloatArray, FloatArray], FloatArray]
+"""Returns the heights of the ground above home at positions (n,) east and north; NaN where unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,14 +85,21 @@ class _Sample(NamedTuple):
 
 
 class MotionFit:
-    """Collects two samples a second and compares the hypotheses."""
+    """Collects two samples a second and compares the hypotheses.
+
+    Attributes:
+        ground: The elevation data; None: the ground is flat at the height of home.
+
+    """
 
     def __init__(self, parent_from_mount: Quaternion) -> None:
+        self.ground: GroundHeights | None = None
         self._parent_from_mount = parent_from_mount
         self._samples: deque[_Sample] = deque(maxlen=_SAMPLES)
         self._jumped: _Sample | None = None
         self._cleared_s = -math.inf
         self._flagged = ""
+        self._level_s = -math.inf  # when the target was on the ground, last
 
     def clear(self) -> None:
         """Forget all samples."""
@@ -147,18 +167,65 @@ class MotionFit:
         times_s = np.array([one.time_s for one in samples])
         sighted_m = np.array([one.sighted_m for one in samples])
         as_reported_m = float(_residuals_m(times_s, sighted_m[:, None])[0])
-        if established == SOUND and as_reported_m < _WRONG_M:
+        off_level = self._off_level(sighted_m)
+        unit_is_right = off_level[1.0] < _LEVEL_SHARE
+        if unit_is_right:
+            self._level_s = samples[-1].time_s
+        if established == SOUND and as_reported_m < _WRONG_M and not off_level[1.0] > _OFF_LEVEL_SHARE:
             return SOUND
-        residual_m = self._residuals_of_hypotheses_m(times_s, sighted_m)
+        residual_m, own_residual_m = self._residuals_of_hypotheses_m(times_s, sighted_m)
         if established != SOUND:
+            if established.factor != 1.0 and not math.isnan(off_level[1.0]):
+                return SOUND if unit_is_right else established
             return SOUND if as_reported_m < _AS_GOOD_SHARE * residual_m[established] else established
+        if off_level[1.0] > _OFF_LEVEL_SHARE:
+            factor = self._unit_by_height(off_level, residual_m, own_residual_m)
+            if factor is not None:
+                return Verdict(None, factor)
+        if as_reported_m < _WRONG_M:
+            return SOUND
+        if unit_is_right:
+            residual_m = {verdict: one_m for verdict, one_m in residual_m.items() if verdict.factor == 1.0}
         best = min(residual_m, key=residual_m.__getitem__)
         if residual_m[best] > _AS_GOOD_SHARE * as_reported_m:
             return SOUND
         return None if residual_m[best] > _BETTER_SHARE * as_reported_m else best
 
-    def _residuals_of_hypotheses_m(self, times_s: FloatArray, sighted_m: FloatArray) -> dict[Verdict, float]:
-        """Return the residual of every other reading of the payload."""
+    def _off_level(self, sighted_m: FloatArray) -> dict[float, float]:
+        """Return how far each factor puts the target off the ground, as a share of the aircraft's height over it.
+
+        NaN where this is unknown: the ground is, or the aircraft is too low.
+        """
+        own_m = np.array([one.own_m for one in self._samples])
+        factors = np.array((1.0, *FACTORS))
+        target_m = own_m[:, None] + factors[:, None] * (sighted_m - own_m)[:, None]
+        ground_m: FloatArray | float = 0.0
+        if self.ground is not None:
+            ground_m = self.ground(target_m[..., 0], target_m[..., 1])
+        over_m = own_m[:, None, 2] - ground_m
+        share = np.abs(target_m[..., 2] - ground_m) / np.where(over_m >= _HEIGHT_MIN_M, over_m, math.nan)
+        return dict(zip(factors.tolist(), np.median(share, axis=0).tolist(), strict=True))
+
+    def _unit_by_height(
+        self, off_level: dict[float, float], residual_m: dict[Verdict, float], own_residual_m: float
+    ) -> float | None:
+        """Return the unit that puts the target on the ground and lets it move plausibly; None: there is none."""
+        factor = min(FACTORS, key=lambda one: math.inf if math.isnan(off_level[one]) else off_level[one])
+        if not off_level[factor] < _LEVEL_SHARE:
+            return None
+        range_m = factor * float(np.median([one.range_m for one in self._samples]))
+        fits_m = _FIT_M + _FIT_SHARE * range_m
+        # A hill may look like a wrong unit, but not all of a sudden, nor does the target then stand still: with a
+        # wrong factor it moves with a part of the aircraft's own motion, which has to be visible.
+        lately = 0.0 <= self._samples[-1].time_s - self._level_s < _LEVEL_LATELY_S
+        if not lately and abs(factor - 1.0) * own_residual_m < _DISCRIMINATES * fits_m:
+            return None
+        return factor if residual_m[Verdict(None, factor)] < fits_m else None
+
+    def _residuals_of_hypotheses_m(
+        self, times_s: FloatArray, sighted_m: FloatArray
+    ) -> tuple[dict[Verdict, float], float]:
+        """Return the residual of every other reading of the payload, and that of the aircraft's own motion."""
         samples = self._samples
         own_m = np.array([one.own_m for one in samples])
         verdicts = [Verdict(frame, 1.0) for frame in FRAMES if frame != self._flagged]
@@ -175,10 +242,11 @@ class MotionFit:
         positions_m += [own_m + factor * (sighted_m - own_m) for factor in FACTORS]
         *residuals_m, straight_m = _residuals_m(times_s, np.stack((*positions_m, own_m), axis=1)).tolist()
         # Any range that is divided by enough puts the target at the aircraft, which flies straight at times, too.
-        return {
-            verdict: math.inf if verdict.factor < 1.0 and residual_m > _OWN_SHARE * straight_m else residual_m
-            for verdict, residual_m in zip(verdicts, residuals_m, strict=True)
+        residual_m = {
+            verdict: math.inf if verdict.factor < 1.0 and one_m > _OWN_SHARE * straight_m else one_m
+            for verdict, one_m in zip(verdicts, residuals_m, strict=True)
         }
+        return residual_m, straight_m
 
     def _direction(
         self, attitude: AttitudeReading, gimbal: GimbalReading, frame: str | None

@@ -7,7 +7,7 @@ Rules
 2. A gimbal whose orientation stays the same to ``_SAME_SIGHT`` meanwhile is frozen: in a turn, a line of sight to
    a target turns relative to north as well as to the aircraft.
 3. Of the ways to read the gimbal's frame and the laser's unit, the right one makes the target move straight
-   (:mod:`sidelong.mission.health.motion_fit`).
+   (:mod:`sidelong.mission.health.motion_fit`), and puts it on the ground.
 4. If more than ``_REJECTED_SHARE`` of the sightings of 30 s are rejected, laser and line of sight do not agree.
 
 While rules 1 to 3 find a fault, the device's readings are not used.
@@ -24,7 +24,7 @@ from sidelong.estimators.rotations import Quaternion
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.mission.core.inputs import Input
-from sidelong.mission.health.motion_fit import FACTORS, SOUND, WINDOW_S, MotionFit
+from sidelong.mission.health.motion_fit import FACTORS, SOUND, WINDOW_S, GroundHeights, MotionFit
 
 _SAME_RANGE_M, _SAME_SIGHT = 0.5, 5e-4
 _SAME_S, _TURNED_RAD, _SAME_COUNT = 5.0, 0.8, 5
@@ -108,6 +108,10 @@ class PayloadCheck:
         self._verdict = self._established = SOUND
         self._frame_fault = self._unit_fault = ""
         self._rejected: deque[tuple[float, int, int]] = deque()  # second, sightings, rejected
+
+    def stand_on(self, ground: GroundHeights) -> None:
+        """Compare heights with this ground."""
+        self._fit.ground = ground
 
     def attitude(self, reading: AttitudeReading) -> None:
         """Take the aircraft's attitude."""

@@ -69,6 +69,15 @@ def test_contradictory_payload_is_reported_and_not_followed(name):
     assert flown.unknown_s >= DURATION_S - found[0][0] - 1.0
 
 
+@pytest.mark.parametrize(("name", "seed"), [("stuck laser", 3), ("range in a tenth", 3), ("range in feet", 5)])
+def test_aircraft_keeps_away_from_a_target_that_walks_towards_it_unseen(name, seed):
+    change = PAYLOAD_FAULTS[name][0]
+    begin_s = 60.0 + 7.0 * (seed % 5)
+    flown = FaultedFlight(Scenario(seed, "arduplane", 240.0), [Fault(name, begin_s, math.inf, change)]).fly()
+    assert min(flown.range_m) > 80.0
+    assert any(text.startswith("moving away: the target is not seen") for _, text in flown.told)
+
+
 def test_gimbal_that_takes_the_place_of_a_silent_one_has_to_agree_with_the_track():
     change = only(GIMBAL, pointing_north)
     flown = FaultedFlight(Scenario(1, "px4", 100.0), [Fault("other", BEGIN_S, math.inf, change)]).fly()

@@ -298,7 +298,8 @@ def test_a_ready_plan_does_not_depart_after_a_yield():
 
 def test_a_target_unseen_for_long_holds_the_circle_then_ends():
     planner = Scripted()
-    controller = make(planner, lost_after_s=10.0, give_up_after_s=40.0, give_up_action="hold")
+    settings = {"lost_after_s": 10.0, "give_up_after_s": 40.0, "give_up_action": "hold"}
+    controller = make(planner, **settings, check=lambda _plan: "the fence")  # no other circle is free
     engaged(controller, 10.0)
     asked = len(planner.latencies)
     fly(controller, 10.0, 25.0, seen=False)
