@@ -58,6 +58,12 @@ def _brackets_counted(polygons: Any) -> Any:
 Polygons = Annotated[list[Polygon], Field(max_length=100), BeforeValidator(_brackets_counted)]
 
 
+def _filter_offered(name: Any) -> Any:
+    if name == "ukf":
+        raise ValueError("the unscented filter (ukf) was removed; use imm (the default) or ekf")
+    return name
+
+
 def _known_side(words: str) -> str:
     watching_from(Requirement(100.0, 500.0, Side.LEFT, 0.0), words)
     return words
@@ -184,7 +190,7 @@ class SensorsSection(Section):
     """1-sigma prior of the gimbal's pitch bias; 0: no bias is estimated, degrees."""
     range_bias_sigma_m: float = Field(0.0, ge=0, le=50)
     """1-sigma prior of the laser's range bias; 0: no bias is estimated, m."""
-    filter: Literal["imm", "ekf", "ukf"] = "imm"
+    filter: Annotated[Literal["imm", "ekf"], BeforeValidator(_filter_offered)] = "imm"
     """Motion model of the target filter."""
     target_kind: Literal["unknown", "walker", "cyclist", "car", "boat", "animal"] = "unknown"
     """Kind of target, if known: sets the process noise of the filter."""

@@ -4,7 +4,7 @@ Pure: time comes in as an argument, nothing here reads a clock, a socket or a fi
 
     readings -> sources -> pairing -> sighting -> track (gate, history, quality) -> estimate
                               ^                     |
-                            pose              imm, ekf or ukf
+                            pose              imm or ekf
 
 :class:`sidelong.estimators.tracking.tracker.Tracker` contains all of it. Programs that already have detections use
 :class:`sidelong.estimators.tracking.track.Track` directly.

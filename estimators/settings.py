@@ -37,7 +37,7 @@ class SourceChoice:
 class TrackerSettings:
     """Sigmas are one standard deviation. A calibration sigma of 0 switches its estimation off."""
 
-    filter: Literal["imm", "ekf", "ukf"] = "imm"
+    filter: Literal["imm", "ekf"] = "imm"
     target_kind: TargetKind = "unknown"
     """What moves: how much its motions are let wander."""
 

@@ -23,7 +23,7 @@ from sidelong.app.study.flight_kernel import (
     seen_from,
 )
 from sidelong.estimators.compiled import compiled
-from sidelong.estimators.filters.joint_kernel import predict, update
+from sidelong.estimators.filters.imm_kernel import predict, update
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.predictive.cost_kernel import IntArray
 
@@ -75,7 +75,7 @@ def see(
         time_s = logs[0, step, 0]
         step_s = round((time_s - clock[0]) * 1e6) / 1e6
         if step_s > 0.0:
-            predict(state, step_s, filtering.densities, filtering.drift_per_s, spare)
+            predict(state, step_s, filtering.densities, spare)
             copy_state(spare, state)
             clock[0] = time_s
         for one in range(len(logs)):

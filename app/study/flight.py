@@ -43,16 +43,11 @@ from sidelong.app.study.flight_kernel import (
 from sidelong.app.study.pilots import DECISION_PERIOD_S, LAW_PERIOD_S, TIMED_EVERY, GuidanceLaw, StopWatch
 from sidelong.app.study.sensors import PayloadSensing
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
-from sidelong.estimators.filters.biases import Biases
-from sidelong.estimators.filters.imm import TargetImm, drift_per_s
-from sidelong.estimators.filters.imm_kernel import SIZE
-from sidelong.estimators.filters.mixture_kernel import MODELS
-from sidelong.estimators.filters.motion import DENSITIES
-from sidelong.estimators.filters.target_filter import TargetFilter
+from sidelong.estimators.filters.imm import DENSITIES, TargetImm
+from sidelong.estimators.filters.imm_kernel import ERRORS, MODELS, TARGET
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.terrain.ground import Ground
-from sidelong.estimators.terrain.standing import GroundedFilter
 from sidelong.estimators.tracking.track import Track
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
@@ -108,13 +103,12 @@ def payload_in(errors: PayloadErrors, told: TrackerSettings, perfect: bool = Fal
     )
 
 
-def filtering_in(told: TrackerSettings, drift_per_s: tuple[float, float, float]) -> Filtering:
-    """Return how the loops filter; drift_per_s: of the payload's errors."""
+def filtering_in(told: TrackerSettings) -> Filtering:
+    """Return the settings of the filter for the loops."""
     return Filtering(
         told.gate_nis,
         told.soft_nis,
         DENSITIES[told.target_kind],
-        drift_per_s,
         told.reacquire_after,
         told.lost_after_s,
         told.lost_sigma_m,
@@ -170,7 +164,7 @@ class CompiledFlight:
         steps = round(duration_s / kernel.STEP_S)
         # As the aircraft's clock counts.
         time_s = np.add.accumulate(np.append(start.state.time_s, np.full(steps - 1, kernel.STEP_S)))
-        told, self._prior = sensed.told, Biases.prior(sensed.told)
+        told, n = sensed.told, TARGET + ERRORS
         apart = not sensed.perfect and not can_fly(told)
         noise = np.zeros((steps, 3)) if sensed.perfect or apart else sensed.rng.normal(size=(steps, 3))
         self._target = Target(np.ascontiguousarray(target.sampled(time_s)), noise)
@@ -184,12 +178,12 @@ class CompiledFlight:
             if self._ground is not None:
                 # A laser that is only hidden is not silent.
                 self._sensing.tracker.stand_on(self._ground, angles_alone=False)
-        self._filtering = filtering_in(told, drift_per_s(self._prior))
+        self._filtering = filtering_in(told)
         self._told, self._wind = told, wind
         self._frame = start.frame(kernel.STEP_S)
         circling = Circling(circle.east_m, circle.north_m, circle.radius_m if circle.clockwise else -circle.radius_m)
         self._flight: Flight = kernel.new_flight(
-            start.body, circling, height_m, (len(MODELS), SIZE), steps, told.reacquire_after
+            start.body, circling, height_m, (len(MODELS), 1 + n + n * n), steps, told.reacquire_after
         )
         self._watch = StopWatch()
 
@@ -294,12 +288,10 @@ class CompiledFlight:
         if math.isinf(numbers[SEEN_S]):
             return track
         models = self._flight.models.copy()
-        last: TargetFilter = TargetImm.resumed(self._told, self._prior, float(numbers[FILTER_S]), models)
+        last = TargetImm.resumed(self._told, float(numbers[FILTER_S]), models, self._ground)
         rejected = self._flight.rejected
         before = min(int(self._flight.counts[REJECTIONS]), len(rejected)) - 1  # the newest
         rows = rejected[len(rejected) - 1 - max(before, 0) : len(rejected) - 1].tolist()
-        if self._ground is not None:
-            last = GroundedFilter.resumed(last, self._ground)
         track.resume(last, float(numbers[SEEN_S]), [_sighting(*row) for row in rows])
         return track
 
@@ -309,13 +301,10 @@ class CompiledFlight:
         if not track.add(_sighting(*flight.rejected[-1])).accepted:
             return
         last, seen_s = track.last
-        if isinstance(last, GroundedFilter):
-            last = last.inner
-        assert isinstance(last, TargetImm)
+        assert last is not None
         flight.models[:] = last.state
         flight.numbers[FILTER_S], flight.numbers[SEEN_S] = last.time_s, seen_s
         flight.counts[REJECTIONS] = 0
-        self._prior = last.biases()
 
 
 def _blind() -> Looker:

@@ -16,10 +16,10 @@ import numpy.typing as npt
 
 from sidelong.app.simulation.airframe_kernel import Airframe, Body, stepped
 from sidelong.estimators.compiled import compiled
-from sidelong.estimators.filters.imm_kernel import Seen, predict, update
-from sidelong.estimators.filters.mixture_kernel import Densities, combine
+from sidelong.estimators.filters.imm_kernel import Densities, combine, predict, update
+from sidelong.estimators.filters.measurement_kernel import Seen
+from sidelong.estimators.filters.standing_kernel import predict_standing
 from sidelong.estimators.terrain.ground_kernel import Grid, height_and_slope, sight_clearance_m, sight_step_m
-from sidelong.estimators.terrain.standing_kernel import predict_standing
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.geometry.line_kernel import Circling, circle_after, following_per_m
 from sidelong.mission.predictive.decision_kernel import Looker, decide
@@ -94,7 +94,6 @@ class Filtering(NamedTuple):
     gate_nis: float
     soft_nis: float
     densities: Densities
-    drift_per_s: tuple[float, float, float]
     reacquire_after: int
     lost_after_s: float
     lost_sigma_m: float
@@ -245,11 +244,10 @@ def ground_and_sight(
 @compiled
 def _predict(state: FloatArray, step_s: float, filtering: Filtering, hills: Hills, found: FloatArray) -> None:
     """Fill in the filter's state a step later, on known ground or on none."""
-    densities, drift_per_s = filtering.densities, filtering.drift_per_s
     if hills.known:
-        predict_standing(state, step_s, densities, drift_per_s, hills.grid, hills.sigma_m, found)
+        predict_standing(state, step_s, filtering.densities, hills.grid, hills.sigma_m, found)
     else:
-        predict(state, step_s, densities, drift_per_s, found)
+        predict(state, step_s, filtering.densities, found)
 
 
 @compiled
@@ -285,7 +283,7 @@ def _see(
     unseen_s, nis = body.time_s - f.numbers[SEEN_S], np.inf
     if unseen_s <= filtering.lost_after_s:
         _carry_on(f, filtering, hills, body.time_s)
-        nis = update(f.ahead, seen, filtering.gate_nis, filtering.soft_nis)
+        nis = update(f.ahead, 0, seen, filtering.gate_nis, filtering.soft_nis)
     if nis <= filtering.gate_nis:
         copy_state(f.ahead, f.models)
         f.numbers[FILTER_S] = f.numbers[SEEN_S] = body.time_s

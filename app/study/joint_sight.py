@@ -16,10 +16,9 @@ from sidelong.app.study.scene import Scene
 from sidelong.app.study.settings import StudySettings
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Biases
-from sidelong.estimators.filters.joint import JointImm, PayloadSighting, prior_of
-from sidelong.estimators.filters.joint_kernel import predict as predict_joint
-from sidelong.estimators.filters.mixture_kernel import combine
-from sidelong.estimators.filters.target_filter import bias_drift
+from sidelong.estimators.filters.imm import TargetImm, prior_of
+from sidelong.estimators.filters.imm_kernel import TARGET, combine, predict
+from sidelong.estimators.sensing.sighting import Sighting
 
 
 class JointSight:
@@ -31,8 +30,7 @@ class JointSight:
         self._noise = np.stack([rng.normal(size=(steps, 3)) for rng in flown.sensor_rng.spawn(count)])
         self._heights_m = np.array(heights_m)
         self._payload = payload_in(errors, told)
-        yaw, pitch, offset = bias_drift(np.arange(3)).tolist()
-        self._filtering = filtering_in(told, (yaw, pitch, offset))
+        self._filtering = filtering_in(told)
         self._prior = prior_of([told] * count, [0.0] * count)
         self._state: FloatArray | None = None
         self._clock, self._rejections = np.zeros(2), np.zeros(1, np.int64)
@@ -64,12 +62,8 @@ class JointSight:
                 last,
             )
             if self._rejections[0] >= self._filtering.reacquire_after * len(logs):
-                mean, covariance = self._moments(self._state, self._state_size)
-                self._prior, self._state = Biases(mean[6:], covariance[6:, 6:]), None
-
-    @property
-    def _state_size(self) -> int:
-        return 6 + self._prior.mean.size
+                mean, covariance = self._moments(self._state, TARGET + self._prior.mean.size)
+                self._prior, self._state = Biases(mean[TARGET:], covariance[TARGET:, TARGET:]), None
 
     @staticmethod
     def _moments(state: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
@@ -82,7 +76,7 @@ class JointSight:
         p, height_m = self._payload, float(self._heights_m[payload])
         east_m, north_m = float(truth[0] - row[1]), float(truth[1] - row[2])
         level_m = math.hypot(east_m, north_m)
-        sighting = PayloadSighting(
+        sighting = Sighting(
             float(row[0]),
             math.hypot(level_m, height_m) + p.range_sigma_m * noise[0],
             math.atan2(east_m, north_m) + p.yaw_bias_rad + p.angle_sigma_rad * noise[1],
@@ -95,7 +89,7 @@ class JointSight:
             height_m,
             payload=payload,
         )
-        return JointImm(self._told, sighting, self._prior).state
+        return TargetImm(self._told, sighting, self._prior).state
 
     def estimate(self, time_s: float) -> TargetEstimate | None:
         """Return the joint estimate; None before the first sighting."""
@@ -104,7 +98,7 @@ class JointSight:
         ahead, step_s = self._state, time_s - float(self._clock[0])
         if step_s > 1e-6:
             ahead, f = np.empty_like(self._state), self._filtering
-            predict_joint(self._state, min(step_s, 1.0), f.densities, f.drift_per_s, ahead)
+            predict(self._state, min(step_s, 1.0), f.densities, ahead)
         mean, covariance = self._moments(ahead, 4)
         sigma_m, seen_s = math.sqrt(covariance[0, 0] + covariance[1, 1]), float(self._clock[1])
         lost = time_s - seen_s > self._filtering.lost_after_s or sigma_m > self._filtering.lost_sigma_m

@@ -1,1 +1,1 @@
-"""Target filters: motion and measurement models, an EKF, a UKF and an interacting multiple model filter."""
+"""Target filters: measurement and motion models, an interacting multiple model filter and an EKF."""

@@ -6,7 +6,7 @@ and fro, the shift turns with it, and a target cannot be in several places at on
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -30,33 +30,25 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Biases:
-    """(yaw rad, pitch rad, range m): mean (3,), covariance (3, 3). A variance of 0 is not estimated."""
+    """Constant errors (yaw rad, pitch rad, range m) of one payload; with several payloads, (..., clock s) of each.
+
+    mean (k,), covariance (k, k). A variance of 0 is not estimated.
+    """
 
     mean: FloatArray
     covariance: FloatArray
-    estimated: npt.NDArray[np.intp] = field(init=False)  # which of the three are
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "estimated", np.flatnonzero(np.diag(self.covariance) > 0.0))
 
     @staticmethod
     def prior(settings: TrackerSettings) -> Biases:
         """Return what the settings say before anything was measured: zero, with their standard deviations."""
-        sigmas = (
-            settings.yaw_bias_sigma_rad,
-            settings.pitch_bias_sigma_rad,
-            settings.range_bias_sigma_m,
-        )
-        return Biases(np.zeros(3), np.diag(np.square(sigmas)))
-
-    def updated(self, mean: FloatArray, covariance: FloatArray) -> Biases:
-        """Return these with the estimated ones at a new mean (k,) and covariance (k, k)."""
-        whole_mean, whole_covariance = self.mean.copy(), self.covariance.copy()
-        whole_mean[self.estimated] = mean
-        whole_covariance[np.ix_(self.estimated, self.estimated)] = covariance
-        return Biases(whole_mean, whole_covariance)
+        return Biases(np.zeros(3), np.diag(np.square(prior_sigmas(settings))))
 
     @property
     def calibration(self) -> Calibration:
         """The same for people: each bias with one standard deviation, rad and m."""
         return Calibration(*self.mean.tolist(), *np.sqrt(np.diag(self.covariance)).tolist())
+
+
+def prior_sigmas(settings: TrackerSettings) -> tuple[float, float, float]:
+    """Return one standard deviation of the yaw, pitch and range errors before anything was measured."""
+    return settings.yaw_bias_sigma_rad, settings.pitch_bias_sigma_rad, settings.range_bias_sigma_m

@@ -19,8 +19,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.estimators.frames import wrap_rad
-
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -28,7 +26,8 @@ FloatArray = npt.NDArray[np.float64]
 class Sighting:
     """The target as seen from the aircraft at ``time_s``. Sigmas are those of the three measured numbers.
 
-    The aircraft's height has an arbitrary zero, the same for all sightings.
+    The aircraft's height has an arbitrary zero, the same for all sightings. ``payload`` is the index of the payload
+    in a filter of several.
     """
 
     time_s: float
@@ -42,6 +41,7 @@ class Sighting:
     aircraft_north_m: float
     aircraft_height_m: float = 0.0
     quality: float | None = None
+    payload: int = 0
 
     @property
     def horizontal_range_m(self) -> float:
@@ -89,34 +89,6 @@ class Sighting:
         covariance: FloatArray = (jacobian * np.array(self.variances)) @ jacobian.T
         return covariance
 
-    def residual(self, east_m: float, north_m: float, height_m: float) -> tuple[float, float, float]:
-        """Return measured minus expected (slant range, bearing, depression) of a target at this place."""
-        east, north = east_m - self.aircraft_east_m, north_m - self.aircraft_north_m
-        drop = self.aircraft_height_m - height_m
-        horizontal = math.hypot(east, north)
-        return (
-            self.slant_range_m - math.hypot(horizontal, drop),
-            wrap_rad(self.bearing_rad - math.atan2(east, north)),
-            self.depression_rad - math.atan2(drop, horizontal),
-        )
-
-    def measurement_by_place(self, east_m: float, north_m: float, height_m: float) -> tuple[tuple[float, ...], ...]:
-        """Return the derivative (3, 3) of (slant range, bearing, depression) by (east, north, height) there.
-
-        Within a metre of straight below the aircraft, where the bearing turns over, it is that of one metre off.
-        """
-        east, north = east_m - self.aircraft_east_m, north_m - self.aircraft_north_m
-        drop = self.aircraft_height_m - height_m
-        horizontal = max(math.hypot(east, north), 1.0)
-        slant = math.hypot(horizontal, drop)
-        per_horizontal_2, per_slant_2 = 1.0 / horizontal**2, 1.0 / slant**2
-        steepening = drop / horizontal * per_slant_2
-        return (
-            (east / slant, north / slant, -drop / slant),
-            (north * per_horizontal_2, -east * per_horizontal_2, 0.0),
-            (-east * steepening, -north * steepening, -horizontal * per_slant_2),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Fix:
@@ -131,6 +103,7 @@ class Fix:
     sigma_m: float
     height_m: float = 0.0
     quality: float | None = None
+    payload: int = 0
 
     @property
     def place_by_measurement(self) -> FloatArray:
@@ -146,14 +119,6 @@ class Fix:
     def covariance(self) -> FloatArray:
         """Of (east, north), (2, 2), m^2."""
         return np.eye(2) * self.sigma_m**2
-
-    def residual(self, east_m: float, north_m: float, height_m: float) -> tuple[float, float, float]:
-        """Return measured minus expected."""
-        return self.east_m - east_m, self.north_m - north_m, 0.0
-
-    def measurement_by_place(self, east_m: float, north_m: float, height_m: float) -> tuple[tuple[float, ...], ...]:
-        """Return the derivative (3, 3) of the measurement by (east, north, height)."""
-        return (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 0.0)
 
 
 AnySighting = Sighting | Fix

@@ -8,13 +8,13 @@ after some seconds of agreement. If two payloads contradict each other, the one 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Biases, Calibration
-from sidelong.estimators.filters.joint import JointImm, PayloadFix, PayloadSighting, prior_of
-from sidelong.estimators.filters.joint_kernel import BLOCK
-from sidelong.estimators.sensing.sighting import AnySighting, Sighting, SightingOutcome
+from sidelong.estimators.filters.imm import TargetImm, prior_of
+from sidelong.estimators.filters.imm_kernel import ERRORS, ERRORS_AND_CLOCK
+from sidelong.estimators.sensing.sighting import AnySighting, SightingOutcome
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.tracking.fusion import agreeing, apart_m, squared_distance
 from sidelong.estimators.tracking.track import Track
@@ -49,9 +49,9 @@ class JointTrack:
         self._compared_s = -float("inf")
 
     def _new(self) -> Track:
-        def start(settings: TrackerSettings, sighting: AnySighting, biases: Biases) -> JointImm:
-            known = biases.mean.size == BLOCK * len(self._names)
-            return JointImm(settings, sighting, biases if known else prior_of(self._settings, self._clock_sigmas_s))
+        def start(settings: TrackerSettings, sighting: AnySighting, biases: Biases, _ground: None) -> TargetImm:
+            known = biases.mean.size == ERRORS_AND_CLOCK * len(self._names)
+            return TargetImm(settings, sighting, biases if known else prior_of(self._settings, self._clock_sigmas_s))
 
         return Track(self._settings[0], start)
 
@@ -65,9 +65,9 @@ class JointTrack:
             self._fed.add(payload)
             self._clock_sigmas_s[payload] = clock_sigma_s
             last, _ = self._track.last
-            if isinstance(last, JointImm):
+            if last is not None:
                 last.widen_clock(payload, clock_sigma_s)
-        self._latest[payload] = _of_payload(sighting, payload)
+        self._latest[payload] = replace(sighting, payload=payload)
         return self._track.add(self._latest[payload])
 
     def estimate(self, time_s: float) -> TargetEstimate | None:
@@ -86,8 +86,8 @@ class JointTrack:
         """Return the estimated errors of a payload."""
         last, _ = self._track.last
         biases = last.biases() if last is not None else prior_of(self._settings, self._clock_sigmas_s)
-        first = BLOCK * self._names.index(name)
-        own = slice(first, first + 3)
+        first = ERRORS_AND_CLOCK * self._names.index(name)
+        own = slice(first, first + ERRORS)
         return Biases(biases.mean[own], biases.covariance[own, own]).calibration
 
     # -- which payloads are used ------------------------------------------------------------------------------
@@ -128,8 +128,3 @@ class JointTrack:
         if squared_distance(joint, surest) > _ASTRAY:
             self._track, self._fed = self._new(), {trusted[0]}
             self._track.add(self._latest[trusted[0]])
-
-
-def _of_payload(sighting: AnySighting, payload: int) -> AnySighting:
-    kind = PayloadSighting if isinstance(sighting, Sighting) else PayloadFix
-    return kind(**asdict(sighting), payload=payload)

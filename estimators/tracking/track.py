@@ -12,12 +12,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
-from sidelong.estimators.filters.biases import Biases, Calibration
-from sidelong.estimators.filters.target_filter import FloatArray, TargetFilter
+from sidelong.estimators.filters.biases import Biases, Calibration, FloatArray
 from sidelong.estimators.sensing.sighting import AnySighting, SightingOutcome
 from sidelong.estimators.settings import TrackerSettings
 
 if TYPE_CHECKING:
+    from sidelong.estimators.filters.imm import TargetImm
     from sidelong.estimators.terrain.ground import Ground
 
 _HISTORY_S, _REPEATED_MAX = 5.0, 60
@@ -25,27 +25,24 @@ _KEPT, _KEPT_EVERY_S = 40, 1.0  # filters to go back to when sightings turn out 
 # Longer predictions go by steps, so that the motion models can mix on the way; the longest by so many larger ones.
 _STEP_MAX_S, _STEPS_MAX = 1.0, 60
 
-FilterStart = Callable[[TrackerSettings, AnySighting, Biases], TargetFilter]
+FilterStart = Callable[..., "TargetImm"]
+"""Makes a filter from (settings, first sighting, biases, ground or None)."""
 
 
 def _filter_start(name: str) -> FilterStart:
-    # filterpy, which two of them stand on, takes a second to load: only who wants it waits for it.
-    if name == "imm":
-        from sidelong.estimators.filters.imm import TargetImm  # noqa: PLC0415
-
-        return TargetImm
+    # Compiled code and filterpy take a second to load: only a program that tracks waits for it.
     if name == "ekf":
         from sidelong.estimators.filters.ekf import TargetEkf  # noqa: PLC0415
 
         return TargetEkf
-    from sidelong.estimators.filters.ukf import TargetUkf  # noqa: PLC0415
+    from sidelong.estimators.filters.imm import TargetImm  # noqa: PLC0415
 
-    return TargetUkf
+    return TargetImm
 
 
 class _Step(NamedTuple):
     sighting: AnySighting
-    before: TargetFilter
+    before: TargetImm
 
 
 class Track:
@@ -55,14 +52,15 @@ class Track:
         """start: makes the filter, in place of the one that the settings name."""
         self._settings = settings
         self._start = start or _filter_start(settings.filter)
-        self._filter: TargetFilter | None = None
-        self._coasted: TargetFilter | None = None  # moved on from the last sighting by whole steps
+        self._ground: Ground | None = None
+        self._filter: TargetImm | None = None
+        self._coasted: TargetImm | None = None  # moved on from the last sighting by whole steps
         self._steps: list[_Step] = []
         self._astray: list[AnySighting] = []  # beyond the gate, since the last one within
         self._last_rejection = ""
         self._last_sighting_s = -math.inf
         self._begins_again = False
-        self._kept: deque[tuple[float, TargetFilter]] = deque(maxlen=_KEPT)
+        self._kept: deque[tuple[float, TargetImm]] = deque(maxlen=_KEPT)
 
     def forget_since(self, time_s: float) -> None:
         """Undo all detections since a time; without an earlier one the track restarts."""
@@ -82,13 +80,9 @@ class Track:
 
     def stand_on(self, ground: Ground) -> None:
         """Take the target to stand on a ground from now on."""
-        # What is compiled takes a second to load: only who has elevation data waits for it.
-        from sidelong.estimators.terrain.standing import GroundedFilter  # noqa: PLC0415
+        self._ground = ground
 
-        start = self._start
-        self._start = lambda *first: GroundedFilter(start(*first), ground)
-
-    def resume(self, last: TargetFilter, last_sighting_s: float, astray: list[AnySighting]) -> None:
+    def resume(self, last: TargetImm, last_sighting_s: float, astray: list[AnySighting]) -> None:
         """Go on from a filter as of the last sighting; astray: those beyond the gate since then.
 
         Nothing can be gone back to before that time.
@@ -98,7 +92,7 @@ class Track:
         self._last_sighting_s, self._astray = last_sighting_s, astray
 
     @property
-    def last(self) -> tuple[TargetFilter | None, float]:
+    def last(self) -> tuple[TargetImm | None, float]:
         """The filter as of the last sighting, and the time of that."""
         return self._filter, self._last_sighting_s
 
@@ -151,7 +145,7 @@ class Track:
             self._accept(step.sighting, before, ahead)
         return SightingOutcome(sighting, True, nis, "late")
 
-    def _accept(self, sighting: AnySighting, before: TargetFilter, after: TargetFilter) -> None:
+    def _accept(self, sighting: AnySighting, before: TargetImm, after: TargetImm) -> None:
         self._filter, self._coasted = after, None
         self._steps.append(_Step(sighting, before))
         self._astray.clear()
@@ -170,7 +164,7 @@ class Track:
     def _restart(self, sightings: list[AnySighting], biases: Biases) -> None:
         """Forget place and motion, not the payload's errors, and begin with these sightings."""
         self._steps.clear()
-        after = self._start(self._settings, sightings[0], biases)
+        after = self._start(self._settings, sightings[0], biases, self._ground)
         self._accept(sightings[0], after, after)
         self._steps.clear()
         for sighting in sightings[1:]:
@@ -217,7 +211,7 @@ class Track:
         """Return how far the target's ground is below a height of the aircraft; 0 before the first sighting."""
         return 0.0 if self._filter is None else height_m - self._filter.height_m
 
-    def _coasted_to(self, last: TargetFilter, now_s: float) -> TargetFilter:
+    def _coasted_to(self, last: TargetImm, now_s: float) -> TargetImm:
         """Return the filter moved on to ``now_s``, the same whenever it was asked for before."""
         start = self._coasted if self._coasted and self._coasted.time_s <= now_s else last
         steps = math.floor((now_s - start.time_s) / _STEP_MAX_S)
@@ -244,7 +238,7 @@ class Track:
         return (self._filter.biases() if self._filter else Biases.prior(self._settings)).calibration
 
 
-def _predicted(start: TargetFilter, time_s: float) -> TargetFilter:
+def _predicted(start: TargetImm, time_s: float) -> TargetImm:
     """Return a copy of the filter, moved on to ``time_s``."""
     ahead = start.copy()
     step_s = max(_STEP_MAX_S, (time_s - start.time_s) / _STEPS_MAX)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
 from sidelong.app.config import check_flyable, load_config, room_warning
 from sidelong.app.errors import InputError
+from sidelong.app.flight.recording import journalled_config
 from sidelong.mission.core.requirement import Side
 
 
@@ -38,6 +41,7 @@ def test_the_command_line_wins_over_the_file_and_none_says_nothing(tmp_path):
         ("[requirement]\nside = 'above'\n", ["requirement.side", "left", "right"]),
         ("aircraft = 3\n", ["aircraft = 3", "write [aircraft]"]),
         ("[aircraft\n", ["TOML"]),
+        ("[sensors]\nfilter = 'ukf'\n", ["sensors.filter", "was removed", "imm", "ekf"]),
         ("[sensors]\nlever_arm_m = [nan, 0, 0]\n", ["sensors.lever_arm_m.0", "nan", "finite"]),
         ("[sensors]\nmount_deg = [0, inf, 0]\n", ["sensors.mount_deg.1", "inf", "finite"]),
         ("[fences]\nfloor_m = 200\nceiling_m = 100\n", ["fences", "floor_m", "ceiling_m", "change"]),
@@ -63,6 +67,12 @@ def test_a_wrong_file_is_one_sentence_that_names_the_field(tmp_path, text, named
     assert message.endswith(".")
     for part in ["mission.toml", *named]:
         assert part in message
+
+
+def test_a_journal_of_a_removed_filter_is_one_sentence_with_the_way_out():
+    header = SimpleNamespace(config={"sensors": {"filter": "ukf"}})
+    with pytest.raises(InputError, match=r"a\.jsonl: .*--config: sensors\.filter: .* removed; use imm .* or ekf\.$"):
+        journalled_config(SimpleNamespace(header=header, path="a.jsonl"))
 
 
 def test_a_long_text_with_dots_is_no_long_key(tmp_path):

@@ -26,12 +26,20 @@ import pytest
 from filterpy.kalman import ExtendedKalmanFilter, IMMEstimator
 
 from sidelong.estimators.filters.biases import Biases
-from sidelong.estimators.filters.motion import DENSITIES
-from sidelong.estimators.filters.target_filter import starting_state
+from sidelong.estimators.filters.imm import DENSITIES, starting_moments
+from sidelong.estimators.filters.imm_kernel import TARGET
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.tracking.track import Track
-from tests.estimators.plain_motion import MODELS, TURNING, model_noises, model_transitions, switch_probabilities
+from tests.estimators.plain_motion import (
+    MODELS,
+    POSITION,
+    TURNING,
+    measured,
+    model_noises,
+    model_transitions,
+    switch_probabilities,
+)
 
 STEP_S, HEIGHT_M = 0.1, 120.0
 SIGMAS = np.array([0.8, math.radians(0.35), math.radians(0.35)])  # slant range, bearing, depression
@@ -300,7 +308,7 @@ def test_error_against_the_bound_and_against_stone_soup():
     rivals = {f"Stone Soup EKF {density}": StoneSoup("ekf", density) for density in densities}
     rivals["Stone Soup UKF 1.0"] = StoneSoup("ukf", 1.0)
     rivals["Stone Soup told of the turn"] = StoneSoup("ekf", DENSITY, TURN_DRIFT)
-    head = ["RMSE, m", "bound", "IMM", "IMM, 3 biases (/ its bound)", "EKF", "UKF"]
+    head = ["RMSE, m", "bound", "IMM", "IMM, 3 biases (/ its bound)", "EKF"]
     rows = [[*head, *rivals, "IMM / bound"]]
     ratio, best_rival, ours = {}, {}, {}
     for scene, draw in SCENES.items():
@@ -316,7 +324,6 @@ def test_error_against_the_bound_and_against_stone_soup():
                 "IMM": follow(PLAIN, seen, target).places,
                 "biased": follow(CALIBRATING, biased, target).places,
                 "EKF": follow(replace(PLAIN, filter="ekf"), seen, target).places,
-                "UKF": follow(replace(PLAIN, filter="ukf"), seen, target).places,
             } | {name: rival.places(seen) for name, rival in rivals.items()}
             for name, places in followed.items():
                 squares.setdefault(name, []).append(((places - target.states[:, :2]) ** 2).sum(axis=1).mean())
@@ -328,7 +335,7 @@ def test_error_against_the_bound_and_against_stone_soup():
         rows.append(
             [scene, f"{error['bound']:.3f}", f"**{error['IMM']:.3f}**"]
             + [f"{error['biased']:.2f} ({error['biased'] / error['biased bound']:.2f})"]
-            + [f"{error[name]:.3f}" for name in ("EKF", "UKF", *rivals)]
+            + [f"{error[name]:.3f}" for name in ("EKF", *rivals)]
             + [f"**{ratio[scene]:.2f}**"]
         )
     show(
@@ -465,19 +472,15 @@ class StockModel(ExtendedKalmanFilter):
         super().predict()
 
     def update(self, sighting):
-        place = [float(self.x[i]) for i in (0, 1, 4)]
+        residual, by_position = measured(sighting, *map(float, self.x[POSITION]))
         jacobian = np.zeros((3, self.dim_x))
-        jacobian[:, [0, 1, 4]] = sighting.measurement_by_place(*place)
-        super().update(
-            np.array(sighting.residual(*place)), lambda _: jacobian, lambda _: 0.0, R=np.diag(sighting.variances)
-        )
+        jacobian[:, POSITION] = by_position
+        super().update(residual, lambda _: jacobian, lambda _: 0.0, R=np.diag(sighting.variances))
 
 
 def stock_imm(seen: list[Sighting]) -> None:
-    mean, covariance = starting_state(PLAIN, seen[0], Biases.prior(PLAIN))
-    mean, wide = np.append(mean, 0.0), np.eye(len(mean) + 1) * 0.25**2
-    wide[:-1, :-1] = covariance
-    models = [StockModel(model, mean, wide) for model in MODELS]
+    mean, covariance = starting_moments(PLAIN, seen[0], Biases.prior(PLAIN))
+    models = [StockModel(model, mean[:TARGET], covariance[:TARGET, :TARGET]) for model in MODELS]
     imm = IMMEstimator(models, np.ones(len(MODELS)), switch_probabilities(STEP_S))
     for sighting in seen[1:]:
         imm.predict()
@@ -500,7 +503,6 @@ def test_updates_per_second():
     contestants: dict[str, Callable[[list[Sighting]], object]] = {
         "EKF": through_track(replace(PLAIN, filter="ekf")),
         "EKF, 3 biases": through_track(replace(CALIBRATING, filter="ekf")),
-        "UKF": through_track(replace(PLAIN, filter="ukf")),
         "IMM of 4 motions": through_track(PLAIN),
         "IMM of 4 motions, 3 biases": through_track(CALIBRATING),
         "filterpy's IMMEstimator of the same 4, no bias, no gate": stock_imm,

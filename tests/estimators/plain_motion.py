@@ -1,4 +1,4 @@
-"""The motions of the IMM filter as matrices: what its compiled form is held to."""
+"""The measurement and motion models of the filters in plain numpy, to compare the compiled ones with."""
 
 from __future__ import annotations
 
@@ -8,22 +8,79 @@ from functools import lru_cache
 
 import numpy as np
 
-from sidelong.estimators.filters.mixture_kernel import (
+from sidelong.estimators.filters.imm_kernel import (
     CRUISING,
+    EAST,
     GENERATOR,
+    HEIGHT,
+    HEIGHT_DENSITY_M2_S,
     MANOEUVRING,
     MODELS,
+    NORTH,
     SHUFFLE_SIGMA_M_S,
     STANDING,
     TURN_DRIFT_RAD2_S3,
     TURN_SIGMA_RAD_S,
     TURNING,
+    VELOCITY_E,
+    VELOCITY_N,
     Densities,
 )
-from sidelong.estimators.filters.motion import add_white_acceleration, cruise, cruise_noise
-from sidelong.estimators.filters.target_filter import EAST, NORTH, VELOCITY_E, VELOCITY_N, FloatArray
+from sidelong.estimators.filters.measurement_kernel import FloatArray
+from sidelong.estimators.frames import wrap_rad
+from sidelong.estimators.sensing.sighting import Sighting
 
 TURN = -1  # the turn rate is the last of the state
+POSITION = [EAST, NORTH, HEIGHT]
+
+
+def measured(sighting: Sighting, east_m: float, north_m: float, height_m: float) -> tuple[FloatArray, FloatArray]:
+    """Return measured minus expected (3,) of a target at a position, and the derivative (3, 3) by the position."""
+    east, north = east_m - sighting.aircraft_east_m, north_m - sighting.aircraft_north_m
+    drop, horizontal = sighting.aircraft_height_m - height_m, math.hypot(east, north)
+    residual = np.array(
+        [
+            sighting.slant_range_m - math.hypot(horizontal, drop),
+            wrap_rad(sighting.bearing_rad - math.atan2(east, north)),
+            sighting.depression_rad - math.atan2(drop, horizontal),
+        ]
+    )
+    slant = math.hypot(horizontal, drop)
+    steepening = drop / horizontal / slant**2
+    jacobian = np.array(
+        [
+            [east / slant, north / slant, -drop / slant],
+            [north / horizontal**2, -east / horizontal**2, 0.0],
+            [-east * steepening, -north * steepening, -horizontal / slant**2],
+        ]
+    )
+    return residual, jacobian
+
+
+def cruise(size: int, step_s: float) -> FloatArray:
+    """Return the transition (n, n) of a target that holds its velocity."""
+    transition = np.eye(size)
+    transition[EAST, VELOCITY_E] = transition[NORTH, VELOCITY_N] = step_s
+    return transition
+
+
+def cruise_noise(size: int, step_s: float, density_m2_s3: float, bias_drift: tuple[float, ...] = ()) -> FloatArray:
+    """Return the process noise (n, n) of white acceleration, uneven ground and drifting biases after the height."""
+    noise = np.zeros((size, size))
+    add_white_acceleration(noise, density_m2_s3, step_s)
+    noise[HEIGHT, HEIGHT] = HEIGHT_DENSITY_M2_S * step_s
+    for i, drift in enumerate(bias_drift, start=HEIGHT + 1):
+        noise[i, i] = drift * step_s
+    return noise
+
+
+def add_white_acceleration(noise: FloatArray, density_m2_s3: float, step_s: float) -> None:
+    """Add the effect of acceleration of this density in a step to a process noise (n, n)."""
+    for position, velocity in ((EAST, VELOCITY_E), (NORTH, VELOCITY_N)):
+        noise[position, position] += density_m2_s3 * step_s**3 / 3
+        noise[position, velocity] += density_m2_s3 * step_s**2 / 2
+        noise[velocity, position] += density_m2_s3 * step_s**2 / 2
+        noise[velocity, velocity] += density_m2_s3 * step_s
 
 
 @lru_cache(maxsize=256)

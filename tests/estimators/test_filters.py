@@ -9,22 +9,24 @@ from scipy.stats import chi2
 
 from sidelong.estimators.filters.biases import Biases
 from sidelong.estimators.filters.ekf import TargetEkf
-from sidelong.estimators.filters.imm import TargetImm
-from sidelong.estimators.filters.motion import DENSITIES
-from sidelong.estimators.filters.target_filter import BIASES, EAST, HEIGHT, NORTH, PLACE, starting_state
-from sidelong.estimators.filters.ukf import TargetUkf
+from sidelong.estimators.filters.imm import DENSITIES, TargetImm, starting_moments
+from sidelong.estimators.filters.imm_kernel import TARGET, Densities, predict
 from sidelong.estimators.settings import TrackerSettings
 from tests.estimators.plain_motion import (
     CRUISING,
     MODELS,
+    POSITION,
     STANDING,
     TURNING,
+    cruise,
+    cruise_noise,
+    measured,
     model_noises,
     model_transitions,
     switch_probabilities,
 )
 
-FILTERS = {"ekf": TargetEkf, "ukf": TargetUkf, "imm": TargetImm}
+FILTERS = {"ekf": TargetEkf, "imm": TargetImm}
 SETTINGS = TrackerSettings()
 NO_BIAS = TrackerSettings(yaw_bias_sigma_rad=0.0, pitch_bias_sigma_rad=0.0, range_bias_sigma_m=0.0)
 
@@ -53,7 +55,7 @@ def wandering(rng, density_m2_s3=0.03):
 @pytest.mark.parametrize("kind", FILTERS)
 def test_errors_are_as_large_as_the_filter_says(kind, scene):
     """NEES of position and of the biases, and NIS, averaged over seeds, lie where chi-square puts them."""
-    seeds = 6 if kind == "ukf" else 12
+    seeds = 12
     nees, nis, bias_nees = [], [], []
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
@@ -86,14 +88,19 @@ def test_a_bias_of_yaw_is_learnt_with_the_precision_that_is_claimed(kind, scene)
     assert calibration.yaw_sigma_rad < 0.3 * SETTINGS.yaw_bias_sigma_rad
 
 
-def test_the_unscented_filter_agrees_with_the_extended_one(scene):
-    sightings = scene.of(lambda t: (2.0, 0.02 * t), 40.0).sightings(np.random.default_rng(2))
-    both = zip(run("ekf", sightings), run("ukf", sightings), strict=True)
-    for k, ((extended, _), (unscented, _)) in enumerate(both):
-        if k > 50:
-            mean, covariance = extended.moments()
-            apart = unscented.moments()[0] - mean
-            assert np.abs(apart / np.sqrt(np.diag(covariance))).max() < 0.2
+def test_a_single_model_predicts_as_the_cruising_matrices_do():
+    """The extended filter: nothing but the cruising model, and the drift of the errors that are estimated."""
+    rng, n = np.random.default_rng(1), TARGET + 3
+    root = rng.normal(size=(n, n))
+    mean, covariance = rng.normal(size=n), root @ root.T
+    mean[5] = covariance[5, :] = covariance[:, 5] = 0.0
+    row, found = np.concatenate(([1.0], mean, covariance.ravel())), np.empty((1, 1 + n + n * n))
+    predict(row[None], 0.4, Densities(0.03, 0.0, 0.0), found)
+    transition, noise = cruise(n, 0.4), cruise_noise(n, 0.4, 0.03)
+    noise[5, 5] = 0.25**2  # of the turn rate, which it does not use
+    noise[6:, 6:] = 0.4 * np.diag([2e-8, 1e-10, 1e-7])
+    assert found[0, 1 : 1 + n] == pytest.approx(transition @ mean)
+    assert found[0, 1 + n :].reshape(n, n) == pytest.approx(transition @ covariance @ transition.T + noise)
 
 
 class Reference(ExtendedKalmanFilter):
@@ -113,11 +120,10 @@ class Reference(ExtendedKalmanFilter):
         self.P = self.F @ self.P @ self.F.T + model_noises(self.dim_x, 0.1, DENSITIES["unknown"], ())[self.model]
 
     def update(self, sighting):
-        place = [float(self.x[i]) for i in (EAST, NORTH, HEIGHT)]
+        residual, by_position = measured(sighting, *map(float, self.x[POSITION]))
         jacobian = np.zeros((3, self.dim_x))
-        jacobian[:, PLACE] = sighting.measurement_by_place(*place)
-        noise = np.diag(sighting.variances)
-        super().update(np.array(sighting.residual(*place)), lambda _: jacobian, lambda _: 0.0, R=noise)
+        jacobian[:, POSITION] = by_position
+        super().update(residual, lambda _: jacobian, lambda _: 0.0, R=np.diag(sighting.variances))
 
 
 def test_the_stacked_filter_is_the_interacting_multiple_model_filter_of_filterpy(scene):
@@ -132,11 +138,8 @@ def test_the_stacked_filter_is_the_interacting_multiple_model_filter_of_filterpy
         yaw_bias_sigma_rad=0.0, pitch_bias_sigma_rad=0.0, range_bias_sigma_m=0.0, soft_nis=math.inf
     )
     sightings = scene.of(velocity, 40.0).sightings(np.random.default_rng(3))
-    start, start_covariance = starting_state(settings, sightings[0], Biases.prior(settings))
-    mean = np.append(start, 0.0)
-    covariance = np.zeros((len(mean), len(mean)))
-    covariance[:BIASES, :BIASES] = start_covariance
-    covariance[-1, -1] = 0.25**2
+    start, start_covariance = starting_moments(settings, sightings[0], Biases.prior(settings))
+    mean, covariance = start[:TARGET], start_covariance[:TARGET, :TARGET]
     models = [Reference(model, mean.copy(), covariance.copy()) for model in MODELS]
     reference = IMMEstimator(models, np.full(len(MODELS), 0.25), switch_probabilities(0.1))
     for (target, _), sighting in zip(run("imm", sightings, settings), sightings[1:], strict=True):

@@ -3,11 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from sidelong.estimators.filters.motion import DENSITIES, cruise_noise
+from sidelong.estimators.filters.imm import DENSITIES
 from tests.estimators.plain_motion import (
     MODELS,
     TURN,
     TURNING,
+    cruise_noise,
     model_noises,
     model_transitions,
     switch_probabilities,

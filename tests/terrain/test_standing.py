@@ -7,16 +7,11 @@ import pytest
 
 from sidelong.estimators.filters.biases import Biases
 from sidelong.estimators.filters.ekf import TargetEkf
-from sidelong.estimators.filters.imm import TargetImm, drift_per_s
-from sidelong.estimators.filters.imm_kernel import COVARIANCE, MEAN
-from sidelong.estimators.filters.motion import DENSITIES
-from sidelong.estimators.filters.target_filter import EAST, HEIGHT, NORTH
-from sidelong.estimators.filters.ukf import TargetUkf
+from sidelong.estimators.filters.imm import TargetImm
+from sidelong.estimators.filters.imm_kernel import EAST, HEIGHT, NORTH
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.terrain.ground import Ground
-from sidelong.estimators.terrain.standing import GroundedFilter
-from sidelong.estimators.terrain.standing_kernel import predict_standing
 from sidelong.estimators.tracking.tracker import Tracker
 
 EAST_M, NORTH_M = np.meshgrid(np.arange(81) * 50.0 - 2000.0, np.arange(81) * 50.0 - 2000.0)
@@ -41,41 +36,71 @@ def seen(time_s: float, place: tuple[float, float, float], range_sigma_m: float)
     )
 
 
-@pytest.mark.parametrize("kind", [TargetImm, TargetEkf, TargetUkf])
+@pytest.mark.parametrize("kind", [TargetImm, TargetEkf])
 def test_the_height_follows_the_ground_between_sightings(kind) -> None:
     """A target goes uphill at 3 m/s: ten seconds after the last sighting its height has grown by the slope."""
     settings = TrackerSettings()
-    inner = kind(settings, seen(0.0, (0.0, 0.0, 0.0), 0.8), Biases.prior(settings))
-    on_ground = GroundedFilter(inner, TILTED)
+    on_ground = kind(settings, seen(0.0, (0.0, 0.0, 0.0), 0.8), Biases.prior(settings), TILTED)
     for k in range(1, 201):
         time_s = 0.1 * k
         on_ground.predict(time_s)
         on_ground.update(seen(time_s, (3.0 * time_s, 0.0, 0.3 * time_s), 0.8), math.inf)
     on_ground.predict(30.0)
-    state = inner.state[1, MEAN:COVARIANCE] if kind is TargetImm else inner._kf.x
-    assert state[EAST] == pytest.approx(90.0, abs=8.0)
-    assert state[HEIGHT] == pytest.approx(0.1 * state[EAST] - 0.05 * state[NORTH], abs=1.0)
+    mean, _ = on_ground.moments()
+    assert mean[EAST] == pytest.approx(90.0, abs=8.0)
+    assert on_ground.height_m == pytest.approx(0.1 * mean[EAST] - 0.05 * mean[NORTH], abs=1.0)
 
 
-def test_the_compiled_step_is_the_filters(ground: Ground) -> None:
-    """Of targets anywhere over the hills, and beyond them, through steps of any length."""
+def offset_from(patch, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return transition (n, n) and shift (n,) from the height to its offset from the ground."""
+    transition, shift = np.eye(size), np.zeros(size)
+    transition[HEIGHT, EAST], transition[HEIGHT, NORTH] = -patch.slope_east, -patch.slope_north
+    shift[HEIGHT] = patch.slope_east * patch.east_m + patch.slope_north * patch.north_m - patch.height_m
+    return transition, shift
+
+
+def carried(state: np.ndarray, transition: np.ndarray, shift: np.ndarray, height_variance_m2: float) -> np.ndarray:
+    """Return the state with each model's mean x turned into ``transition @ x + shift``."""
+    size, found = len(shift), state.copy()
+    for row in found:
+        covariance = row[1 + size :].reshape(size, size)
+        row[1 : 1 + size] = transition @ row[1 : 1 + size] + shift
+        covariance[:] = transition @ covariance @ transition.T
+        covariance[HEIGHT, HEIGHT] += height_variance_m2
+    return found
+
+
+def test_a_prediction_over_ground_turns_the_height_into_its_offset_and_back(ground: Ground) -> None:
+    """Compared with matrices, for targets anywhere over the hills, and beyond them, through steps of any length."""
     settings, rng = TrackerSettings(), np.random.default_rng(5)
     on_known_ground = 0
     for _ in range(30):
         at_m = rng.uniform(-18_000.0, 18_000.0, 2).tolist()
-        inner = TargetImm(settings, seen(0.0, (0.0, 0.0, 20.0), 0.8), Biases.prior(settings))
-        state = inner.state.copy()
-        state[:, MEAN + EAST] += at_m[0]
-        state[:, MEAN + NORTH] += at_m[1]
-        state[:, MEAN + 2 : MEAN + 4] = rng.normal(0.0, 3.0, 2)
-        inner = TargetImm.resumed(settings, Biases.prior(settings), 0.0, state.copy())
-        on_ground, step_s = GroundedFilter.resumed(inner, ground), float(rng.uniform(0.05, 1.0))
+        free = TargetImm(settings, seen(0.0, (0.0, 0.0, 20.0), 0.8), Biases.prior(settings))
+        state, step_s = free.state.copy(), round(float(rng.uniform(0.05, 1.0)), 6)
+        state[:, 1 + EAST] += at_m[0]
+        state[:, 1 + NORTH] += at_m[1]
+        state[:, 3:5] = rng.normal(0.0, 3.0, 2)
+        on_ground = TargetImm.resumed(settings, 0.0, state, ground)
+        mean, covariance = on_ground.moments()
         on_ground.predict(step_s)
-        found, drift = np.empty_like(state), drift_per_s(Biases.prior(settings))
-        densities = DENSITIES[settings.target_kind]
-        predict_standing(state, round(step_s, 6), densities, drift, ground.grid, ground.sigma_m, found)
-        np.testing.assert_allclose(found, inner.state, rtol=1e-9, atol=1e-6)
-        on_known_ground += not math.isnan(ground.height_m(*at_m))
+        before = ground.patch(float(mean[EAST]), float(mean[NORTH]))
+        if before is None:
+            free = TargetImm.resumed(settings, 0.0, state)
+            free.predict(step_s)
+        else:
+            on_known_ground += 1
+            free = TargetImm.resumed(settings, 0.0, carried(state, *offset_from(before, 9), 0.0))
+            free.predict(step_s)
+            speed_m_s = math.sqrt(mean[2] ** 2 + mean[3] ** 2 + covariance[2, 2] + covariance[3, 3])
+            kept = math.exp(-speed_m_s * step_s / 1000.0)
+            mean, _ = free.moments()
+            after = ground.patch(float(mean[EAST]), float(mean[NORTH])) or before
+            to_offset, shift = offset_from(after, 9)
+            to_height = 2.0 * np.eye(9) - to_offset
+            to_height[HEIGHT, HEIGHT] = kept
+            free.state = carried(free.state, to_height, -shift, (1.0 - kept**2) * after.sigma_m**2)
+        np.testing.assert_allclose(on_ground.state, free.state, rtol=1e-9, atol=1e-6)
     assert 10 < on_known_ground < 30
 
 
@@ -84,7 +109,7 @@ def test_a_line_of_sight_alone_places_a_standing_target(ground: Ground) -> None:
     settings = TrackerSettings(pitch_bias_sigma_rad=0.0, yaw_bias_sigma_rad=0.0, range_bias_sigma_m=0.0)
     place = (200.0, 50.0, 0.1 * 200.0 - 0.05 * 50.0)
     first = seen(0.0, place, 2e3)
-    grounded = GroundedFilter(TargetEkf(settings, first, Biases.prior(settings)), TILTED)
+    grounded = TargetEkf(settings, first, Biases.prior(settings), TILTED)
     mean, covariance = grounded.moments()
     assert mean[:2] == pytest.approx(place[:2], abs=0.5)
     along = np.array((500.0, 50.0)) / math.hypot(500.0, 50.0)

@@ -56,7 +56,7 @@ def test_four_thousand_places(ground: Ground, range_m: float, height_m: float) -
 
 
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("filter_name", ["imm", "ekf", "ukf"])
+@pytest.mark.parametrize("filter_name", ["imm", "ekf"])
 def test_the_laser_out_for_a_minute(laser_out, filter_name: str) -> None:
     flown = np.array([laser_out.flown(seed, filter_name=filter_name) for seed in range(100)])
     rmse_m, inside = flown.T
