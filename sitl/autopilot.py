@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command, Handler
-from sidelong.sitl.protocol.file_server import FileServer
 from sidelong.sitl.protocol.items import RELATIVE_FRAMES, Item
 from sidelong.sitl.protocol.parameters import Parameters
 from sidelong.sitl.protocol.radio import Radio, Station
@@ -76,7 +75,6 @@ class Autopilot(ABC):
         self.roi: Place | None = None  # where the payload has been turned to, until it has been
         self.gcs_heard_s: float | None = None
         self.transfers: dict[int, Transfer] = {}
-        self.files = FileServer({})
         self._navigate_s = 0.0
         self._builders: dict[int, Builder] = {}
         self._handlers: dict[int, Handler] = {
@@ -300,10 +298,7 @@ class Autopilot(ABC):
     def _answer(self, station: Station, message: Any, kind: str) -> None:
         """Answer what changes nothing here."""
         source = (message.get_srcSystem(), message.get_srcComponent())
-        if kind == "FILE_TRANSFER_PROTOCOL":
-            for payload in self.files.answers(bytes(message.payload)):
-                self.radio.send(station, mavlink.MAVLink_file_transfer_protocol_message(0, *source, payload))
-        elif kind == "LOG_REQUEST_LIST":
+        if kind == "LOG_REQUEST_LIST":
             self.radio.send(station, mavlink.MAVLink_log_entry_message(0, 0, 0, 0, 0))  # it keeps none
         elif kind == "TIMESYNC" and message.tc1 == 0:
             self.radio.send(station, mavlink.MAVLink_timesync_message(self.boot_us * 1000, message.ts1))

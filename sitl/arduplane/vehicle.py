@@ -16,7 +16,6 @@ from sidelong.sitl.arduplane.terrain import TerrainDatabase
 from sidelong.sitl.autopilot import Autopilot
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
 from sidelong.sitl.protocol.fence import PointStore
-from sidelong.sitl.protocol.file_server import FileErrors, FileServer
 from sidelong.sitl.protocol.items import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item
 from sidelong.sitl.protocol.radio import Station
 from sidelong.sitl.protocol.transfer import ProtocolQuirks, Store
@@ -98,7 +97,6 @@ class ArduPlane(Autopilot):
             mavlink.MAV_CMD_NAV_TAKEOFF: lambda _: FAILED,  # only for quadplanes
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
         }
-        self.files = FileServer({"@PARAM/param.pck": self.parameters.packed}, FileErrors.FAILED, FileErrors.NOT_FOUND)
         # ArduPlane requests missing heights; here only if there is terrain.
         self.terrain = TerrainDatabase(home.latitude_deg, home.longitude_deg) if settings.terrain else None
         stores: tuple[Store, ...] = (self.mission, PointStore(False), PointStore(False))

@@ -17,7 +17,6 @@ INT16 = mavlink.MAV_PARAM_TYPE_INT16
 INT32 = mavlink.MAV_PARAM_TYPE_INT32
 REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
 _NO_INDEX = 65535
-_PACKED_MAGIC = 0x671B
 _TYPE_MISMATCH = 7  # MAV_PARAM_ERROR
 
 
@@ -96,19 +95,6 @@ class Parameters:
         if self._reports_errors:
             asker = (message.get_srcSystem(), message.get_srcComponent())
             radio.send(station, mavlink.MAVLink_param_error_message(*asker, message.param_id.encode(), index, error))
-
-    def packed(self) -> bytes:
-        """Return all of them as ArduPilot's file @PARAM/param.pck has them."""
-        kinds = {INT8: (1, "b"), INT16: (2, "h"), INT32: (3, "i"), REAL32: (4, "f")}
-        packed, before = struct.pack("<HHH", _PACKED_MAGIC, len(self._names), len(self._names)), ""
-        for name in self._names:
-            kind, code = kinds[self._kinds[name]]
-            value = self._values[name] if code == "f" else int(self._values[name])
-            common = next(i for i, letter in enumerate(name) if not before[i:].startswith(letter))
-            own = name[common:].encode("ascii")
-            packed += bytes([kind, common | (len(own) - 1) << 4]) + own + struct.pack("<" + code, value)
-            before = name
-        return packed
 
     def _index(self, name: str) -> int:
         return self._names.index(name) if self._bytewise else _NO_INDEX

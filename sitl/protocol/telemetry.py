@@ -311,7 +311,6 @@ class Telemetry:
             | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
             | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
             | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
-            | mavlink.MAV_PROTOCOL_CAPABILITY_FTP
         )
         major, minor = self._vehicle.release
         version = major << 24 | minor << 16 | mavlink.FIRMWARE_VERSION_TYPE_OFFICIAL

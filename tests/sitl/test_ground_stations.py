@@ -1,10 +1,8 @@
-"""What QGroundControl asks for when it connects, and the files that ground stations fetch."""
+"""What QGroundControl requests when it connects."""
 
 from __future__ import annotations
 
 import math
-import struct
-import zlib
 
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
@@ -13,9 +11,6 @@ from sidelong.sitl.settings import Flavour
 
 REQUEST_MESSAGE, SET_INTERVAL = mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
 PROTOCOL_VERSION, MODES, METADATA, CAMERA, GIMBAL_MANAGER = 300, 435, 397, 259, 280
-OPEN, READ, LIST, CRC32, BURST, TERMINATE = 4, 5, 3, 14, 15, 1
-ACK, NAK = 128, 129
-FAILED, END_OF_FILE, NOT_FOUND, UNKNOWN_COMMAND, WRONG_SESSION = 1, 6, 10, 7, 4
 
 
 @pytest.fixture(params=list(Flavour))
@@ -91,59 +86,3 @@ def test_parameters_missions_fences_and_rally_points_are_told(ground):
     values = ground.all("PARAM_VALUE")
     assert len({value.param_id for value in values}) == values[0].param_count > 20
     assert {count.mission_type for count in ground.all("MISSION_COUNT")} == {0, 1, 2}
-
-
-class Files:
-    """A client of the file transfer."""
-
-    def __init__(self, ground) -> None:
-        self.ground, self.sequence = ground, 0
-
-    def ask(self, opcode: int, name: str = "", offset: int = 0, size: int | None = None, session: int = 3):
-        """Return (opcode, offset, data, burst complete) of each answer."""
-        data = name.encode()
-        head = struct.pack("<HBBBBBxI", self.sequence, session, opcode, size or len(data), 0, 0, offset)
-        self.sequence += 1
-        before = len(self.ground.heard)
-        payload = (head + data).ljust(251, b"\0")
-        self.ground.send(mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, payload))
-        self.ground.run(0.1)
-        answers = []
-        for message in self.ground.heard[before:]:
-            if message.get_type() == "FILE_TRANSFER_PROTOCOL":
-                raw = bytes(message.payload)
-                _, _, code, length, asked, complete, at = struct.unpack_from("<HBBBBBxI", raw)
-                assert asked == opcode
-                answers.append((code, at, raw[12 : 12 + length], bool(complete)))
-        return answers
-
-
-@pytest.mark.parametrize("flavour", [Flavour.ARDUPLANE], indirect=True)
-def test_arduplanes_parameters_are_a_file(ground):
-    files = Files(ground)
-    assert files.ask(LIST, "/") == [(ACK, 0, b"D@PARAM\0", False)]
-    ((_, _, listed, _),) = files.ask(LIST, "/@PARAM")
-    size = int(listed.rstrip(b"\0").split(b"\t")[1])
-    assert files.ask(LIST, "/@PARAM", offset=1)[0][2] == bytes([END_OF_FILE])
-    ((code, _, told, _),) = files.ask(OPEN, "@PARAM/param.pck?withdefaults=1")
-    assert (code, struct.unpack("<I", told)[0]) == (ACK, size)
-    pieces = files.ask(BURST, size=80)
-    content = b"".join(data for _, _, data, _ in pieces)
-    assert len(content) == size
-    assert [complete for *_, complete in pieces] == [False] * (len(pieces) - 1) + [True]
-    assert files.ask(READ, offset=80, size=10)[0][2] == content[80:90]
-    assert files.ask(READ, offset=size, size=10)[0][2] == bytes([END_OF_FILE])
-    assert struct.unpack("<I", files.ask(CRC32, "@PARAM/param.pck")[0][2])[0] == zlib.crc32(content)
-    magic, count, total = struct.unpack_from("<HHH", content)
-    assert (magic, count, total) == (0x671B, 27, 27)
-    assert content[6:].startswith(bytes([4, 14 << 4]) + b"AIRSPEED_CRUISE" + struct.pack("<f", 15.0))
-
-
-def test_what_is_not_there_is_refused(ground, flavour):
-    files = Files(ground)
-    unknown, not_open = (FAILED, NOT_FOUND) if flavour is Flavour.ARDUPLANE else (UNKNOWN_COMMAND, WRONG_SESSION)
-    assert files.ask(OPEN, "/nothing") == [(NAK, 0, bytes([NOT_FOUND]), False)]
-    assert files.ask(READ, size=10)[0][2] == bytes([not_open])
-    assert files.ask(6, "/new")[0][2] == bytes([unknown])  # nothing is ever written
-    assert files.ask(TERMINATE)[0][0] == ACK
-    assert files.ask(ACK) == []
