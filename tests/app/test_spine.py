@@ -1,15 +1,16 @@
 """One range on its way through the program: from a DISTANCE_SENSOR frame to a mission item of the uploaded plan.
 
-The path is measured in a flight in the closed-loop simulation against the vehicle of sitl, frames included. Counted are
+The path is measured in a flight in the closed-loop simulation against the vehicle of sitl, frames included. Counted
+are
 
 - the project functions on the call stack whenever a form of the datum (``FORMS``) is made: they have carried the form
   before it there
 - the functions that return one of these very objects: they hand it on by their result
 - the functions of the filter that take the sighting as an argument, because an update makes no form
 
-A function that computes something on the way and hands nothing on is not counted, nor are readers beside the path, such
-as displays and health checks. ``app/simulation`` stands for what a live flight does in its place (``app/link`` and
-``app/flight/loop``); tests, sitl and the inside of compiled kernels are left out.
+A function that computes something on the way and hands nothing on is not counted, nor are readers beside the path,
+such as displays and health checks. ``app/simulation`` stands for what a live flight does in its place (``app/link``
+and ``app/flight/loop``); tests, sitl and the inside of compiled kernels are left out.
 
 The values are upper bounds for one aircraft. They may fall; a change that raises them needs a reason.
 """
