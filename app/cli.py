@@ -29,6 +29,11 @@ Begin with: sidelong launch
 # Each command with its module and its short help: a module is loaded when its command is called.
 COMMANDS = {
     "launch": ("sidelong.app.commands.launch", "Fly beside a moving target, in simulation or a real vehicle."),
+    "serve": ("sidelong.app.commands.serve", "Wait on board for the vehicle, and watch on request."),
+    "status": ("sidelong.app.commands.serve", "Tell what sidelong serve does now."),
+    "watch": ("sidelong.app.commands.serve", "Ask sidelong serve to watch, or to resume."),
+    "release": ("sidelong.app.commands.serve", "Ask sidelong serve to end the watch."),
+    "prepare": ("sidelong.app.commands.prepare", "Compile and compute ahead what a first flight needs."),
     "connect": ("sidelong.app.commands.connect", "Tell what is there and what is not ready yet."),
     "payload": ("sidelong.app.commands.payload", "Read a payload by its own protocol, publish it as MAVLink."),
     "replay": ("sidelong.app.commands.replay", "Run filter and planner over a recorded flight."),

@@ -320,6 +320,21 @@ class SharingSection(Section):
     """Standard deviation of its position, each axis, if it does not report it, m."""
 
 
+class ControlSection(Section):
+    """What starts, resumes and ends a watch of sidelong serve, besides its commands."""
+
+    rc_channel: int | None = Field(None, ge=1, le=18)
+    """RC channel of a switch (RC_CHANNELS): up watches or resumes, down releases; none: no switch."""
+    flight_mode: str | None = Field(None, min_length=1, max_length=20)
+    """Flight mode by name (LOITER, CIRCLE) whose selection starts or resumes a watch; none: no mode does."""
+    aux_function: int | None = Field(None, ge=1, le=65535)
+    """Function number of MAV_CMD_DO_AUX_FUNCTION (ArduPilot: 300, Scripting1): high watches, low releases; none."""
+    disk_budget_mb: float = Field(4000.0, ge=10, le=10_000_000)
+    """Space for run folders, MB; before a watch and while it lasts the oldest other ones are deleted beyond it."""
+    keep_days: float = Field(90.0, gt=0, le=10_000)
+    """Run folders older than this are deleted, days."""
+
+
 class SimulationSection(Section):
     """The simulated vehicle that is flown when no link is given."""
 
@@ -351,6 +366,7 @@ class Config(Section):
     fences: FencesSection = FencesSection()  # type: ignore[call-arg]
     terrain: TerrainSection = TerrainSection()  # type: ignore[call-arg]
     sharing: SharingSection = SharingSection()  # type: ignore[call-arg]
+    control: ControlSection = ControlSection()  # type: ignore[call-arg]
     simulation: SimulationSection = SimulationSection()  # type: ignore[call-arg]
 
     _radius_fits: bool = PrivateAttr(False)

@@ -21,6 +21,9 @@ from sidelong.app.presets import PAYLOAD_PRESETS, PRESETS, PayloadPreset, Preset
 _WIDTH = 112
 # What a key that is not set, or an empty list, would look like.
 _EXAMPLES = {
+    "control.rc_channel": 9,
+    "control.flight_mode": '"LOITER"',
+    "control.aux_function": 300,
     "sensors.range_component": "154",
     "sensors.gimbal_frame": '"earth"',
     "sensors.gimbal_component": "154",

@@ -36,8 +36,8 @@ from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, free_port, is_desktop, page_address
 
 if TYPE_CHECKING:
-    from sidelong.app.commands.launch_one import FlightEnded
     from sidelong.app.fleet.flight import FleetEnded
+    from sidelong.app.flight.single import FlightEnded
 
 _DURATION_S = 1200.0
 _DRIVER_SPEED_MAX = 4.0  # a simulated payload's data are stamped as they arrive: faster, this computer's load shows

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import get_args
+from typing import TypeVar, get_args
 
 from sidelong.app.config import Config, config_from
 from sidelong.app.errors import InputError
@@ -20,6 +20,8 @@ from sidelong.mission.core.events import Command, Event
 from sidelong.mission.exchange.mission_controller import InboundEvent, Output
 from sidelong.mission.exchange.outbox import ExternalControl, SendMessage, TakeoverFailed
 from sidelong.mission.exchange.reports import ExchangeEvent
+
+T = TypeVar("T")
 
 _MARKER_V2, _SETUP_SIGNING = 0xFD, (256).to_bytes(3, "little")
 
@@ -52,27 +54,43 @@ def beginning(folder: Path) -> Iterator[None]:
 class Recording:
     """Opens the tlog at once and the journal when the plane is known; ``on_trouble`` receives write errors.
 
-    The tlog is stamped with the vehicle's time. Raises InputError if the files cannot be written at the start.
+    The tlog is stamped with the vehicle's time. Raises InputError if the files cannot be written at the start, unless
+    records are not ``required``: that is then reported, and the flight goes on without them.
     """
 
-    def __init__(self, folder: RunFolder, config: Config, on_trouble: Callable[[str], None]) -> None:
+    def __init__(
+        self, folder: RunFolder, config: Config, on_trouble: Callable[[str], None], required: bool = True
+    ) -> None:
         self._folder, self._config, self._on_trouble = folder, config, on_trouble
-        with beginning(folder.path):
-            self._tlog = TlogWriter(folder.tlog, on_trouble)
+        self._required, self._unwritten = required, ""
+        self._tlog: TlogWriter | None = self._opened(lambda: TlogWriter(folder.tlog, on_trouble))
         self._time = VehicleTime()
         self._journal: JournalWriter | None = None
+        self._begun = False
 
     @property
     def lost(self) -> str:
         """Why records of this flight are incomplete, '' if they are not; final once the recording is closed."""
-        if self._journal is None:
-            return self._tlog.failure
+        tlog = "" if self._tlog is None else self._tlog.failure
+        if self._unwritten or self._journal is None:
+            return self._unwritten or tlog
         removed = "" if self._folder.journal.exists() else f"{self._folder.path} was removed"
-        return self._journal.failure or self._tlog.failure or removed
+        return self._journal.failure or tlog or removed
+
+    def _opened(self, make: Callable[[], T]) -> T | None:
+        try:
+            with beginning(self._folder.path):
+                return make()
+        except InputError as error:
+            if self._required:
+                raise
+            self._unwritten = str(error)
+            self._on_trouble(f"{self._unwritten} The flight goes on without this record.")
+            return None
 
     def frame(self, data: bytes) -> None:
         """Take a raw frame, from any thread; one that carries a signing key is not kept."""
-        if data[7:10] != _SETUP_SIGNING or data[0] != _MARKER_V2:
+        if self._tlog is not None and (data[7:10] != _SETUP_SIGNING or data[0] != _MARKER_V2):
             self._tlog.write(data, self._time.stamp_s(data, time.time()))
 
     def follow(self, system_id: int) -> None:
@@ -82,7 +100,7 @@ class Recording:
     @property
     def begun(self) -> bool:
         """Whether the flight, and with it the journal, has begun."""
-        return self._journal is not None
+        return self._begun
 
     def begin(
         self,
@@ -104,8 +122,8 @@ class Recording:
             autopilot=autopilot,
             home_altitude_m=home_altitude_m,
         )
-        with beginning(self._folder.path):
-            self._journal = JournalWriter(self._folder.journal, header, self._on_trouble)
+        self._journal = self._opened(lambda: JournalWriter(self._folder.journal, header, self._on_trouble))
+        self._begun = True
 
     def event(self, event: InboundEvent | Output) -> None:
         if self._journal is not None:
@@ -119,4 +137,5 @@ class Recording:
         """Write what is left."""
         if self._journal is not None:
             self._journal.close()
-        self._tlog.close()
+        if self._tlog is not None:
+            self._tlog.close()

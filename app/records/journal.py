@@ -120,9 +120,14 @@ def _one_of(kinds: Iterable[type], told: dict[str, Any]) -> Any:
 _ENCODE = json.JSONEncoder(separators=(",", ":")).encode
 
 
+def to_builtins(event: Any) -> Any:
+    """Return a frozen dataclass as dictionaries, lists, texts and numbers."""
+    return msgspec.to_builtins(event, enc_hook=_plain)
+
+
 def encode(event: Any) -> bytes:
     """Return the line for a frozen dataclass."""
-    fields = _ENCODE(msgspec.to_builtins(event, enc_hook=_plain))
+    fields = _ENCODE(to_builtins(event))
     body = f'{{"event":"{type(event).__name__}","fields":{fields}'.encode()
     return body + _CHECKSUM % zlib.crc32(body)
 

@@ -1,0 +1,40 @@
+"""``sidelong prepare``: compile and compute ahead what a first flight would otherwise wait for."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sidelong.app.commands.output import console
+from sidelong.app.commands.progress import table_progress
+from sidelong.app.config import check_flyable, load_config
+
+
+def prepare(
+    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).", show_default=False)] = None,
+) -> None:
+    """Compile the inner loops and compute the planner's value tables, so that the next start takes seconds.
+
+    Run it after each installation, as the user who flies. Machine code and tables are kept in the user's cache; set
+    XDG_CACHE_HOME where the home cannot be written.
+
+    For example:
+      sidelong prepare
+      XDG_CACHE_HOME=/var/cache/sidelong sidelong prepare mission.toml
+    """
+    settings = load_config(config, {})
+    check_flyable(settings)
+    begun_s = time.monotonic()
+    from sidelong.app.assembly import controller_of  # noqa: PLC0415  # a wrong configuration is reported first
+    from sidelong.app.value_cache import cache_directory  # noqa: PLC0415
+    from sidelong.estimators.compiled import FOLDER  # noqa: PLC0415
+
+    def tell(text: str) -> None:
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    controller_of(settings, table_progress(tell), tell)
+    took_s = time.monotonic() - begun_s
+    tell(f"prepared in {took_s:.0f} s; machine code in {FOLDER}, value tables in {cache_directory()}")

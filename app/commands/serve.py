@@ -1,0 +1,140 @@
+"""``sidelong serve``: the resident form of ``launch``; ``status``, ``watch`` and ``release`` speak with it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+from collections.abc import AsyncIterator
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sidelong.app.commands.output import JsonOption, checked_output, console, shielded_output, write_json
+from sidelong.app.config import check_flyable, load_config
+from sidelong.app.errors import FlightError, InputError
+from sidelong.app.link.plain_text import plain
+from sidelong.app.link.url import checked_url
+from sidelong.app.serve.control_socket import ask, own_path
+from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, page_address
+
+
+def serve(
+    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).", show_default=False)] = None,
+    connect: Annotated[
+        list[str] | None, typer.Option(help="MAVSDK URL of the vehicle, instead of link.url.", show_default=False)
+    ] = None,
+    view: Annotated[bool, typer.Option("--view", help="Serve a live map while a watch lasts.")] = False,
+    view_host: Annotated[str, typer.Option(help="Address of the map; anything but loopback asks for a token.")] = (
+        LOOPBACK[0]
+    ),
+    view_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the map.")] = DEFAULT_PORT,
+    point_gimbal: Annotated[bool, typer.Option("--point-gimbal", help="Point the gimbal at the target.")] = False,
+    out: Annotated[Path, typer.Option(help="Where run folders are made.")] = Path("runs"),
+) -> None:
+    """Wait for the vehicle and watch on request; made to run on board without a terminal, as a system service.
+
+    A watch begins, is resumed after a pilot took over, and ends by `sidelong watch` and `sidelong release`, by a
+    switch of the transmitter, a flight mode or a command of the ground station (section [control]). Each watch has a
+    run folder of its own; the oldest ones are deleted beyond the disk budget.
+
+    For example:
+      sidelong serve mission.toml --connect udpin://127.0.0.1:14540
+      sidelong status
+      sidelong watch
+    """
+    settings = load_config(config, {"link": {"urls": connect or None}})
+    if not settings.link.connections:
+        raise InputError("sidelong serve needs a vehicle; give --connect URL, or link.url in the configuration.")
+    for url in settings.link.connections:
+        checked_url(url)
+    check_flyable(settings)
+    address = page_address(view, view_host, view_port, None, None, None, None)
+    # The flight modules take a second to load; report a wrong option first.
+    from sidelong.app.assembly import controller_of  # noqa: PLC0415
+    from sidelong.app.event_loop import run  # noqa: PLC0415
+    from sidelong.app.flight.display import FlightDisplay  # noqa: PLC0415
+    from sidelong.app.flight.flight import Sharing  # noqa: PLC0415
+    from sidelong.app.serve.display import ServiceDisplay  # noqa: PLC0415
+    from sidelong.app.serve.resident import Resident  # noqa: PLC0415
+
+    def log(text: str) -> None:
+        console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
+
+    @contextlib.asynccontextmanager
+    async def decorated(display: ServiceDisplay) -> AsyncIterator[FlightDisplay]:
+        if address is None:
+            yield display
+            return
+        from sidelong.app.view.display import ViewDisplay, served  # noqa: PLC0415
+
+        async with served(ViewDisplay(display, settings, address), log) as page:
+            yield page
+
+    async def live() -> None:
+        loop, stopped = asyncio.get_running_loop(), asyncio.Event()
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            loop.add_signal_handler(number, stopped.set)
+        resident = Resident(settings, out, partial(_from_any_thread, loop, log), Sharing(point_gimbal), decorated)
+        await resident.run(stopped, own_path())
+        log("sidelong serve has ended; an aircraft in flight goes on with what it flies")
+
+    with shielded_output():
+        controller_of(settings, tell=log)  # compiled and computed before the first watch
+        run(live())
+
+
+def _from_any_thread(loop: asyncio.AbstractEventLoop, log: Any, text: str) -> None:
+    try:
+        asyncio.get_running_loop()
+        log(text)
+    except RuntimeError:
+        loop.call_soon_threadsafe(log, text)
+
+
+def status(json: JsonOption = None) -> None:
+    """Tell what sidelong serve does now: waiting, ready, watching, yielded or fault.
+
+    For example:
+      sidelong status
+      sidelong status --json -
+    """
+    checked_output(json)
+    answer = ask("status")
+    if json is None or str(json) != "-":
+        told = answer["status"]
+        console.print(plain(answer["text"]), markup=False, highlight=False, soft_wrap=True)
+        for name in ("vehicle", "run", "records"):
+            if told[name]:
+                console.print(plain(f"{name}: {told[name]}"), markup=False, highlight=False, soft_wrap=True)
+    write_json(json, answer["status"])
+
+
+def watch() -> None:
+    """Ask sidelong serve to watch: begin, or resume after a pilot took over. The vehicle is checked first.
+
+    On the ground the aircraft arms and takes off.
+
+    For example:
+      sidelong watch
+    """
+    _ask("watch")
+
+
+def release() -> None:
+    """Ask sidelong serve to end the watch; the aircraft goes on with what it flies.
+
+    For example:
+      sidelong release
+    """
+    _ask("release")
+
+
+def _ask(request: str) -> None:
+    answer = ask(request)
+    text = f"{answer['text']}".rstrip(".")
+    if not answer["accepted"]:
+        raise FlightError(f"{request} refused: {text}.")
+    console.print(plain(text), markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,49 @@
+"""A ``FlightDisplay`` without a terminal: lines for the system's journal, and the latest snapshot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from sidelong.app.flight.display import Wish
+from sidelong.app.link.vehicle_status import VehicleStatus
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.control.snapshot import Snapshot
+from sidelong.mission.core.events import Announce
+
+_TOLD = frozenset({"yield", "operator", "end", "takeover", "alarm", "clear", "health", "link", "position"})
+
+
+class ServiceDisplay:
+    """Of one watch.
+
+    Attributes:
+        request: Passes on an operator's wish, None before the flight takes any.
+        snapshot: The latest one.
+
+    """
+
+    def __init__(self, log: Callable[[str], object], changed: Callable[[], object]) -> None:
+        self._log, self._changed = log, changed
+        self.request: Callable[[Wish], None] | None = None
+        self.snapshot: Snapshot | None = None
+
+    def note(self, text: str) -> None:
+        self._log(text)
+
+    def connected(self, status: Callable[[], VehicleStatus]) -> None:
+        pass
+
+    def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
+        self.request = request
+
+    def engage(self, start_s: float, duration_s: float | None) -> None:
+        self._changed()
+
+    def say(self, announcement: Announce) -> None:
+        if announcement.kind in _TOLD:
+            self._log(announcement.text)
+
+    def show(self, snapshot: Snapshot) -> None:
+        before, self.snapshot = self.snapshot, snapshot
+        if before is None or before.phase is not snapshot.phase:
+            self._changed()

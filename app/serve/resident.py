@@ -1,0 +1,364 @@
+"""The service: waits for the vehicle, watches on request, and waits again; only its own end ends it.
+
+| state | ends by |
+| --- | --- |
+| waiting | the checks before a launch pass: ready |
+| ready | a request to watch: watching; the vehicle restarts or something is missing: waiting |
+| watching | a pilot or another station flies: yielded; release, low battery, lost target: waiting |
+| yielded | a request to watch: watching, after the checks; release: waiting |
+| fault | the last watch failed; a request to watch tries again |
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import tempfile
+from collections.abc import AsyncIterator, Callable, Coroutine
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sidelong.app.assembly import controller_of
+from sidelong.app.config import Config
+from sidelong.app.errors import FlightError, InputError
+from sidelong.app.flight.display import FlightDisplay
+from sidelong.app.flight.flight import Session, Sharing, connected
+from sidelong.app.flight.life import Life
+from sidelong.app.flight.payload_input import payload_input
+from sidelong.app.flight.recording import Recording
+from sidelong.app.flight.single import FlightEnded, fly_single
+from sidelong.app.link.link import LinkError
+from sidelong.app.link.message import Message
+from sidelong.app.records.run_folder import RunFolder
+from sidelong.app.serve.control_socket import serving
+from sidelong.app.serve.display import ServiceDisplay
+from sidelong.app.serve.rotation import rotate
+from sidelong.app.serve.service_manager import feed_watchdog, notify
+from sidelong.app.serve.standby import Standby, VehicleGoneError
+from sidelong.app.serve.state import State, Status
+from sidelong.app.serve.triggers import Request, Triggers
+from sidelong.mission.control.snapshot import Phase
+from sidelong.mission.core.events import OperatorRequest
+
+_AGAIN_S = 2.0  # between two attempts to connect
+_ROTATE_EVERY_S = 300.0
+_TEXT_MAX = 50  # characters of a STATUSTEXT
+_RC_CHANNELS, _RC_HZ, _RC_AFTER_S = 65, 2.0, 3.0
+_WHO = {"socket": "a command", "vehicle": "the transmitter or a ground station"}
+
+Decorate = Callable[[ServiceDisplay], contextlib.AbstractAsyncContextManager[FlightDisplay]]
+
+
+@contextlib.asynccontextmanager
+async def undecorated(display: ServiceDisplay) -> AsyncIterator[FlightDisplay]:
+    """Show a watch nowhere else."""
+    yield display
+
+
+class Resident:
+    """One vehicle's service.
+
+    Args:
+        config: The configuration, which has a link.
+        out: Where run folders are made.
+        log: Receives a line for people.
+        sharing: Outputs to the vehicle.
+        decorate: Shows each watch somewhere else, too.
+
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        out: Path,
+        log: Callable[[str], None],
+        sharing: Sharing = Sharing(),  # noqa: B008  # frozen
+        decorate: Decorate = undecorated,
+    ) -> None:
+        self._config, self._out, self._log = config, out, log
+        self._sharing, self._decorate = sharing, decorate
+        self._state, self._reason = State.WAITING, "not connected yet"
+        self._vehicle = self._run = self._records = ""
+        self._watches, self._disk_bytes = 0, 0
+        self._wanted = asyncio.Event()  # a watch was requested, and the vehicle is ready
+        self._display: ServiceDisplay | None = None
+        self._life: Life | None = None
+        self._session: Session | None = None
+        self._triggers: Triggers | None = None
+        self._folder: Path | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def status(self) -> Status:
+        """Where it stands."""
+        return Status(
+            self._state,
+            self._reason,
+            self._vehicle,
+            self._run,
+            self._watches,
+            round(self._disk_bytes / 1e6, 1),
+            self._records,
+        )
+
+    async def run(self, stopped: asyncio.Event, socket_path: Path) -> None:
+        """Serve until ``stopped``. Raises InputError where the control socket cannot be made."""
+        async with serving(socket_path, self._answer):
+            notify("READY=1")
+            tasks = [asyncio.create_task(one) for one in (self._live(), feed_watchdog(), self._keep_budget())]
+            ending = asyncio.create_task(stopped.wait())
+            try:
+                await asyncio.wait((tasks[0], ending), return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                notify("STOPPING=1")
+                if self._life is not None:
+                    self._life.stopped.set()
+                    await asyncio.wait(tasks[:1], timeout=30.0)  # the flight winds up
+                for task in (*tasks, ending):
+                    task.cancel()
+                await asyncio.gather(*tasks, ending, return_exceptions=True)
+
+    # -- requests ------------------------------------------------------------------------------------------
+
+    def _answer(self, request: str) -> dict[str, Any]:
+        accepted, text = (True, "") if request == "status" else self.request(request, _WHO["socket"])  # type: ignore[arg-type]
+        return {"accepted": accepted, "text": text or str(self.status), "status": self.status.as_json()}
+
+    def request(self, request: Request, who: str) -> tuple[bool, str]:
+        """Take a request; return whether it is accepted, and what comes of it in words."""
+        accepted, text = self._watch(who) if request == "watch" else self._release(who)
+        self._log(f"{request} by {who}: {text}")
+        if not accepted:
+            self._tell_station(f"{request} refused: {text}")
+        return accepted, text
+
+    def _watch(self, who: str) -> tuple[bool, str]:
+        display = self._display
+        if display is None:
+            if self._state not in (State.READY, State.FAULT):
+                return False, self._reason or f"the service is {self._state}"
+            self._wanted.set()
+            return True, "the watch begins"
+        snapshot = display.snapshot
+        if snapshot is None or display.request is None or snapshot.phase not in (Phase.YIELDED, Phase.HOLDING):
+            return False, "a watch is under way"
+        display.request(OperatorRequest(snapshot.time_s, "resume", who=who))
+        return True, "the vehicle is checked, and the watch resumed"
+
+    def _release(self, who: str) -> tuple[bool, str]:
+        display, life = self._display, self._life
+        if display is None or life is None:
+            was_wanted = self._wanted.is_set()
+            self._wanted.clear()
+            return was_wanted, "the watch does not begin" if was_wanted else "no watch is under way"
+        snapshot = display.snapshot
+        if snapshot is not None and display.request is not None and snapshot.phase in (Phase.WATCHING, Phase.HOLDING):
+            display.request(OperatorRequest(snapshot.time_s, "end", who=who))
+        else:
+            life.stopped.set()
+        return True, "the watch ends; the aircraft goes on with what it flies"
+
+    def _hear(self, message: Message) -> None:
+        request = None if self._triggers is None else self._triggers.take(message)
+        if request is not None:
+            self.request(request, _WHO["vehicle"])
+
+    # -- life ----------------------------------------------------------------------------------------------
+
+    async def _live(self) -> None:
+        while True:
+            try:
+                await self._stand_by()
+            except InputError as error:  # no vehicle, or not one that can be used
+                self._become(State.WAITING, str(error))
+                await asyncio.sleep(_AGAIN_S)
+                continue
+            except VehicleGoneError:
+                self._become(State.WAITING, "the vehicle is silent, or has started again")
+                continue
+            except (LinkError, OSError) as error:
+                self._become(State.WAITING, f"the link has failed: {error}")
+                await asyncio.sleep(_AGAIN_S)
+                continue
+            self._wanted.clear()
+            await self._watch_once()
+
+    async def _stand_by(self) -> None:
+        """Stay connected until a watch is wanted of a vehicle that is ready."""
+        link = self._config.link
+        async with (
+            connected(
+                link.connections,
+                link.heartbeat_timeout_s,
+                None,
+                link.signing_key_file,
+                self._log_safely,
+                link.system_id,
+            ) as session,
+            payload_input(self._config, session.vehicle, self._log),
+        ):
+            self._join(session)
+            standby = Standby(session, self._config)
+            judging = asyncio.create_task(standby.run())
+            wanted = asyncio.create_task(self._wanted.wait())
+            try:
+                while not wanted.done():
+                    await asyncio.wait((judging, wanted), timeout=0.5, return_when=asyncio.FIRST_COMPLETED)
+                    if judging.done():
+                        judging.result()
+                    self._stands(standby.missing)
+            finally:
+                for task in (judging, wanted):
+                    task.cancel()
+                await asyncio.gather(judging, wanted, return_exceptions=True)
+                self._session = None
+
+    def _stands(self, missing: str) -> None:
+        if missing:
+            self._wanted.clear()
+            self._become(State.WAITING, missing)
+        elif self._state is not State.FAULT:
+            self._become(State.READY, "")
+
+    def _join(self, session: Session) -> None:
+        """Listen to a session's vehicle, and to the stations on its link."""
+        self._session = session
+        vehicle, name = session.vehicle, session.autopilot.name
+        self._vehicle = f"{name}, system {vehicle.system_id}"
+        own = session.autopilot.mission_mode, session.autopilot.circle_mode
+        if self._triggers is None:  # one for all sessions: a switch that is up stays up
+            self._triggers = Triggers(self._config.control, vehicle.system_id, own)
+        vehicle.bystanders.append(self._hear)
+        if self._config.control.rc_channel is not None:
+            self._begin(self._ask_for_switch(session))
+
+    async def _ask_for_switch(self, session: Session) -> None:
+        await asyncio.sleep(_RC_AFTER_S)  # after the streams, which may switch it off
+        with contextlib.suppress(LinkError):
+            await session.vehicle.set_rates({_RC_CHANNELS: _RC_HZ})
+
+    async def _watch_once(self) -> None:
+        self._watches += 1
+        await asyncio.to_thread(self._rotate)
+        display = ServiceDisplay(self._log, self._follow)
+        self._display = display
+        self._become(State.WATCHING, "the watch begins")
+        try:
+            ended = await self._flown(display)
+            reason = ended.reason
+            self._summarised(ended)
+            text = ended.summary.outcome if reason is None else str(reason)
+            failed = reason is not None and not isinstance(reason, InputError)
+        except (FlightError, InputError, LinkError, OSError) as error:
+            failed, text = True, str(error)
+        except Exception as error:  # a fault of the program, and the service goes on
+            failed, text = True, f"a fault of the program: {error!r}"
+        self._display = self._life = self._session = self._folder = None
+        self._log(f"the watch has ended: {text}")
+        self._become(State.FAULT if failed else State.WAITING, text)
+
+    async def _flown(self, display: ServiceDisplay) -> FlightEnded:
+        folder = self._run_folder()
+        self._folder, self._run, self._records = folder.path, str(folder.path), ""
+        recording = Recording(folder, self._config, self._log_safely, required=False)
+        life = self._life = Life(lambda: recording.begun, self._log)
+        async with self._decorate(display) as shown:
+            with contextlib.closing(recording):
+                ended = await fly_single(
+                    self._config,
+                    None,
+                    folder,
+                    recording,
+                    shown,
+                    self._sharing,
+                    life,
+                    self._log_safely,
+                    lambda: controller_of(self._config, tell=self._log),
+                    self._join,
+                )
+            self._records = recording.lost
+        return ended
+
+    def _run_folder(self) -> RunFolder:
+        """Return a new run folder, elsewhere where the configured place takes none: a watch needs no disk."""
+        for parent in (self._out, Path(tempfile.gettempdir()) / "sidelong-runs", Path("/dev/shm/sidelong-runs")):
+            try:
+                return RunFolder.create(parent, datetime.now(UTC))
+            except InputError as error:
+                self._log(str(error))
+        raise FlightError("there is no place for a run folder.")
+
+    def _summarised(self, ended: FlightEnded) -> None:
+        try:
+            ended.folder.write_summary(ended.summary.as_json())
+        except OSError as error:
+            self._records = self._records or f"the summary cannot be written ({error.strerror})"
+        if self._records:
+            self._log(f"the records are incomplete: {self._records}")
+
+    # -- what others are told ------------------------------------------------------------------------------
+
+    def _follow(self) -> None:
+        """Take the state from the flight."""
+        snapshot = None if self._display is None else self._display.snapshot
+        if snapshot is None:
+            return
+        match snapshot.phase:
+            case Phase.YIELDED:
+                self._become(State.YIELDED, snapshot.over)
+            case Phase.WAITING:
+                self._become(State.WATCHING, "taking the aircraft over")
+            case Phase.WATCHING | Phase.HOLDING:
+                self._become(State.WATCHING, "" if snapshot.phase is Phase.WATCHING else "holding the circle")
+            case Phase.ENDED:
+                self._become(State.WATCHING, f"ending: {snapshot.over}")
+
+    def _become(self, state: State, reason: str) -> None:
+        if (state, reason) == (self._state, self._reason):
+            return
+        changed = state is not self._state
+        self._state, self._reason = state, reason
+        self._log(str(self.status))
+        notify(f"STATUS={self.status}")
+        if changed:
+            self._tell_station(str(self.status))
+
+    def _tell_station(self, text: str) -> None:
+        """Send a STATUSTEXT to the ground station, as far as there is a link."""
+        session = self._session
+        if session is None:
+            return
+        link, severity = session.vehicle.link, mavlink.MAV_SEVERITY_NOTICE
+        if self._state in (State.YIELDED, State.FAULT):
+            severity = mavlink.MAV_SEVERITY_WARNING
+        fields = {"severity": severity, "text": f"sidelong {text}"[:_TEXT_MAX], "id": 0, "chunk_seq": 0}
+
+        async def send() -> None:
+            with contextlib.suppress(LinkError):
+                await link.send("STATUSTEXT", fields)
+
+        self._begin(send())
+
+    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def _log_safely(self, text: str) -> None:
+        """Log from any thread."""
+        self._log(text)
+
+    # -- the disk ------------------------------------------------------------------------------------------
+
+    async def _keep_budget(self) -> None:
+        while True:
+            await asyncio.to_thread(self._rotate)
+            await asyncio.sleep(_ROTATE_EVERY_S)
+
+    def _rotate(self) -> None:
+        control = self._config.control
+        keep = timedelta(days=min(control.keep_days, 10_000.0))
+        self._disk_bytes = rotate(self._out, control.disk_budget_mb * 1e6, keep, datetime.now(UTC), self._folder)

@@ -1,0 +1,197 @@
+"""The parts of the service, each against the real thing: a socket, a folder, a manager's datagram."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import subprocess
+import threading
+from configparser import ConfigParser
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from shutil import which
+
+import pytest
+
+from sidelong.app.config import ControlSection, config_from, load_config
+from sidelong.app.errors import InputError
+from sidelong.app.link.message import Message
+from sidelong.app.serve import control_socket
+from sidelong.app.serve.rotation import rotate
+from sidelong.app.serve.service_manager import feed_watchdog, notify
+from sidelong.app.serve.triggers import Triggers
+
+DEPLOYMENT = Path(__file__).resolve().parents[2] / "docs" / "deployment"
+NOW = datetime(2026, 11, 23, tzinfo=UTC)
+VEHICLE = 7
+
+
+def rc(pulse_us):
+    return Message("RC_CHANNELS", VEHICLE, 1, {"chan9_raw": pulse_us}, 0.0)
+
+
+def heartbeat(custom_mode, component=1, system_id=VEHICLE):
+    return Message(
+        "HEARTBEAT", system_id, component, {"autopilot": 3, "base_mode": 1, "custom_mode": custom_mode}, 0.0
+    )
+
+
+def aux(level, received_s=0.0, function=300, target=VEHICLE):
+    fields = {"command": 218, "param1": function, "param2": level, "target_system": target, "target_component": 1}
+    return Message("COMMAND_LONG", 255, 190, fields, received_s)
+
+
+def requests(triggers, messages):
+    return [one for one in map(triggers.take, messages) if one is not None]
+
+
+@pytest.mark.parametrize(
+    ("pulses_us", "found"),
+    [
+        ((2000, 2000, 2000), []),  # up already when it is first heard
+        ((1000, 2000, 2000, 1000, 2000), ["watch", "release", "watch"]),
+        ((1000, 1500, 1500, 2000, 1500, 1690, 1310, 1000), ["watch", "release"]),  # the middle changes nothing
+        ((1000, 0, 2000, 2000), []),  # the transmitter came back with the switch up
+        ((1000, 65535, 2000, 1000, 2000), ["release", "watch"]),
+    ],
+)
+def test_a_switch_requests_by_its_movement(pulses_us, found):
+    assert requests(Triggers(ControlSection(rc_channel=9), VEHICLE), map(rc, pulses_us)) == found
+
+
+def test_a_mode_requests_when_a_person_selects_it():
+    triggers = Triggers(ControlSection(flight_mode="loiter"), VEHICLE, ("AUTO", "GUIDED"))
+    assert requests(triggers, map(heartbeat, (12, 12, 5, 12, 12, 10, 5))) == ["watch"]
+    assert requests(triggers, [heartbeat(12, component=191), heartbeat(12, system_id=8)]) == []
+    own = Triggers(ControlSection(flight_mode="AUTO"), VEHICLE, ("AUTO", "GUIDED"))
+    assert requests(own, map(heartbeat, (5, 10))) == []  # sidelong selects it itself
+
+
+def test_a_ground_stations_command_requests_once():
+    triggers = Triggers(ControlSection(aux_function=300), VEHICLE)
+    told = [aux(2.0), aux(2.0, 1.0), aux(1.0, 1.5), aux(0.0, 2.0), aux(2.0, 9.0), aux(2.0, 20.0)]
+    assert requests(triggers, told) == ["watch", "release", "watch", "watch"]
+    assert requests(triggers, [aux(2.0, 40.0, function=301), aux(2.0, 41.0, target=8)]) == []
+    assert requests(Triggers(ControlSection(), VEHICLE), [aux(2.0), rc(1000), rc(2000), heartbeat(5)]) == []
+
+
+def made(parent, name, size):
+    (parent / name / "plans").mkdir(parents=True)
+    (parent / name / "journal.jsonl").write_bytes(b"x" * size)
+    return parent / name
+
+
+def test_the_oldest_runs_make_room_and_nothing_else_is_touched(tmp_path):
+    kb = 1024
+    runs = [made(tmp_path, f"202611{day:02d}T120000Z", 100 * kb) for day in range(10, 20)]
+    notes, other = made(tmp_path, "notes", 500 * kb), made(tmp_path, "20261332T996000Z", 500 * kb)
+    month = timedelta(days=30)
+    assert rotate(tmp_path, 350 * kb, month, NOW, present=runs[0]) <= 350 * kb + 130 * kb
+    assert [run.exists() for run in runs] == [True, *[False] * 6, *[True] * 3]
+    assert notes.exists()
+    assert other.exists()
+    rotate(tmp_path, 1e12, timedelta(days=3.6), NOW)
+    assert [run.name for run in runs if run.exists()] == ["20261119T120000Z"]
+    assert rotate(tmp_path / "missing", 1.0, month, NOW) == 0
+
+
+@pytest.fixture
+def path(tmp_path, monkeypatch):
+    path = tmp_path / "run" / "serve.sock"
+    monkeypatch.setenv("SIDELONG_SOCKET", str(path))
+    return path
+
+
+def test_the_socket_answers_and_only_its_owner_reaches_it(path):
+    async def talk():
+        async with control_socket.serving(path, lambda request: {"accepted": True, "text": request}):
+            assert path.stat().st_mode & 0o777 == 0o660
+            assert path.parent.stat().st_mode & 0o007 == 0
+            answers = [await asyncio.to_thread(control_socket.ask, one) for one in ("status", "arm")]
+            with pytest.raises(InputError, match="another sidelong serve runs"):
+                async with control_socket.serving(path, dict):
+                    pass
+            reader, writer = await asyncio.open_unix_connection(path)
+            writer.write(b"\xff{" * 10_000)  # nonsense, and no end of it
+            assert await reader.read() in (b"", b"\xff")
+            writer.close()
+            answers.append(await asyncio.to_thread(control_socket.ask, "release"))
+            return answers
+
+    status, arm, release = asyncio.run(talk())
+    assert (status["text"], release["text"]) == ("status", "release")
+    assert arm == {"accepted": False, "text": "a request is one of status, watch, release"}
+    assert not path.exists()
+    with pytest.raises(InputError, match="start it with: sidelong serve"):
+        control_socket.ask("status")
+
+
+def test_the_socket_of_a_killed_service_is_taken_over(path):
+    path.parent.mkdir()
+    with socket.socket(socket.AF_UNIX) as killed:
+        killed.bind(str(path))
+
+    async def talk():
+        async with control_socket.serving(path, lambda request: {"text": request}):
+            return await asyncio.to_thread(control_socket.ask, "watch")
+
+    assert asyncio.run(talk())["text"] == "watch"
+
+
+def test_an_answer_that_is_no_json_is_an_error(path):
+    path.parent.mkdir()
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(path))
+        server.listen()
+        answering = threading.Thread(target=lambda: server.accept()[0].sendall(b"{oops\n"))
+        answering.start()
+        with pytest.raises(InputError, match="does not answer"):
+            control_socket.ask("status")
+        answering.join()
+
+
+def test_the_service_manager_hears_of_readiness_and_life(tmp_path, monkeypatch):
+    notify("READY=1")  # without a manager nothing happens
+    address = str(tmp_path / "notify")
+    monkeypatch.setenv("NOTIFY_SOCKET", address)
+    monkeypatch.setenv("WATCHDOG_USEC", "30000")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(address)
+        notify("READY=1", "STATUS=ready")
+        assert manager.recv(100) == b"READY=1\nSTATUS=ready"
+
+        async def live():
+            alive = asyncio.create_task(feed_watchdog())
+            loop = asyncio.get_running_loop()
+            manager.setblocking(False)
+            heard = [await loop.sock_recv(manager, 100) for _ in range(3)]
+            alive.cancel()
+            return heard
+
+        assert asyncio.run(live()) == [b"WATCHDOG=1"] * 3
+
+
+def test_the_deployment_files_are_valid(tmp_path):
+    config = load_config(DEPLOYMENT / "mission.toml")
+    assert config_from(config.model_dump(mode="json"), "again").control.aux_function == 300
+    actions = json.loads((DEPLOYMENT / "qgroundcontrol-actions.json").read_text())["actions"]
+    triggers = Triggers(config.control, VEHICLE)
+    sent = [aux(float(one["param2"]), 10.0 * index, int(one["param1"])) for index, one in enumerate(actions)]
+    assert requests(triggers, sent) == ["watch", "release"]
+    router = ConfigParser()
+    router.read(DEPLOYMENT / "mavlink-router.conf")
+    assert config.link.url == f"udpin://127.0.0.1:{router['UdpEndpoint sidelong']['Port']}"
+    assert router["General"]["SnifferSysid"] == "245"
+
+
+@pytest.mark.skipif(which("systemd-analyze") is None, reason="systemd is not installed")
+def test_the_unit_is_valid_for_systemd(tmp_path):
+    unit = (DEPLOYMENT / "sidelong.service").read_text().replace("/opt/sidelong/bin/sidelong", "/bin/true")
+    file = tmp_path / "sidelong.service"
+    file.write_text(unit)
+    verified = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", str(file)], capture_output=True, text=True, check=False
+    )
+    complaints = [line for line in verified.stderr.splitlines() if "sidelong.service" in line]
+    assert not [line for line in complaints if "mavlink-router" not in line], verified.stderr
