@@ -66,6 +66,7 @@ def tracker_settings(sensors: SensorsSection, lost_after_s: float) -> TrackerSet
         yaw_sigma_rad=radians(sensors.angle_sigma_deg),
         pitch_sigma_rad=radians(sensors.angle_sigma_deg),
         latency_s=sensors.latency_s,
+        latency_sigma_s=sensors.latency_sigma_s,
         lever_arm_body_m=sensors.lever_arm_m,
         mount_roll_pitch_yaw_rad=(radians(mount[0]), radians(mount[1]), radians(mount[2])),
         yaw_bias_sigma_rad=radians(sensors.yaw_bias_sigma_deg),

@@ -22,6 +22,7 @@ from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
 from sidelong.app.planners.registry import PLANNER_NAMES, PLANNERS, planner_by_name
 from sidelong.app.section import Section, validated
 from sidelong.app.sharing.address import Address
+from sidelong.app.sharing.contact import is_contact
 from sidelong.app.text_file import read_toml
 from sidelong.mission.core.feasibility import in_words
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, widest_radius_m
@@ -173,7 +174,9 @@ class SensorsSection(Section):
     angle_sigma_deg: float = Field(0.35, gt=0, le=20)
     """Standard deviation of the gimbal's yaw and pitch, degrees."""
     latency_s: float = Field(0.0, ge=0, le=5)
-    """Delay between a measurement and its time stamp by the payload, s."""
+    """Delay between a measurement and its time stamp by the payload, as far as it is known, s."""
+    latency_sigma_s: float = Field(0.7, ge=0, le=3)
+    """1-sigma prior of a further delay of gimbal and laser, estimated in flight; 0: none is estimated, s."""
     range_component: int | None = Field(None, ge=0, le=255)
     """MAVLink component of the laser; detected automatically if not given."""
     gimbal_component: int | None = Field(None, ge=0, le=255)
@@ -283,6 +286,15 @@ def _address(*schemes: str) -> AfterValidator:
     return AfterValidator(check)
 
 
+def _beacon(text: str) -> str:
+    """Return the beacon. Raises ValueError that shows what one looks like."""
+    if not is_contact(text):
+        if text.lower().startswith(("adsb:", "ais:")):
+            raise ValueError(f"{text!r:.80} is not a contact; give one like adsb:4B1234 or ais:211234560")
+        Address.read(text, ("udp",))
+    return text
+
+
 class SharingSection(Section):
     """External outputs (CoT, FOLLOW_TARGET, NMEA), and a beacon that the target carries."""
 
@@ -312,8 +324,8 @@ class SharingSection(Section):
     """MAVLink system id that FOLLOW_TARGET is sent with (ArduPilot: FOLL_SYSID)."""
     nmea: Annotated[str, _address("udp")] | None = None
     """The target as a GPS receiver's NMEA sentences (RMC, GGA), to udp://HOST:PORT; none: not sent."""
-    beacon: Annotated[str, _address("udp")] | None = None
-    """Listen at udp://ADDRESS:PORT to a beacon that the target carries, FOLLOW_TARGET or CoT; none: no beacon."""
+    beacon: Annotated[str, AfterValidator(_beacon)] | None = None
+    """A beacon: udp://ADDRESS:PORT (FOLLOW_TARGET, CoT), or a contact, adsb:ICAO or ais:MMSI; none: no beacon."""
     beacon_name: str | None = None
     """Its system id, uid or call sign; none: the only one received."""
     beacon_sigma_m: float = Field(5.0, gt=0, le=200)

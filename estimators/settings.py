@@ -52,7 +52,9 @@ class TrackerSettings:
     """Aircraft position, each axis: what changes between sightings, not the common offset."""
 
     latency_s: float = 0.0
-    """How much earlier than their stamps range and line of sight were measured."""
+    """How much earlier than their stamps range and line of sight were measured, as far as it is known."""
+    latency_sigma_s: float = 0.7
+    """How well that is known; a further delay of each is estimated within it."""
     range_source: SourceChoice | None = None
     gimbal_source: SourceChoice | None = None
     gimbal_frame: Literal["earth", "vehicle", "body"] | None = None

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from sidelong.app.analysis.score import Moment, Score, from_band, judge_moments, score
 from sidelong.app.analysis.truth import Truth
-from sidelong.estimators.filters.biases import Calibration
+from sidelong.estimators.filters.biases import Calibration, Delays
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.control.snapshot import Snapshot
@@ -48,6 +48,9 @@ class Summary:
     """Moves within 10 s of the last one; None in summaries of earlier versions."""
     time_unknown: float | None = None
     """Share of the time in which missing or contradicting inputs made the judgement unknown."""
+    gimbal_delay_s: float | None = None
+    range_delay_s: float | None = None
+    """How late the payload stamped its readings, as estimated; None while it was not known."""
     battery_percent: tuple[int, int] | None = None
     """When watching began, and at the end."""
     links: tuple[dict[str, Any], ...] = ()
@@ -80,6 +83,10 @@ class Summary:
             ("error of the estimate (RMS)", "-" if self.estimate_rmse_m is None else f"{self.estimate_rmse_m:.2f} m"),
         ):
             table.add_row(name, text)
+        if self.gimbal_delay_s is not None and self.range_delay_s is not None:
+            table.add_row(
+                "delay of the payload", f"gimbal {self.gimbal_delay_s:.2f} s, laser {self.range_delay_s:.2f} s"
+            )
         if self.battery_percent is not None:
             table.add_row("battery", "from {} to {} %".format(*self.battery_percent))
         if self.records_lost:
@@ -214,6 +221,7 @@ def summarise(
     """Return the summary of a mission that ended at ``snapshot``."""
     result = gatherer.scored(truth, plane, start_s)
     rmse_m = gatherer.rmse_m(truth, plane, start_s) if truth is not None and plane is not None else None
+    delays = snapshot.sensor_status.delays
     in_sight, clearance_m = (truth or gatherer).over_ground(start_s)
     return Summary(
         **asdict(result),
@@ -225,6 +233,8 @@ def summarise(
         outcome=outcome,
         time_in_sight=in_sight,
         min_clearance_m=clearance_m,
+        gimbal_delay_s=None if delays is None else round(delays.gimbal_s, 3),
+        range_delay_s=None if delays is None else round(delays.range_s, 3),
     )
 
 
@@ -240,11 +250,11 @@ def _between(least: float | None, greatest: float | None) -> str:
     return "-" if least is None or greatest is None else f"{least:.0f} to {greatest:.0f} m"
 
 
-def describe_calibration(calibration: Calibration) -> str:
-    """Return what was learnt of the gimbal's constant errors, with one standard deviation."""
+def describe_calibration(calibration: Calibration, delays: Delays | None) -> str:
+    """Return what was learnt of the payload's errors, each with one standard deviation."""
     yaw_deg, yaw_sigma_deg = math.degrees(calibration.yaw_bias_rad), math.degrees(calibration.yaw_sigma_rad)
     pitch_deg, pitch_sigma_deg = math.degrees(calibration.pitch_bias_rad), math.degrees(calibration.pitch_sigma_rad)
     return (
         f"gimbal errors found: yaw {yaw_deg:+.2f} +- {yaw_sigma_deg:.2f} degrees, "
         f"pitch {pitch_deg:+.2f} +- {pitch_sigma_deg:.2f} degrees"
-    )
+    ) + ("" if delays is None else f"; delays: {delays}")

@@ -136,7 +136,7 @@ def launch(
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Listen to a beacon that the target carries (FOLLOW_TARGET, cursor on target): udp://0.0.0.0:PORT.",
+            help="The target's beacon: udp://0.0.0.0:PORT (FOLLOW_TARGET, cursor on target), adsb:ICAO, ais:MMSI.",
             show_default=False,
         ),
     ] = None,
@@ -196,6 +196,8 @@ def launch(
             "signing_key_file": signing_key,
             "system_id": system_id,
         },
+        # A gimbal that follows the estimate shows where that is, whenever it was made.
+        "sensors": {"latency_sigma_s": 0.0 if point_gimbal else None},
         "simulation": {
             "target": target if target or config or connect else DEMONSTRATION,
             "speed": speed,

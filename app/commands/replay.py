@@ -159,7 +159,7 @@ def _replay_log(
         judged.follow(replayed if frames is None else frames.noted(replayed, _encoder(settings), proposals=True))
     require_sightings(controller.tracker.sightings, log)
     result = judged.summary(read_truth(truth) if truth is not None else None, steps.plane, judged.first_estimate_s)
-    console.print(describe_calibration(controller.tracker.calibration))
+    console.print(describe_calibration(controller.tracker.calibration, controller.tracker.delays))
     # Nothing was uploaded here: what the planner would have sent counts as moves.
     return replace(result, moves=result.uploads, uploads=0, upload_failures=0)
 

@@ -312,7 +312,12 @@ class Flight:
         )
         self._loop = loop
         beacon = await open_beacon(
-            self._config.sharing, plane, lambda: self._telemetry.now_s, loop.put, self._display.note
+            self._config.sharing,
+            plane,
+            lambda: self._telemetry.now_s,
+            loop.put,
+            self._display.note,
+            self._vehicle.listeners,
         )
         if beacon is not None:
             shared.callback(beacon.stop)

@@ -10,6 +10,7 @@ from sidelong.app.config import SharingSection
 from sidelong.app.link.message import Message
 from sidelong.app.sharing.address import Address
 from sidelong.app.sharing.beacon import BeaconInput
+from sidelong.app.sharing.contact import ContactBeacon, is_contact
 from sidelong.app.sharing.cot import CotNames, CotOutput
 from sidelong.app.sharing.follow import FollowTargetOutput, NmeaOutput
 from sidelong.app.sharing.senders import DatagramSender, Sender, StreamSender, tls_context
@@ -72,12 +73,20 @@ async def open_beacon(
     now_s: Callable[[], float],
     put: Callable[[TargetFixReading], object],
     tell: Callable[[str], object] = lambda _text: None,
+    listeners: list[Callable[[Message], object]] | None = None,
 ) -> BeaconInput | None:
-    """Return the configured beacon's input, to be stopped at the end; None without one.
+    """Return the configured beacon's input, to be stopped at the end; None without one on a socket of its own.
+
+    listeners: of the vehicle's messages, among which a traffic contact is heard.
 
     Raises InputError when its address is not free or not here.
     """
     if sharing.beacon is None:
+        return None
+    if is_contact(sharing.beacon):
+        if listeners is not None:
+            contact = ContactBeacon(sharing.beacon, plane, now_s, put, tell)
+            listeners.append(lambda message: contact.hear(message.name, message.fields))
         return None
     beacon = BeaconInput(plane, sharing.beacon_name, sharing.beacon_sigma_m, now_s, put, tell)
     await beacon.listen(Address.read(sharing.beacon, ("udp",)))

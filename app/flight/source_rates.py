@@ -6,6 +6,7 @@ import asyncio
 import math
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from sidelong.app.config import SharingSection
@@ -66,11 +67,17 @@ class SourceRates:
 
         Raises InputError if the beacon's address is in use or not local.
         """
-        beacon = await open_beacon(sharing, _ANYWHERE, lambda: self._telemetry.now_s, self._count_fix)
+        contacts: list[Callable[[Message], object]] = []
+        beacon = await open_beacon(
+            sharing, _ANYWHERE, lambda: self._telemetry.now_s, self._count_fix, listeners=contacts
+        )
+        self._vehicle.listeners += contacts
         listened_s = time.time() - self._begun_s if beacon is None else 0.0
         try:
             await asyncio.sleep(wall_s - min(max(listened_s, 0.0), wall_s))
         finally:
+            for contact in contacts:
+                self._vehicle.listeners.remove(contact)
             if beacon is not None:
                 beacon.stop()
                 await asyncio.sleep(0)  # its port is free again once the loop has turned

@@ -13,7 +13,8 @@ from typing import Any, Literal
 
 from sidelong.app.link.message import Message
 from sidelong.app.link.modes import ARMED_FLAG, AUTOPILOT_INVALID, mode_name
-from sidelong.estimators.frames import LocalPlane
+from sidelong.estimators.frames import LocalPlane, wrap_rad
+from sidelong.estimators.rotations import from_roll_pitch_yaw, multiply
 from sidelong.estimators.sensing.clock import VehicleClock
 from sidelong.estimators.sensing.readings import (
     AttitudeReading,
@@ -44,6 +45,8 @@ _ROLL_OR_PITCH_LOCK = 4 | 8
 _YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
 _SIGNAL_INVALID = 1
 _TRACKING_ACTIVE = 1
+_TARGET_POSITION = 1  # of TARGET_ABSOLUTE_SENSOR_CAPABILITY_FLAGS
+_DELTA_YAW_OFF_RAD = math.radians(30.0)  # what an aircraft turns while the message is on its way, and more
 
 Fields = Mapping[str, Any]
 _source = lru_cache(maxsize=64)(Source)  # the same few speak all the time
@@ -63,6 +66,7 @@ class Telemetry:
         self.plane: LocalPlane | None = None
         self._clock = VehicleClock()
         self._wrapped_s = 0.0
+        self._yaw_rad: float | None = None
         self._near_origin = 0  # consecutive fixes, up to the number that settles the plane
         self._decoders: dict[str, Callable[[Message], Event | None]] = {
             "HEARTBEAT": self._heartbeat,
@@ -72,6 +76,7 @@ class Telemetry:
             "RANGEFINDER": self._rangefinder,
             "GIMBAL_DEVICE_ATTITUDE_STATUS": self._gimbal,
             "CAMERA_TRACKING_GEO_STATUS": self._target_fix,
+            "TARGET_ABSOLUTE": self._target_absolute,
             "WIND": self._wind,
             "WIND_COV": self._wind_cov,
             "GPS_RAW_INT": self._gps,
@@ -137,7 +142,7 @@ class Telemetry:
         angles = (fields["roll"], fields["pitch"], fields["yaw"])
         if message.component_id != AUTOPILOT_COMPONENT or not _finite(*angles):
             return None
-        time_s = self._own_seconds(fields["time_boot_ms"])
+        time_s, self._yaw_rad = self._own_seconds(fields["time_boot_ms"]), fields["yaw"]
         return AttitudeReading(time_s, *angles)
 
     def _own_seconds(self, boot_ms: int) -> float:
@@ -230,9 +235,19 @@ class Telemetry:
         if quaternion is None:
             return None
         frame = gimbal_frame(int(fields["flags"]))
+        delta_yaw_rad = fields.get("delta_yaw")
+        if frame == "vehicle" and delta_yaw_rad and self._is_heading(delta_yaw_rad):
+            # The gimbal's own heading, of the moment of the measurement: the aircraft's need not be interpolated.
+            quaternion, frame = multiply(from_roll_pitch_yaw(0.0, 0.0, delta_yaw_rad), quaternion), "earth"
         device_id = int(fields.get("gimbal_device_id") or 0)
         source = _source(message.name, message.component_id, device_id)
         return GimbalReading(self._payload_seconds(fields["time_boot_ms"]), quaternion, frame, source)
+
+    def _is_heading(self, delta_yaw_rad: float) -> bool:
+        """Return whether a yaw is near the aircraft's; 0 is what senders that do not know the field send."""
+        if not math.isfinite(delta_yaw_rad) or self._yaw_rad is None:
+            return False
+        return abs(wrap_rad(delta_yaw_rad - self._yaw_rad)) < _DELTA_YAW_OFF_RAD
 
     def _target_fix(self, message: Message) -> Event | None:
         fields = message.fields
@@ -243,6 +258,18 @@ class Telemetry:
         east_m, north_m = self.plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
         source = _source(message.name, message.component_id)
         return TargetFixReading(self.now_s, east_m, north_m, fields["h_acc"], source)
+
+    def _target_absolute(self, message: Message) -> Event | None:
+        """Take the target's position by another estimator on board, which may use a beacon."""
+        fields = message.fields
+        if not int(fields["sensor_capabilities"]) & _TARGET_POSITION or self.plane is None or not has_fix(fields):
+            return None
+        sigmas_m = fields["position_std"][:2]
+        if not _finite(*sigmas_m) or max(sigmas_m) <= 0.0 or self.now_s == -math.inf:
+            return None
+        east_m, north_m = self.plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
+        source = _source(message.name, message.component_id, int(fields["id"]))
+        return TargetFixReading(self.now_s, east_m, north_m, max(sigmas_m), source)
 
 
 def gimbal_frame(flags: int) -> Literal["earth", "vehicle", "body"]:

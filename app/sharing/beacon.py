@@ -23,7 +23,7 @@ from sidelong.app.sharing.address import Address
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import BEACON_MESSAGES, Source, TargetFixReading
 
-_FOLLOW_TARGET, _COT = BEACON_MESSAGES
+_FOLLOW_TARGET, _COT = BEACON_MESSAGES[:2]
 _UNKNOWN_ERROR_M = 9_999_999.0
 _AGE_MAX_S = 2.0
 _AGE_USED_S = 0.9  # the plausibility check treats stamps that are always older as a clock offset

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +14,7 @@ from sidelong.app.link.message import Message
 PAYLOAD_COMPONENT = 154  # MAV_COMP_ID_GIMBAL
 _LOCKED_IN_EARTH_FRAME = 4 | 8 | 16 | 64  # roll, pitch and yaw lock; yaw counts from north
 _RANGE_MIN_M, _RANGE_MAX_M = 1.0, 655.0
+_REMEMBERED = 128  # lines of sight that a late reading may be made of
 _ORIENTATION_CUSTOM, _COVARIANCE_UNKNOWN, _GOOD_QUALITY = 100, 255, 90
 
 
@@ -27,6 +30,8 @@ class PayloadErrors:
         outlier_max_m: greatest error of those.
         dropouts_per_s: how often the laser begins to miss.
         dropout_s: for how long it misses.
+        gimbal_delay_s: how much earlier than its stamp a line of sight was measured.
+        range_delay_s: the same of a range.
 
     """
 
@@ -37,6 +42,8 @@ class PayloadErrors:
     outlier_max_m: float = 90.0
     dropouts_per_s: float = 0.0
     dropout_s: float = 3.0
+    gimbal_delay_s: float = 0.0
+    range_delay_s: float = 0.0
 
 
 class Payload:
@@ -52,6 +59,7 @@ class Payload:
     def __init__(self, errors: PayloadErrors, rng: np.random.Generator, system_id: int = 1) -> None:
         self._errors, self._rng, self._system_id = errors, rng, system_id
         self._dropout_s = (0.0, 0.0)  # begin and end
+        self._lines: deque[tuple[float, float, float, float]] = deque(maxlen=_REMEMBERED)
 
     def measure(
         self, time_s: float, boot_ms: int, east_m: float, north_m: float, up_m: float, *, with_range: bool = True
@@ -67,7 +75,10 @@ class Payload:
             with_range: whether the laser measures now.
 
         """
-        errors, level_m = self._errors, math.hypot(east_m, north_m)
+        errors = self._errors
+        self._lines.append((time_s, east_m, north_m, up_m))
+        east_m, north_m, up_m = self._line_at(time_s - errors.gimbal_delay_s)
+        level_m = math.hypot(east_m, north_m)
         range_noise, yaw_noise, pitch_noise = self._rng.standard_normal(3).tolist()
         yaw_rad = math.atan2(east_m, north_m) + errors.yaw_bias_rad + errors.angle_sigma_rad * yaw_noise
         pitch_rad = math.atan2(up_m, level_m) + errors.angle_sigma_rad * pitch_noise
@@ -78,7 +89,7 @@ class Payload:
             flags=_LOCKED_IN_EARTH_FRAME,
             gimbal_device_id=0,
         )
-        range_m = math.hypot(level_m, up_m) + errors.range_sigma_m * range_noise
+        range_m = math.hypot(*self._line_at(time_s - errors.range_delay_s)) + errors.range_sigma_m * range_noise
         if errors.outliers and self._rng.random() < errors.outliers:
             range_m += self._rng.uniform(-errors.outlier_max_m, errors.outlier_max_m)
         if not with_range or self._is_dropped(time_s) or not _RANGE_MIN_M <= range_m <= _RANGE_MAX_M:
@@ -96,6 +107,16 @@ class Payload:
             quaternion=[1.0, 0.0, 0.0, 0.0],
         )
         return [gimbal, laser]
+
+    def _line_at(self, time_s: float) -> tuple[float, float, float]:
+        """Return the way to the target (east, north, up) at a time of the last seconds."""
+        k = bisect_right(self._lines, (time_s + 1e-6, math.inf))
+        if k in (0, len(self._lines)):
+            return self._lines[max(k - 1, 0)][1:]
+        (before_s, *before), (after_s, *after) = self._lines[k - 1], self._lines[k]
+        share = (time_s - before_s) / (after_s - before_s)
+        east_m, north_m, up_m = (a + share * (b - a) for a, b in zip(before, after, strict=True))
+        return east_m, north_m, up_m
 
     def _is_dropped(self, time_s: float) -> bool:
         rate_per_s = self._errors.dropouts_per_s

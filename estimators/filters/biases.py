@@ -28,6 +28,34 @@ class Calibration:
     range_sigma_m: float
 
 
+@dataclass(frozen=True, slots=True)
+class Delays:
+    """How much earlier than their stamps the readings were made, s, with standard deviations.
+
+    Attributes:
+        gimbal_s: of the gimbal.
+        range_s: of the laser.
+        gimbal_sigma_s: of the first.
+        range_sigma_s: of the second.
+        yaw_bias_rad: yaw bias of the gimbal that was found with them.
+        yaw_sigma_rad: its standard deviation.
+
+    """
+
+    gimbal_s: float
+    range_s: float
+    gimbal_sigma_s: float
+    range_sigma_s: float
+    yaw_bias_rad: float
+    yaw_sigma_rad: float
+
+    def __str__(self) -> str:
+        return (
+            f"gimbal {self.gimbal_s:.2f} +- {self.gimbal_sigma_s:.2f} s, "
+            f"laser {self.range_s:.2f} +- {self.range_sigma_s:.2f} s"
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Biases:
     """Constant errors (yaw rad, pitch rad, range m) of one payload; with several payloads, (..., clock s) of each.

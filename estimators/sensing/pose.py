@@ -67,6 +67,10 @@ class History(Generic[T]):
             return before, before
         return None if at == len(self._items) else (before, self._items[at])
 
+    def since(self, time_s: float) -> list[T]:
+        """Return the readings from a time on."""
+        return self._items[bisect_right(self._items, time_s, key=_time_s) :]
+
     def newest(self) -> T | None:
         """Return the latest item, None while there is none."""
         return self._items[-1] if self._items else None

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-BEACON_MESSAGES = ("FOLLOW_TARGET", "COT")
+BEACON_MESSAGES = ("FOLLOW_TARGET", "COT", "TARGET_ABSOLUTE", "ADSB_VEHICLE", "AIS_VESSEL")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,8 @@
 """Ranges, lines of sight and poses of different times become sightings.
 
-A range waits until gimbal and aircraft are known on both sides of its time, and takes what lies between. It gives
-up after ``_WAIT_S``. Over known ground, while the laser is silent, a line of sight becomes a sighting by itself.
+Readings are kept with their stamps; they were made by a delay earlier. A range waits until gimbal and aircraft are
+known on both sides of its time, and takes what lies between. It gives up after ``_WAIT_S``. Over known ground, while
+the laser is silent, a line of sight becomes a sighting by itself.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from bisect import insort
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
+from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.rotations import from_roll_pitch_yaw, interpolated
 from sidelong.estimators.sensing.line_of_sight import LineOfSight, lever_arm_plane_m, line_of_sight
 from sidelong.estimators.sensing.pose import History, PoseHistory
@@ -37,6 +39,7 @@ class Pairing:
     def __init__(self, settings: TrackerSettings, poses: PoseHistory) -> None:
         self._settings = settings
         self._poses = poses
+        self.gimbal_delay_s = self.range_delay_s = settings.latency_s
         self._gimbals: History[GimbalReading] = History(_SPAN_S)
         self._ranges: History[RangeReading] = History(_SPAN_S)
         self._has_arm = any(settings.lever_arm_body_m)
@@ -47,15 +50,18 @@ class Pairing:
         self.waiting: list[RangeReading] = []
         self.unpaired = 0
 
-    def add_gimbal(self, gimbal: GimbalReading) -> None:
-        """Store a line of sight; drop one whose quaternion is not a rotation."""
+    def add_gimbal(self, gimbal: GimbalReading) -> bool:
+        """Store a line of sight; return whether it is new and its quaternion a rotation."""
         length_2 = sum(part * part for part in gimbal.quaternion_wxyz)
-        if abs(length_2 - 1.0) >= 0.1 or not self._gimbals.add(gimbal) or self.ground is None:
-            return
+        if abs(length_2 - 1.0) >= 0.1 or not self._gimbals.add(gimbal):
+            return False
+        if self.ground is None:
+            return True
         last_s = self._alone[-1] if self._alone else self._paired_s
         if gimbal.time_s - self._ranges.newest_s > _SILENT_S and gimbal.time_s - last_s >= _ALONE_EVERY_S:
             self._alone.append(gimbal.time_s)
             del self._alone[:-_WAITING_MAX]
+        return True
 
     def add_range(self, reading: RangeReading) -> None:
         """Keep a range until it can be paired."""
@@ -69,20 +75,37 @@ class Pairing:
         """Return the sightings that can be made now, oldest first."""
         made: list[Sighting] = []
         newest_s = max(self._poses.positions.newest_s, self._gimbals.newest_s, self._ranges.newest_s)
-        known_s = min(self._poses.positions.newest_s, self._gimbals.newest_s)
+        known_s = min(self._poses.positions.newest_s, self._gimbals.newest_s - self.gimbal_delay_s)
         if self._needs_attitude:
             known_s = min(known_s, self._poses.attitudes.newest_s)
-        while self.waiting and (known_s >= self.waiting[0].time_s or newest_s - self.waiting[0].time_s > _WAIT_S):
+        # A gimbal that is later than the laser is waited for.
+        known_s += self.range_delay_s
+        wait_s = _WAIT_S + max(0.0, self.gimbal_delay_s - self.range_delay_s)
+        while self.waiting and (known_s >= self.waiting[0].time_s or newest_s - self.waiting[0].time_s > wait_s):
             sighting = self._sighting(self.waiting.pop(0))
             if sighting is None:
                 self.unpaired += 1
             else:
                 made.append(sighting)
+        known_s += self.gimbal_delay_s - self.range_delay_s
         while self._alone and known_s >= self._alone[0]:
-            sighting = self._seen(self._alone.pop(0), None)
+            sighting = self._seen(self._alone.pop(0) - self.gimbal_delay_s, None)
             if sighting is not None:
                 made.append(sighting)
         return made
+
+    def set_delays(self, delays: Delays | None) -> None:
+        """Take other delays from now on; None: as configured. Whole milliseconds, so that a replay rounds alike."""
+        self.gimbal_delay_s = self.range_delay_s = self._settings.latency_s
+        if delays is not None:
+            self.gimbal_delay_s, self.range_delay_s = round(delays.gimbal_s, 3), round(delays.range_s, 3)
+
+    def repeated(self, since_s: float) -> list[Sighting]:
+        """Return the sightings of all ranges since a time that no longer wait, with the delays as they are now."""
+        self._paired_s = -math.inf
+        waiting = {reading.time_s for reading in self.waiting}
+        readings = [reading for reading in self._ranges.since(since_s) if reading.time_s not in waiting]
+        return [sighting for reading in readings if (sighting := self._sighting(reading)) is not None]
 
     @property
     def due(self) -> bool:
@@ -96,7 +119,8 @@ class Pairing:
 
     def _sighting(self, reading: RangeReading) -> Sighting | None:
         sigma_m = reading.sigma_m or self._settings.range_sigma_m
-        return self._seen(reading.time_s, (reading.slant_range_m, sigma_m), reading.quality)
+        time_s = reading.time_s - self.range_delay_s
+        return self._seen(time_s, (reading.slant_range_m, sigma_m), reading.quality)
 
     def _seen(
         self, time_s: float, told_m: tuple[float, float] | None, quality: float | None = None
@@ -156,6 +180,7 @@ class Pairing:
 
     def _gimbal_at(self, time_s: float) -> tuple[GimbalReading, float] | None:
         """Return the gimbal's direction, and the gap between the readings that it is interpolated from."""
+        time_s += self.gimbal_delay_s
         pair = self._gimbals.around(time_s)
         if pair is None:
             return None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
@@ -52,6 +52,7 @@ class Track:
         """start: makes the filter, in place of the one that the settings name."""
         self._settings = settings
         self._start = start or _filter_start(settings.filter)
+        self._prior = Biases.prior(settings)
         self._ground: Ground | None = None
         self._filter: TargetImm | None = None
         self._coasted: TargetImm | None = None  # moved on from the last sighting by whole steps
@@ -78,6 +79,16 @@ class Track:
         """Restart position and motion with the next sighting; the payload's errors are kept."""
         self._begins_again = True
 
+    def restart(self, biases: Biases, sightings: Sequence[AnySighting]) -> None:
+        """Start again with other errors of the payload and sightings that replace all earlier ones."""
+        self._filter = self._coasted = None
+        self._steps.clear()
+        self._astray.clear()
+        self._kept.clear()
+        self._prior = biases
+        for sighting in sightings:
+            self.add(sighting)
+
     def stand_on(self, ground: Ground) -> None:
         """Take the target to stand on a ground from now on."""
         self._ground = ground
@@ -103,7 +114,7 @@ class Track:
             reason = f"signal quality {sighting.quality:.2f} is below {settings.quality_min:.2f}"
             return self._rejected(sighting, math.nan, reason)
         if self._filter is None:
-            self._restart([sighting], Biases.prior(settings))
+            self._restart([sighting], self._prior)
             return SightingOutcome(sighting, True, math.nan, "first sighting")
         if self._begins_again or sighting.time_s - self._last_sighting_s > settings.lost_after_s:
             self._begins_again = False
@@ -235,7 +246,7 @@ class Track:
     @property
     def calibration(self) -> Calibration:
         """The estimated errors of the payload."""
-        return (self._filter.biases() if self._filter else Biases.prior(self._settings)).calibration
+        return (self._filter.biases() if self._filter else self._prior).calibration
 
 
 def _predicted(start: TargetImm, time_s: float) -> TargetImm:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
-from sidelong.estimators.filters.biases import Calibration
+from sidelong.estimators.filters.biases import Biases, Calibration, Delays
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import Quaternion
 from sidelong.estimators.sensing.beacon import BeaconErrors
@@ -32,12 +32,17 @@ from sidelong.estimators.tracking.track import Track
 
 if TYPE_CHECKING:
     from sidelong.estimators.terrain.ground import Ground
+    from sidelong.estimators.tracking.delays import DelayFit
 
 __all__ = ["SourceChoice", "Tracker", "TrackerSettings"]
 
 _AGREES_RAD, _AGREES_M, _AGREES_SIGMAS = math.radians(10.0), 30.0, 4.0
 
-_Stamped = TypeVar("_Stamped", GimbalReading, RangeReading)
+_REPEATED_S = 8.0  # of readings that the track is made of again when the delays are corrected
+_YAW_SIGMA_MIN_RAD = math.radians(0.1)
+# On a steady circle a delay hardly differs from a yaw error: 0.1 s go with a degree, and 4 m. Delays are corrected
+# once they are sure, or where they are evidently wrong.
+_SURE_S, _EVIDENT, _STEP_MIN_S = 0.04, 4.0, 0.015
 
 
 class Tracker:
@@ -55,14 +60,29 @@ class Tracker:
         self._fixes = SourceSelector(sight_rank, settings.fix_source)
         self._beacon = BeaconErrors()
         self._track = Track(settings)
+        self._delay_fit: DelayFit | None = None
+        if settings.latency_sigma_s > 0.0:
+            # It loads scipy.linalg, which takes a fifth of a second.
+            from sidelong.estimators.tracking.delays import DelayFit  # noqa: PLC0415
+
+            self._delay_fit = DelayFit(settings, self._pairing.parent_from_mount)
+        self._delays: Delays | None = None
+        self._delays_of: dict[tuple[Source | None, Source | None], Delays] = {}
+        self._devices: tuple[Source | None, Source | None] = None, None
         self.sightings = 0
         self.rejected = 0
 
     def add(self, reading: Reading) -> tuple[SightingOutcome, ...]:
         """Take a reading in. Returns the sightings that it completed, each with what became of it."""
         match reading:
-            case PositionReading() | AttitudeReading():
+            case PositionReading():
                 self._poses.add(reading)
+                if self._delay_fit is not None:
+                    self._estimate_delays(self._delay_fit, reading)
+            case AttitudeReading():
+                self._poses.add(reading)
+                if self._delay_fit is not None:
+                    self._delay_fit.attitude(reading)
             case GimbalReading():
                 self._add_gimbal(reading)
             case RangeReading():
@@ -73,10 +93,61 @@ class Tracker:
             return ()
         return tuple(map(self._take, self._pairing.completed()))
 
+    def _estimate_delays(self, fit: DelayFit, reading: PositionReading) -> None:
+        """Let the fit of the delays go on; take over what it finds once that is credible."""
+        fit.position(reading)
+        devices = self._gimbals.chosen, self._ranges.chosen
+        if devices != self._devices:
+            if None not in self._devices:
+                fit.clear()
+                self._delays = self._delays_of.get(devices)
+                self._pairing.set_delays(self._delays)
+            self._devices = devices
+        found = fit.updated(reading.time_s)
+        if found is None:
+            return
+        apart_s = (
+            abs(found.gimbal_s - self._pairing.gimbal_delay_s),
+            abs(found.range_s - self._pairing.range_delay_s),
+        )
+        sigmas_s = found.gimbal_sigma_s, found.range_sigma_s
+        sure = max(sigmas_s) < _SURE_S
+        least = 1.0 if sure else _EVIDENT
+        if any(step_s > max(_STEP_MIN_S, least * sigma_s) for step_s, sigma_s in zip(apart_s, sigmas_s, strict=True)):
+            self._pairing.set_delays(found)
+            # The errors of the payload were found with the delays of before, and stand firm.
+            self._track.restart(self._biases_with(found), self._pairing.repeated(reading.time_s - _REPEATED_S))
+        elif not sure:
+            return  # nothing is known better than before
+        self._delays = self._delays_of[devices] = found
+
+    def _biases_with(self, found: Delays) -> Biases:
+        """Return the payload's errors with other delays; those before were found with wrong delays."""
+        prior = Biases.prior(self._settings)
+        variance = float(prior.covariance[0, 0])
+        if variance == 0.0:
+            return prior
+        sigma_rad = math.hypot(found.yaw_sigma_rad, _YAW_SIGMA_MIN_RAD)
+        mean, covariance = prior.mean.copy(), prior.covariance.copy()
+        mean[0], covariance[0, 0] = found.yaw_bias_rad, min(variance, sigma_rad**2)
+        return Biases(mean, covariance)
+
+    @property
+    def latency_s(self) -> float:
+        """The delay of both as configured."""
+        return self._settings.latency_s
+
+    @property
+    def delays(self) -> Delays | None:
+        """How late laser and gimbal stamp their readings; None while nothing else is known than the setting."""
+        return self._delays
+
     def _add_gimbal(self, reading: GimbalReading) -> None:
         reading = self.as_configured(reading)
-        if self._gimbals.accepts(reading.source, reading.time_s, lambda: self._points_at_track(reading)):
-            self._pairing.add_gimbal(self._measured(reading))
+        if not self._gimbals.accepts(reading.source, reading.time_s, lambda: self._points_at_track(reading)):
+            return
+        if self._pairing.add_gimbal(reading) and self._delay_fit is not None:
+            self._delay_fit.gimbal(reading)
 
     def as_configured(self, reading: GimbalReading) -> GimbalReading:
         """Return a line of sight with the configured frame in place of the flagged one."""
@@ -116,11 +187,6 @@ class Tracker:
         sigma_m = math.sqrt(float(max(estimate.covariance[0, 0], estimate.covariance[1, 1])))
         return math.atan2(east, north), max(math.hypot(east, north, height_m), 1.0), sigma_m
 
-    def _measured(self, reading: _Stamped) -> _Stamped:
-        """Return the reading at the time it was really measured."""
-        latency_s = self._settings.latency_s
-        return replace(reading, time_s=reading.time_s - latency_s) if latency_s else reading
-
     def _add_range(self, reading: RangeReading) -> None:
         if not self._ranges.accepts(reading.source, reading.time_s, lambda: self._measures_track(reading)):
             return
@@ -128,7 +194,9 @@ class Tracker:
         # The null rotation is what senders put there who know no better.
         if pointing is not None and pointing != (1.0, 0.0, 0.0, 0.0):
             self._add_gimbal(GimbalReading(reading.time_s, pointing, "body", reading.source))
-        self._pairing.add_range(self._measured(reading))
+        self._pairing.add_range(reading)
+        if self._delay_fit is not None:
+            self._delay_fit.range(reading.time_s, reading.slant_range_m)
 
     def _add_fix(self, reading: TargetFixReading) -> tuple[SightingOutcome, ...]:
         """Use a beacon's fix; a camera's where asked for, or while there is no laser that it may be made from."""

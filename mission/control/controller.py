@@ -52,7 +52,7 @@ from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.control.sensor_status import SensorStatus
 from sidelong.mission.control.snapshot import Phase, Snapshot
 from sidelong.mission.control.surroundings import Surroundings
-from sidelong.mission.control.target_news import TargetNews
+from sidelong.mission.control.target_news import DelayNews, TargetNews
 from sidelong.mission.control.unseen import UnseenTarget
 from sidelong.mission.control.upload_latency import UploadLatency
 from sidelong.mission.core.circle import Circle
@@ -138,7 +138,7 @@ class StandoffController:
         self.latency = UploadLatency(settings.latency_s)
         self.changes = PlanChanges(self.door, self.latency)
         self.planning = Planning(make_planner, settings.aircraft, settings.requirement)
-        self._news = TargetNews()
+        self._news, self._delay_news = TargetNews(), DelayNews(tracker.latency_s)
         self._sensor_status = SensorStatus()
         self._wind = Wind()
         self._mode = self._own_mode = ""
@@ -311,6 +311,7 @@ class StandoffController:
             self.estimate = self.planning.joint_estimate(self.time_s) or self.tracker.estimate(self.time_s)
             if self.estimate is not None:
                 told = self._news.tell(self.time_s, self.estimate)
+            told += self._delay_news.tell(self.time_s, self.tracker.delays)
         if self.changes.under_way is not None:
             return told + self.changes.activate_due(self.time_s, watching=self.phase is Phase.WATCHING)
         if self.door.doubt is not None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from sidelong.estimators.filters.biases import Delays
 from sidelong.estimators.sensing.readings import (
     AttitudeReading,
     GimbalReading,
@@ -22,6 +23,7 @@ class SensorStatus:
     """range_s and gimbal_s: time of the latest reading of the laser and the gimbal in use, -inf before the first.
 
     nis: normalised innovation squared of the latest sighting that was compared, NaN before the first.
+    delays: of the payload's stamps, as far as they are estimated.
     """
 
     bank_rad: float = 0.0
@@ -32,6 +34,7 @@ class SensorStatus:
     sightings: int = 0
     rejected: int = 0
     connected: bool = True
+    delays: Delays | None = None
 
     def copy(self) -> SensorStatus:
         """Return what it is now."""
@@ -44,13 +47,14 @@ class SensorStatus:
             self.sightings,
             self.rejected,
             self.connected,
+            self.delays,
         )
 
     def note(self, reading: Reading, outcomes: Iterable[SightingOutcome], tracker: Tracker) -> None:
         """Take a reading that ``tracker`` has taken, with what it returned."""
         match reading:
             case PositionReading():
-                self.height_m = reading.height_m
+                self.height_m, self.delays = reading.height_m, tracker.delays
             case AttitudeReading():
                 self.bank_rad = reading.roll_rad
             case RangeReading() if reading.source == tracker.range_source:

@@ -1,14 +1,33 @@
-"""Announcements about the target: in view, not seen for some time, lost, or in view again."""
+"""Announcements about the target (in view, not seen for some time, lost) and about delays of the payload."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.filters.biases import Delays
 from sidelong.mission.core.events import Announce
 
 # A shorter gap is not announced: lasers often miss for some seconds.
 _AFTER_S = 8.0
+_DELAY_STEP_S = 0.1  # a smaller change of a delay is not announced
+
+
+class DelayNews:
+    """Announces the estimated delays of the payload; ``latency_s``: as configured."""
+
+    def __init__(self, latency_s: float) -> None:
+        self._told_s = (latency_s, latency_s)
+
+    def tell(self, time_s: float, delays: Delays | None) -> tuple[Announce, ...]:
+        """Return an announcement if a delay differs clearly from the one that was announced last."""
+        if delays is None:
+            return ()
+        now_s = delays.gimbal_s, delays.range_s
+        if max(abs(now - before) for now, before in zip(now_s, self._told_s, strict=True)) < _DELAY_STEP_S:
+            return ()
+        self._told_s = now_s
+        return (Announce(time_s, "sensor", f"delays of the payload found and corrected: {delays}"),)
 
 
 class _Sight(StrEnum):

@@ -9,6 +9,7 @@ import pytest
 from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.estimators.sensing.readings import (
+    BEACON_MESSAGES,
     AttitudeReading,
     GimbalReading,
     PositionReading,
@@ -111,6 +112,26 @@ def test_a_laser_without_an_echo_is_no_range(telemetry, nothing):
 
 def test_a_told_covariance_is_a_sigma(telemetry):
     assert telemetry.event(laser(covariance=25)).sigma_m == pytest.approx(0.05)
+
+
+def test_delta_yaw_turns_a_sight_to_north_unless_it_is_not_the_heading(telemetry):
+    telemetry.event(message("ATTITUDE", time_boot_ms=10_000, roll=0.0, pitch=0.0, yaw=1.0))
+    turned = telemetry.event(gimbal(4 | 8 | 32, delta_yaw=1.2))
+    assert turned.frame == "earth"
+    assert turned.quaternion_wxyz == pytest.approx((math.cos(0.6), 0.0, 0.0, math.sin(0.6)))
+    for unknown in (0.0, math.nan, -2.0, None):  # left out, not known, another heading, not known in JSON
+        assert telemetry.event(gimbal(4 | 8 | 32, delta_yaw=unknown)).frame == "vehicle"
+    assert telemetry.event(gimbal(32, delta_yaw=1.2)).frame == "body"
+
+
+def test_target_absolute_is_a_fix_like_a_beacons(telemetry):
+    fields = {"id": 3, "sensor_capabilities": 1, "lat": 474_000_000 + 8_993, "lon": 85_000_000}
+    fix = telemetry.event(message("TARGET_ABSOLUTE", position_std=[2.0, 3.0, 9.0], **fields))
+    assert (fix.north_m, fix.sigma_m) == (pytest.approx(100.0, abs=0.1), 3.0)
+    assert fix.source.message in BEACON_MESSAGES
+    assert telemetry.event(message("TARGET_ABSOLUTE", position_std=[math.nan, 3.0, 9.0], **fields)) is None
+    fields["sensor_capabilities"] = 2
+    assert telemetry.event(message("TARGET_ABSOLUTE", position_std=[2.0, 3.0, 9.0], **fields)) is None
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,249 @@
+"""The least-squares fit of delays: it finds the target's path together with the payload's errors.
+
+Unknown are the path (knots, with a white acceleration whose size is found with it) and four shared numbers: the
+delay of the gimbal, the delay of the laser, the yaw bias of the gimbal and the bias of the level range. The normal
+equations of the path are banded; the shared numbers are a border. Errors follow Student's distribution, so that
+outliers of the readings and sudden turns of the target have little weight.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solveh_banded
+
+FloatArray = npt.NDArray[np.float64]
+
+MIN_DELAY_S, MAX_DELAY_S = -1.0, 3.0
+STIFF_M = 0.1
+"""Size of the target's turns (second difference of the knots) in a path that is nearly straight."""
+
+_KNOT_S = 2.0
+_BENT = (1.0, -2.0, 1.0)  # second difference of the path
+_NONE = 0.0  # derivative by a shared number that a kind of reading does not depend on
+_FREEDOM = 4.0  # of Student's distribution
+_STIFFEST_M, _STIFF_ITERATIONS = 0.02, 3
+_ITERATIONS_MAX, _SETTLED_S = 12, 0.002
+
+
+class Fit(NamedTuple):
+    """What a fit has come to.
+
+    Attributes:
+        shared: gimbal delay s, laser delay s, yaw bias rad, range bias m, (4,).
+        sigmas: their standard deviations, (4,).
+        cost: negative logarithm of the likelihood, less a constant.
+
+    """
+
+    shared: FloatArray
+    sigmas: FloatArray
+    cost: float
+
+
+class _Normal:
+    """Normal equations of the path's knots (banded) and the shared numbers (a border)."""
+
+    def __init__(self, knots: int, shared: FloatArray, sigmas: FloatArray) -> None:
+        size = 2 * knots
+        self.band, self.border = np.zeros((5, size)), np.zeros((size, 4))
+        self.corner, self.right_shared = np.diag(sigmas**-2), -shared / sigmas**2
+        self.right = np.zeros(size)
+        self.cost = 0.5 * float(((shared / sigmas) ** 2).sum())
+
+    def add(
+        self,
+        at: tuple[npt.NDArray[np.intp], FloatArray],
+        by_place: FloatArray,
+        by_shared: tuple[FloatArray | float, ...],
+        residual: FloatArray,
+        sigma: FloatArray,
+    ) -> None:
+        """Take in readings.
+
+        Args:
+            at: knot before each, and the share of the one after it.
+            by_place: derivative by the target's place, (n, 2).
+            by_shared: derivatives by the shared numbers.
+            residual: of each, m.
+            sigma: noise of each, m.
+
+        """
+        k, u = at
+        squared = (residual / sigma) ** 2
+        self.cost += 0.5 * (_FREEDOM + 1) * float(np.log1p(squared / _FREEDOM).sum())
+        weight = (_FREEDOM + 1) / (_FREEDOM + squared) / sigma**2
+        size = len(self.right)
+        parts = [(2 * k + axis, (1 - u) * by_place[:, axis]) for axis in (0, 1)]
+        parts += [(2 * k + 2 + axis, u * by_place[:, axis]) for axis in (0, 1)]
+        own = [(s, np.broadcast_to(by, k.shape)) for s, by in enumerate(by_shared) if by is not _NONE]
+        for i, (row, a) in enumerate(parts):
+            weighted = weight * a
+            self.right -= np.bincount(row, weighted * residual, size)
+            for s, by in own:
+                self.border[:, s] += np.bincount(row, weighted * by, size)
+            for j in range(i, 4):
+                self.band[4 - (j - i)] += np.bincount(row + (j - i), weighted * parts[j][1], size)
+        for s, by in own:
+            weighted = weight * by
+            self.right_shared[s] -= weighted @ residual
+            for other, by_other in own:
+                self.corner[s, other] += weighted @ by_other
+
+    def hold_straight(self, path: FloatArray, scale_m2: float, robust: bool) -> None:
+        """Take in that the target's velocity seldom changes."""
+        turns = path[2:] - 2 * path[1:-1] + path[:-2]
+        squared = (turns * turns).sum(axis=1) / scale_m2
+        self.cost += 0.5 * (_FREEDOM + 2) * float(np.log1p(squared / _FREEDOM).sum()) + len(turns) * math.log(
+            scale_m2
+        )
+        weight = ((_FREEDOM + 2) / (_FREEDOM + squared) if robust else np.ones_like(squared)) / scale_m2
+        for i, a in enumerate(_BENT):
+            for axis in (0, 1):
+                self.right[2 * i + axis : 2 * i + axis + 2 * len(turns) : 2] -= a * weight * turns[:, axis]
+                for j in range(i, 3):
+                    first = 2 * j + axis
+                    self.band[4 - 2 * (j - i), first : first + 2 * len(turns) : 2] += a * _BENT[j] * weight
+
+    def solved(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the steps of the knots (n, 2) and of the shared numbers (4,), and the covariance (4, 4) of these."""
+        self.band[4] += 1e-9
+        found = solveh_banded(self.band, np.column_stack([self.right, self.border]), check_finite=False)
+        covariance = np.linalg.inv(self.corner - self.border.T @ found[:, 1:])
+        step = covariance @ (self.right_shared - self.border.T @ found[:, 0])
+        return (found[:, 0] - found[:, 1:] @ step).reshape(-1, 2), step, covariance
+
+
+class Scene:
+    """The readings of one fit."""
+
+    def __init__(
+        self,
+        positions: FloatArray,
+        attitudes: FloatArray,
+        gimbals: FloatArray,
+        ranges: FloatArray,
+        frame: str,
+        noise: tuple[float, float],
+    ) -> None:
+        self._positions, self._frame = positions, frame
+        self._yaw_sigma_rad, self._range_sigma_m = noise
+        self._angles, self._attitude_s, self._yaw_rate = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+        if frame != "earth":
+            self._attitude_s = attitudes[:, 0]
+            self._angles = np.unwrap(attitudes[:, 1:], axis=0)
+            self._yaw_rate = np.gradient(self._angles[:, 2], self._attitude_s)
+        self._sight_s, self._sights = gimbals[:, 0], gimbals[:, 1:]
+        self._range_s, self._slant_m = ranges.T
+        self._begin_s = min(self._sight_s[0], self._range_s[0]) - MAX_DELAY_S
+        end_s = max(self._sight_s[-1], self._range_s[-1]) - MIN_DELAY_S
+        self._knots = math.ceil((end_s - self._begin_s) / _KNOT_S) + 2
+
+    def solve(self, sigmas: FloatArray, start: FloatArray, scale_m: float, settled: bool) -> tuple[Fit, float]:
+        """Return the best fit near a start, and the size of the target's turns.
+
+        Args:
+            sigmas: of the priors, (4,).
+            start: shared numbers to start from, (4,).
+            scale_m: size of the target's turns to start from.
+            settled: whether that is known. If not, the path is held nearly straight at first: a path free to bend
+                would circle with the aircraft and leave the delays nothing to explain.
+
+        """
+        shared, scale_m2 = start.copy(), scale_m**2
+        path = self._first_path(shared)
+        step, covariance, cost = np.zeros(4), np.zeros((4, 4)), math.inf
+        for iteration in range(_ITERATIONS_MAX):
+            free = settled or iteration >= _STIFF_ITERATIONS
+            if free:
+                scale_m2 = _scale_m2(path, scale_m2)
+            normal = _Normal(self._knots, shared, sigmas)
+            self._add_sights(normal, shared, path)
+            self._add_ranges(normal, shared, path)
+            normal.hold_straight(path, scale_m2, free)
+            cost = normal.cost
+            if free and iteration and abs(step[:2]).max() < _SETTLED_S:
+                break
+            moved, step, covariance = normal.solved()
+            path = path + moved
+            shared = shared + step
+            shared[:2] = np.clip(shared[:2], MIN_DELAY_S, MAX_DELAY_S)
+        return Fit(shared, np.sqrt(np.diag(covariance)), cost), math.sqrt(scale_m2)
+
+    def _add_sights(self, normal: _Normal, shared: FloatArray, path: FloatArray) -> None:
+        time_s = self._sight_s - shared[0]
+        bearing, _ = self._directions(time_s)
+        east, north = np.sin(bearing), np.cos(bearing)
+        way, speed, at = self._way(path, time_s)
+        ahead_m = way[:, 0] * east + way[:, 1] * north
+        turning = speed[:, 1] * east - speed[:, 0] * north
+        if self._frame != "earth":
+            turning += ahead_m * np.interp(time_s, self._attitude_s, self._yaw_rate)
+        residual = way[:, 0] * north - way[:, 1] * east + ahead_m * shared[2]
+        across = np.stack([north, -east], axis=1)
+        normal.add(at, across, (turning, _NONE, ahead_m, _NONE), residual, self._yaw_sigma_rad * ahead_m)
+
+    def _add_ranges(self, normal: _Normal, shared: FloatArray, path: FloatArray) -> None:
+        time_s = self._range_s - shared[1]
+        sine = np.interp(time_s, self._sight_s - shared[0], self._directions(self._sight_s - shared[0])[1])
+        way, speed, at = self._way(path, time_s)
+        distance_m = np.hypot(way[:, 0], way[:, 1])
+        toward = way / distance_m[:, None]
+        residual = distance_m - self._slant_m * np.sqrt(1.0 - sine * sine) + shared[3]
+        closing = -(toward * speed).sum(axis=1)
+        sigma = np.hypot(self._range_sigma_m, self._slant_m * sine * self._yaw_sigma_rad)
+        normal.add(at, toward, (_NONE, closing, _NONE, 1.0), residual, sigma)
+
+    def _way(
+        self, path: FloatArray, time_s: FloatArray
+    ) -> tuple[FloatArray, FloatArray, tuple[npt.NDArray[np.intp], FloatArray]]:
+        """Return way and relative velocity (n, 2) from the aircraft to the target, and the knots between which."""
+        at = (time_s - self._begin_s) / _KNOT_S
+        k = np.clip(at.astype(np.intp), 0, self._knots - 2)
+        u = at - k
+        leg = path[k + 1] - path[k]
+        place, velocity = self._aircraft(time_s)
+        return path[k] + u[:, None] * leg - place, leg / _KNOT_S - velocity, (k, u)
+
+    def _aircraft(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return places and velocities (n, 2) of the aircraft, by the cubic through positions and velocities."""
+        rows = self._positions
+        k = np.clip(np.searchsorted(rows[:, 0], time_s) - 1, 0, len(rows) - 2)
+        a, b = rows[k], rows[k + 1]
+        step_s = b[:, :1] - a[:, :1]
+        u = (time_s[:, None] - a[:, :1]) / step_s
+        slopes = step_s * u * (1 - u) * ((1 - u) * a[:, 3:] - u * b[:, 3:])
+        place = a[:, 1:3] + u * u * (3 - 2 * u) * (b[:, 1:3] - a[:, 1:3]) + slopes
+        return place, a[:, 3:] + u * (b[:, 3:] - a[:, 3:])
+
+    def _directions(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return bearing and sine of the depression, (n,) each, of the lines of sight if they were made at times."""
+        x, y, z = self._sights.T
+        if self._frame == "earth":
+            return np.arctan2(y, x), z
+        roll, pitch, yaw = (np.interp(time_s, self._attitude_s, angle) for angle in self._angles.T)
+        if self._frame == "body":
+            y, z = np.cos(roll) * y - np.sin(roll) * z, np.sin(roll) * y + np.cos(roll) * z
+            x, z = np.cos(pitch) * x + np.sin(pitch) * z, np.cos(pitch) * z - np.sin(pitch) * x
+        return yaw + np.arctan2(y, x), z
+
+    def _first_path(self, shared: FloatArray) -> FloatArray:
+        """Return the path (n, 2) through the places that the readings give."""
+        time_s, sight_s = self._range_s - shared[1], self._sight_s - shared[0]
+        bearing, sine = self._directions(sight_s)
+        bearing, sine = np.interp(time_s, sight_s, np.unwrap(bearing)), np.interp(time_s, sight_s, sine)
+        level_m = self._slant_m * np.sqrt(1.0 - sine * sine)
+        place = self._aircraft(time_s)[0] + level_m[:, None] * np.stack([np.sin(bearing), np.cos(bearing)], axis=1)
+        knots_s = self._begin_s + _KNOT_S * np.arange(self._knots)
+        return np.stack([np.interp(knots_s, time_s, axis) for axis in place.T], axis=1)
+
+
+def _scale_m2(path: FloatArray, scale_m2: float) -> float:
+    """Return the variance of the path's turns on each axis, by one step from the last."""
+    turns = path[2:] - 2 * path[1:-1] + path[:-2]
+    squared = (turns * turns).sum(axis=1)
+    weight = (_FREEDOM + 2) / (_FREEDOM + squared / scale_m2)
+    return max(float((weight * squared).mean()) / 2, _STIFFEST_M**2)

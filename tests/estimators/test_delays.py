@@ -1,0 +1,136 @@
+"""Delays of laser and gimbal stamps are found from an aircraft that circles, and corrected."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
+from sidelong.estimators.settings import TrackerSettings
+from sidelong.estimators.tracking.delays import DelayFit
+from sidelong.estimators.tracking.tracker import Tracker
+
+LASER, GIMBAL = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
+STEP_S, HEIGHT_M, SPEED_M_S, RADIUS_M = 0.2, 100.0, 15.0, 60.0
+YAW_BIAS_RAD, RANGE_SIGMA_M, ANGLE_SIGMA_RAD = math.radians(0.5), 0.8, math.radians(0.35)
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+
+
+def target_m(time_s):
+    """A target that walks, stands for a while, and walks on in another direction."""
+    first = np.minimum(time_s, 90.0)
+    last = np.maximum(time_s - 130.0, 0.0)
+    return np.stack([1.2 * first + 0.3 * last, 0.4 * first - 1.5 * last], axis=-1)
+
+
+def aircraft(moves: bool):
+    """Return time, place (n, 2) and heading of circles, to another of which the aircraft flies straight on twice."""
+    places, headings, heading_rad = [np.array([0.0, -220.0])], [0.0], 0.0
+    for k in range(round(280.0 / STEP_S)):
+        straight = moves and (80.0 < k * STEP_S < 86.0 or 170.0 < k * STEP_S < 178.0)
+        sense = -1.0 if moves and k * STEP_S > 178.0 else 1.0
+        heading_rad += 0.0 if straight else sense * SPEED_M_S / RADIUS_M * STEP_S
+        step_m = SPEED_M_S * STEP_S * np.array([math.sin(heading_rad), math.cos(heading_rad)])
+        places.append(places[-1] + step_m)
+        headings.append(heading_rad)
+    return STEP_S * np.arange(len(places)), np.array(places), np.array(headings)
+
+
+def readings(gimbal_s, range_s, frame="earth", moves=True, latency_s=0.0, seed=1):
+    """Yield what the vehicle reports, the payload's readings with the stamps of their arrival."""
+    rng = np.random.default_rng(seed)
+    time_s, place_m, heading_rad = aircraft(moves)
+    velocity = np.gradient(place_m, STEP_S, axis=0)
+
+    def line(at_s):
+        at_s = max(at_s, 0.0)
+        own = [np.interp(at_s, time_s, axis) for axis in place_m.T]
+        return target_m(np.array(at_s)) - own, np.interp(at_s, time_s, heading_rad)
+
+    for k, now_s in enumerate(time_s.tolist()):
+        yield PositionReading(now_s, *place_m[k].tolist(), HEIGHT_M, *velocity[k].tolist(), 0.0)
+        yield AttitudeReading(now_s, 0.3, 0.0, math.remainder(heading_rad[k], math.tau))
+        (east, north), heading = line(now_s - gimbal_s)
+        yaw, pitch = math.atan2(east, north) + YAW_BIAS_RAD, -math.atan2(HEIGHT_M, math.hypot(east, north))
+        yaw += ANGLE_SIGMA_RAD * rng.standard_normal() - (heading if frame == "vehicle" else 0.0)
+        pitch += ANGLE_SIGMA_RAD * rng.standard_normal()
+        cy, sy, cp, sp = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(pitch / 2), math.sin(pitch / 2)
+        yield GimbalReading(now_s - latency_s, (cy * cp, -sy * sp, cy * sp, sy * cp), frame, GIMBAL)
+        (east, north), _ = line(now_s - range_s)
+        slant_m = math.hypot(east, north, HEIGHT_M) + RANGE_SIGMA_M * rng.standard_normal()
+        if rng.random() < 0.03:
+            slant_m += rng.uniform(-90.0, 90.0)
+        yield RangeReading(now_s - latency_s, slant_m, LASER)
+
+
+def fitted(*args, until_s=280.0, **kwargs):
+    fit = DelayFit(TrackerSettings(), LEVEL)
+    found = None
+    for one in readings(*args, **kwargs):
+        match one:
+            case PositionReading():
+                fit.position(one)
+                if one.time_s > until_s:
+                    break
+                found = fit.updated(one.time_s) or found
+            case AttitudeReading():
+                fit.attitude(one)
+            case GimbalReading():
+                fit.gimbal(one)
+            case RangeReading():
+                fit.range(one.time_s, one.slant_range_m)
+    return found
+
+
+@pytest.mark.parametrize("frame", ["earth", "vehicle"])
+@pytest.mark.parametrize("delays_s", [(0.0, 0.0), (0.2, 0.0), (0.0, 0.5), (1.0, 1.0), (2.0, 0.0), (2.0, 2.0)])
+def test_delays_are_found_together_with_the_yaw_bias(delays_s, frame):
+    found = fitted(*delays_s, frame)
+    assert found.gimbal_s == pytest.approx(delays_s[0], abs=0.05)
+    assert found.range_s == pytest.approx(delays_s[1], abs=0.05)
+    assert abs(found.gimbal_s - delays_s[0]) < 3.0 * found.gimbal_sigma_s
+    assert found.yaw_bias_rad == pytest.approx(YAW_BIAS_RAD, abs=math.radians(0.4))
+
+
+def test_angles_relative_to_the_aircraft_need_a_change_of_circle():
+    """On one circle about a slow target, a late payload looks like a target elsewhere; sigma has to show it."""
+    steady = fitted(0.5, 0.5, "vehicle", moves=False, until_s=80.0)
+    changed = fitted(0.5, 0.5, "vehicle", until_s=150.0)
+    assert steady.gimbal_sigma_s > 0.15
+    assert changed.gimbal_sigma_s < 0.05
+    assert changed.gimbal_s == pytest.approx(0.5, abs=0.05)
+
+
+def fed(settings, *args, **kwargs):
+    tracker = Tracker(settings)
+    for one in readings(*args, **kwargs):
+        tracker.add(one)
+    return tracker
+
+
+def error_m(tracker):
+    estimate = tracker.estimate(280.0)
+    return float(np.hypot(*(np.array([estimate.east_m, estimate.north_m]) - target_m(np.array(280.0)))))
+
+
+def test_tracker_corrects_the_delays_that_it_finds():
+    late = fed(TrackerSettings(), 2.0, 0.5, "vehicle")
+    assert late.delays.gimbal_s == pytest.approx(2.0, abs=0.05)
+    assert error_m(late) < 3.0
+    assert error_m(fed(TrackerSettings(latency_sigma_s=0.0), 2.0, 0.5, "vehicle")) > 10.0
+
+
+def test_configured_latency_is_where_the_estimate_starts():
+    """Stamps that are late already by the configured latency need no further correction."""
+    known = fed(TrackerSettings(latency_s=0.4, latency_sigma_s=0.1), 0.4, 0.4)
+    assert known.delays is None or known.delays.range_s == pytest.approx(0.4, abs=0.05)
+    assert error_m(known) < 3.0
+
+
+def test_clock_that_is_set_back_begins_the_fit_again():
+    fit = DelayFit(TrackerSettings(), LEVEL)
+    for one in readings(0.5, 0.5):
+        if isinstance(one, RangeReading):
+            fit.range(one.time_s, one.slant_range_m)
+    fit.range(10.0, 200.0)
+    assert fit.fit(280.0) is None
