@@ -16,15 +16,19 @@ _SIGMAS = 2.0  # a speed below so many of its standard deviations is no motion e
 _BEFORE_STOP_S = 3.0
 MIN_WAY_M = 10.0  # a shorter way tells no course
 COURSE_SIGMA_MAX_RAD = 0.8
+# An estimate that is further than this from where its velocity led has jumped: a target that is found again after
+# coasting. Half of MIN_WAY_M, so that a smaller step alone makes no course.
+_JUMP_M = 5.0
 
 # The memory, an array: what it holds, the aircraft's own airspeed as a share of the wanted one, and when that was
 # looked at, then the times and courses of the last seconds of motion, oldest first, then times and places of the last
-# minute.
+# minute, and the last estimate: time, place and velocity.
 STANDING, COURSE, PRESUMED, SIDE, MADE_GOOD, AIRSPEED_SHARE, AIRSPEED_S, RECENT = range(8)
 _RECENT_MAX = 200  # of them: more than at any rate that decisions are made at
 _PLACES = RECENT + 1 + 2 * _RECENT_MAX
 _PLACES_MAX, _PLACE_EVERY_S = 72, 0.95
-MEMORY_SIZE = _PLACES + 1 + 3 * _PLACES_MAX
+_LAST = _PLACES + 1 + 3 * _PLACES_MAX
+MEMORY_SIZE = _LAST + 5
 
 
 class Known(NamedTuple):
@@ -108,9 +112,31 @@ def held_course_rad(target: Known, memory: FloatArray) -> float:
 
 
 @compiled
+def _follow_jump(target: Known, memory: FloatArray, places: FloatArray, count: int) -> None:
+    """Shift the kept places by the part of the way since the last estimate that its velocities do not explain."""
+    last = memory[_LAST:]
+    half_s = 0.5 * (target.time_s - last[0])
+    east_m = target.east_m - last[1] - half_s * (target.velocity_east_m_s + last[3])
+    north_m = target.north_m - last[2] - half_s * (target.velocity_north_m_s + last[4])
+    turned_m_s = math.hypot(target.velocity_east_m_s - last[3], target.velocity_north_m_s - last[4])
+    if math.hypot(east_m, north_m) > _JUMP_M + abs(half_s) * turned_m_s:
+        for i in range(count):
+            places[3 * i + 1] += east_m
+            places[3 * i + 2] += north_m
+
+
+@compiled
 def remember_place(target: Known, memory: FloatArray) -> None:
-    """Keep a place for the course made good, about one each second."""
+    """Keep a place for the course made good, about one each second.
+
+    If the estimate has jumped, the kept places jump along: the jump corrects the estimate, the target did not move.
+    """
     places, count = memory[_PLACES + 1 :], int(memory[_PLACES])
+    if count > 0:
+        _follow_jump(target, memory, places, count)
+    last = memory[_LAST:]
+    last[0], last[1], last[2] = target.time_s, target.east_m, target.north_m
+    last[3], last[4] = target.velocity_east_m_s, target.velocity_north_m_s
     if count > 0 and target.time_s < places[3 * count - 3] + _PLACE_EVERY_S:
         return
     if count == _PLACES_MAX:

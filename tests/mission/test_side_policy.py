@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -101,7 +102,18 @@ def test_the_course_made_good_turns_over_its_horizon_and_is_held_when_the_target
 
 def test_places_between_sightings_are_interpolated():
     policy = SidePolicy(LEFT, 50.0, 20.0)
-    policy.viewpoint(0.0, 300.0, at(0.0, 0.0, 0.0))
-    policy.viewpoint(0.0, 300.0, at(40.0, 0.0, 120.0))
-    view = policy.viewpoint(0.0, 300.0, at(41.0, 60.0, 120.0))
-    assert view.course_rad == pytest.approx(math.atan2(60.0, 120.0 - 63.0))
+    for time_s, east_m, north_m in ((0.0, 0.0, 0.0), (40.0, 0.0, 120.0), (41.0, 4.0, 120.0)):
+        moving = replace(at(time_s, east_m, north_m), velocity_north_m_s=3.0)
+        view = policy.viewpoint(0.0, 300.0, moving)
+    assert view.course_rad == pytest.approx(math.atan2(4.0, 120.0 - 63.0))
+
+
+@pytest.mark.parametrize("jump_m", [(-60.0, -90.0), (80.0, 0.0)])
+def test_the_course_made_good_does_not_follow_a_jump_of_the_estimate(jump_m):
+    """A target goes north at 3 m/s. After 30 s the estimate, which had coasted, is found elsewhere."""
+    policy, found = SidePolicy(LEFT, 50.0, 20.0), []
+    for time_s in range(60):
+        east_m, north_m = jump_m if time_s >= 30 else (0.0, 0.0)
+        moving = replace(target(0.0, 3.0, float(time_s)), east_m=east_m, north_m=north_m + 3.0 * time_s)
+        found.append(policy.viewpoint(-300.0, 0.0, moving).course_rad)
+    assert found[4:] == pytest.approx([0.0] * 56, abs=1e-9)
