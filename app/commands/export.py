@@ -41,7 +41,7 @@ def export(
     """Write a flight for other programs.
 
     Its last mission: plan, waypoints. Its tracks: kml, geojson, csv, gpx; a log without a target has the aircraft's.
-    All of it: mcap, for Foxglove and PlotJuggler. The metadata of a video: klv (MISB ST 0601). Of a fleet's run
+    An animated picture of its last ten minutes: svg. All of it: mcap, for Foxglove and PlotJuggler. The metadata of a video: klv (MISB ST 0601). Of a fleet's run
     folder the tracks of all aircraft go into one file, and so does mcap.
 
     For example:

@@ -12,6 +12,7 @@ from typing import Any
 from xml.etree import ElementTree as Xml
 
 from sidelong.app.errors import InputError
+from sidelong.app.records.animation import animated_svg
 from sidelong.app.records.track import Flight, ring, sigma_m
 from sidelong.mission.upload.items import FRAME_GLOBAL, NAV_WAYPOINT, Item
 from sidelong.mission.upload.plan_file import plan_file
@@ -24,7 +25,7 @@ _KML_EXTENSION = "http://www.google.com/kml/ext/2.2"
 class Format(StrEnum):
     """Missions for QGroundControl (.plan) and Mission Planner (WPL 110); tracks for maps, tables and GPS tools.
 
-    MCAP and KLV are made of the events themselves, in modules of their own.
+    SVG is an animated picture. MCAP and KLV are made of the events themselves, in modules of their own.
     """
 
     PLAN = "plan"
@@ -35,6 +36,7 @@ class Format(StrEnum):
     GPX = "gpx"
     MCAP = "mcap"
     KLV = "klv"
+    SVG = "svg"
 
 
 MISSIONS = frozenset({Format.PLAN, Format.WAYPOINTS})
@@ -323,4 +325,5 @@ _TRACK_WRITERS: dict[Format, Callable[[Sequence[Flight]], str]] = {
     Format.GEOJSON: _geojson,
     Format.GPX: _gpx,
     Format.KML: _kml,
+    Format.SVG: animated_svg,
 }
