@@ -41,8 +41,8 @@ def export(
     """Write a flight for other programs.
 
     Its last mission: plan, waypoints. Its tracks: kml, geojson, csv, gpx; a log without a target has the aircraft's.
-    An animated picture of its last ten minutes: svg. All of it: mcap, for Foxglove and PlotJuggler. The metadata of a video: klv (MISB ST 0601). Of a fleet's run
-    folder the tracks of all aircraft go into one file, and so does mcap.
+    An animated picture of its last ten minutes: svg. All of it: mcap, for Foxglove and PlotJuggler. The metadata of a
+    video: klv (MISB ST 0601). Of a fleet's run folder the tracks of all aircraft go into one file, and so does mcap.
 
     For example:
       sidelong export runs/20261121T101500Z --format plan

@@ -10,7 +10,7 @@ import pytest
 from sidelong import estimators, mission
 from sidelong.mission import AircraftState, Circle, Decision, Plan, Planner, Wind
 
-LIBRARY = Path(__file__).resolve().parents[2] / "docs" / "library.md"
+LIBRARY = Path(__file__).resolve().parents[2] / "docs" / "examples.md"
 
 
 @pytest.mark.parametrize("package", [estimators, mission], ids=lambda package: package.__name__)

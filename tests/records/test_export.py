@@ -153,6 +153,19 @@ def test_a_flight_with_nothing_to_write_is_an_input_error(tmp_path, wanted):
     assert not (tmp_path / "out").exists()
 
 
+def test_the_animation_moves_aircraft_and_target_on_light_and_dark_backgrounds(written):
+    text = written(Format.SVG)
+    root = Xml.fromstring(text)
+    motions = root.findall(".//{http://www.w3.org/2000/svg}animateMotion")
+    assert [len(motion.get("values").split(";")) for motion in motions] == [49, 49]
+    assert "prefers-color-scheme: dark" in text
+
+
+def test_a_flight_without_a_target_is_not_animated(written):
+    with pytest.raises(InputError, match="no target"):
+        written(Format.SVG, replace(FLIGHT, estimates=[]))
+
+
 def test_a_place_that_cannot_be_written_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         export([FLIGHT], Format.CSV, tmp_path / "missing" / "out")
