@@ -1,7 +1,4 @@
-"""Write a planner of your own and fly it against a moving target.
-
-Usage: python examples/own_planner.py [PICTURE.png]
-"""
+"""Fly a planner of your own against a moving target. Usage: python examples/own_planner.py [PICTURE.png]."""
 
 import sys
 from math import hypot, radians
@@ -29,9 +26,7 @@ class FollowWhenFar:
         if distance_m < 350.0 or aircraft.time_s < present.departure_s + 30.0:
             return Decision(aircraft.time_s, None, f"near enough: {distance_m:.0f} m")
         move = approach(aircraft, target, AIRCRAFT, REQUIREMENT)
-        return Decision(
-            aircraft.time_s, Plan(move.circle, move.transition, aircraft.time_s), f"far: {distance_m:.0f} m"
-        )
+        return Decision(aircraft.time_s, Plan(move.circle, move.transition, aircraft.time_s), "the target is far")
 
 
 def main() -> None:
