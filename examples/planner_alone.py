@@ -37,7 +37,8 @@ def main() -> None:
     flown = Plan(Circle(east_m=300.0, north_m=-100.0, radius_m=50.0, clockwise=False))
     now = AircraftState(120.0, 350.0, -100.0, course_rad=0.0, ground_speed_m_s=15.0, curvature_per_m=-0.02)
     decision = planner.decide(now, estimate, flown, Wind(), latency_s=0.5)
-    print(f"{decision.reason}: {'move' if decision.plan else 'stay'}")
+    circle = (decision.plan or flown).circle
+    print(f"target at {estimate.north_m:.0f} m north; {decision.reason}; circle at {circle.north_m:.0f} m north")
     if len(sys.argv) > 1:
         axes = plt.gca()
         axes.plot(estimate.east_m, estimate.north_m, "o", label="target")

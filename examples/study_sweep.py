@@ -1,4 +1,4 @@
-"""Sweep airspeed and largest range in a study, read its table with numpy, and print the best design.
+"""Sweep the largest range in a study, read its table with numpy, and print the best design.
 
 Usage: python examples/study_sweep.py [PICTURE.png]
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-AIRSPEEDS_M_S, RANGES_M = (12, 18), (350, 500)
+AIRSPEEDS_M_S, RANGES_M = (12,), (350, 500)
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ LOG = str(ROOT / "tests/data/px4-follow-walk-and-drive.tlog")
 # What each prints, as a pattern with the numbers that have to be in a range, and its arguments.
 RUNS = {
     "filter_alone": (r"([01]\.\d) m", (0.3, 1.5), ()),
-    "planner_alone": (r"in (\d+) s", (1, 120), ()),
+    "planner_alone": (r"circle at (-?\d+) m north", (-200, 400), ()),
     "own_planner": (r"(\d+) moves", (3, 8), ()),
     "replay_analysis": (r"flight: (\d+) s", (100, 5000), (LOG,)),
     "study_sweep": (r"([\d.]+) % on side", (60, 100), ()),

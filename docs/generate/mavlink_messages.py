@@ -1,7 +1,7 @@
 """The page of MAVLink messages: which the code names, in which direction, how often, and for what.
 
 Names and directions are read from the source, rates from ``sidelong.app.flight.streams``. The purpose of each is
-written here; a message without one ends the build.
+written here; a message without one has the first sentence of its definition.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from pymavlink.dialects.v20 import all as dialect
 
 from sidelong.app.flight import streams
 
-_NAMES = {message.msgname for message in dialect.mavlink_map.values()}
+_DEFINED = {message.msgname: message for message in dialect.mavlink_map.values()}
+_NAMES = _DEFINED.keys()
 _NAME_OF = {number: message.msgname for number, message in dialect.mavlink_map.items()}
 _SENDERS = {"send", "send_mission", "tell", "_commanded"}
 _FOLDERS = (
@@ -30,6 +31,7 @@ _FOLDERS = (
 )
 _RECEIVED = {
     "ADSB_VEHICLE": "other aircraft, avoided by a fleet",
+    "AIS_VESSEL": "a vessel that reports itself",
     "ATTITUDE": "attitude of the aircraft at the moment of each sighting",
     "AUTOPILOT_VERSION": "release of the autopilot, and what it supports",
     "BATTERY_STATUS": "charge and consumption, for the endurance",
@@ -110,15 +112,12 @@ _COMMANDS = {
 
 
 def page() -> str:
-    """Return the page in Markdown. Ends the build at a message of the code that has no purpose above."""
+    """Return the page in Markdown."""
     return "\n".join(_lines(Path(__file__).resolve().parents[2])) + "\n"
 
 
 def _lines(root: Path) -> Iterator[str]:
     received, sent, orders = _named(root)
-    for names, purposes in ((received, _RECEIVED), (sent, _SENT), (orders, _COMMANDS)):
-        if names - purposes.keys():
-            raise SystemExit(f"{__file__}: write the purpose of {', '.join(sorted(names - purposes.keys()))}.")
     yield "# MAVLink messages\n"
     yield "This page is generated: names and directions from the source, rates from the stream requests.\n"
     yield "## Received\n"
@@ -127,17 +126,22 @@ def _lines(root: Path) -> Iterator[str]:
     rates = {_NAME_OF[number]: rate for number, rate in (streams.RATES_HZ | streams.TERRAIN_HZ).items()}
     few = {_NAME_OF[number]: rate for number, rate in (streams.FEW_HZ | streams.TERRAIN_HZ).items()}
     for name in sorted(received | rates.keys()):
-        yield f"| `{name}` | {_RECEIVED[name]} | {_rate(rates.get(name))} | {_rate(few.get(name))} |"
+        yield f"| `{name}` | {_purpose(name, _RECEIVED)} | {_rate(rates.get(name))} | {_rate(few.get(name))} |"
     yield "\nLaser, gimbal and camera send at their own rates; sidelong needs each at 1 Hz or more.\n"
     yield "## Sent\n"
     yield "| message | for what |\n| --- | --- |"
-    yield from (f"| `{name}` | {_SENT[name]} |" for name in sorted(sent))
+    yield from (f"| `{name}` | {_purpose(name, _SENT)} |" for name in sorted(sent))
     yield "\n## Commands and mission items\n"
     yield "| `MAV_CMD_` | for what |\n| --- | --- |"
-    yield from (f"| `{name}` | {_COMMANDS[name]} |" for name in sorted(orders))
+    yield from (f"| `{name}` | {_COMMANDS.get(name, '')} |" for name in sorted(orders))
     yield "\n## Switched off on a slow radio\n"
     unused = sorted(_NAME_OF.get(number, str(number)) for number in streams.UNUSED_HZ)
     yield ", ".join(f"`{name}`" for name in unused) + "."
+
+
+def _purpose(name: str, written: dict[str, str]) -> str:
+    """Return what a message is for; the first sentence of its definition where nothing is written above."""
+    return written.get(name) or (_DEFINED[name].__doc__ or "").strip().split(". ")[0].replace("\n", " ")
 
 
 def _rate(rate_hz: float | None) -> str:

@@ -11,7 +11,7 @@ import pytest
 from sidelong.app.cli import COMMANDS, load_command
 
 ROOT = Path(__file__).resolve().parents[2]
-_COMMAND = re.compile(r"\bsidelong ([a-z]+)((?:[ ]+[^\s`|#]+)*)")
+_COMMAND = re.compile(r"\bsidelong (?!sidelong)([a-z]+)((?:[ ]+[^\s`|#]+)*)")
 
 
 DOCUMENTS = (
