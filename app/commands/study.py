@@ -51,7 +51,6 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.requirement import Requirement
 
 _LEGS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
-_FIGURES = (".png", ".pdf", ".svg")
 _BATCH_MAX = 50  # runs that go to a process or worker at once
 _BATCHES_EACH = 16  # for each process at least, so that little is lost when a study ends early
 
@@ -124,7 +123,6 @@ def study(
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Write a page with all figures to this .html file.")] = None,
     json: JsonOption = None,
-    out: Annotated[Path | None, typer.Option(help="Draw the figure into this file (png, pdf, svg).")] = None,
 ) -> None:
     """Compare planners against many targets, random or recorded, without an autopilot.
 
@@ -135,7 +133,7 @@ def study(
     On many machines: dask scheduler; dask worker tcp://HOST:8786 --nthreads 1 --nworkers -1 (on each).
 
     For example:
-      sidelong study --runs 50 --planner predictive --planner paper --out study.png
+      sidelong study --runs 50 --planner predictive --planner paper --report study.html
       sidelong study --targets tracks --airspeed 12 --radius 40 --target-speed-max 5
       sidelong study --sweep aircraft.airspeed_m_s=12,15,18 --store sweep.db --report sweep.html
       sidelong study --autopilot arduplane --wind 4
@@ -152,7 +150,6 @@ def study(
     }
     planners = _planners(fidelity, planner, latency, flown_kinematically)
     latency, lag = _answer(autopilot, latency, lag)
-    _checked_file("--out", out, _FIGURES)
     _checked_file("--export", export, exporting.SUFFIXES)
     _checked_file("--report", report, (".html",))
     checked_file("--store", store)
@@ -224,14 +221,11 @@ def study(
         _tell(whole, json)
         if export is not None:
             _written("--export", export, lambda: exporting.write_runs(whole, export))
-        if out is not None or report is not None:
-            # Only figures need matplotlib, which takes a second to load.
-            from sidelong.app.study import figure, page  # noqa: PLC0415
+        if report is not None:
+            # Only the page needs matplotlib, which takes a second to load.
+            from sidelong.app.study import page  # noqa: PLC0415
 
-            if out is not None:
-                _written("--out", out, lambda: figure.write_figure(whole.result(found[0]), out))
-            if report is not None:
-                _written("--report", report, lambda: page.write_page(whole, words, report))
+            _written("--report", report, lambda: page.write_page(whole, words, report))
     finally:
         kept.close()
 

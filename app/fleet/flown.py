@@ -25,20 +25,18 @@ from sidelong.app.records.windows import Progress
 from sidelong.app.report.results import read_summary
 from sidelong.app.report.sources import Flown, read_flight
 from sidelong.app.section import validated
-from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.requirement import Requirement
-from sidelong.mission.fleet.events import ClockReported, FleetAnnounce, RequirementChanged, Tell, VehicleReported
+from sidelong.mission.fleet.events import ClockReported, FleetAnnounce, RequirementChanged, VehicleReported
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AircraftPart:
-    """One aircraft's part. offset_s makes its own times mission time, as of roles: (since, role, target)."""
+    """One aircraft's part. offset_s makes its own times mission time."""
 
     name: str
     flown: Flown
     offset_s: float
     track: FlownTrack
-    roles: tuple[tuple[float, Role, str], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +61,6 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
     fleet = validated(FleetFile, journal.header.config, f"{folder.journal}: its configuration cannot be used")
     offsets_s: dict[str, float] = {}
     tracks: dict[str, FlownTrack] = defaultdict(FlownTrack)
-    roles: dict[str, list[tuple[float, Role, str]]] = defaultdict(list)
     said: list[FleetAnnounce] = []
     asked = {name: [(-math.inf, first)] for name, first in fleet.asked.items()}
     for record in journal:
@@ -73,10 +70,6 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
             case VehicleReported() if record.name in offsets_s:
                 at_s = record.state.time_s + offsets_s[record.name]
                 tracks[record.name].add(at_s, record.state.east_m, record.state.north_m, record.height_m)
-            case Tell(event=FleetAdvice() as advice) if record.name in offsets_s:
-                own = roles[record.name]
-                if not own or own[-1][1:] != (advice.role, advice.target):
-                    own.append((advice.time_s + offsets_s[record.name], advice.role, advice.target))
             case FleetAnnounce():
                 said.append(record)
             case RequirementChanged():
@@ -88,7 +81,7 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
     aircraft = []
     for k, name in enumerate(names):
         flown = read_flight(folder.path / name, progress=lambda share, k=k: progress((k + share) / len(names)))  # type: ignore[misc]
-        aircraft.append(AircraftPart(name, flown, offsets_s[name], tracks[name], tuple(roles[name])))
+        aircraft.append(AircraftPart(name, flown, offsets_s[name], tracks[name]))
     # The figures of a run that was cut off are worth having all the same.
     summary = _written(folder) if folder.summary.exists() else _summed(asked, aircraft)
     name = folder.path.resolve().name

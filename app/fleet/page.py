@@ -6,25 +6,21 @@ from collections.abc import Mapping
 from html import escape
 
 from sidelong.app.analysis.score import Asked
-from sidelong.app.fleet.figures import fleet_drawings, start_s
 from sidelong.app.fleet.flown import FleetFlown
 from sidelong.app.report import html
-from sidelong.app.report.plot_style import styled
 from sidelong.mission.viewpoint.side_policy import side_words
 
 
 def fleet_page(flown: FleetFlown, pages: Mapping[str, str]) -> str:
     """Return the page. pages: where each aircraft's own is, as seen from it."""
-    with styled():
-        figures = "\n".join(html.figure(drawing) for drawing in fleet_drawings(flown))
-    words = {name: _asked_words(asked, start_s(flown)) for name, asked in flown.asked.items()}
+    begin_s = max(one.flown.history.start_s + one.offset_s for one in flown.aircraft)  # all are watching
+    words = {name: _asked_words(asked, begin_s) for name, asked in flown.asked.items()}
     wanted = "; ".join(f"{name} {own}" for name, own in words.items())
     links = ", ".join(f'<a href="{escape(page)}">{escape(name)}</a>' for name, page in pages.items())
     body = f"""<h1>Flight {escape(flown.name)}, {len(flown.aircraft)} aircraft</h1>
 <p>Asked: watch {escape(wanted)}.
 Recorded by {escape(flown.program)}. Each by itself: {links}.</p>
 {_figures(flown)}
-{figures}
 {_said(flown)}"""
     return html.document(f"{flown.name}: flight report", body)
 

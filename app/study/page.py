@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.axes import Axes
 
 from sidelong.app.report import html
 from sidelong.app.report.plot_style import BAD, figure, legend_above, styled
 from sidelong.app.study.design import Design
-from sidelong.app.study.figure import draw_paths
+from sidelong.app.study.judging import Track
 from sidelong.app.study.report import HEADINGS_EXPLAINED, study_fidelity, study_title, summary_headings, summary_row
 from sidelong.app.study.settings import PlannerName
 from sidelong.app.study.store import RunId
@@ -153,6 +154,13 @@ def _map(
     return html.Drawing(name, f"{planner}: {title}", f"Mean of the runs; empty: cannot be flown.{others}", drawn)
 
 
+def _draw_path(axes: Axes, track: Track) -> None:
+    axes.plot(*track.aircraft_m.T, linewidth=0.8, label="aircraft")
+    axes.plot(*track.target_m.T, "k", linewidth=2.0, label="target")
+    axes.set(xlabel="east, m", ylabel="north, m")
+    axes.set_aspect("equal", adjustable="datalim")
+
+
 def _worst(study: Study, command: str) -> Iterator[str]:
     """Draw the runs that were on the side shortest of the first planner, and show how to fly each again."""
     found: list[tuple[float, RunId, Design]] = []
@@ -165,11 +173,11 @@ def _worst(study: Study, command: str) -> Iterator[str]:
     for k, (share, run, design) in enumerate(found[:_WORST]):
         drawn, (axes,) = figure(4.2)
         track = flown_again(run, design.settings)
-        draw_paths(axes, {run.planner: track})
+        _draw_path(axes, track)
         axes.plot(*track.aircraft_m[~track.judged.on_side].T, ".", color=BAD, markersize=2.0, label="off the side")
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
         swept = "".join(f" --sweep {key}={_word(value)}" for key, value in design.swept)
-        again = f"{command}{swept} --planner {run.planner} --run {run.number} --out run.png"
+        again = f"{command}{swept} --planner {run.planner} --run {run.number} --report run.html"
         title = f"Run {run.number}: {run.target}, on the side {100.0 * share:.1f} %"
         yield html.figure(html.Drawing(f"worst-{k}", title, "One of the worst runs; fly it again with", drawn))
         yield f"<p><code>{escape(again)}</code></p>"

@@ -277,15 +277,15 @@ def test_a_sweep_is_told_exported_and_shown(command, tmp_path):
 
 
 def test_the_page_tells_the_command_that_flies_a_run_again(command, tmp_path):
-    page, figure = tmp_path / "study.html", tmp_path / "run.png"
+    page, own_page = tmp_path / "study.html", tmp_path / "run.html"
     assert command(*QUICK, "--seed", "3", "--report", str(page)).exit_code == 0
     again = [
         line.partition("</code>")[0] for line in page.read_text().split("<code>sidelong study ") if "--run " in line
     ]
     assert again  # a target that does not move in this short time has no side
-    one, summary = again[0].replace("run.png", str(figure)).split(), tmp_path / "one.json"
+    one, summary = again[0].replace("run.html", str(own_page)).split(), tmp_path / "one.json"
     assert command(*one, "--jobs", "1", "--json", str(summary)).exit_code == 0
-    assert figure.exists()
+    assert 'id="worst-0"' in own_page.read_text()
     share = json.loads(summary.read_text())["planners"]["lvfg"]["time_on_side"]["worst"]
     assert f"on the side {100.0 * share:.1f} %" in page.read_text()
 
