@@ -16,6 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from sidelong.app.api import FlightError, InputError, Watch, watch
     from sidelong.estimators import LocalPlane, Sighting, TargetEstimate, Track, Tracker, TrackerSettings
     from sidelong.mission import (
         Aircraft,
@@ -36,6 +37,8 @@ __all__ = [
     "AircraftState",
     "Circle",
     "Decision",
+    "FlightError",
+    "InputError",
     "LocalPlane",
     "PaperPlanner",
     "Plan",
@@ -48,12 +51,14 @@ __all__ = [
     "Track",
     "Tracker",
     "TrackerSettings",
+    "Watch",
     "Wind",
+    "watch",
 ]
 
 
 def __getattr__(name: str) -> object:
-    for package in ("estimators", "mission"):
+    for package in ("estimators", "mission", "app.api"):
         home = import_module(f"{__name__}.{package}")
         if name in home.__all__:
             return getattr(home, name)

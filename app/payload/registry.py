@@ -1,32 +1,18 @@
-"""The payloads that have a driver: a new one is a module in this folder and a line here."""
+"""The payloads that have a driver: a new one is a module in this folder and a line here.
+
+Other distributions add theirs by the entry point group ``sidelong.payloads``, each a ``PayloadKind``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from typing import cast
 
 from sidelong.app.payload.driver import DriverSettings, PayloadDriver
+from sidelong.app.payload.payload_kind import PayloadKind
 from sidelong.app.payload.siyi import SiyiDriver
 from sidelong.app.payload.topotek import TopotekDriver
 from sidelong.app.payload.viewpro import ViewproDriver
-
-
-@dataclass(frozen=True, slots=True)
-class PayloadKind:
-    """A protocol.
-
-    Attributes:
-        name: the value of ``payload.kind``.
-        about: what it covers, in a few words.
-        url: where its devices are found as delivered.
-        make: returns a driver for one connection.
-
-    """
-
-    name: str
-    about: str
-    url: str
-    make: Callable[[DriverSettings], PayloadDriver]
+from sidelong.app.plugins import found
 
 
 def _gremsy(settings: DriverSettings) -> PayloadDriver:
@@ -38,11 +24,18 @@ def _gremsy(settings: DriverSettings) -> PayloadDriver:
 MAVLINK = "mavlink"
 """The value of ``payload.kind`` for a payload that speaks MAVLink itself, or through the autopilot: no driver."""
 
-PAYLOADS: tuple[PayloadKind, ...] = (
+_OWN: tuple[PayloadKind, ...] = (
     PayloadKind("siyi", "SIYI gimbal cameras (ZT30, ZT6, ZR10, A8 mini)", "udp://192.168.144.25:37260", SiyiDriver),
     PayloadKind("viewpro", "Viewpro gimbal cameras (ViewLink)", "tcp://192.168.2.119:2000", ViewproDriver),
     PayloadKind("gremsy", "Gremsy payloads with a laser (VIO, Orus-L)", "udp://192.168.55.1:14566", _gremsy),
     PayloadKind("topotek", "Topotek gimbal cameras", "udp://192.168.144.108:9003", TopotekDriver),
+)
+PAYLOADS: tuple[PayloadKind, ...] = (
+    *_OWN,
+    *cast(
+        list[PayloadKind],
+        found("sidelong.payloads", [MAVLINK, *(kind.name for kind in _OWN)], ("about", "url", "make")),
+    ),
 )
 KIND_NAMES = (MAVLINK, *(kind.name for kind in PAYLOADS))
 

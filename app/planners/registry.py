@@ -1,14 +1,25 @@
-"""The configurable planners, the default first. Add a new one as a module in this folder and a line here."""
+"""The configurable planners, the default first. Add a new one as a module in this folder and a line here.
+
+Other distributions add theirs by the entry point group ``sidelong.planners``.
+"""
 
 from __future__ import annotations
+
+from typing import cast
 
 from sidelong.app.planners.paper import Paper
 from sidelong.app.planners.planner_kind import PlannerKind
 from sidelong.app.planners.predictive import Predictive
+from sidelong.app.plugins import found
 
-PLANNERS: tuple[PlannerKind, ...] = (
+_OWN: tuple[PlannerKind, ...] = (
     Predictive(),
     Paper(),
+)
+_METHODS = ("about", "unflyable", "is_compiled", "factory", "make_ready")
+PLANNERS: tuple[PlannerKind, ...] = (
+    *_OWN,
+    *cast(list[PlannerKind], found("sidelong.planners", [one.name for one in _OWN], _METHODS)),
 )
 PLANNER_NAMES = tuple(planner.name for planner in PLANNERS)
 

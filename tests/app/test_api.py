@@ -1,0 +1,53 @@
+"""The documented program that runs a watch of its own, against the simulated vehicle."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import sidelong
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+@pytest.mark.udp
+def test_the_example_watches_and_ends(tmp_path):
+    program = DOCS / "examples" / "watch_from_a_program.py"
+    ran = subprocess.run([sys.executable, program], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    places = re.findall(r"^target at (-?\d+\.\d{6}), (-?\d+\.\d{6}), \d\.\d m/s$", ran.stdout, re.MULTILINE)
+    assert len(places) == 5
+    assert "outcome: ended: ended by the operator" in ran.stdout
+    (run,) = (tmp_path / "runs").iterdir()
+    assert {"journal.jsonl", "flight.tlog", "summary.json"} <= {file.name for file in run.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("config", "url", "words"),
+    [
+        ({"requirement": {"side": "up"}}, None, "side"),
+        ({"aircraft": {"radius_m": 50.0}}, "udp://:14540", "udp"),
+    ],
+)
+def test_a_wrong_configuration_is_refused_in_a_sentence(tmp_path, config, url, words):
+    async def fly():
+        async with sidelong.watch(config, url=url, out=tmp_path) as watch:
+            async for _ in watch.snapshots():
+                pass
+
+    with pytest.raises(sidelong.InputError, match=words):
+        asyncio.run(fly())
+
+
+def test_requests_before_a_flight_are_refused(tmp_path):
+    async def ask():
+        watch = sidelong.Watch(tmp_path, print)
+        watch.resume()
+
+    with pytest.raises(sidelong.FlightError, match="nothing is flown yet"):
+        asyncio.run(ask())

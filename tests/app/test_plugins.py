@@ -1,0 +1,100 @@
+"""Planners, payloads and autopilots of another distribution, installed for real in a folder of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+MODULE = """
+from sidelong.app.autopilots.arduplane import ArduPlane
+from sidelong.app.payload.payload_kind import PayloadKind
+from sidelong.app.payload.siyi import SiyiDriver
+from sidelong.app.planners.paper import Paper
+
+class Cautious(Paper):
+    name = "cautious"
+    about = "the published method under another name"
+
+class Fork(ArduPlane):
+    name = "Fork"
+    mav_autopilot = 77
+
+camera = PayloadKind("camera", "a camera", "udp://192.168.0.9:1", SiyiDriver)
+nameless = object()
+"""
+POINTS = """
+[sidelong.planners]
+cautious = another_package:Cautious
+[sidelong.payloads]
+camera = another_package:camera
+[sidelong.autopilots]
+fork = another_package:Fork
+"""
+USED = """
+from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
+from sidelong.app.config import Config, config_from
+from sidelong.app.payload.registry import kind_by_name
+from sidelong.app.planners.registry import planner_by_name
+config = config_from({"planner": {"name": "cautious"}, "payload": {"kind": "camera"}}, "test")
+print(planner_by_name(config.planner.name).name, kind_by_name(config.payload.kind).url)
+print(autopilot_by_mav_autopilot(77).name, autopilot_by_mav_autopilot(3).name)
+"""
+
+
+@pytest.fixture
+def python(tmp_path):
+    """Return what runs a program beside a distribution with these entry points."""
+
+    def run(points, *program):
+        (tmp_path / "another_package.py").write_text(MODULE)
+        info = tmp_path / "another-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: another\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(points)
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT)))}
+        return subprocess.run(
+            [sys.executable, *program], env=environment, capture_output=True, text=True, check=False, cwd=tmp_path
+        )
+
+    return run
+
+
+def test_what_other_distributions_add_is_configured_like_our_own(python):
+    ran = python(POINTS, "-c", USED)
+    assert ran.stdout.split() == ["cautious", "udp://192.168.0.9:1", "Fork", "ArduPlane"], ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        (
+            "[sidelong.planners]\nlost = another_package:Lost\n",
+            "another: entry point lost of sidelong.planners cannot",
+        ),
+        ("[sidelong.planners]\nnone = another_package:nameless\n", "lacks name, about, unflyable"),
+        ("[sidelong.planners]\ntwice = sidelong.app.planners.paper:Paper\n", "the name 'paper' is taken"),
+    ],
+)
+def test_a_broken_distribution_is_named_in_a_sentence(python, points, words):
+    ran = python(points, "-m", "sidelong.app", "check")
+    assert ran.returncode == 2
+    assert words in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+def test_a_flight_loads_neither_figures_nor_other_filters():
+    program = "import sidelong.app.commands.launch_one, sidelong.app.serve.resident, sys; print(*sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert not set(ran.stdout.split()) & {
+        "matplotlib",
+        "filterpy",
+        "scipy.stats",
+        "pyarrow",
+        "rasterio",
+        "distributed",
+    }
