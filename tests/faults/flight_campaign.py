@@ -14,15 +14,18 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 
+from sidelong.mission.core.inputs import Input
 from tests.faults.flight import FLAVOURS, FaultedFlight, Flown, Scenario
-from tests.faults.flight_faults import BLINDING, EXPECTED_YIELDS, Fault, drawn, yielding
+from tests.faults.flight_faults import BLINDING, EXPECTED_YIELDS, MISLEADING, Fault, drawn, yielding
 
 # A clock that is off by seconds, and all that is stamped by it with it, misleads nobody.
 OWN_ERROR_MAX_M, TARGET_ERROR_MAX_M, CLOCK_ERROR_MAX_S = 60.0, 60.0, 15.0
 RANGE_MIN_M, RANGE_MAX_M, RANGE_TOLERANCE_M = 100.0, 500.0, 5.0
 TARGET_SPEED_M_S = 6.0  # a target that turns round while it is not seen: twice its own
+MISLED_RANGE_MIN_M, REPORTED_WITHIN_S, WRONG_SHARE_MAX = 80.0, 15.0, 0.02
 YIELD_WITHIN_S = 8.0
 STEP_MAX_S = 0.05
+_PAYLOAD_INPUTS = (Input.LASER, Input.GIMBAL, Input.SIGHTINGS)
 _SCENARIOS = 12  # a fault meets one of so many; each is flown once without faults to compare
 
 
@@ -39,10 +42,14 @@ class Verdict:
     slowest_step_s: float = 0.0
 
 
-def judged(flown: Flown, blind_s: float, ending: str | None, ending_s: float) -> list[str]:
-    """Return what a flight broke, in words; blind_s: how long nothing could be decided."""
+def judged(flown: Flown, faults: Sequence[Fault], ending: str | None, ending_s: float) -> list[str]:
+    """Return what a flight broke, in words."""
+    blind_s = sum(one.end_s - one.begin_s for one in faults if one.name in BLINDING)  # nothing could be decided
+    misled = [one for one in faults if one.name in MISLEADING]
     broken = []
-    for decided in flown.decided:
+    if misled:  # it follows a wrong target until the fault is found, and then none
+        broken = _judged_misled(flown, misled[0], alone=len(faults) == 1)
+    for decided in flown.decided if not misled else ():
         if not decided.own_error_m <= OWN_ERROR_MAX_M:
             broken.append(f"decided at {decided.time_s:.1f} s on a place {decided.own_error_m:.0f} m off")
         if not decided.target_error_m <= TARGET_ERROR_MAX_M + TARGET_SPEED_M_S * decided.unseen_s:
@@ -52,15 +59,27 @@ def judged(flown: Flown, blind_s: float, ending: str | None, ending_s: float) ->
     nearest_m, farthest_m = min(flown.range_m), max(flown.range_m)
     # Nobody can follow a target that moves on while nothing is known.
     tolerance_m = RANGE_TOLERANCE_M + 0.5 * TARGET_SPEED_M_S * blind_s
-    if nearest_m < RANGE_MIN_M - tolerance_m:
+    if nearest_m < (MISLED_RANGE_MIN_M if misled else RANGE_MIN_M - tolerance_m):
         broken.append(f"came within {nearest_m:.0f} m")
-    if farthest_m > RANGE_MAX_M + tolerance_m:
+    if farthest_m > RANGE_MAX_M + tolerance_m and not misled:
         broken.append(f"went {farthest_m:.0f} m away")
     if flown.outside_fence_m > 0.0:
         broken.append(f"left the fence by {flown.outside_fence_m:.0f} m")
     if flown.ended is not None:
         broken.append(f"ended: {flown.ended}")
     return broken[:4] + _judged_yield(flown, ending, ending_s)
+
+
+def _judged_misled(flown: Flown, fault: Fault, *, alone: bool) -> list[str]:
+    """Judge what a flight says of itself while the payload misleads it."""
+    broken = []
+    reported_s = [at_s for at_s, one in flown.health if at_s > fault.begin_s and one.input in _PAYLOAD_INPUTS]
+    within_s = reported_s[0] - fault.begin_s if reported_s else math.inf
+    if alone and within_s > REPORTED_WITHIN_S:
+        broken.append(f"{fault.name} reported after {within_s:.1f} s")
+    if alone and flown.wrongly_in_band_s > WRONG_SHARE_MAX * flown.scenario.duration_s:
+        broken.append(f"wrongly in band for {flown.wrongly_in_band_s:.0f} s")
+    return broken
 
 
 def _judged_yield(flown: Flown, ending: str | None, ending_s: float) -> list[str]:
@@ -105,8 +124,7 @@ def flight(
     except Exception:  # whatever it is, it is what is looked for
         verdict.broken.append(traceback.format_exc(limit=-3))
         return verdict
-    blind_s = sum(one.end_s - one.begin_s for one in faults if one.name in BLINDING)
-    verdict.broken = judged(flown, blind_s, ending_by, ending_s)
+    verdict.broken = judged(flown, faults, ending_by, ending_s)
     both = min(len(flown.on_side), len(beside.on_side))
     verdict.lost_on_side = 100.0 * (statistics.mean(beside.on_side[:both]) - statistics.mean(flown.on_side[:both]))
     verdict.slowest_step_s = flown.slowest_step_s

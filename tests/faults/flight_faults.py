@@ -15,8 +15,10 @@ Change = Callable[[Message, float, np.random.Generator], Arriving]
 """What becomes of a message so long after the fault began: copies, each with its delay."""
 
 EXPECTED_YIELDS = {"reboot": "started anew", "second vehicle": "two vehicles", "pilot": "flight mode"}
-BLINDING = frozenset({"silence", "gps lost", "vehicle clock"})
+BLINDING = frozenset({"silence", "gps lost", "vehicle clock", "position silent", "heartbeat gone"})
 """Faults that leave nothing to decide on."""
+MISLEADING = frozenset({"stuck laser", "wrong flags", "wrong unit", "frozen gimbal", "second gimbal", "second laser"})
+"""Faults by which the payload reports another target than the one that is there."""
 VEHICLE = ("GLOBAL_POSITION_INT", "ATTITUDE")
 PAYLOAD = ("DISTANCE_SENSOR", "GIMBAL_DEVICE_ATTITUDE_STATUS")
 _STATUS = ("GPS_RAW_INT", "EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
@@ -264,6 +266,113 @@ def second_vehicle(rng: np.random.Generator, begin_s: float) -> Fault:
     return Fault("second vehicle", begin_s, math.inf, change, f"{off_s:+.0f} s, {far_m:.0f} m")
 
 
+LASER, GIMBAL = ("DISTANCE_SENSOR",), ("GIMBAL_DEVICE_ATTITUDE_STATUS",)
+_OTHER = 171  # the component of a second device
+
+
+def repeated(names: tuple[str, ...], field: str, noise: int = 0) -> Change:
+    """Repeat the first value of a field, with noise of so many units."""
+    first: dict[str, object] = {}
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
+        value = first.setdefault(message.name, message.fields[field])
+        return with_fields(message, **{field: value + int(rng.integers(-noise, noise + 1)) if noise else value})
+
+    return only(names, change)
+
+
+def scaled(factor: float) -> Change:
+    """Multiply the laser's range."""
+    return only(
+        LASER, lambda m, _s, _r: with_fields(m, current_distance=round(m.fields["current_distance"] * factor))
+    )
+
+
+def flagged(flags: int) -> Change:
+    """Replace the gimbal's flags."""
+    return only(GIMBAL, lambda m, _s, _r: with_fields(m, flags=flags))
+
+
+def other_device(names: tuple[str, ...], **fields: object) -> Change:
+    """Silence a device, and let another one report these values."""
+    return only(names, lambda m, _s, _r: with_fields(m, **fields)._replace(component_id=_OTHER))
+
+
+def silent(names: tuple[str, ...]) -> Change:
+    """Drop messages."""
+    return only(names, lambda _m, _s, _r: None)
+
+
+def stuck_laser(rng: np.random.Generator, begin_s: float) -> Fault:
+    noise = int(rng.integers(0, 3))
+    return Fault("stuck laser", begin_s, math.inf, repeated(LASER, "current_distance", noise), f"+-{noise} cm")
+
+
+def wrong_flags(rng: np.random.Generator, begin_s: float) -> Fault:
+    flags = int(rng.choice((44, 32)))
+    return Fault("wrong flags", begin_s, math.inf, flagged(flags), str(flags))
+
+
+def wrong_unit(rng: np.random.Generator, begin_s: float) -> Fault:
+    factor = float(rng.choice((0.1, 0.3048)))
+    return Fault("wrong unit", begin_s, math.inf, scaled(factor), f"times {factor}")
+
+
+def frozen_gimbal(rng: np.random.Generator, begin_s: float) -> Fault:
+    return Fault("frozen gimbal", begin_s, math.inf, repeated(GIMBAL, "q"))
+
+
+def second_gimbal(rng: np.random.Generator, begin_s: float) -> Fault:
+    yaw_rad = float(rng.uniform(-math.pi, math.pi))
+    q = [math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2)]
+    change = other_device(GIMBAL, q=q)
+    return Fault("second gimbal", begin_s, math.inf, change, f"points to {math.degrees(yaw_rad):.0f} degrees")
+
+
+def second_laser(rng: np.random.Generator, begin_s: float) -> Fault:
+    range_m = float(rng.uniform(20.0, 600.0))
+    change = other_device(LASER, current_distance=round(100.0 * range_m))
+    return Fault("second laser", begin_s, math.inf, change, f"measures {range_m:.0f} m")
+
+
+def position_silent(rng: np.random.Generator, begin_s: float) -> Fault:
+    names = VEHICLE if rng.random() < 0.5 else VEHICLE[:1]
+    length_s = float(rng.uniform(2.0, 30.0))
+    what = f"{', '.join(names)} for {length_s:.0f} s"
+    return Fault("position silent", begin_s, begin_s + length_s, silent(names), what)
+
+
+def heartbeat_gone(rng: np.random.Generator, begin_s: float) -> Fault:
+    length_s = float(rng.uniform(3.0, 40.0))
+    return Fault("heartbeat gone", begin_s, begin_s + length_s, silent(("HEARTBEAT",)), f"for {length_s:.0f} s")
+
+
+def slow_streams(rng: np.random.Generator, begin_s: float) -> Fault:
+    """Let another station lower the rates of position and attitude."""
+    every, sent = int(rng.integers(3, 21)), dict.fromkeys(VEHICLE, 0)
+    length_s = float(rng.uniform(10.0, 60.0))
+
+    def change(message: Message, since_s: float, rng: np.random.Generator) -> Message | None:
+        sent[message.name] += 1
+        return message if sent[message.name] % every == 0 else None
+
+    what = f"to {10.0 / every:.1f} Hz for {length_s:.0f} s"
+    return Fault("slow streams", begin_s, begin_s + length_s, only(VEHICLE, change), what)
+
+
+INPUTS = (
+    stuck_laser,
+    wrong_flags,
+    wrong_unit,
+    frozen_gimbal,
+    second_gimbal,
+    second_laser,
+    position_silent,
+    heartbeat_gone,
+    slow_streams,
+)
+
+
 HARMLESS = (
     gps_jump,
     gps_lost,
@@ -306,6 +415,11 @@ def drawn(seed: int, duration_s: float) -> tuple[list[Fault], tuple[str | None, 
     if beside.random() < 0.25:
         make = BESIDE[beside.integers(len(BESIDE))]
         faults.append(make(beside, float(beside.uniform(20.0, 0.6 * duration_s))))
+    inputs = np.random.default_rng((seed, 9))
+    if inputs.random() < 0.35:
+        make = INPUTS[inputs.integers(len(INPUTS))]
+        one = make(inputs, float(inputs.uniform(30.0, 0.6 * duration_s)))
+        faults = [one] if inputs.random() < 0.5 else [*faults, one]
     if rng.random() < 0.15:
         return faults, (str(rng.choice(list(EXPECTED_YIELDS))), float(rng.uniform(0.75, 0.85)) * duration_s)
     return faults, (None, math.inf)

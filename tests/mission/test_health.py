@@ -5,40 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from sidelong.app.link.message import Message
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.mission.core.events import ClockTick, LinkReported, ModeReported
 from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.health.health import Health
 from tests.faults.flight import FaultedFlight, Scenario
-from tests.faults.flight_faults import Fault, only, with_fields
+from tests.faults.flight_faults import GIMBAL, LASER, Fault, flagged, other_device, repeated, scaled, silent
 
-LASER, GIMBAL = ("DISTANCE_SENSOR",), ("GIMBAL_DEVICE_ATTITUDE_STATUS",)
 BEGIN_S, DURATION_S = 60.0, 150.0
-
-
-def repeated(names, field, noise=0):
-    first = {}
-
-    def change(message, _since_s, rng):
-        value = first.setdefault(message.name, message.fields[field])
-        return with_fields(message, **{field: value + int(rng.integers(-noise, noise + 1)) if noise else value})
-
-    return only(names, change)
-
-
-def scaled(factor):
-    return only(
-        LASER, lambda m, _s, _r: with_fields(m, current_distance=round(m.fields["current_distance"] * factor))
-    )
-
-
-def flagged(flags):
-    return only(GIMBAL, lambda m, _s, _r: with_fields(m, flags=flags))
-
-
-def pointing_north(message, _since_s, _rng):
-    return Message(message.name, 1, 171, {**message.fields, "q": [1.0, 0.0, 0.0, 0.0]}, 0.0)
 
 
 PAYLOAD_FAULTS = {
@@ -79,7 +53,7 @@ def test_aircraft_keeps_away_from_a_target_that_walks_towards_it_unseen(name, se
 
 
 def test_gimbal_that_takes_the_place_of_a_silent_one_has_to_agree_with_the_track():
-    change = only(GIMBAL, pointing_north)
+    change = other_device(GIMBAL, q=[1.0, 0.0, 0.0, 0.0])
     flown = FaultedFlight(Scenario(1, "px4", 100.0), [Fault("other", BEGIN_S, math.inf, change)]).fly()
     texts = [one.text for _, one in flown.health]
     assert any("component 171" in text and "contradicts the track" in text for text in texts)
@@ -87,10 +61,7 @@ def test_gimbal_that_takes_the_place_of_a_silent_one_has_to_agree_with_the_track
 
 
 def test_second_gimbal_that_agrees_is_used_and_the_change_reported():
-    def moved(message, _since_s, _rng):
-        return message._replace(component_id=171)
-
-    change = only(GIMBAL, moved)
+    change = other_device(GIMBAL)
     flown = FaultedFlight(Scenario(1, "px4", 100.0), [Fault("other", BEGIN_S, math.inf, change)]).fly()
     (switched,) = [one for _, one in flown.health if one.state is InputState.SWITCHED]
     assert "component 171" in switched.text
@@ -106,7 +77,7 @@ def test_second_gimbal_that_agrees_is_used_and_the_change_reported():
     ],
 )
 def test_silent_input_is_reported_once_and_its_return_as_well(names, input_):
-    fault = Fault("silent", BEGIN_S, BEGIN_S + 30.0, only(names, lambda _m, _s, _r: None))
+    fault = Fault("silent", BEGIN_S, BEGIN_S + 30.0, silent(names))
     flown = FaultedFlight(Scenario(1, "px4", 140.0), [fault]).fly()
     (gone_s, gone), (back_s, back) = [(at_s, one) for at_s, one in flown.health if one.input is input_]
     assert gone.state is InputState.STALE
@@ -119,7 +90,7 @@ def test_silent_input_is_reported_once_and_its_return_as_well(names, input_):
 
 
 def test_nothing_new_is_commanded_without_heartbeat():
-    fault = Fault("silent", BEGIN_S, math.inf, only(("HEARTBEAT",), lambda _m, _s, _r: None))
+    fault = Fault("silent", BEGIN_S, math.inf, silent(("HEARTBEAT",)))
     flown = FaultedFlight(Scenario(1, "px4", DURATION_S), [fault]).fly()
     assert not any(decided.time_s > BEGIN_S + 8.0 for decided in flown.decided)
 
