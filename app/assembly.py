@@ -275,7 +275,7 @@ def settle(
 
     surroundings.sight = sight
     controller.tracker.stand_on(ground, config.sensors.angles_alone)
-    controller.health.payload.stand_on(ground.heights_at_m)
+    controller.health.payload.stand_on(ground.height_m)
     return ground
 
 

@@ -23,7 +23,7 @@ _AGE_MAX_S = {
     Input.GIMBAL: 5.0,
 }
 _TICKS_MARGIN = 1  # a tick may come right after a reading
-_EVALUATE_EVERY_S, _RATE_OVER_S = 0.5, 5.0
+_EVALUATE_EVERY_S, _RATE_OVER_S = 1.0, 5.0
 _KINDS: dict[type, Input] = {
     PositionReading: Input.POSITION,
     AttitudeReading: Input.ATTITUDE,
@@ -80,6 +80,7 @@ class Health:
         self._evaluate_s = -math.inf
         self._ticks, self._moved_tick = 0, 0  # and when the vehicle's clock last went on
         self._connected = True
+        self._is_news = True  # whether the reports have to be made anew
         self._sources: dict[Input, Source | None] = {Input.LASER: None, Input.GIMBAL: None}
         self._refused: set[Source] = set()
 
@@ -97,10 +98,9 @@ class Health:
             one.count += 1
         elif isinstance(event, ClockTick):
             self._ticks += 1
-            if now_s != self._now_s:
-                self._moved_tick = self._ticks
-            self._now_s = now_s
-            return True
+            if now_s == self._now_s:
+                return True
+            self._moved_tick, self._now_s = self._ticks, now_s
         elif isinstance(event, LinkReported):
             self._connected = event.connected
             if event.connected:  # ages begin again
@@ -108,7 +108,7 @@ class Health:
                     if each.count:
                         each.last_s, each.tick = now_s, self._ticks
             return False
-        return now_s >= self._evaluate_s or now_s < self._evaluate_s - 10.0
+        return now_s >= self._evaluate_s or self.payload.is_news or now_s < self._evaluate_s - 10.0
 
     @property
     def silent_s(self) -> float:
@@ -156,8 +156,9 @@ class Health:
         if not self._connected:
             return ()
         changed = self._changes(now_s, laser, gimbal, refused_lasers, refused_gimbals)
-        # Displays ask at every event; what they get is made twice a second.
-        self.reports, self.unknown = self._made_reports(), self._made_unknown()
+        if self._is_news:  # displays ask at every event
+            self.reports, self.unknown = self._made_reports(), self._made_unknown()
+            self._is_news = False
         return changed
 
     def _changes(
@@ -202,6 +203,7 @@ class Health:
         if not 0.0 <= passed_s < _RATE_OVER_S:
             one.rate_hz = (one.count - one.rated_count) / passed_s if 0.0 < passed_s < math.inf else math.nan
             one.rated_s, one.rated_count = now_s, one.count
+            self._is_news = True
 
     def _judge_age(self, kind: Input, now_s: float, changed: list[HealthChanged]) -> None:
         one, limit_s = self._inputs[kind], _AGE_MAX_S[kind]
@@ -223,6 +225,7 @@ class Health:
 
     def _judge_source(self, kind: Input, source: Source | None, now_s: float, changed: list[HealthChanged]) -> None:
         before, self._sources[kind] = self._sources[kind], source
+        self._is_news |= before is None and source is not None
         if before is None or source is None or before == source:
             return
         self._refused.discard(source)
@@ -234,6 +237,7 @@ class Health:
     def _set(self, kind: Input, state: InputState, now_s: float, text: str) -> HealthChanged:
         one = self._inputs[kind]
         one.state, one.since_s, one.text = state, now_s, text
+        self._is_news = True
         return HealthChanged(now_s, kind, state, text)
 
 

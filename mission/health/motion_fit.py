@@ -14,6 +14,8 @@ elevation data.
 from __future__ import annotations
 
 import math
+import operator
+import statistics
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -51,8 +53,8 @@ _HEIGHT_MIN_M = 25.0
 _FIT_M, _FIT_SHARE = 8.0, 0.01  # residual of a target that turns, and of noise as a share of the range
 _DISCRIMINATES, _LEVEL_LATELY_S = 2.0, 25.0
 
-GroundHeights = Callable[[FloatArray, FloatArray], FloatArray]
-"""Returns the heights of the ground above home at positions (n,) east and north; NaN where unknown."""
+GroundHeight = Callable[[float, float], float]
+"""Returns the height of the ground above home at a position (east, north); NaN where unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +84,7 @@ class _Sample(NamedTuple):
     attitude: AttitudeReading
     gimbal: GimbalReading
     range_m: float
+    off_level: float  # how far the target is off the ground, as a share of the own height over it; NaN: unknown
 
 
 class MotionFit:
@@ -93,7 +96,7 @@ class MotionFit:
     """
 
     def __init__(self, parent_from_mount: Quaternion) -> None:
-        self.ground: GroundHeights | None = None
+        self.ground: GroundHeight | None = None
         self._parent_from_mount = parent_from_mount
         self._samples: deque[_Sample] = deque(maxlen=_SAMPLES)
         self._jumped: _Sample | None = None
@@ -128,7 +131,8 @@ class MotionFit:
             self._samples.clear()
         own_m = position.east_m, position.north_m, position.height_m
         sighted_m = _apparent_m(own_m, slant_range_m, self._direction(attitude, gimbal, gimbal.frame))
-        sample = _Sample(position.time_s, turned_rad, own_m, sighted_m, attitude, gimbal, slant_range_m)
+        off_level = self._off_level(own_m, sighted_m)
+        sample = _Sample(position.time_s, turned_rad, own_m, sighted_m, attitude, gimbal, slant_range_m, off_level)
         samples, jumped = self._samples, self._jumped
         self._jumped = None
         settled = abs(position.time_s - self._cleared_s) > WINDOW_S  # a wrong frame lets the target jump on and on
@@ -164,22 +168,23 @@ class MotionFit:
             return None
         if samples[-1].time_s - samples[0].time_s < _SPAN_MIN_S:
             return None
-        times_s = np.array([one.time_s for one in samples])
-        sighted_m = np.array([one.sighted_m for one in samples])
-        as_reported_m = float(_residuals_m(times_s, sighted_m[:, None])[0])
-        off_level = self._off_level(sighted_m)
-        unit_is_right = off_level[1.0] < _LEVEL_SHARE
+        shares = sorted(one.off_level for one in samples)
+        off_level = math.nan if math.isnan(sum(shares)) else shares[len(shares) // 2]
+        unit_is_right, unit_is_wrong = off_level < _LEVEL_SHARE, off_level > _OFF_LEVEL_SHARE
         if unit_is_right:
             self._level_s = samples[-1].time_s
-        if established == SOUND and as_reported_m < _WRONG_M and not off_level[1.0] > _OFF_LEVEL_SHARE:
+        as_reported_m = self._residual_as_reported_m()
+        if established == SOUND and as_reported_m < _WRONG_M and not unit_is_wrong:
             return SOUND
+        times_s = np.array([one.time_s for one in samples])
+        sighted_m = np.array([one.sighted_m for one in samples])
         residual_m, own_residual_m = self._residuals_of_hypotheses_m(times_s, sighted_m)
         if established != SOUND:
-            if established.factor != 1.0 and not math.isnan(off_level[1.0]):
+            if established.factor != 1.0 and not math.isnan(off_level):
                 return SOUND if unit_is_right else established
             return SOUND if as_reported_m < _AS_GOOD_SHARE * residual_m[established] else established
-        if off_level[1.0] > _OFF_LEVEL_SHARE:
-            factor = self._unit_by_height(off_level, residual_m, own_residual_m)
+        if unit_is_wrong:
+            factor = self._unit_by_height(sighted_m, residual_m, own_residual_m)
             if factor is not None:
                 return Verdict(None, factor)
         if as_reported_m < _WRONG_M:
@@ -191,26 +196,32 @@ class MotionFit:
             return SOUND
         return None if residual_m[best] > _BETTER_SHARE * as_reported_m else best
 
-    def _off_level(self, sighted_m: FloatArray) -> dict[float, float]:
-        """Return how far each factor puts the target off the ground, as a share of the aircraft's height over it.
+    def _residual_as_reported_m(self) -> float:
+        """Return the same as ``_residuals_m`` of what was reported, in a third of the time for so few numbers."""
+        samples, count = self._samples, len(self._samples)
+        middle_s = sum(one.time_s for one in samples) / count
+        since_s = [one.time_s - middle_s for one in samples]
+        spread_s2 = sum(one_s * one_s for one_s in since_s)
+        off_m2 = [0.0] * count
+        for values_m in zip(*(one.sighted_m for one in samples), strict=True):
+            mean_m = sum(values_m) / count
+            speed_m_s = sum(map(operator.mul, values_m, since_s)) / spread_s2
+            for k in range(count):
+                off_m = values_m[k] - mean_m - speed_m_s * since_s[k]
+                off_m2[k] += off_m * off_m
+        return math.sqrt(statistics.median(off_m2))
 
-        NaN where this is unknown: the ground is, or the aircraft is too low.
-        """
-        own_m = np.array([one.own_m for one in self._samples])
-        factors = np.array((1.0, *FACTORS))
-        target_m = own_m[:, None] + factors[:, None] * (sighted_m - own_m)[:, None]
-        ground_m: FloatArray | float = 0.0
-        if self.ground is not None:
-            ground_m = self.ground(target_m[..., 0], target_m[..., 1])
-        over_m = own_m[:, None, 2] - ground_m
-        share = np.abs(target_m[..., 2] - ground_m) / np.where(over_m >= _HEIGHT_MIN_M, over_m, math.nan)
-        return dict(zip(factors.tolist(), np.median(share, axis=0).tolist(), strict=True))
+    def _off_level(self, own_m: tuple[float, float, float], target_m: tuple[float, float, float]) -> float:
+        ground_m = 0.0 if self.ground is None else self.ground(target_m[0], target_m[1])
+        over_m = own_m[2] - ground_m
+        return abs(target_m[2] - ground_m) / over_m if over_m >= _HEIGHT_MIN_M else math.nan
 
     def _unit_by_height(
-        self, off_level: dict[float, float], residual_m: dict[Verdict, float], own_residual_m: float
+        self, sighted_m: FloatArray, residual_m: dict[Verdict, float], own_residual_m: float
     ) -> float | None:
         """Return the unit that puts the target on the ground and lets it move plausibly; None: there is none."""
-        factor = min(FACTORS, key=lambda one: math.inf if math.isnan(off_level[one]) else off_level[one])
+        off_level = {factor: self._median_off_level(factor, sighted_m) for factor in FACTORS}
+        factor = min(FACTORS, key=off_level.__getitem__)
         if not off_level[factor] < _LEVEL_SHARE:
             return None
         range_m = factor * float(np.median([one.range_m for one in self._samples]))
@@ -221,6 +232,16 @@ class MotionFit:
         if not lately and abs(factor - 1.0) * own_residual_m < _DISCRIMINATES * fits_m:
             return None
         return factor if residual_m[Verdict(None, factor)] < fits_m else None
+
+    def _median_off_level(self, factor: float, sighted_m: FloatArray) -> float:
+        """Return how far off the ground a factor puts the target; infinite where that is unknown."""
+        own_m = np.array([one.own_m for one in self._samples])
+        target_m = own_m + factor * (sighted_m - own_m)
+        off_level = [
+            self._off_level(own, (east_m, north_m, up_m))
+            for own, (east_m, north_m, up_m) in zip(own_m.tolist(), target_m.tolist(), strict=True)
+        ]
+        return math.inf if any(map(math.isnan, off_level)) else statistics.median(off_level)
 
     def _residuals_of_hypotheses_m(
         self, times_s: FloatArray, sighted_m: FloatArray

@@ -24,7 +24,7 @@ from sidelong.estimators.rotations import Quaternion
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.mission.core.inputs import Input
-from sidelong.mission.health.motion_fit import FACTORS, SOUND, WINDOW_S, GroundHeights, MotionFit
+from sidelong.mission.health.motion_fit import FACTORS, SOUND, WINDOW_S, GroundHeight, MotionFit
 
 _SAME_RANGE_M, _SAME_SIGHT = 0.5, 5e-4
 _SAME_S, _TURNED_RAD, _SAME_COUNT = 5.0, 0.8, 5
@@ -37,11 +37,15 @@ _FLYING_M_S = 5.0
 _REJECTED_SHARE, _ACCEPTED_AGAIN, _WINDOW_S, _SIGHTINGS_MIN = 0.25, 0.15, 30.0, 40
 
 
+_STUCK = "it repeats the same range while the aircraft turns: check its power, its lens and its driver"
+_FROZEN = "its orientation is frozen while the aircraft turns: check its power, its mode and its driver"
+
+
 class _Repeats:
     """Notices a value that stays the same while the aircraft turns."""
 
     def __init__(self) -> None:
-        self._anchor: tuple[float, ...] | None = None
+        self._anchor: tuple[float, ...] = (math.inf,)
         self.since_s = self._turned_rad = self._moved_by = 0.0
         self._count = self._moved = 0
         self.found = False
@@ -57,8 +61,10 @@ class _Repeats:
             moved: how much the aircraft's own motion has changed the value since then, 1 for what is unmistakable.
 
         """
-        anchor = self._anchor
-        if anchor is not None and _is_same(anchor, values, same):
+        for before, now in zip(self._anchor, values, strict=False):
+            if abs(before - now) > same:
+                break
+        else:
             self._count += 1
             self._moved = 0
             lasts = self._count >= _SAME_COUNT and time_s - self.since_s >= _SAME_S
@@ -73,13 +79,6 @@ class _Repeats:
             self._moved_by = moved
 
 
-def _is_same(anchor: tuple[float, ...], values: tuple[float, ...], same: float) -> bool:
-    for before, now in zip(anchor, values, strict=True):  # noqa: SIM110  # in half the time of all()
-        if abs(before - now) > same:
-            return False
-    return True
-
-
 class PayloadCheck:
     """Finds what is wrong with laser and gimbal.
 
@@ -87,6 +86,7 @@ class PayloadCheck:
         laser_fault: what is wrong with the laser and what to do, in one sentence; empty while nothing is.
         gimbal_fault: the same of the gimbal.
         sightings_fault: the same of both together, against the track.
+        is_news: whether a fault may have come or gone since ``faults`` was called last.
         wrong_since_s: since when the readings may have been wrong, while there is a fault of laser or gimbal.
 
     """
@@ -94,6 +94,7 @@ class PayloadCheck:
     def __init__(self, parent_from_mount: Quaternion = (1.0, 0.0, 0.0, 0.0)) -> None:
         self.laser_fault = self.gimbal_fault = self.sightings_fault = ""
         self.wrong_since_s = math.inf
+        self.is_news = False
         self._fit = MotionFit(parent_from_mount)
         self._range_repeats, self._sight_repeats = _Repeats(), _Repeats()
         self._position: PositionReading | None = None
@@ -109,7 +110,7 @@ class PayloadCheck:
         self._frame_fault = self._unit_fault = ""
         self._rejected: deque[tuple[float, int, int]] = deque()  # second, sightings, rejected
 
-    def stand_on(self, ground: GroundHeights) -> None:
+    def stand_on(self, ground: GroundHeight) -> None:
         """Compare heights with this ground."""
         self._fit.ground = ground
 
@@ -145,10 +146,11 @@ class PayloadCheck:
             self._range_repeats = _Repeats()
             self._begin_fit()
         self._range = reading
-        self._range_repeats.note(
-            (reading.slant_range_m,), _SAME_RANGE_M, reading.time_s, self._turned_rad, self._closed
-        )
-        self._settle()
+        repeats = self._range_repeats
+        found = repeats.found
+        repeats.note((reading.slant_range_m,), _SAME_RANGE_M, reading.time_s, self._turned_rad, self._closed)
+        if repeats.found is not found:
+            self._settle()
 
     def gimbal(self, reading: GimbalReading) -> None:
         """Take a line of sight of the gimbal in use."""
@@ -156,7 +158,11 @@ class PayloadCheck:
             self._gimbal_source = reading.source
             self._sight_repeats = _Repeats()
             self._begin_fit()
-        self._sight_repeats.note(reading.quaternion_wxyz, _SAME_SIGHT, reading.time_s, self._turned_rad, self._passed)
+        repeats = self._sight_repeats
+        found = repeats.found
+        repeats.note(reading.quaternion_wxyz, _SAME_SIGHT, reading.time_s, self._turned_rad, self._passed)
+        if repeats.found is not found:
+            self._settle()
         position, attitude, slant = self._position, self._attitude, self._range
         if (
             reading.time_s - self._sampled_s < _SAMPLE_EVERY_S
@@ -178,7 +184,7 @@ class PayloadCheck:
         if reading.time_s - self._judged_s >= _JUDGE_EVERY_S:
             self._judged_s = reading.time_s
             self._judge(reading.frame)
-        self._settle()
+            self._settle()
 
     def sightings(self, time_s: float, outcomes: Sequence[SightingOutcome]) -> None:
         """Take what became of sightings."""
@@ -228,12 +234,11 @@ class PayloadCheck:
             self._unit_fault = f"it reports {FACTORS[verdict.factor]}; correct its unit"
 
     def _settle(self) -> None:
-        repeats = "it repeats the same range while the aircraft turns: check its power, its lens and its driver"
-        frozen = "its orientation is frozen while the aircraft turns: check its power, its mode and its driver"
-        had_fault = self.laser_fault or self.gimbal_fault
-        self.laser_fault = repeats if self._range_repeats.found else self._unit_fault
-        self.gimbal_fault = frozen if self._sight_repeats.found else self._frame_fault
-        if not had_fault and (self.laser_fault or self.gimbal_fault):
+        before = self.laser_fault, self.gimbal_fault
+        self.laser_fault = _STUCK if self._range_repeats.found else self._unit_fault
+        self.gimbal_fault = _FROZEN if self._sight_repeats.found else self._frame_fault
+        self.is_news |= before != (self.laser_fault, self.gimbal_fault)
+        if not any(before) and (self.laser_fault or self.gimbal_fault):
             since_s = [one.since_s for one in (self._range_repeats, self._sight_repeats) if one.found]
             if self._frame_fault or self._unit_fault:
                 since_s.append(self._judged_s - WINDOW_S)
@@ -241,6 +246,7 @@ class PayloadCheck:
 
     def faults(self) -> dict[Input, str]:
         """Return the faults by input; empty text where there is none."""
+        self.is_news = False
         return {Input.LASER: self.laser_fault, Input.GIMBAL: self.gimbal_fault, Input.SIGHTINGS: self.sightings_fault}
 
 
