@@ -383,11 +383,14 @@ class Flight:
                 rates = await sources.heard(_LISTEN_S, self._config.sharing)
                 home = await home_of(self._vehicle)
                 found = checks(self._config, self._vehicle, self._autopilot, ready.table, home, rates)
-                missing = [check for check in found if not check.ready]
+                missing = [check for check in found if not check.ready and not check.before_take_off]
                 if not missing:
                     break
                 if time.monotonic() > until_s:
                     raise InputError("not ready, " + "; ".join(map(str, missing)) + ".")
+        for check in found:
+            if not check.ready:  # the target may be out of the laser's range while a pilot flies
+                self._display.note(f"resuming without {check}")
         if home is not None and _has_moved(home, ready.home, ready.plane):
             raise InputError("the autopilot has another home than at take-off; end this watch and start another one.")
         check_takeover(self._vehicle, self._config.link.take_over_from)

@@ -8,19 +8,24 @@ import socket
 import subprocess
 import threading
 from configparser import ConfigParser
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from shutil import which
 
 import pytest
 
-from sidelong.app.config import ControlSection, config_from, load_config
+from sidelong.app.config import Config, ControlSection, config_from, load_config
 from sidelong.app.errors import InputError
+from sidelong.app.flight.recording import Recording
 from sidelong.app.link.message import Message
+from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.serve import control_socket
 from sidelong.app.serve.rotation import rotate
 from sidelong.app.serve.service_manager import feed_watchdog, notify
 from sidelong.app.serve.triggers import Triggers
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.events import ModeReported
 
 DEPLOYMENT = Path(__file__).resolve().parents[2] / "docs" / "deployment"
 NOW = datetime(2026, 11, 23, tzinfo=UTC)
@@ -94,6 +99,26 @@ def test_the_oldest_runs_make_room_and_nothing_else_is_touched(tmp_path):
     rotate(tmp_path, 1e12, timedelta(days=3.6), NOW)
     assert [run.name for run in runs if run.exists()] == ["20261119T120000Z"]
     assert rotate(tmp_path / "missing", 1.0, month, NOW) == 0
+
+
+def test_records_that_cannot_be_opened_stop_no_watch(tmp_path):
+    told: list[str] = []
+    folder = RunFolder.create(tmp_path, NOW)
+    folder.tlog.symlink_to("/dev/full")
+    folder.journal.symlink_to("/dev/full")
+    plane = LocalPlane(47.4, 8.5)
+    with closing(Recording(folder, Config(), told.append, required=False)) as recording:
+        recording.frame(b"\xfe\x00\x00\x01\x01\x00\x00\x00")
+        recording.begin(plane, (47.4, 8.5), "ArduPlane", 400.0)
+        assert recording.begun
+        recording.event(ModeReported(1.0, "AUTO", True))
+        assert "takes no records" in recording.lost
+    assert any("goes on without this record" in text for text in told)
+    with (
+        pytest.raises(InputError, match="takes no records"),
+        closing(Recording(folder, Config(), told.append)) as other,
+    ):
+        other.begin(plane, (47.4, 8.5))
 
 
 @pytest.fixture
