@@ -249,6 +249,10 @@ def settle(
     surroundings.heights = OneHeight(ClimbRates(aircraft.airspeed_m_s, aircraft.climb_m_s, aircraft.descent_m_s))
     ground = ground_of(config, plane, home_deg)
     if ground is None:
+        if config.terrain.flat:
+            from sidelong.estimators.terrain.flat import flat_ground  # noqa: PLC0415  # as below
+
+            controller.tracker.stand_on(flat_ground(config.terrain.sigma_m), config.sensors.angles_alone)
         return None
     # Compiled code takes a second to load, so it is imported only if there is elevation data.
     from sidelong.mission.terrain.heights import FlightHeights, HeightRules  # noqa: PLC0415

@@ -198,7 +198,7 @@ class SensorsSection(Section):
     target_kind: Literal["unknown", "walker", "cyclist", "car", "boat", "animal"] = "unknown"
     """Kind of target, if known: sets the process noise of the filter."""
     angles_alone: bool = True
-    """If the laser sends no range and [terrain] is configured, estimate from the line of sight and the ground."""
+    """If the laser sends no range, estimate from line of sight and ground (terrain.folder, or terrain.flat)."""
 
 
 class PayloadSection(Section):
@@ -276,6 +276,13 @@ class TerrainSection(Section):
     """Folder of SRTM .hgt tiles or GeoTIFF files, or one such file."""
     sigma_m: float = Field(4.0, gt=0, le=100)
     """Standard deviation of its heights against that at home, m."""
+    flat: bool = False
+    """Without elevation data: whether the ground is flat enough for sensors.angles_alone."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether a line of sight can be cut with the ground."""
+        return self.flat or self.folder is not None
 
 
 def _address(*schemes: str) -> AfterValidator:

@@ -308,7 +308,7 @@ def _check_input(settings: Config, point_gimbal: bool) -> None:
         read_key(settings.link.signing_key_file)
     if settings.terrain.folder is not None:
         elevation_data(Path(settings.terrain.folder))
-    if point_gimbal and settings.terrain.folder is not None and settings.sensors.angles_alone:
+    if point_gimbal and settings.terrain.is_known and settings.sensors.angles_alone:
         raise InputError(
             "--point-gimbal points the gimbal at the estimate, which would confirm itself while the laser is silent; "
             "set sensors.angles_alone = false with it."

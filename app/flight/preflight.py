@@ -233,6 +233,11 @@ def _source_checks(config: Config, rates: tuple[SourceRate, ...]) -> tuple[Check
             f"let the beacon send to {config.sharing.beacon} (sharing.beacon_name names it), or start the payload"
         )
         return (Check("target source", False, "neither a beacon nor a laser with a gimbal", remedy, True),)
+    if config.terrain.is_known and config.sensors.angles_alone and not heard["range"]:
+        return (
+            Check("range source", True, "none: the line of sight is cut with the ground"),
+            _rate_check("gimbal", heard["gimbal"], "send GIMBAL_DEVICE_ATTITUDE_STATUS from the gimbal"),
+        )
     return tuple(
         _rate_check(kind, heard[kind], remedy)
         for kind, remedy in (

@@ -45,6 +45,8 @@ _ROLL_OR_PITCH_LOCK = 4 | 8
 _YAW_LOCK, _YAW_IN_VEHICLE_FRAME, _YAW_IN_EARTH_FRAME = 16, 32, 64
 _SIGNAL_INVALID = 1
 _TRACKING_ACTIVE = 1
+_TRACKS_RECTANGLE = 2  # of CAMERA_TRACKING_MODE
+_VIEW_MAX_DEG, _SIGHT_AGE_MAX_S = 170.0, 3.0
 _TARGET_POSITION = 1  # of TARGET_ABSOLUTE_SENSOR_CAPABILITY_FLAGS
 _DELTA_YAW_OFF_RAD = math.radians(30.0)  # what an aircraft turns while the message is on its way, and more
 
@@ -67,6 +69,8 @@ class Telemetry:
         self._clock = VehicleClock()
         self._wrapped_s = 0.0
         self._yaw_rad: float | None = None
+        self._sight: GimbalReading | None = None
+        self._half_view: dict[int, tuple[float, float]] = {}  # tangents of half the angles, by camera component
         self._near_origin = 0  # consecutive fixes, up to the number that settles the plane
         self._decoders: dict[str, Callable[[Message], Event | None]] = {
             "HEARTBEAT": self._heartbeat,
@@ -76,6 +80,9 @@ class Telemetry:
             "RANGEFINDER": self._rangefinder,
             "GIMBAL_DEVICE_ATTITUDE_STATUS": self._gimbal,
             "CAMERA_TRACKING_GEO_STATUS": self._target_fix,
+            "CAMERA_FOV_STATUS": self._camera_fov,
+            "CAMERA_INFORMATION": self._camera_information,
+            "CAMERA_TRACKING_IMAGE_STATUS": self._image_target,
             "TARGET_ABSOLUTE": self._target_absolute,
             "WIND": self._wind,
             "WIND_COV": self._wind_cov,
@@ -241,7 +248,44 @@ class Telemetry:
             quaternion, frame = multiply(from_roll_pitch_yaw(0.0, 0.0, delta_yaw_rad), quaternion), "earth"
         device_id = int(fields.get("gimbal_device_id") or 0)
         source = _source(message.name, message.component_id, device_id)
-        return GimbalReading(self._payload_seconds(fields["time_boot_ms"]), quaternion, frame, source)
+        self._sight = GimbalReading(self._payload_seconds(fields["time_boot_ms"]), quaternion, frame, source)
+        return self._sight
+
+    def _camera_fov(self, message: Message) -> Event | None:
+        angles_deg = message.fields["hfov"], message.fields["vfov"]
+        if _finite(*angles_deg) and all(0.0 < angle_deg < _VIEW_MAX_DEG for angle_deg in angles_deg):
+            across, down = (math.tan(math.radians(0.5 * angle_deg)) for angle_deg in angles_deg)
+            self._half_view[message.component_id] = across, down
+        return None
+
+    def _camera_information(self, message: Message) -> Event | None:
+        fields = message.fields
+        sizes = fields["focal_length"], fields["sensor_size_h"], fields["sensor_size_v"]
+        if message.component_id not in self._half_view and _finite(*sizes) and min(sizes) > 0.0:
+            focal_mm, across_mm, down_mm = sizes
+            self._half_view[message.component_id] = 0.5 * across_mm / focal_mm, 0.5 * down_mm / focal_mm
+        return None
+
+    def _image_target(self, message: Message) -> Event | None:
+        """Add the target's place in the image to the gimbal's attitude.
+
+        The message has no stamp, so the gimbal's latest attitude is taken as that of the image.
+        """
+        fields, sight, half_view = message.fields, self._sight, self._half_view.get(message.component_id)
+        if fields["tracking_status"] != _TRACKING_ACTIVE or sight is None or half_view is None:
+            return None
+        if fields["tracking_mode"] == _TRACKS_RECTANGLE:
+            x = _mean(fields["rec_top_x"], fields["rec_bottom_x"])
+            y = _mean(fields["rec_top_y"], fields["rec_bottom_y"])
+        else:
+            x, y = fields["point_x"], fields["point_y"]
+        stale = sight.time_s and abs(self.now_s - sight.time_s) > _SIGHT_AGE_MAX_S
+        if stale or not _finite(x, y) or not (0.0 <= x <= 1.0 and 0.0 <= y <= 1.0):
+            return None
+        right, down = (2.0 * x - 1.0) * half_view[0], (2.0 * y - 1.0) * half_view[1]
+        offset = from_roll_pitch_yaw(0.0, -math.atan2(down, math.hypot(1.0, right)), math.atan(right))
+        source = _source(message.name, message.component_id, int(fields.get("camera_device_id") or 0))
+        return GimbalReading(sight.time_s, multiply(sight.quaternion_wxyz, offset), sight.frame, source)
 
     def _is_heading(self, delta_yaw_rad: float) -> bool:
         """Return whether a yaw is near the aircraft's; 0 is what senders that do not know the field send."""
@@ -300,6 +344,10 @@ def _finite(*values: float | None) -> bool:
         if value is None or not math.isfinite(value):
             return False
     return True
+
+
+def _mean(a: float | None, b: float | None) -> float:
+    return math.nan if a is None or b is None else 0.5 * (a + b)
 
 
 def _quaternion(values: Any) -> tuple[float, float, float, float] | None:

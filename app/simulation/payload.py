@@ -32,6 +32,9 @@ class PayloadErrors:
         dropout_s: for how long it misses.
         gimbal_delay_s: how much earlier than its stamp a line of sight was measured.
         range_delay_s: the same of a range.
+        has_laser: whether there is a laser.
+        view_deg: field of view of a camera that tracks the target, 0 for none. Its gimbal points off the target by up
+            to ``off_axis`` of the view.
 
     """
 
@@ -44,6 +47,9 @@ class PayloadErrors:
     dropout_s: float = 3.0
     gimbal_delay_s: float = 0.0
     range_delay_s: float = 0.0
+    has_laser: bool = True
+    view_deg: float = 0.0
+    off_axis: float = 0.15
 
 
 class Payload:
@@ -82,6 +88,8 @@ class Payload:
         range_noise, yaw_noise, pitch_noise = self._rng.standard_normal(3).tolist()
         yaw_rad = math.atan2(east_m, north_m) + errors.yaw_bias_rad + errors.angle_sigma_rad * yaw_noise
         pitch_rad = math.atan2(up_m, level_m) + errors.angle_sigma_rad * pitch_noise
+        if errors.view_deg:
+            return self._tracked(time_s, boot_ms, yaw_rad, pitch_rad)
         gimbal = self._message(
             "GIMBAL_DEVICE_ATTITUDE_STATUS",
             time_boot_ms=boot_ms,
@@ -92,7 +100,11 @@ class Payload:
         range_m = math.hypot(*self._line_at(time_s - errors.range_delay_s)) + errors.range_sigma_m * range_noise
         if errors.outliers and self._rng.random() < errors.outliers:
             range_m += self._rng.uniform(-errors.outlier_max_m, errors.outlier_max_m)
-        if not with_range or self._is_dropped(time_s) or not _RANGE_MIN_M <= range_m <= _RANGE_MAX_M:
+        if (
+            not (with_range and errors.has_laser)
+            or self._is_dropped(time_s)
+            or not _RANGE_MIN_M <= range_m <= _RANGE_MAX_M
+        ):
             return [gimbal]
         laser = self._message(
             "DISTANCE_SENSOR",
@@ -107,6 +119,34 @@ class Payload:
             quaternion=[1.0, 0.0, 0.0, 0.0],
         )
         return [gimbal, laser]
+
+    def _tracked(self, time_s: float, boot_ms: int, yaw_rad: float, pitch_rad: float) -> list[Message]:
+        """Return a gimbal that follows the target loosely, and where the target is in its image."""
+        view_deg, off = self._errors.view_deg, self._errors.off_axis
+        right, down = 2.0 * off * math.sin(0.7 * time_s), 2.0 * off * math.cos(0.31 * time_s)  # of half the image
+        half = math.tan(math.radians(0.5 * view_deg))
+        across, below = right * half, down * half
+        # Yaw and pitch whose image has the target there: the rotation of (1, across, below) into its direction.
+        sine = math.hypot(1.0, across, below) / math.hypot(1.0, below) * math.sin(pitch_rad)
+        own_pitch_rad = math.atan(below) + math.asin(max(-1.0, min(1.0, sine)))
+        ahead = math.cos(own_pitch_rad) + below * math.sin(own_pitch_rad)
+        own_yaw_rad = yaw_rad - math.atan2(across, ahead)
+        gimbal = self._message(
+            "GIMBAL_DEVICE_ATTITUDE_STATUS",
+            time_boot_ms=boot_ms,
+            q=list(sight_quaternion(own_yaw_rad, own_pitch_rad)),
+            flags=_LOCKED_IN_EARTH_FRAME,
+            gimbal_device_id=0,
+        )
+        view = self._message("CAMERA_FOV_STATUS", time_boot_ms=boot_ms, hfov=view_deg, vfov=view_deg)
+        target = self._message(
+            "CAMERA_TRACKING_IMAGE_STATUS",
+            tracking_status=1,
+            tracking_mode=1,
+            point_x=0.5 + 0.5 * right,
+            point_y=0.5 + 0.5 * down,
+        )
+        return [gimbal, view, target]
 
     def _line_at(self, time_s: float) -> tuple[float, float, float]:
         """Return the way to the target (east, north, up) at a time of the last seconds."""

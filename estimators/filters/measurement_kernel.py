@@ -99,7 +99,7 @@ def linearized(
     """
     yaw, pitch, offset = errors
     curved_m = _CURVED_BEYOND * seen.slant_range_m
-    if not seen.is_fix and position_variance_m2 > curved_m * curved_m:
+    if not seen.is_fix and position_variance_m2 > max(curved_m * curved_m, seen.range_variance_m2):
         sin_b, cos_b = math.sin(seen.bearing_rad), math.cos(seen.bearing_rad)
         sin_d, cos_d = math.sin(seen.depression_rad), math.cos(seen.depression_rad)
         slant = seen.slant_range_m

@@ -28,6 +28,7 @@ _WAIT_S = 1.5
 _GIMBAL_GAP_MAX_S = 1.0
 _WAITING_MAX = 32  # so that what has waited is never long to take in
 # Timeout of the laser. After it one line of sight per interval is used, with an uninformative range.
+_BEGINNING_S = 3.0
 _SILENT_S, _ALONE_EVERY_S = 1.0, 0.2
 _UNKNOWN_M, _REACH_M = 2e3, 5_000.0
 _time_s = attrgetter("time_s")
@@ -44,7 +45,7 @@ class Pairing:
         self._ranges: History[RangeReading] = History(_SPAN_S)
         self._has_arm = any(settings.lever_arm_body_m)
         self.parent_from_mount = from_roll_pitch_yaw(*settings.mount_roll_pitch_yaw_rad)
-        self._paired_s = -math.inf
+        self._paired_s, self._begun_s = -math.inf, math.inf
         self._alone: list[float] = []  # times of lines of sight that go without a range
         self.ground: Ground | None = None
         self.waiting: list[RangeReading] = []
@@ -56,6 +57,10 @@ class Pairing:
         if abs(length_2 - 1.0) >= 0.1 or not self._gimbals.add(gimbal):
             return False
         if self.ground is None:
+            return True
+        # A camera's tracker, or the laser, may begin a little later than the gimbal.
+        self._begun_s = min(self._begun_s, gimbal.time_s)
+        if gimbal.time_s - self._begun_s < _BEGINNING_S:
             return True
         last_s = self._alone[-1] if self._alone else self._paired_s
         if gimbal.time_s - self._ranges.newest_s > _SILENT_S and gimbal.time_s - last_s >= _ALONE_EVERY_S:

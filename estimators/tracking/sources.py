@@ -6,6 +6,7 @@ more as the autopilot forwards it. Of each kind exactly one source is listened t
 - a range that looks down (orientation 25), and the autopilot's RANGEFINDER, are never the laser of a gimbal;
 - a payload component comes before the autopilot (component 1), which may only repeat it;
 - a range of custom orientation (100), being on a gimbal, comes before one of a fixed orientation;
+- a camera's tracker comes before the gimbal that it looks from;
 - a gimbal comes before the quaternion that a range sensor may carry;
 - if the source in use is silent for ``silent_after_s``, the next one that agrees with the track takes its place
   until the first returns; one that contradicts the track is refused.
@@ -40,7 +41,9 @@ def range_rank(source: Source) -> int | None:
 
 
 def sight_rank(source: Source) -> int | None:
-    """Return the preference for a line of sight."""
+    """Return the preference for a line of sight: a target in the image comes before where the image points."""
+    if source.message == "CAMERA_TRACKING_IMAGE_STATUS":
+        return -1
     return 2 * (source.message == "DISTANCE_SENSOR") + (source.component_id == _AUTOPILOT_COMPONENT)
 
 

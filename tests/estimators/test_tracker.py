@@ -14,6 +14,7 @@ from sidelong.estimators.sensing.readings import (
     Source,
     TargetFixReading,
 )
+from sidelong.estimators.terrain.flat import flat_ground
 from sidelong.estimators.tracking.tracker import SourceChoice, Tracker, TrackerSettings
 
 NO_BIAS = TrackerSettings(yaw_bias_sigma_rad=0.0, pitch_bias_sigma_rad=0.0, range_bias_sigma_m=0.0)
@@ -205,3 +206,19 @@ def test_a_cameras_fixes_are_used_only_while_no_laser_speaks(cruise):
     chosen = Tracker(replace(NO_BIAS, fix_source=SourceChoice(component_id=100)))
     assert chosen.add(TargetFixReading(0.0, 5.0, 6.0, 3.0, CAMERA))[0].accepted
     assert chosen.estimate(0.0).north_m == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_lines_of_sight_alone_keep_to_a_target_that_walks_over_flat_ground(scene, seed):
+    """Their noise must not pull the pitch bias away: the place where a line meets the ground is mostly noise."""
+    walk = scene.of(lambda _: (1.0, 0.0), 120.0)
+    tracker = Tracker(TrackerSettings())
+    tracker.stand_on(flat_ground(2.0))
+    errors_m = []
+    for reading in walk.readings(np.random.default_rng(seed)):
+        if not isinstance(reading, RangeReading):
+            tracker.add(reading)
+        if isinstance(reading, PositionReading) and reading.time_s > 30.0:
+            errors_m.append(error_m(tracker, walk, reading.time_s))
+    assert math.sqrt(np.mean(np.square(errors_m))) < 5.0
+    assert abs(tracker.calibration.pitch_bias_rad) < math.radians(0.3)
