@@ -101,7 +101,10 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
     """Print the table."""
     stats = terminalreporter.stats
     reports = [
-        (outcome, one.user_properties) for outcome in ("passed", "failed", "error") for one in stats.get(outcome, ())
+        (outcome, one.user_properties)
+        for outcome in ("passed", "failed", "error")
+        for one in stats.get(outcome, ())
+        if isinstance(one, pytest.TestReport)  # else a file that cannot be imported
     ]
     lines = list(rows(reports))
     if lines:

@@ -6,7 +6,6 @@ ALARM_FLIGHTS=40 ALARM_FLIGHT_S=600 python -m pytest tests/bench/test_alarms.py 
 from __future__ import annotations
 
 import math
-import os
 from collections import Counter
 from dataclasses import dataclass, field
 
@@ -30,9 +29,10 @@ from sidelong.mission.core.events import AlarmReported
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import Home
+from tests.bench.size import size
 
-FLIGHTS = int(os.environ.get("ALARM_FLIGHTS", "4"))
-FLIGHT_S = float(os.environ.get("ALARM_FLIGHT_S", "600"))
+FLIGHTS = size(4, 1, "ALARM_FLIGHTS")
+FLIGHT_S = float(size(600, 150, "ALARM_FLIGHT_S"))
 STEP_S = 0.5
 HOME = Home(47.4, 8.5, 400.0)
 PLANE = LocalPlane(HOME.latitude_deg, HOME.longitude_deg)

@@ -10,8 +10,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.bench.size import size
+
 ROOT = Path(__file__).resolve().parents[2]
-ROUNDS = 3
+ROUNDS = size(3, 1)
 MEASURE = """
 import json, time
 import numpy as np

@@ -31,6 +31,7 @@ from sidelong.estimators.filters.imm_kernel import TARGET
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.tracking.track import Track
+from tests.bench.size import size
 from tests.estimators.plain_motion import (
     MODELS,
     POSITION,
@@ -304,6 +305,7 @@ def rms(values: list[float]) -> float:
 
 
 def test_error_against_the_bound_and_against_stone_soup():
+    pytest.importorskip("stonesoup")
     densities = (DENSITY, 0.3, 1.0)
     rivals = {f"Stone Soup EKF {density}": StoneSoup("ekf", density) for density in densities}
     rivals["Stone Soup UKF 1.0"] = StoneSoup("ukf", 1.0)
@@ -313,7 +315,7 @@ def test_error_against_the_bound_and_against_stone_soup():
     ratio, best_rival, ours = {}, {}, {}
     for scene, draw in SCENES.items():
         squares: dict[str, list[float]] = {}
-        for seed in range(8):
+        for seed in range(size(8, 1)):
             rng = np.random.default_rng(seed)
             target = draw(rng, 2000)
             aircraft = aircraft_beside(target, rng.uniform(0, 2 * math.pi))
@@ -352,7 +354,7 @@ def test_the_ellipse_holds_what_it_promises():
     rows = [["100 flights of 120 s, biases unknown", "95 % ellipse holds", "NIS (3 expected)"]]
     for scene, draw in SCENES.items():
         held, nis = [], []
-        for seed in range(100):
+        for seed in range(size(100, 2)):
             rng = np.random.default_rng(1000 + seed)
             target = draw(rng, 1200)
             aircraft = aircraft_beside(target, rng.uniform(0, 2 * math.pi))
@@ -371,7 +373,7 @@ def test_the_ellipse_holds_what_it_promises():
 @pytest.mark.parametrize("braking_s", [0.1, 2.5])
 def test_a_stop_from_5_m_s_is_caught(braking_s):
     took_s = []
-    for seed in range(100):
+    for seed in range(size(100, 2)):
         rng = np.random.default_rng(2000 + seed)
         speed = np.interp(np.arange(600) * STEP_S, (30.0, 30.0 + braking_s), (5.0, 0.0))
         course = rng.uniform(0, 2 * math.pi)
@@ -400,7 +402,7 @@ def test_outliers_and_drop_outs_never_lose_the_target():
     a track that ends worse than 15 m.
     """
     worst, ends, unseen, rejected_good = [], [], [], 0
-    for seed in range(200):
+    for seed in range(size(200, 2)):
         rng = np.random.default_rng(3000 + seed)
         target = list(SCENES.values())[seed % 3](rng, 2000)
         prior = np.sqrt(np.diag(Biases.prior(CALIBRATING).covariance))
@@ -497,6 +499,7 @@ def through_track(settings: TrackerSettings) -> Callable[[list[Sighting]], None]
 
 
 def test_updates_per_second():
+    pytest.importorskip("stonesoup")
     rng = np.random.default_rng(0)
     target = wandering(rng, 1500)
     seen = sightings(rng, target, aircraft_beside(target, 0.0))

@@ -7,7 +7,6 @@ tests/exchange/test_rules.py: EXAMPLES=500 STEPS=20 python -m pytest tests/excha
 from __future__ import annotations
 
 import importlib.util
-import os
 import statistics
 import subprocess
 import sys
@@ -19,8 +18,9 @@ import pytest
 from sidelong.app.flight.simulated import free_udp_port
 from sidelong.mission.core.events import ActivatePlan, Announce, PlanStatus, UploadPlan, Yield
 from sidelong.sitl.protocol.link import LinkFaults
+from tests.bench.size import size
 
-CHANGES, FLIGHTS = int(os.environ.get("CHANGES", "50")), int(os.environ.get("FLIGHTS", "4"))
+CHANGES, FLIGHTS = size(50, 1, "CHANGES"), size(4, 0, "FLIGHTS")
 OPEN_S = 5.0  # a plan activated so shortly before the end may not have departed yet
 SIDELONG = Path(sys.executable).with_name("sidelong")
 HARNESS = Path(__file__).parents[1] / "exchange" / "conftest.py"
@@ -47,7 +47,7 @@ def test_plan_changes_are_told_as_they_are_flown(harness, flavour, loss, duplica
         seed += 1
         flight = harness.Flight(flavour, seed=seed, faults=LinkFaults(loss, duplicate, delay_s))
         assert flight.run(300.0, lambda flight=flight: flight.has_control)
-        flight.run(400.0)
+        flight.run(size(400, 40))
         flight.spoil(LinkFaults())
         flight.run(15.0)
         end_s = flight.autopilot.now_s - OPEN_S
@@ -80,7 +80,7 @@ def durations_s(flight):
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])
 @pytest.mark.parametrize(("loss", "delay_s"), [(0.0, 0.01), (0.1, 0.3)])
 def test_one_of_two_links_is_cut(harness, flavour, loss, delay_s):
-    counts, seeds, cuts = Counter(), 5, 50
+    counts, seeds, cuts = Counter(), size(5, 1), size(50, 2)
     for seed in range(1, seeds + 1):
         flight = harness.TwoLinkFlight(flavour, seed=seed, faults=LinkFaults(loss, 0.0, delay_s))
         assert flight.run(300.0, lambda flight=flight: flight.has_control)

@@ -10,13 +10,14 @@ import time
 
 import pytest
 
+from tests.bench.size import size
 from tests.faults.campaign import CPU_MAX_S, MEMORY_MAX_BYTES, run
 from tests.faults.test_readers import NAMES
 
 
 @pytest.mark.timeout(4 * 3600)
 def test_a_million_damaged_files():
-    inputs, campaign = map(int, os.environ.get("SIDELONG_FAULTS", "1000000,1").split(","))
+    inputs, campaign = map(int, os.environ.get("SIDELONG_FAULTS", f"{size(1_000_000, 20)},1").split(","))
     begun_s = time.monotonic()
     told = 0
 

@@ -42,12 +42,13 @@ from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.fleet.vehicle import FleetMember
 from sidelong.mission.predictive.planner import table_configuration
 from sidelong.mission.predictive.value_table import ValueTable
+from tests.bench.size import size
 
-RUNS = int(os.environ.get("RUNS", "20"))
+RUNS = size(20, 1, "RUNS")
 TARGETS = Path(os.environ.get("TARGETS", Path(__file__).parents[1] / "data" / "targets"))
 DRAWS = int(os.environ.get("DRAWS", "1"))
 # Airspeed, radius and the fastest targets of each class.
-CLASSES = ((12.0, 40.0, 5.0), (20.0, 70.0, 9.0), (30.0, 105.0, 14.0))
+CLASSES = ((12.0, 40.0, 5.0), (20.0, 70.0, 9.0), (30.0, 105.0, 14.0))[: size(3, 1)]
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +121,7 @@ def regained_s(run: FleetResult, loss: Loss, for_s: float = 0.1) -> float:
 def test_one_aircraft_lost_at_a_random_moment(table):
     settings = StudySettings(planners=(PlannerName.PREDICTIVE,), runs=50, fleet=2, duration_s=420.0)
     took_s, stayed_s, errors_m = [], [], []
-    for number in range(50):
+    for number in range(size(50, 1)):
         rng = np.random.default_rng(number)
         loss = Loss(int(rng.integers(2)), float(rng.uniform(60.0, 300.0)))
         run = run_fleet(settings, number, table, losses=[loss])
@@ -158,7 +159,7 @@ def test_decisions_of_four_on_two_targets(settings, table):
     for name in names:
         coordinator.step(ClockReported(name, 0.0, 0.0, 0.01))
         coordinator.step(PlansReported(name, Plan(circles[name])))
-    for k in range(300):
+    for k in range(size(300, 40)):
         spent_s = 0.0
         states = {}
         for name in names:

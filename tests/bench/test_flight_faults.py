@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import statistics
 
+from tests.bench.size import size
 from tests.faults.flight_campaign import STEP_MAX_S, campaign, table
 
 LOST_ON_SIDE_MAX = 2.0  # points, on average
@@ -15,12 +16,13 @@ _NAMED = {"gps jump", "payload clock"}
 
 
 def test_a_thousand_flights():
-    flights, first_seed = map(int, os.environ.get("SIDELONG_FLIGHTS", "1000,1000").split(","))
+    flights, first_seed = map(int, os.environ.get("SIDELONG_FLIGHTS", f"{size(1000, 2)},1000").split(","))
     verdicts = list(campaign(flights, first_seed, os.cpu_count() or 2))
     print()
     print(table(verdicts))
     assert not [(verdict.flavour, verdict.seed) for verdict in verdicts if verdict.broken]
     named = [verdict.lost_on_side for verdict in verdicts if verdict.names and set(verdict.names) <= _NAMED]
+    assert named
     print(f"{len(named)} flights with {' or '.join(sorted(_NAMED))} alone or both:", end=" ")
     print(f"{statistics.mean(named):.2f} points less on side")
     assert statistics.mean(named) <= LOST_ON_SIDE_MAX

@@ -10,13 +10,13 @@ own; laser and gimbal measure at 10 Hz with 0.8 m and 0.35 degrees, and have con
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.tracking.joint_track import JointTrack
+from tests.bench.size import size
 from tests.bench.test_estimation import (
     CHI2_95,
     GROUND_DENSITY,
@@ -33,7 +33,7 @@ from tests.bench.test_estimation import (
 
 BIASES = np.array([math.radians(0.5), math.radians(0.5), 0.5])
 SETTINGS = TrackerSettings(yaw_bias_sigma_rad=BIASES[0], pitch_bias_sigma_rad=BIASES[1], range_bias_sigma_m=BIASES[2])
-RUNS = int(os.environ.get("RUNS", "48"))
+RUNS = size(48, 1, "RUNS")
 RANGE_M, RADIUS_M, SPEED_M_S = 300.0, 80.0, 15.0
 
 
@@ -118,7 +118,7 @@ def test_error_of_two_against_the_bound():
 
 
 def test_a_clock_that_is_ahead_is_found_out():
-    flights = [fly(seed, (math.pi, 1.5 * math.pi), 2000, ahead_s=0.3) for seed in range(8)]
+    flights = [fly(seed, (math.pi, 1.5 * math.pi), 2000, ahead_s=0.3) for seed in range(size(8, 1))]
     rmse, bound, inside = summed(flights, slice(1000, None))
     print(f"\na clock 0.3 s ahead: {rmse:.3f} m, bound without {bound:.3f}, {100 * inside:.1f} %")
     assert rmse <= 1.5 * bound

@@ -8,13 +8,14 @@ import pytest
 from sidelong.app.payload.driver import AnglesMeasured, DriverSettings, RangeMeasured
 from sidelong.app.payload.registry import kind_by_name
 from sidelong.sitl.payload.devices import DEVICES
+from tests.bench.size import size
 from tests.faults.flight import FaultedFlight, Scenario
 from tests.payload.damage import damaged_stream, intact_frames
 from tests.payload.test_flight import DeviceLoop, error_m, shares
 
-BYTES = 1_000_000
-SEEDS = range(1, 7)
-DURATION_S = 1200.0
+BYTES = size(1_000_000, 20_000)
+SEEDS = range(1, size(7, 2))
+DURATION_S = float(size(1200, 60))
 
 
 @pytest.mark.timeout(3600)

@@ -20,8 +20,9 @@ from sidelong.mission.core.requirement import Wind
 from sidelong.mission.predictive.planner import PredictivePlanner, table_configuration
 from sidelong.mission.predictive.value_iteration import compute
 from sidelong.mission.viewpoint.side_policy import watching_from
+from tests.bench.size import size
 
-SETTINGS = StudySettings((PlannerName.PREDICTIVE,), runs=4)
+SETTINGS = StudySettings((PlannerName.PREDICTIVE,), runs=size(4, 1))
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +56,7 @@ def test_a_sector_is_kept():
     )
     start = AircraftState(0.0, *circle.position_at_course(0.0), 0.0, 10.0, circle.curvature_per_m)
     shares = []
-    for seed in range(4):
+    for seed in range(size(4, 1)):
         body = KinematicAircraft(start, 10.0, math.radians(13.0), aircraft.roll_rate_max_rad_s, Wind())
         target = RandomTarget(np.random.default_rng(seed), 1200.0, 5.0, (40.0, 200.0))
         sensed = Sensed(PayloadErrors(), TrackerSettings(), np.random.default_rng(seed), perfect=True)

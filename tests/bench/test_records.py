@@ -18,8 +18,9 @@ from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter
 from sidelong.app.records.tlog import read_tlog, summary
 from sidelong.estimators.sensing.readings import GimbalReading, PositionReading, RangeReading, Source
+from tests.bench.size import size
 
-MESSAGES = 1_000_000
+MESSAGES = size(1_000_000, 20_000)
 START_US = 1_700_000_000_000_000
 
 # One second of a vehicle: messages per kind as PX4 sends them to a companion, with a payload at 10 Hz.
@@ -141,7 +142,7 @@ def test_memory_is_flat(tlog):
 def test_journal(tmp_path):
     laser, gimbal = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
     events: list[Any] = []
-    for i in range(30_000):
+    for i in range(size(30_000, 300)):
         time_s = 0.0371 * i
         events += [
             PositionReading(time_s, 0.1 + i, 0.2 - i, 119.73, 14.31, -3.77, 0.013),
