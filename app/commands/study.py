@@ -42,6 +42,7 @@ from sidelong.app.study.report import (
     sweep_json,
     sweep_table,
 )
+from sidelong.app.study.routes import route_beside
 from sidelong.app.study.settings import AUTOPILOTS, MISSION_PLANNERS, Fidelity, Hills, PlannerName, StudySettings
 from sidelong.app.study.store import ResultStore
 from sidelong.app.study.study import Study, table_of
@@ -63,6 +64,12 @@ def study(
         list[Path] | None,
         typer.Option(help="A folder of recorded targets (.csv with t_s,east_m,north_m or time,lat,lon; .gpx)."),
     ] = None,
+    routes: Annotated[
+        bool,
+        typer.Option(
+            help="Let the predictive planner know NAME.route.csv (.gpx, .geojson, .kml) next to each track."
+        ),
+    ] = False,
     runs: Annotated[int | None, typer.Option(min=1, help="Targets: 20 random ones, or all recorded.")] = None,
     noise_draws: Annotated[int, typer.Option(min=1, help="Fly each target so often, with other noise.")] = 1,
     run: Annotated[list[int] | None, typer.Option(min=0, help="Fly this run alone (repeatable).")] = None,
@@ -135,6 +142,7 @@ def study(
     For example:
       sidelong study --runs 50 --planner predictive --planner paper --report study.html
       sidelong study --targets tracks --airspeed 12 --radius 40 --target-speed-max 5
+      sidelong study --targets tracks --routes --planner predictive
       sidelong study --sweep aircraft.airspeed_m_s=12,15,18 --store sweep.db --report sweep.html
       sidelong study --autopilot arduplane --wind 4
       sidelong study --fidelity closed-loop --runs 50 --jobs 2
@@ -188,8 +196,7 @@ def study(
     found = designs(base, given, sweeps, console.print)
     if terrain is not None and any(_from_anywhere(design.settings.requirement()) for design in found):
         raise InputError("--terrain watches from one side; set requirement.side to left or right.")
-    if targets is not None:
-        found = _recorded(found, targets, runs, math.inf if duration is None else duration)
+    found = _recorded(found, targets, runs, math.inf if duration is None else duration, routes)
     found = _only(found, run)
     if fleet > 1:
         _fly_fleet(replace(found[0].settings, fleet=fleet), len(found), planner, jobs, json)
@@ -197,6 +204,7 @@ def study(
     words = _words(
         (config,),
         targets=targets,
+        routes=routes or None,
         runs=runs,
         noise_draws=noise_draws if noise_draws > 1 else None,
         seed=seed,
@@ -334,11 +342,17 @@ def _tell(study: Study, json: Path | None) -> None:
 
 
 def _recorded(
-    found: tuple[Design, ...], targets: list[Path], runs: int | None, duration_s: float
+    found: tuple[Design, ...], targets: list[Path] | None, runs: int | None, duration_s: float, routes: bool
 ) -> tuple[Design, ...]:
-    """Give the designs recorded targets, which no design may find too fast."""
+    """Give the designs recorded targets, if there are any, which no design may find too fast."""
+    if targets is None:
+        if routes:
+            raise InputError("--routes: routes are read next to recorded tracks; give --targets DIR.")
+        return found
     slowest_m_s = min(design.settings.target_speed_max_m_s for design in found)
-    read = recorded_targets(targets, slowest_m_s)
+    read = recorded_targets(targets, slowest_m_s, *((route_beside,) if routes else ()))
+    if routes and not any(track.route for track in read.flown):
+        raise InputError("--routes: no track has a route next to it; put NAME.route.csv (east_m,north_m) there.")
     tracks = read.flown[:runs]
     return tuple(
         replace(

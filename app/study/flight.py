@@ -58,6 +58,7 @@ from sidelong.mission.geometry.progress import line_of
 from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.cost_kernel import Table
 from sidelong.mission.predictive.decision_kernel import Depth, Looker, Prices
+from sidelong.mission.predictive.foresight import no_route
 from sidelong.mission.predictive.future_kernel import Motions, Turns
 from sidelong.mission.predictive.moves_kernel import nothing_kept
 from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings
@@ -323,6 +324,7 @@ def _blind() -> Looker:
         Turns(np.zeros(1), 1.0),
         Depth(0, 0.0, np.zeros(1), 0.0),
         no_seconds(),
+        no_route(),
     )
 
 

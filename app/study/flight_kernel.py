@@ -22,7 +22,8 @@ from sidelong.estimators.filters.standing_kernel import predict_standing
 from sidelong.estimators.terrain.ground_kernel import Grid, height_and_slope, sight_clearance_m, sight_step_m
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.geometry.line_kernel import Circling, circle_after, following_per_m
-from sidelong.mission.predictive.decision_kernel import Looker, decide
+from sidelong.mission.predictive.decision_kernel import Looker
+from sidelong.mission.predictive.foresight_kernel import decide
 from sidelong.mission.predictive.scene_kernel import Situation
 from sidelong.mission.viewpoint.viewpoint_kernel import Known
 

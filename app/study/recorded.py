@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from sidelong.app.errors import InputError
 from sidelong.app.simulation.target import TargetTruth
+from sidelong.mission.route.route import Route
 from sidelong.sitl.world.track import Track, TrackError, read_track
 
 FloatArray = npt.NDArray[np.float64]
@@ -28,11 +30,15 @@ _SUFFIXES = (".csv", ".gpx")
 
 @dataclass(frozen=True, eq=False)
 class RecordedTarget:
-    """A recorded track from its first point, which is the origin: arrays (n,) at steps of half a second."""
+    """A recorded track from its first point, which is the origin: arrays (n,) at steps of half a second.
+
+    route: what planners know of its path, None: nothing.
+    """
 
     name: str
     east_m: FloatArray
     north_m: FloatArray
+    route: Route | None = None
 
     @property
     def duration_s(self) -> float:
@@ -43,6 +49,17 @@ class RecordedTarget:
     def key(self) -> int:
         """A number that is the track's own, whatever its file is called."""
         return int.from_bytes(sha256(self.east_m.tobytes() + self.north_m.tobytes()).digest()[:8])
+
+    @cached_property
+    def route_key(self) -> str:
+        """A text that is the route's own; empty without a route."""
+        if self.route is None:
+            return ""
+        known = self.route
+        points = known.east_m.tobytes() + known.north_m.tobytes()
+        return sha256(
+            points + f"{known.lap} {known.tolerance_m} {known.speed_m_s} {known.direction}".encode()
+        ).hexdigest()
 
     @cached_property
     def speed_p95_m_s(self) -> float:
@@ -97,11 +114,16 @@ class RecordedTargets:
     skipped: tuple[tuple[str, str], ...]
 
 
-def recorded_targets(places: list[Path], speed_max_m_s: float) -> RecordedTargets:
+def recorded_targets(
+    places: list[Path],
+    speed_max_m_s: float,
+    route_of: Callable[[Path, Track], Route | None] = lambda _file, _track: None,
+) -> RecordedTargets:
     """Read the .csv and .gpx tracks in folders, or single files.
 
     Tables without a track's columns, such as a list of the files, are passed over. Tracks whose 95th percentile of
-    speed is above speed_max_m_s, and those too short or unreadable, are skipped.
+    speed is above speed_max_m_s, and those too short or unreadable, are skipped. route_of: finds the route of a
+    track; files NAME.route.* are no tracks.
     Raises InputError when none is left.
     """
     flown, skipped = [], []
@@ -115,7 +137,7 @@ def recorded_targets(places: list[Path], speed_max_m_s: float) -> RecordedTarget
         if track.time_s[-1] < _SHORTEST_S:
             skipped.append((file.name, f"lasts {track.time_s[-1]:.0f} s, and {_SHORTEST_S:.0f} s is the least"))
             continue
-        target = prepared(file.stem, track)
+        target = replace(prepared(file.stem, track), route=route_of(file, track))
         if target.speed_p95_m_s > speed_max_m_s:
             speeds = f"95th percentile of speed {target.speed_p95_m_s:.1f} m/s is above {speed_max_m_s:g} m/s"
             skipped.append((file.name, speeds))
@@ -148,7 +170,8 @@ def _files(places: list[Path]) -> list[Path]:
     for place in places:
         if place.is_dir():
             try:
-                files += sorted(p for p in place.iterdir() if p.suffix.lower() in _SUFFIXES and p.is_file())
+                tracks = (p for p in place.iterdir() if p.suffix.lower() in _SUFFIXES and p.is_file())
+                files += sorted(p for p in tracks if not p.stem.endswith(".route"))
             except OSError as error:
                 raise InputError(f"--targets: {place} cannot be read ({error.strerror}); give a folder.") from error
         elif place.is_file():

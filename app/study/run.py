@@ -21,6 +21,7 @@ from sidelong.mission.laws.vector_field import VectorField
 from sidelong.mission.paper.planner import PaperPlanner
 from sidelong.mission.predictive.planner import PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
+from sidelong.mission.route.route import Route
 
 START_RANGE_M = 300.0
 # Of the curvature limit: what correcting the flown line may ask for beyond the circle itself.
@@ -41,7 +42,7 @@ def run(
     circle = first_circle(settings, flown)
     inputs = aircraft_on(settings, flown, circle), circle, settings.height_m, sensed_by(settings, flown)
     flight = CompiledFlight(flown.target, *inputs, settings.wind, flown.duration_s)
-    run = _steered(settings, planner, table, flight)
+    run = _steered(settings, planner, table, flight, flown.route)
     return judged(settings, run.log, run.changed_s, run.decision_s, keep_track)
 
 
@@ -82,14 +83,19 @@ def sensed_by(settings: StudySettings, flown: Scene) -> Sensed:
 
 
 def _steered(
-    settings: StudySettings, planner: PlannerName, table: ValueTable | None, flight: CompiledFlight
+    settings: StudySettings,
+    planner: PlannerName,
+    table: ValueTable | None,
+    flight: CompiledFlight,
+    route: Route | None,
 ) -> Flown:
     """Fly a run in the compiled loop."""
     aircraft, requirement = settings.aircraft(), settings.requirement()
     match planner:
         case PlannerName.PREDICTIVE:
             assert table is not None
-            return flight.with_predictive(PredictivePlanner(aircraft, requirement, table), settings.latency_s)
+            planner_with = PredictivePlanner(aircraft, requirement, table, route=route)
+            return flight.with_predictive(planner_with, settings.latency_s)
         case PlannerName.PAPER:
             return flight.with_planner(PaperPlanner(aircraft, requirement), settings.latency_s)
         case _:

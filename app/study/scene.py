@@ -9,6 +9,7 @@ import numpy as np
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.app.study.recorded import RecordedTarget
 from sidelong.app.study.settings import StudySettings
+from sidelong.mission.route.route import Route
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,6 +21,7 @@ class Scene:
     duration_s: float
     start_rng: np.random.Generator
     sensor_rng: np.random.Generator
+    route: Route | None = None
 
 
 def scene(settings: StudySettings, number: int) -> Scene:
@@ -37,4 +39,6 @@ def scene(settings: StudySettings, number: int) -> Scene:
     track = settings.tracks[k]
     start, sensor = np.random.SeedSequence((settings.seed, track.key, draw)).spawn(2)
     duration_s = min(track.duration_s, settings.duration_s)
-    return Scene(track.name, track, duration_s, np.random.default_rng(start), np.random.default_rng(sensor))
+    return Scene(
+        track.name, track, duration_s, np.random.default_rng(start), np.random.default_rng(sensor), track.route
+    )

@@ -86,7 +86,7 @@ def run_ids(settings: StudySettings, planner: PlannerName) -> Iterator[RunId]:
     for number in settings.numbers:
         draw, k = divmod(number, settings.runs)
         track = settings.tracks[k] if settings.tracks else None
-        name, own = (f"random {k}", str(k)) if track is None else (track.name, f"{track.key:016x}")
+        name, own = (f"random {k}", str(k)) if track is None else (track.name, f"{track.key:016x}{track.route_key}")
         key = sha256(f"{design} {planner} {own} {draw}".encode()).hexdigest()[:32]
         yield RunId(key, design, planner, number, name, draw)
 

@@ -72,6 +72,7 @@ from sidelong.mission.core.events import (
     OperatorRequest,
     PlanStatus,
     RoundTripReported,
+    RouteGiven,
     UploadPlan,
     WindPrepared,
     WindReported,
@@ -191,8 +192,8 @@ class StandoffController:
         match event:
             case PositionReading():
                 return self._position(event)
-            case WindReported() | WindPrepared():
-                return self._wind_told(event)
+            case WindReported() | WindPrepared() | RouteGiven():
+                return self._planning_input(event)
             case ModeReported():
                 return self._mode_reported(event)
             case ControlAcquired() if self.phase in (Phase.WAITING, Phase.WATCHING):
@@ -259,6 +260,7 @@ class StandoffController:
             self.health.reports,
             self._unknown(),
             self.health.silent_s,
+            self.planning.route_progress,
         )
 
     def _unknown(self) -> str:
@@ -352,7 +354,8 @@ class StandoffController:
             self.decision = Decision(self.time_s, None, f"holding the circle: target unseen for {unseen_s:.0f} s")
             return self._circle_as_changed(aircraft, present)
         decision = self.planning.decide(aircraft, target, present, self._wind, self.latency.expected_s)
-        told: tuple[Command, ...] = ()
+        news = self.planning.route_news()
+        told: tuple[Command, ...] = (Announce(self.time_s, "route", news),) if news else ()
         if decision.plan is not None and reach is not None and not self._keeps_away(decision.plan, reach):
             decision = replace(
                 decision, plan=None, reason="staying: the target is not seen and may be too near there"
@@ -361,7 +364,7 @@ class StandoffController:
             cleared = self.cleared(decision.plan)
             if isinstance(cleared, str):
                 decision = replace(decision, plan=None, reason=f"staying: {cleared}")
-                told = (Announce(self.time_s, "decision", decision.reason),)
+                told = (*told, Announce(self.time_s, "decision", decision.reason))
             else:
                 decision = replace(decision, plan=cleared)
         self.decision, plan = decision, decision.plan
@@ -369,7 +372,7 @@ class StandoffController:
         if plan is not None:
             arrival_s = plan.departure_s + plan.transition_m / self.settings.aircraft.airspeed_m_s
             text = f"{decision.reason}; there in {arrival_s - self.time_s:.0f} s"
-            return (decided, Announce(self.time_s, "decision", text), self._upload(plan, decision.reason))
+            return (decided, *told, Announce(self.time_s, "decision", text), self._upload(plan, decision.reason))
         changed = self._circle_as_changed(aircraft, present)
         return (decided, *told, *(changed if changed or told else self._corrected_radius(present)))
 
@@ -510,7 +513,9 @@ class StandoffController:
         self._end(Phase.ENDED, reason)
         return (End(event.time_s, "return", reason),)
 
-    def _wind_told(self, event: WindReported | WindPrepared) -> tuple[Command, ...]:
+    def _planning_input(self, event: WindReported | WindPrepared | RouteGiven) -> tuple[Command, ...]:
+        if isinstance(event, RouteGiven):
+            return (Announce(event.time_s, "route", self.planning.follow(event)),)
         if isinstance(event, WindReported):
             self._wind = Wind(event.east_m_s, event.north_m_s)
             return ()

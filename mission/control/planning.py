@@ -5,12 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned
 from sidelong.mission.core.plan import AircraftState, Decision, Plan, Planner, PlannerFactory, WindPlanner
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import approach
 from sidelong.mission.geometry.progress import dead_reckoned
+from sidelong.mission.route.progress import RoutePlanner, RouteProgress, describe
+from sidelong.mission.route.route import Direction, Route, route_of
 
 # Fleet advice expires after this time.
 _ADVICE_S = 5.0
@@ -31,6 +36,8 @@ class Planning:
         self._aircraft, self._requirement = aircraft, requirement
         self._advice: FleetAdvice | None = None
         self._neighbours: dict[str, NeighbourPlanned] = {}
+        self._route: Route | None = None
+        self._on_route = False  # as it was last reported
         self.planner: Planner = make_planner(aircraft, requirement)
 
     def renew(self, aircraft: Aircraft, requirement: Requirement) -> None:
@@ -40,6 +47,8 @@ class Planning:
         if isinstance(self.planner, WindPlanner):
             for speed_m_s in self.prepared_winds_m_s:
                 self.planner.prepare(speed_m_s)
+        if self._route is not None and isinstance(self.planner, RoutePlanner):
+            self.planner.follow(self._route)
         if isinstance(self.planner, CooperativePlanner):
             for told in (*self._neighbours.values(), *(() if self._advice is None else (self._advice,))):
                 self.planner.advise(told)
@@ -51,6 +60,42 @@ class Planning:
         self.prepared_winds_m_s.append(speed_m_s)
         self.planner.prepare(speed_m_s)
         return True
+
+    # -- the route -----------------------------------------------------------------------------------------
+
+    def follow(self, given: RouteGiven) -> str:
+        """Expect the target on a route; return in words what that means."""
+        if not isinstance(self.planner, RoutePlanner):
+            return "this planner does not use a route"
+        try:
+            self._route = route_of(
+                np.array(given.east_m),
+                np.array(given.north_m),
+                lap=given.lap,
+                tolerance_m=given.tolerance_m,
+                speed_m_s=math.nan if given.speed_m_s is None else given.speed_m_s,
+                direction=Direction(given.direction),
+            )
+        except ValueError as error:
+            return f"the route is not used: {error}"
+        self._on_route = False
+        self.planner.follow(self._route)
+        return f"the target is expected on a route of {self._route.length_m:.0f} m"
+
+    @property
+    def route_progress(self) -> RouteProgress | None:
+        """The target's progress along its route; None without a route."""
+        return self.planner.route_progress if isinstance(self.planner, RoutePlanner) else None
+
+    def route_news(self) -> str:
+        """Return in words whether the target has joined or left its route since the last call; '' if neither."""
+        progress = self.route_progress
+        if progress is None or progress.on_route == self._on_route:
+            return ""
+        self._on_route = progress.on_route
+        if progress.on_route:
+            return f"on route: the target is {describe(progress)}"
+        return "off route: the target has left its route, and sidelong plans without it"
 
     # -- the fleet -----------------------------------------------------------------------------------------
 

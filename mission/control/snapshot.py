@@ -10,6 +10,7 @@ from sidelong.mission.control.sensor_status import SensorStatus
 from sidelong.mission.core.inputs import InputReport
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Requirement, Side, Wind
+from sidelong.mission.route.progress import RouteProgress
 
 
 class Phase(StrEnum):
@@ -53,3 +54,5 @@ class Snapshot:
     """Why it is not known how well the target is watched; empty while it is known."""
     silent_s: float = 0.0
     """For how long the vehicle's clock has stood still, seconds of this computer."""
+    route: RouteProgress | None = None
+    """The target's progress along its route; None without a route."""

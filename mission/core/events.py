@@ -42,6 +42,30 @@ class WindPrepared:
 
 
 @dataclass(frozen=True, slots=True)
+class RouteGiven:
+    """The route that the target is expected to follow; without way points, none.
+
+    Attributes:
+        time_s: When, on the vehicle's clock.
+        east_m: East of the way points in the local plane, m.
+        north_m: North of the way points, m.
+        lap: Whether the last way point connects to the first one.
+        tolerance_m: One standard deviation of the target's lateral offset from the route, m.
+        speed_m_s: Expected speed along the route, m/s; None: unknown.
+        direction: Direction in which the target follows the way points.
+
+    """
+
+    time_s: float
+    east_m: tuple[float, ...]
+    north_m: tuple[float, ...]
+    lap: bool
+    tolerance_m: float
+    speed_m_s: float | None
+    direction: Literal["forward", "backward", "either"]
+
+
+@dataclass(frozen=True, slots=True)
 class NavigationReported:
     """What GPS or EKF say of the vehicle's own position: ``fault`` in words, empty where it is good."""
 
@@ -189,6 +213,7 @@ Event = (
     | TargetFixReading
     | WindReported
     | WindPrepared
+    | RouteGiven
     | NavigationReported
     | ModeReported
     | ControlAcquired
@@ -260,6 +285,7 @@ class Announce:
         "alarm",
         "clear",
         "health",
+        "route",
     ]
     text: str
 

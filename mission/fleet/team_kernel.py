@@ -40,7 +40,8 @@ from sidelong.mission.fleet.cover_kernel import (
 )
 from sidelong.mission.predictive.cost_kernel import IntArray, cost_rate, least, table_value
 from sidelong.mission.predictive.decision_kernel import Looker, add_prices, alternatives, commitment, look_deeper
-from sidelong.mission.predictive.future_kernel import straight_on, winding
+from sidelong.mission.predictive.foresight_kernel import along_route, foresee
+from sidelong.mission.predictive.future_kernel import likeliest_alone, winding
 from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
 from sidelong.mission.predictive.rollout_kernel import (
     Futures,
@@ -276,7 +277,8 @@ def role_values(now: Situation, looker: Looker, team: Team) -> tuple[float, floa
 @compiled
 def _value_at(now: Situation, looker: Looker) -> float:
     scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
-    f = straight_on(winding(scene, looker.motions, looker.wish, looker.memory, looker.turns))
+    every = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+    f = likeliest_alone(along_route(scene, looker, every))
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
     return _role_value(f, looker, x_m, y_m, heading_rad, 0.0)
@@ -297,13 +299,15 @@ def team_decide(
 
     others, first_s: see :func:`cover_of`.
     """
+    sure, foreseen, judged_by = foresee(scene, now, looker)
     every = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
-    f = straight_on(every) if team.futures < 2 else every
+    every = along_route(scene, looker, every)
+    f = likeliest_alone(every) if team.futures < 2 else every
     cover = cover_of(scene, f, others, first_s, looker, team)
     stay_cost = team_look_ahead(scene, now, f, cover, looker, team, costs)
     if scene.mirror == team.wanted:
         alone = np.empty(MOVES)
-        alone_stay = look_deeper(scene, now, every, looker, sight, 0.0, alone)
+        alone_stay = look_deeper(sure, now, foreseen, judged_by, sight, 0.0, alone)
         for i in range(MOVES):
             costs[i] += team.own * min(alone[i] - alone_stay, _WORSE_MAX_S)
     return stay_cost, stay_cost - team.price * commitment(scene, now, f, looker)

@@ -12,10 +12,11 @@ from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import ARC, Craft, line_at, sharpness_per_m2, turn_radius_m
 from sidelong.mission.predictive.cost_kernel import CostTerms, Table, fading_per_s, least
-from sidelong.mission.predictive.future_kernel import Motions, Turns, straight_on, winding
+from sidelong.mission.predictive.future_kernel import Motions, Turns, likeliest_alone
 from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S, Kept, lines_from, move_line, ramp_on
+from sidelong.mission.predictive.programme_kernel import Foresight
 from sidelong.mission.predictive.rollout_kernel import Futures, Lines, Pose, lines_costs, single_line, times_s
-from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame, scene_of
+from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame
 from sidelong.mission.predictive.second_kernel import (
     MOVE_BRANCHES,
     STAY_BRANCHES,
@@ -78,6 +79,7 @@ class Looker(NamedTuple):
     turns: Turns
     depth: Depth
     seconds: Seconds
+    foresight: Foresight
 
 
 class Alternatives(NamedTuple):
@@ -213,7 +215,7 @@ def look_deeper(
     min_gain may be given any cost above that.
     """
     # The turns that the target may begin only matter with a second move.
-    stay_cost = look_ahead(scene, now, straight_on(futures), looker, sight, costs)
+    stay_cost = look_ahead(scene, now, likeliest_alone(futures), looker, sight, costs)
     depth, prices, air = looker.depth, looker.prices, scene.air
     if depth.beam == 0 or len(sight.needed_m) > 0 or doubtful(scene, looker.motions):
         return stay_cost
@@ -259,22 +261,6 @@ def commitment(scene: Scene, now: Situation, futures: Futures, looker: Looker) -
             if range_m < terms.near_m or range_m > terms.far_m:
                 return 0.0
     return prices.commit
-
-
-@compiled
-def decide(now: Situation, looker: Looker) -> tuple[float, float, FloatArray]:
-    """Return (departure, radius, line (5, n)) of the best move where it is cheaper than staying, else n = 0.
-
-    The ground hides nothing.
-    """
-    scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
-    costs = np.empty(MOVES)
-    flat = Sight(np.zeros((0, 1, 1), np.float32), 1.0, 1.0, 0.0, 1.0, 0.0)
-    futures = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
-    min_gain = commitment(scene, now, futures, looker)
-    stay_cost = look_deeper(scene, now, futures, looker, flat, min_gain, costs)
-    line = best_line(scene, looker, costs, stay_cost - min_gain)
-    return scene.departure_s, scene.radius_m, line
 
 
 @compiled

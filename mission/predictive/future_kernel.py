@@ -106,7 +106,7 @@ def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turn
         faded_s[i] = turns.fades_s * (1.0 - math.exp(-(i + 0.5) * STEP_S / turns.fades_s))
     for one in range(f):
         _turning(scene, turns.rate_rad_s[one], faded_s, place[one])
-    return _watched(scene, motions, wish, memory, moving, weight, place)
+    return watched(scene, motions, wish, memory, moving, weight, place)
 
 
 @compiled
@@ -125,7 +125,7 @@ def _turning(scene: Scene, rate_rad_s: float, faded_s: FloatArray, place: FloatA
 
 
 @compiled
-def _watched(
+def watched(
     scene: Scene,
     motions: Motions,
     wish: Wish,
@@ -219,8 +219,8 @@ def _watch(
 
 
 @compiled
-def straight_on(f: Futures) -> Futures:
-    """Return the first future alone, in which the target keeps its course."""
+def likeliest_alone(f: Futures) -> Futures:
+    """Return the first future alone, in which the target keeps its course or follows its route."""
     return Futures(
         np.ones(1), f.step_s, f.place[:1], f.facing[:1], f.course[:1], f.classes[:1], f.share[:1], f.turn_share[:1]
     )

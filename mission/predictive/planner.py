@@ -29,15 +29,22 @@ from sidelong.mission.geometry.line_kernel import craft_of
 from sidelong.mission.geometry.trapezoid import end_circle, sharpness_per_m2, turn_radius_m
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.cost import WatchCost
+from sidelong.mission.predictive.cost_kernel import Table
 from sidelong.mission.predictive.decision_kernel import Depth, Looker, Prices
 from sidelong.mission.predictive.forecast import Outlook, describe_breach, describe_range
-from sidelong.mission.predictive.future_kernel import Turns, winding
+from sidelong.mission.predictive.foresight import foresight_along, no_route
+from sidelong.mission.predictive.foresight_kernel import foresee
+from sidelong.mission.predictive.future_kernel import Turns
 from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
+from sidelong.mission.predictive.programme_kernel import Foresight
 from sidelong.mission.predictive.rollout_kernel import Futures
 from sidelong.mission.predictive.scene_kernel import Scene, Situation, scene_of
 from sidelong.mission.predictive.second_moves_kernel import no_seconds
 from sidelong.mission.predictive.situation import situation
 from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
+from sidelong.mission.route.progress import RouteProgress, progress_of
+from sidelong.mission.route.progress_kernel import fresh_progress
+from sidelong.mission.route.route import Route
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
 from sidelong.mission.viewpoint.side_policy import SidePolicy
 
@@ -126,7 +133,8 @@ class PredictivePlanner:
     table is that of :func:`table_configuration`; windy are more of them, for other winds. The one nearest to the
     present wind is used. check tells which fence a plan would break, or None: the best plan that breaks none is
     taken. sight tells what the ground hides about a target of this place and velocity (east, north, m and m/s).
-    table_at returns the table for another wind speed, which has to be at hand when it is prepared for.
+    table_at returns the table for another wind speed, which has to be at hand when it is prepared for. route: the
+    target's expected route.
     """
 
     def __init__(
@@ -139,6 +147,7 @@ class PredictivePlanner:
         check: Callable[[Plan], str | None] = lambda _plan: None,
         sight: SightAt = lambda *_target: NOTHING_HIDDEN,
         table_at: Callable[[float], ValueTable] | None = None,
+        route: Route | None = None,
     ) -> None:
         self._aircraft, self._requirement, self._tables = aircraft, requirement, (table, *windy)
         self._settings = settings or PredictiveSettings()
@@ -146,6 +155,7 @@ class PredictivePlanner:
         self.price_share = 1.0  # of what moves cost, in its own decisions
         self._policy = SidePolicy(requirement, aircraft.radius_m, requirement.course_horizon_s)
         self._kept, self._seconds = nothing_kept(), no_seconds()
+        self._route, self._progress = route, fresh_progress()
         self.lookers = [self._looker(one) for one in self._tables]
         if self._settings.beam > 0:  # else the first decisions would wait for it
             kernel.lay_out(self.lookers[0], aircraft.radius_m, aircraft.airspeed_m_s, 0.0)
@@ -167,13 +177,30 @@ class PredictivePlanner:
             Turns(own.turn_rate_rad_s * np.array([0.0, -1.0, 1.0]), own.turn_fades_s),
             Depth(own.beam, own.horizon_s, _least(table), float(table.after_turn.min())),
             self._seconds,
+            self._foresight(table.arrays, table.configuration),
         )
+
+    def _foresight(self, table: Table, configuration: TableConfiguration) -> Foresight:
+        if self._route is None:
+            return no_route()
+        return foresight_along(self._route, table, configuration, self._progress)
 
     def prepare(self, wind_speed_m_s: float) -> None:
         """See :class:`mission.core.plan.WindPlanner`. Nothing to do for a sector, whose table knows no wind."""
         known = any(one.motions.wind_speed_m_s == wind_speed_m_s for one in self.lookers)
         if self._table_at is not None and self._requirement.sector is None and not known:
             self.lookers.append(self._looker(self._table_at(wind_speed_m_s)))
+
+    def follow(self, route: Route) -> None:
+        """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
+        self._route, self._progress = route, fresh_progress()
+        for k, looker in enumerate(self.lookers):
+            self.lookers[k] = looker._replace(foresight=self._foresight(looker.table, self._tables[0].configuration))
+
+    @property
+    def route_progress(self) -> RouteProgress | None:
+        """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
+        return None if self._route is None else progress_of(self._route, self._progress)
 
     @classmethod
     def for_(cls, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
@@ -208,15 +235,15 @@ class PredictivePlanner:
         scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
         return scene, self._sight(scene.frame_east_m, scene.frame_north_m, *kernel.target_velocity(scene))
 
-    def _futures(self, scene: Scene, looker: Looker) -> Futures:
-        """Return what the target may do."""
-        return winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
+    def _foreseen(self, scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Futures, Looker]:
+        """Return what the target may do, with the scene and the looker to judge it by."""
+        return foresee(scene, now, looker)
 
     def _look_ahead(self, now: Situation, present: Plan, looker: Looker) -> Decision:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
         scene, sight = self.outlook(now, looker)
         costs = np.empty(MOVES)
-        futures = self._futures(scene, looker)
+        scene, futures, looker = self._foreseen(scene, now, looker)
         min_gain_s = kernel.commitment(scene, now, futures, looker)
         stay_cost = kernel.look_deeper(scene, now, futures, looker, sight, min_gain_s, costs)
         places, time_s = kernel.flown_on(scene, now, 4.0 * math.pi * scene.radius_m)

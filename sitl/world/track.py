@@ -23,6 +23,7 @@ _LIVELY_WINDOW_S = 60.0
 
 
 _Point = tuple[float, float, float]  # time, then east and north or latitude and longitude
+_Rows = tuple[list[_Point], tuple[float, float] | None]  # points, and latitude and longitude of their origin
 # What the columns of a CSV may be called: time and two of place; whether these are degrees.
 _COLUMNS = (
     ((("t_s", "time_s", "time", "t"), ("east_m",), ("north_m",)), False),
@@ -36,11 +37,15 @@ class TrackError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Points with strictly rising times, relative to the first; at least two."""
+    """Points with strictly rising times, relative to the first; at least two.
+
+    origin_deg: latitude and longitude of east and north zero; None where the file is in metres.
+    """
 
     time_s: Sequence[float]
     east_m: Sequence[float]
     north_m: Sequence[float]
+    origin_deg: tuple[float, float] | None = None
 
     def first_motion_s(self) -> float:
         """Return when the first minute begins that covers ground at a jog; 0 if there is none."""
@@ -104,7 +109,7 @@ def read_track(path: Path) -> Track:
             raise TrackError(f"{path} cannot be read: it is no file")
         if path.stat().st_size > _FILE_MAX_BYTES:
             raise TrackError(f"{path} is longer than {_FILE_MAX_BYTES >> 20} MiB; cut the track")
-        rows = _read_gpx(path) if path.suffix.lower() == ".gpx" else _read_csv(path)
+        rows, origin_deg = _read_gpx(path) if path.suffix.lower() == ".gpx" else _read_csv(path)
     except OSError as error:
         raise TrackError(f"{path} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -118,7 +123,7 @@ def read_track(path: Path) -> Track:
         raise TrackError(f"{path} holds {len(points)} usable points with times; a track needs two")
     first_s = points[0][0]
     time_s, east_m, north_m = zip(*points, strict=True)
-    return Track([t - first_s for t in time_s], east_m, north_m)
+    return Track([t - first_s for t in time_s], east_m, north_m, origin_deg)
 
 
 class _Points:
@@ -175,7 +180,7 @@ class _Points:
         pass
 
 
-def _read_gpx(path: Path) -> list[_Point]:
+def _read_gpx(path: Path) -> _Rows:
     points = _Points()
     parser = ElementTree.XMLParser(target=points)
     with path.open("rb") as file:
@@ -185,7 +190,7 @@ def _read_gpx(path: Path) -> list[_Point]:
     return _from_geodetic(points.of_target or points.rows)
 
 
-def _read_csv(path: Path) -> list[_Point]:
+def _read_csv(path: Path) -> _Rows:
     with path.open(newline="", encoding="utf-8-sig") as file:
         header = file.readline()
         columns = [name.strip().lower() for name in next(csv.reader([header], delimiter=_delimiter(header)), [])]
@@ -195,7 +200,7 @@ def _read_csv(path: Path) -> list[_Point]:
             if None not in places:
                 points = [_point([row[k] for k in places if k is not None and k < len(row)]) for row in rows]
                 found = [point for point in points if point is not None]
-                return _from_geodetic(found) if geodetic else found
+                return _from_geodetic(found) if geodetic else (found, None)
     raise ValueError("the header names neither t_s, east_m, north_m nor time, lat, lon")
 
 
@@ -217,14 +222,15 @@ def _seconds(stamp: str) -> float:
         return datetime.datetime.fromisoformat(stamp.strip()).timestamp()
 
 
-def _from_geodetic(rows: list[_Point]) -> list[_Point]:
+def _from_geodetic(rows: list[_Point]) -> _Rows:
     rows = [row for row in rows if abs(row[1]) <= 90.0 and abs(row[2]) <= 180.0]
     if not rows:
-        return []
-    plane = HomePlane(rows[0][1], rows[0][2])
+        return [], None
+    origin_deg = rows[0][1:]
+    plane = HomePlane(*origin_deg)
     return [
         (time_s, *plane.east_north_m(latitude_deg, longitude_deg)) for time_s, latitude_deg, longitude_deg in rows
-    ]
+    ], origin_deg
 
 
 def _rising(rows: list[_Point]) -> list[_Point]:

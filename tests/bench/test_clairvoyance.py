@@ -31,7 +31,7 @@ from sidelong.mission.predictive.decision_kernel import Looker
 from sidelong.mission.predictive.future_kernel import FORETOLD_S, Turns, fill_classes
 from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings, table_configuration
 from sidelong.mission.predictive.rollout_kernel import Futures
-from sidelong.mission.predictive.scene_kernel import Scene
+from sidelong.mission.predictive.scene_kernel import Scene, Situation
 
 OWN = Path(__file__).parents[1] / "data" / "targets"
 STEP_S, PER_S, LOOKED_S, HORIZON_S = 0.1, 10, 30.0, 20.0
@@ -59,6 +59,9 @@ class Clairvoyant(PredictivePlanner):
         steps = math.hypot(*velocity) * np.stack([np.sin(course_rad), np.cos(course_rad)], axis=2)
         untold = told[-1] + np.cumsum(steps, axis=1)
         return np.concatenate([np.repeat(told[None], len(untold), axis=0), untold], axis=1)
+
+    def _foreseen(self, scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Futures, Looker]:
+        return scene, self._futures(scene, looker), looker
 
     def _futures(self, scene: Scene, looker: Looker) -> Futures:
         k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 40)

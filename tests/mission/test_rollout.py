@@ -14,7 +14,8 @@ from sidelong.mission.geometry.progress import line_at, line_of
 from sidelong.mission.geometry.trapezoid import sharpness_per_m2, sharpnesses_per_m2
 from sidelong.mission.geometry.wind import ground_speeds_m_s, min_radius_m
 from sidelong.mission.predictive import decision_kernel as kernel
-from sidelong.mission.predictive.future_kernel import Turns, straight_on, winding
+from sidelong.mission.predictive.foresight import no_route
+from sidelong.mission.predictive.future_kernel import Turns, likeliest_alone, winding
 from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
 from sidelong.mission.predictive.planner import table_configuration
 from sidelong.mission.predictive.rollout_kernel import Air, Futures, Pose, lines_costs, single_line, times_s
@@ -96,7 +97,7 @@ class Look:
             futures or going_straight(self.scene, motions),
             kernel.Looker(
                 *(self.craft, 5.0, WISH, c.cost.terms, self.table.arrays, motions, kernel.Prices(0.5, 1.0)),
-                *(fresh_memory(self.side), kept or nothing_kept(), STRAIGHT, SHALLOW, no_seconds()),
+                *(fresh_memory(self.side), kept or nothing_kept(), STRAIGHT, SHALLOW, no_seconds(), no_route()),
             ),
             NOTHING_HIDDEN,
             costs,
@@ -269,7 +270,7 @@ def test_a_turn_is_predicted_with_the_straight_way_first(paper_aircraft, paper_r
     np.testing.assert_allclose(futures.weight, 1.0 / 3.0)
     course = np.unwrap(np.arctan2(futures.place[:, :, 2], futures.place[:, :, 3]), axis=1)
     np.testing.assert_allclose(np.degrees(course[:, -1] - course[:, 0]), [0.0, -30.0, 30.0], atol=2.0)
-    straight = straight_on(futures)
+    straight = likeliest_alone(futures)
     assert straight.weight == [1.0]
     np.testing.assert_array_equal(straight.place[0], futures.place[0])
 

@@ -1,0 +1,178 @@
+"""Read the way points of a route: GPX, GeoJSON, KML or CSV."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from sidelong.app.errors import InputError
+from sidelong.app.text_file import read_text
+from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.core.path import FloatArray
+
+_FILE_MAX_BYTES = 8 << 20
+_REMEDY = "give a route as .gpx, .geojson, .kml, or .csv with east_m,north_m or lat,lon"
+_CSV_COLUMNS = ((("east_m",), ("north_m",)), (("lat", "latitude", "lat_deg"), ("lon", "longitude", "lon_deg")))
+_Points = list[tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoutePoints:
+    """Way points of a route.
+
+    Attributes:
+        first: Latitude in degrees, or east in metres (n,).
+        second: Longitude in degrees, or north in metres (n,).
+        geodetic: Whether they are degrees.
+
+    """
+
+    first: FloatArray
+    second: FloatArray
+    geodetic: bool
+
+    def in_plane(self, plane: LocalPlane) -> tuple[FloatArray, FloatArray]:
+        """Return east and north (n,) in metres; points that are in metres already are relative to the origin."""
+        if not self.geodetic:
+            return self.first, self.second
+        places = [plane.east_north_m(*place) for place in zip(self.first.tolist(), self.second.tolist(), strict=True)]
+        east_m, north_m = np.array(places).T
+        return east_m, north_m
+
+
+def read_route(path: Path) -> RoutePoints:
+    """Read a route file.
+
+    Raises:
+        InputError: The file cannot be read or contains fewer than two points.
+
+    """
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(f"{path}: is not a route file; {_REMEDY}.")
+    text = read_text(path, _FILE_MAX_BYTES, _REMEDY)
+    try:
+        points, geodetic = reader(text)
+    except (ElementTree.ParseError, ValueError, LookupError, TypeError, RecursionError, csv.Error) as error:
+        raise InputError(f"{path}: is not a readable route: {error!s:.160}; {_REMEDY}.") from error
+    if len(points) < 2:
+        raise InputError(f"{path}: contains {len(points)} points of a route; it needs at least two.")
+    first, second = np.array(points, np.float64).T
+    beyond = ~np.isfinite(first) | ~np.isfinite(second)
+    if geodetic:
+        beyond |= (np.abs(first) > 90.0) | (np.abs(second) > 180.0)
+    if beyond.any():
+        bad = int(np.flatnonzero(beyond)[0])
+        limits = " (-90 to 90, -180 to 180)" if geodetic else ""
+        raise InputError(f"{path}: point {bad + 1}, {first[bad]:g}, {second[bad]:g}, is out of range{limits}.")
+    return RoutePoints(np.ascontiguousarray(first), np.ascontiguousarray(second), geodetic)
+
+
+def _gpx(text: str) -> tuple[_Points, bool]:
+    """Return the points of the first route; without one, of the first track; else the way points."""
+    from gpxpy import parse  # noqa: PLC0415  # only needed here
+    from gpxpy.gpx import GPXException  # noqa: PLC0415
+
+    try:
+        gpx = parse(text)
+    except GPXException as error:
+        raise ValueError(str(error)) from error
+    found: list[Any] = list(gpx.routes[0].points) if gpx.routes else []
+    if not found and gpx.tracks:
+        found = [point for segment in gpx.tracks[0].segments for point in segment.points]
+    return [(point.latitude, point.longitude) for point in found or gpx.waypoints], True
+
+
+def _geojson(text: str) -> tuple[_Points, bool]:
+    """Return the points of the lines in a document, joined in their order; without a line, its points."""
+    lines: _Points = []
+    points: _Points = []
+    for geometry in _geometries(json.loads(text)):
+        kind, coordinates = geometry["type"], geometry["coordinates"]
+        match kind:
+            case "LineString":
+                lines += [(float(c[1]), float(c[0])) for c in coordinates]
+            case "MultiLineString":
+                lines += [(float(c[1]), float(c[0])) for line in coordinates for c in line]
+            case "Polygon":
+                lines += [(float(c[1]), float(c[0])) for c in coordinates[0]]
+            case "Point":
+                points.append((float(coordinates[1]), float(coordinates[0])))
+            case "MultiPoint":
+                points += [(float(c[1]), float(c[0])) for c in coordinates]
+    return lines or points, True
+
+
+def _geometries(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    match document["type"]:
+        case "FeatureCollection":
+            for feature in document["features"]:
+                yield from _geometries(feature)
+        case "Feature":
+            if document.get("geometry"):
+                yield from _geometries(document["geometry"])
+        case "GeometryCollection":
+            for geometry in document["geometries"]:
+                yield from _geometries(geometry)
+        case _:
+            yield document
+
+
+def _kml(text: str) -> tuple[_Points, bool]:
+    """Return the points of the first line or recorded track; without one, of all placemarks."""
+    root = ElementTree.fromstring(text)
+    placemarks: _Points = []
+    track = [element.text or "" for element in root.iter() if _name(element) == "coord"]
+    if track:
+        return [_longitude_latitude(words.split()) for words in track], True
+    for element in root.iter():
+        if _name(element) not in ("LineString", "LinearRing", "Point"):
+            continue
+        words = next((child.text or "" for child in element if _name(child) == "coordinates"), "")
+        points = [_longitude_latitude(one.split(",")) for one in words.split()]
+        if _name(element) != "Point":
+            return points, True
+        placemarks += points
+    return placemarks, True
+
+
+def _name(element: ElementTree.Element) -> str:
+    return element.tag.rpartition("}")[2]
+
+
+def _longitude_latitude(words: list[str]) -> tuple[float, float]:
+    return float(words[1]), float(words[0])
+
+
+def _csv(text: str) -> tuple[_Points, bool]:
+    lines = [line for line in text.splitlines() if line.strip()]
+    rows = csv.reader(lines, delimiter=max(",;\t", key=lines[0].count) if lines else ",")
+    header = [name.strip().lower() for name in next(rows, [])]
+    for geodetic, names in enumerate(_CSV_COLUMNS):
+        columns = [next((header.index(name) for name in alike if name in header), None) for alike in names]
+        first, second = columns
+        if first is not None and second is not None:
+            return [(_number(row[first]), _number(row[second])) for row in rows], bool(geodetic)
+    raise ValueError("the header names neither east_m, north_m nor lat, lon")
+
+
+def _number(word: str) -> float:
+    return float(word) if word.strip() else math.nan
+
+
+_READERS: dict[str, Callable[[str], tuple[_Points, bool]]] = {
+    ".gpx": _gpx,
+    ".geojson": _geojson,
+    ".json": _geojson,
+    ".kml": _kml,
+    ".csv": _csv,
+}
+ROUTE_SUFFIXES = tuple(_READERS)

@@ -1,0 +1,66 @@
+"""Room for the look ahead along a route; :mod:`sidelong.mission.predictive.foresight_kernel` fills it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.predictive.cost_kernel import Table
+from sidelong.mission.predictive.programme_kernel import (
+    CELLS,
+    COMPUTED_S,
+    HEADINGS,
+    HORIZON_S,
+    KNOWN,
+    SIZE,
+    Foresight,
+    layer_s,
+    resample,
+)
+from sidelong.mission.predictive.value_table import TableConfiguration
+from sidelong.mission.route.progress_kernel import Way, fresh_progress
+from sidelong.mission.route.route import Direction, Route
+
+_DIRECTIONS = {Direction.FORWARD: 1.0, Direction.BACKWARD: -1.0, Direction.EITHER: 0.0}
+_NOTHING = np.zeros((1, 1, 1, 1), np.float32)
+
+
+def no_route() -> Foresight:
+    """Return what a planner without a route looks ahead with."""
+    way = Way(np.zeros((0, 2)), 1.0, False, 1.0, math.nan, 0.0)
+    return Foresight(way, fresh_progress(), _NOTHING, _NOTHING, 1.0, np.zeros(1), np.zeros(KNOWN + HEADINGS))
+
+
+def way_of(route: Route) -> Way:
+    """Return a route as the loops see it."""
+    points = np.ascontiguousarray(np.stack([route.east_m, route.north_m], axis=1))
+    direction = _DIRECTIONS[route.direction]
+    return Way(points, route.spacing_m, route.lap, route.tolerance_m, route.speed_m_s, direction)
+
+
+def foresight_along(route: Route, own: Table, c: TableConfiguration, progress: FloatArray) -> Foresight:
+    """Return room for the layers along a route, and the table's classes on their grid.
+
+    Args:
+        route: The target's route.
+        own: Value table of the planner.
+        c: Its configuration, or that of a table for another wind.
+        progress: Memory of the progress filter, which tables for several winds share.
+
+    """
+    classes = len(own.values)
+    layers = math.ceil(HORIZON_S / layer_s(c.airspeed_m_s, c.radius_m)) + 1
+    cell_m = c.half_width_m / CELLS
+    values = np.zeros((classes + layers, HEADINGS, SIZE, SIZE), np.float32)
+    after_turn = np.zeros((classes + HEADINGS, HEADINGS, SIZE, SIZE), np.float32)
+    share = np.array([[[1.0, 0.0, 0.0, 0.0]]])
+    for one in range(classes):
+        mixed = np.array([[[one, 0, 0, 0]]])
+        resample(own.values, own.cell_m, mixed, share, 0, 0, cell_m, 0.0, values[one])
+        resample(own.after_turn, own.cell_m, mixed, share, 0, 0, cell_m, 0.0, after_turn[one])
+    least = values.min(axis=(1, 2, 3)).astype(np.float64)
+    state = np.zeros(KNOWN + HEADINGS)
+    state[COMPUTED_S] = -np.inf
+    return Foresight(way_of(route), progress, values, after_turn, cell_m, least, state)

@@ -1,0 +1,314 @@
+"""A dynamic program along an expected path of the target: the cost to go from each position, heading and time.
+
+It runs backward from the value table at the end of the expected path. A state is a position relative to the target
+on a coarse grid, one of 16 headings, and the manner of turning: on the circle, straight, or the other way round. A
+step lasts as long as the circle takes for 45 degrees, so that no heading is interpolated. Leaving the circle, or
+changing the manner of turning, costs what the planner's own moves cost. The target may also leave the path: the
+program counts the expected value after a turn at the same hazard as the value table does.
+
+Neglected: roll dynamics (a change of curvature is a shift in time), and the change of ground speed around a circle in
+wind. All layers lie in the local plane, east mirrored where the right side is required: they stay valid as the
+target, and with it the frame of a decision, turns.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from sidelong.estimators.compiled import compiled, inlined
+from sidelong.mission.core.path import FloatArray
+from sidelong.mission.predictive.cost_kernel import CostTerms, Float32, IntArray, Table, cost_rate, table_value
+from sidelong.mission.predictive.rollout_kernel import Air, Doubt, Futures
+from sidelong.mission.route.progress_kernel import Way
+
+FloatRow = npt.NDArray[np.float32]
+
+HEADINGS = 16
+CELLS = 22  # from the target to the edge of the grid
+SIZE = 2 * CELLS + 1
+_PAD = 8  # cells beyond the edge, equal to it: more than aircraft and target move apart in a step
+_TURN = 2  # headings of a step on the circle
+_MODES = 3  # on the circle, straight, the other way round
+HORIZON_S = 45.0
+# What is remembered of the layers: when they were computed, for which mirror, hypothesis and direction of the wind,
+# then for which courses the values after a turn are computed.
+COMPUTED_S, MIRROR, FOLLOWED, WIND_RAD, KNOWN = range(5)
+
+
+class Foresight(NamedTuple):
+    """A route and the layers of the value table along it; without points, no route.
+
+    values: classes of the value table on the program's grid, then the layers. after_turn: the same classes, then one
+    for each of HEADINGS courses. least (classes + layers,): of ``values``.
+    """
+
+    way: Way
+    progress: FloatArray
+    values: Float32
+    after_turn: Float32
+    cell_m: float
+    least: FloatArray
+    state: FloatArray
+
+
+@compiled
+def layer_s(airspeed_m_s: float, radius_m: float) -> float:
+    """Return the duration of a step: that of 45 degrees of the circle."""
+    return _TURN * 2.0 * math.pi / HEADINGS * radius_m / airspeed_m_s
+
+
+@inlined
+def course_index(f: Futures, one: int, k: int, turn_rad: float) -> int:
+    """Return which of HEADINGS directions of the plane the target moves in at a sample; turn_rad: of the plane."""
+    motion_rad = math.atan2(f.place[one, k, 2], f.place[one, k, 3])
+    return round((motion_rad - turn_rad) / (2.0 * math.pi) * HEADINGS) % HEADINGS
+
+
+@compiled
+def resample(
+    values: Float32,
+    from_cell_m: float,
+    classes: IntArray,
+    share: FloatArray,
+    one: int,
+    k: int,
+    cell_m: float,
+    turn_rad: float,
+    found: Float32,
+) -> None:
+    """Fill in a mixture of a table's classes on the coarse grid of the program, in a frame turned back.
+
+    Args:
+        values: The table (classes, headings, n, n).
+        from_cell_m: Its cell.
+        classes: Which classes are mixed (f, k, 4).
+        share: What each counts (f, k, 4).
+        one: Row of ``classes`` and ``share``.
+        k: Sample in that row.
+        cell_m: Cell of the result.
+        turn_rad: Course of the table's frame in the frame of the result.
+        found: Result (HEADINGS, SIZE, SIZE).
+
+    """
+    sin_t, cos_t = math.sin(turn_rad), math.cos(turn_rad)
+    for h in range(HEADINGS):
+        heading_rad = h * 2.0 * math.pi / HEADINGS - turn_rad
+        for i in range(SIZE):
+            for j in range(SIZE):
+                x, y = (i - CELLS) * cell_m, (j - CELLS) * cell_m
+                across, along = x * cos_t - y * sin_t, x * sin_t + y * cos_t
+                found[h, i, j] = np.float32(
+                    table_value(values, from_cell_m, across, along, heading_rad, classes, share, one, k)
+                )
+
+
+@compiled
+def _fill_rates(
+    f: Futures,
+    one: int,
+    k: int,
+    since_s: float,
+    turn_rad: float,
+    cell_m: float,
+    d: Doubt,
+    c: CostTerms,
+    found: Float32,
+) -> None:
+    """Fill in the running cost (SIZE, SIZE) about the target at sample k. turn_rad: of the plane in the frame."""
+    sin_w, cos_w, sigma_rad = f.facing[one, k, 0], f.facing[one, k, 1], f.facing[one, k, 2]
+    sin_t, cos_t = math.sin(turn_rad), math.cos(turn_rad)
+    # Of the watch course in the plane: its angle in the frame less that of the plane.
+    sin_f, cos_f = sin_w * cos_t - cos_w * sin_t, cos_w * cos_t + sin_w * sin_t
+    sigma_m = math.sqrt(d.position_m * d.position_m + (d.velocity_m_s * since_s) ** 2)
+    for i in range(SIZE):
+        for j in range(SIZE):
+            x, y = (i - CELLS) * cell_m, (j - CELLS) * cell_m
+            across, along = x * cos_f - y * sin_f, x * sin_f + y * cos_f
+            aside_m = sigma_rad * along
+            blur_m = max(1.0 + math.sqrt(sigma_m * sigma_m + aside_m * aside_m), 0.5 * cell_m)
+            found[i, j] = np.float32(cost_rate(across, along, sigma_m, blur_m, c))
+
+
+@compiled
+def _add_row(rate: FloatRow, turned: FloatRow, hazard: np.float32, found: FloatRow) -> None:
+    for q in range(len(found)):
+        found[q] = rate[q] + hazard * turned[q]
+
+
+@compiled
+def _blend_row(
+    low: FloatRow,
+    high: FloatRow,
+    own: FloatRow,
+    a: np.float32,
+    b: np.float32,
+    c: np.float32,
+    d: np.float32,
+    half: np.float32,
+    found: FloatRow,
+) -> None:
+    for q in range(len(found)):
+        found[q] = half * own[q] + a * low[q] + b * low[q + 1] + c * high[q] + d * high[q + 1]
+
+
+@compiled
+def _choose_row(
+    circle: FloatRow,
+    straight: FloatRow,
+    other: FloatRow,
+    paid: FloatRow,
+    leave: np.float32,
+    change: np.float32,
+    half: np.float32,
+    found: FloatRow,
+    on: FloatRow,
+    ahead: FloatRow,
+    back: FloatRow,
+) -> None:
+    """Fill in the cost to go on the circle, and that in each mode with half a step's cost before it."""
+    for q in range(len(found)):
+        c, s, o = circle[q], straight[q], other[q]
+        away = s if s < o else o
+        here = c if c < away + leave else away + leave
+        changed = (away if away < c else c) + change
+        s = c if c < s else s
+        o = c if c < o else o
+        before = half * paid[q]
+        found[q] = here
+        on[q] = here + before
+        ahead[q] = (s if s < changed else changed) + before
+        back[q] = (o if o < changed else changed) + before
+
+
+@compiled
+def _extend_edges(padded: Float32) -> None:
+    """Give the cells beyond the grid the values of its edge."""
+    n = len(padded)
+    for i in range(_PAD, n - _PAD):
+        row = padded[i]
+        for q in range(_PAD):
+            row[q], row[n - 1 - q] = row[_PAD], row[n - 1 - _PAD]
+    for i in range(_PAD):
+        for q in range(n):
+            padded[i, q], padded[n - 1 - i, q] = padded[_PAD, q], padded[n - 1 - _PAD, q]
+
+
+@compiled
+def fill_layers(
+    f: Futures,
+    one: int,
+    turn_rad: float,
+    d: Doubt,
+    terms: CostTerms,
+    table: Table,
+    air: Air,
+    radius_m: float,
+    leave: float,
+    change: float,
+    cell_m: float,
+    after_turn: Float32,
+    found: Float32,
+) -> None:
+    """Fill in the cost to go on the circle, in layers of :func:`layer_s` from the departure on.
+
+    Args:
+        f: Futures of the target in the frame of the decision.
+        one: The future to follow.
+        turn_rad: Angle of the (mirrored) plane's north in that frame.
+        d: Uncertainty of the target.
+        terms: Running cost.
+        table: Value table: the cost to go at the end, and the hazard of turns.
+        air: Airspeed and wind, in the frame.
+        radius_m: Of the circle.
+        leave: Cost of leaving the circle.
+        change: Cost of another change.
+        cell_m: Of the result.
+        after_turn: Expected cost after a turn of the target, for each of HEADINGS courses before it:
+            (HEADINGS, HEADINGS, SIZE, SIZE).
+        found: Result (layers, HEADINGS, SIZE, SIZE).
+
+    """
+    layers, n = len(found), SIZE + 2 * _PAD
+    dt_s, turn_step_rad = layer_s(air.airspeed_m_s, radius_m), 2.0 * math.pi / HEADINGS
+    rate, paid = np.empty((SIZE, SIZE), np.float32), np.empty((HEADINGS, SIZE, SIZE), np.float32)
+    values = np.empty((_MODES, HEADINGS, SIZE, SIZE), np.float32)
+    best = np.empty((_MODES, HEADINGS, n, n), np.float32)
+    hazard_per_s = 1.0 / table.mean_leg_s
+    fading, half = math.exp(-(table.discount_per_s + hazard_per_s) * dt_s), np.float32(0.5 * dt_s)
+    sin_p, cos_p, last_k = math.sin(turn_rad), math.cos(turn_rad), f.place.shape[1] - 1
+    wind_x = air.wind_x_m_s * cos_p - air.wind_y_m_s * sin_p
+    wind_y = air.wind_x_m_s * sin_p + air.wind_y_m_s * cos_p
+    chord_m = 2.0 * radius_m * math.sin(0.5 * _TURN * turn_step_rad)
+    limit = _PAD - 1.01
+    for layer in range(layers - 1, -1, -1):
+        time_s = layer * dt_s
+        k = min(int(time_s / f.step_s + 0.5), last_k)
+        _fill_rates(f, one, k, time_s, turn_rad, cell_m, d, terms, rate)
+        course = course_index(f, one, k, turn_rad)
+        for h in range(HEADINGS):
+            for i in range(SIZE):
+                _add_row(rate[i], after_turn[course, h, i], np.float32(hazard_per_s), paid[h, i])
+        if layer == layers - 1:
+            table_rad = f.course[one, k, 2] - turn_rad
+            resample(table.values, table.cell_m, f.classes, f.share, one, k, cell_m, table_rad, values[0])
+            values[1], values[2] = values[0], values[0]
+        else:
+            k, m = min(int(time_s / f.step_s), last_k), min(int((time_s + dt_s) / f.step_s), last_k)
+            from_s, to_s = time_s - k * f.step_s, time_s + dt_s - m * f.step_s
+            gone_x = f.place[one, m, 0] + f.place[one, m, 2] * to_s - f.place[one, k, 0] - f.place[one, k, 2] * from_s
+            gone_y = f.place[one, m, 1] + f.place[one, m, 3] * to_s - f.place[one, k, 1] - f.place[one, k, 3] * from_s
+            gone_x, gone_y = gone_x * cos_p - gone_y * sin_p, gone_x * sin_p + gone_y * cos_p
+            for mode in range(_MODES):
+                turn = (1 - mode) * _TURN
+                for h in range(HEADINGS):
+                    middle_rad = (h + 0.5 * turn) * turn_step_rad
+                    flown_x, flown_y = chord_m * math.sin(middle_rad), chord_m * math.cos(middle_rad)
+                    if turn == 0:
+                        flown_x, flown_y = (
+                            air.airspeed_m_s * math.sin(middle_rad),
+                            air.airspeed_m_s * math.cos(middle_rad),
+                        )
+                        flown_x, flown_y = (flown_x + wind_x) * dt_s, (flown_y + wind_y) * dt_s
+                    x = min(max((flown_x - gone_x) / cell_m, -limit), limit)
+                    y = min(max((flown_y - gone_y) / cell_m, -limit), limit)
+                    i, j = math.floor(x), math.floor(y)
+                    a, b = x - i, y - j
+                    one_a, one_b = np.float32(fading * (1.0 - a) * (1.0 - b)), np.float32(fading * (1.0 - a) * b)
+                    one_c, one_d = np.float32(fading * a * (1.0 - b)), np.float32(fading * a * b)
+                    after = best[mode, (h + turn) % HEADINGS]
+                    for p in range(SIZE):
+                        first = j + _PAD
+                        low = after[p + i + _PAD, first : first + SIZE + 1]
+                        high = after[p + i + 1 + _PAD, first : first + SIZE + 1]
+                        _blend_row(low, high, paid[h, p], one_a, one_b, one_c, one_d, half, values[mode, h, p])
+        for h in range(HEADINGS):
+            for i in range(SIZE):
+                _choose_row(
+                    values[0, h, i],
+                    values[1, h, i],
+                    values[2, h, i],
+                    paid[h, i],
+                    np.float32(leave),
+                    np.float32(change),
+                    half,
+                    found[layer, h, i],
+                    best[0, h, i + _PAD, _PAD : _PAD + SIZE],
+                    best[1, h, i + _PAD, _PAD : _PAD + SIZE],
+                    best[2, h, i + _PAD, _PAD : _PAD + SIZE],
+                )
+            for mode in range(_MODES):
+                _extend_edges(best[mode, h])
+
+
+@compiled
+def least_of(values: Float32, found: FloatArray) -> None:
+    """Fill in the least value of each class (classes,)."""
+    for v in range(len(values)):
+        flat, smallest = values[v].ravel(), values[v, 0, 0, 0]
+        for q in range(len(flat)):
+            smallest = flat[q] if flat[q] < smallest else smallest
+        found[v] = smallest

@@ -1,0 +1,95 @@
+"""A route that the target is expected to follow: a line in the plane, with a tolerance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from sidelong.mission.core.path import FloatArray
+
+POINT_EVERY_M = 4.0
+_POINTS_MAX = 20_000
+_SAME_POINT_M = 0.05
+
+
+class Direction(StrEnum):
+    """In which direction the target follows the route."""
+
+    FORWARD = "forward"
+    BACKWARD = "backward"
+    EITHER = "either"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Route:
+    """A route, resampled to evenly spaced points.
+
+    Attributes:
+        east_m: East of the points (n,), in the local plane.
+        north_m: North of the points (n,), in the local plane.
+        spacing_m: Distance between points along the route.
+        lap: Whether the target continues at the first point after the last one.
+        tolerance_m: One standard deviation of the target's lateral offset from the route.
+        speed_m_s: Expected speed along the route; NaN: unknown.
+        direction: Direction in which the target follows the points.
+
+    """
+
+    east_m: FloatArray
+    north_m: FloatArray
+    spacing_m: float
+    lap: bool = False
+    tolerance_m: float = 12.0
+    speed_m_s: float = math.nan
+    direction: Direction = Direction.EITHER
+
+    @property
+    def length_m(self) -> float:
+        """Length of the route, of one lap if it is one."""
+        return self.spacing_m * (self.east_m.size - (0 if self.lap else 1))
+
+
+def route_of(
+    east_m: FloatArray,
+    north_m: FloatArray,
+    *,
+    lap: bool = False,
+    tolerance_m: float = 12.0,
+    speed_m_s: float = math.nan,
+    direction: Direction = Direction.EITHER,
+) -> Route:
+    """Resample way points or a dense line to a route.
+
+    Args:
+        east_m: East of the way points (n,).
+        north_m: North of the way points (n,).
+        lap: Whether the last way point connects to the first one.
+        tolerance_m: See :class:`Route`.
+        speed_m_s: See :class:`Route`.
+        direction: See :class:`Route`.
+
+    Returns:
+        The route.
+
+    Raises:
+        ValueError: There are fewer than two different points, or a coordinate is not finite.
+
+    """
+    points_m = np.stack([np.asarray(east_m, np.float64), np.asarray(north_m, np.float64)])
+    if not np.isfinite(points_m).all():
+        raise ValueError("a coordinate of the route is not a finite number")
+    if lap and points_m.shape[1]:
+        points_m = np.concatenate([points_m, points_m[:, :1]], axis=1)
+    leg_m = np.hypot(*np.diff(points_m)) if points_m.shape[1] > 1 else np.zeros(0)
+    points_m = points_m[:, np.append(True, leg_m > _SAME_POINT_M)] if points_m.shape[1] else points_m
+    if points_m.shape[1] < 2:
+        raise ValueError("a route needs at least two different points")
+    arc_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(points_m))))
+    count = min(max(math.ceil(arc_m[-1] / POINT_EVERY_M), 1), _POINTS_MAX)
+    at_m = np.linspace(0.0, arc_m[-1], count + 1)
+    at_m = at_m[:-1] if lap else at_m
+    east, north = (np.interp(at_m, arc_m, row) for row in points_m)
+    return Route(east, north, float(arc_m[-1] / count), lap, tolerance_m, speed_m_s, direction)

@@ -1,0 +1,102 @@
+"""The route, the target's progress along it, and planning by it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sidelong.mission.predictive.foresight import way_of
+from sidelong.mission.route.progress import RouteProgress, describe, progress_of
+from sidelong.mission.route.progress_kernel import fresh_progress, update_progress
+from sidelong.mission.route.route import Direction, Route, route_of
+from sidelong.mission.viewpoint.viewpoint_kernel import Known
+
+_COVARIANCE = np.diag([4.0, 4.0, 0.09, 0.09])
+
+
+def _follow(route: Route, path: list[tuple[float, float, float, float]], seed: int = 3) -> list[RouteProgress]:
+    """Return the progress after each second of a noisy path of (east, north, velocity east, north)."""
+    rng, memory, found = np.random.default_rng(seed), fresh_progress(), []
+    for k, state in enumerate(path):
+        east, north, ve, vn = np.array(state) + rng.normal(0.0, [2.0, 2.0, 0.3, 0.3])
+        update_progress(way_of(route), Known(float(k), east, north, ve, vn, _COVARIANCE), memory)
+        progress = progress_of(route, memory)
+        assert progress is not None
+        found.append(progress)
+    return found
+
+
+def _corner() -> Route:
+    return route_of(np.array([0.0, 0.0, 400.0]), np.array([0.0, 300.0, 300.0]))
+
+
+def _along_corner(speed_m_s: float, aside_m: float, seconds: int) -> list[tuple[float, float, float, float]]:
+    path = []
+    for k in range(seconds):
+        gone = k * speed_m_s
+        if gone < 300.0:
+            path.append((aside_m, gone, 0.0, speed_m_s))
+        else:
+            path.append((gone - 300.0, 300.0 - aside_m, speed_m_s, 0.0))
+    return path
+
+
+def test_target_beside_its_route_is_followed_round_the_corner() -> None:
+    found = _follow(_corner(), _along_corner(4.0, 6.0, 120))
+    assert all(one.on_route for one in found[15:])
+    assert found[110].along_m == pytest.approx(440.0, abs=15.0)
+    assert found[110].speed_m_s == pytest.approx(4.0, abs=0.5)
+    assert found[110].to_end_s == pytest.approx(65.0, abs=8.0)
+    assert "along the route" in describe(found[110])
+
+
+def test_target_that_leaves_the_route_is_reported_within_15_s_of_20_m() -> None:
+    straight_on = [(6.0, 4.0 * k, 0.0, 4.0) for k in range(130)]  # the route turns at 300 m, after 75 s
+    found = _follow(_corner(), straight_on)
+    assert found[70].on_route
+    assert not found[80 + 15].on_route
+    assert describe(found[-1]) == "off route"
+
+
+def test_stop_keeps_the_target_on_the_route_and_turning_back_is_followed() -> None:
+    forward = _along_corner(3.0, 3.0, 40)
+    stand = [(*forward[-1][:2], 0.0, 0.0)] * 60
+    back = [(3.0, forward[-1][1] - 3.0 * k, 0.0, -3.0) for k in range(30)]
+    found = _follow(_corner(), forward + stand + back)
+    assert found[95].on_route
+    assert found[-1].on_route
+    assert found[-1].speed_m_s == pytest.approx(-3.0, abs=0.7)
+    # With a direction given, the target is off the route when it goes the other way.
+    one_way = route_of(np.array([0.0, 0.0, 400.0]), np.array([0.0, 300.0, 300.0]), direction=Direction.FORWARD)
+    assert not _follow(one_way, forward + stand + back)[-1].on_route
+
+
+def test_parallel_route_60_m_aside_is_not_followed() -> None:
+    found = _follow(_corner(), _along_corner(4.0, 60.0, 120))
+    assert not any(one.on_route for one in found[10:70])
+
+
+def test_lap_continues_at_its_first_point() -> None:
+    corners = np.array([[0.0, 0.0], [0.0, 100.0], [100.0, 100.0], [100.0, 0.0]])
+    square = route_of(corners[:, 0], corners[:, 1], lap=True)
+    assert square.length_m == pytest.approx(400.0)
+    path = []
+    for k in range(260):
+        gone = 3.0 * k % 400.0
+        leg, past = int(gone // 100.0), gone % 100.0
+        (e, n), (e2, n2) = corners[leg], corners[(leg + 1) % 4]
+        ve, vn = (e2 - e) / 100.0, (n2 - n) / 100.0
+        path.append((e + ve * past, n + vn * past, 3.0 * ve, 3.0 * vn))
+    found = _follow(square, path)
+    assert all(one.on_route for one in found[15:])
+    assert found[-1].along_m == pytest.approx(3.0 * 259 % 400.0, abs=15.0)
+    assert math.isnan(found[-1].to_end_s)
+
+
+def test_route_needs_two_different_finite_points() -> None:
+    with pytest.raises(ValueError, match="two different points"):
+        route_of(np.zeros(3), np.zeros(3))
+    with pytest.raises(ValueError, match="finite"):
+        route_of(np.array([0.0, math.nan]), np.zeros(2))
