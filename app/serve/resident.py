@@ -183,6 +183,10 @@ class Resident:
                 self._become(State.WAITING, f"the link has failed: {error}")
                 await asyncio.sleep(_AGAIN_S)
                 continue
+            except Exception as error:  # a fault of the program: nothing is commanded, and the service goes on
+                self._become(State.WAITING, f"a fault of the program: {error!r}")
+                await asyncio.sleep(_AGAIN_S)
+                continue
             self._wanted.clear()
             await self._watch_once()
 
