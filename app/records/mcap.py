@@ -23,7 +23,15 @@ from sidelong.estimators.sensing.readings import PositionReading
 from sidelong.estimators.sensing.sighting import Sighting, SightingOutcome
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.events import Announce, Command, ControlAcquired, Event, PlanStatus, UploadPlan
+from sidelong.mission.core.events import (
+    Announce,
+    Command,
+    ControlAcquired,
+    Event,
+    HealthChanged,
+    PlanStatus,
+    UploadPlan,
+)
 from sidelong.mission.core.plan import Plan
 
 LAYOUT = Path(__file__).parent / "foxglove_layout.json"
@@ -82,6 +90,9 @@ class McapLog:
             case Announce():
                 said = {"level": _LEVEL_INFO, "message": command.text, "name": command.kind, "file": "", "line": 0}
                 self._out.write("/said", "foxglove.Log", command.time_s, said)
+            case HealthChanged():
+                health = {"input": command.input, "state": command.state, "text": command.text}
+                self._out.write("/health", "sidelong.Health", command.time_s, health)
 
     def _position(self, p: PositionReading) -> None:
         attitude = self._sensing.attitude

@@ -19,7 +19,8 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.events import Announce, ControlAcquired, PlanStatus, UploadPlan
+from sidelong.mission.core.events import Announce, ControlAcquired, HealthChanged, PlanStatus, UploadPlan
+from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.core.path import Path as Line
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Wind
@@ -58,6 +59,7 @@ def flight(log: McapLog) -> None:
         )
     )
     log.command(Announce(15.0, "decision", "moving the circle"))
+    log.command(HealthChanged(15.5, Input.LASER, InputState.STALE, "no range from the laser for 20 s"))
     log.event(PlanStatus(16.0, 1, "departed"))
 
 
@@ -89,7 +91,14 @@ def test_every_kind_of_thing_has_its_topic(messages):
         "/plan": 1,
         "/plan/map": 1,
         "/said": 1,
+        "/health": 1,
     }
+
+
+def test_change_of_an_input_is_written_with_its_state(messages):
+    _, _, content = messages["/health"][0]
+    assert (content["input"], content["state"]) == ("laser", "stale")
+    assert content["text"] == "no range from the laser for 20 s"
 
 
 def test_times_are_those_of_day(messages):
