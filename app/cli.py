@@ -20,7 +20,7 @@ from sidelong.app.shutdown import INTERRUPTED, exit_process, heed_again, interru
 
 _HELP = """Watch a moving ground target from one side with a fixed-wing UAV.
 
-The aircraft (PX4 or ArduPlane) flies circles beside the target, reads laser and gimbal, and moves the circle as the
+The aircraft (PX4 or ArduPlane) flies circles next to the target, reads laser and gimbal, and moves the circle as the
 target moves. It observes; it carries no other function.
 
 Begin with: sidelong launch
@@ -28,13 +28,13 @@ Begin with: sidelong launch
 
 # Each command with its module and its short help: a module is loaded when its command is called.
 COMMANDS = {
-    "launch": ("sidelong.app.commands.launch", "Fly beside a moving target, in simulation or a real vehicle."),
+    "launch": ("sidelong.app.commands.launch", "Fly next to a moving target, in simulation or with a vehicle."),
     "serve": ("sidelong.app.commands.serve", "Wait on board for the vehicle, and watch on request."),
-    "status": ("sidelong.app.commands.serve", "Tell what sidelong serve does now."),
+    "status": ("sidelong.app.commands.serve", "Print what sidelong serve does now."),
     "watch": ("sidelong.app.commands.serve", "Ask sidelong serve to watch, or to resume."),
     "release": ("sidelong.app.commands.serve", "Ask sidelong serve to end the watch."),
     "prepare": ("sidelong.app.commands.prepare", "Compile and compute ahead what a first flight needs."),
-    "connect": ("sidelong.app.commands.connect", "Tell what is there and what is not ready yet."),
+    "connect": ("sidelong.app.commands.connect", "List detected components and failing pre-flight checks."),
     "payload": ("sidelong.app.commands.payload", "Read a payload by its own protocol, publish it as MAVLink."),
     "replay": ("sidelong.app.commands.replay", "Run filter and planner over a recorded flight."),
     "report": ("sidelong.app.commands.report", "Write one HTML page about a flight."),
@@ -43,7 +43,7 @@ COMMANDS = {
     "sign": ("sidelong.app.commands.sign", "Make a key for signed links, give it to a vehicle."),
     "init": ("sidelong.app.commands.init", "Write a configuration file with every key explained."),
     "study": ("sidelong.app.commands.study", "Compare planners over many targets."),
-    "terrain": ("sidelong.app.commands.terrain", "Tell what elevation data covers."),
+    "terrain": ("sidelong.app.commands.terrain", "Print what elevation data covers and where it is void."),
     "sitl": ("sidelong.sitl.cli", "Fly a simulated vehicle that speaks MAVLink."),
 }
 

@@ -25,7 +25,7 @@ class TrackQuality(StrEnum):
 class TargetEstimate:
     """The target's state at ``time_s``: state = (east, north, velocity east, velocity north), m and m/s.
 
-    covariance is (4, 4) in the same order. reason tells in words why the quality is not good.
+    covariance is (4, 4) in the same order. reason: why the quality is not good, in words.
     """
 
     time_s: float

@@ -32,7 +32,7 @@ class LocalPlane:
     geodesics to 5 mm; within 50 km to 1 m. North of the plane is true north at the origin: beside it the meridians
     lean by (east / 6378 km) tan(latitude), which is 0.04 degrees at 5 km and 45 degrees.
 
-    Points beyond the horizon, as only a broken position tells them, still come out far away and never near.
+    Points beyond the horizon, as only a broken position has them, still come out far away and never near.
     """
 
     origin_latitude_deg: float

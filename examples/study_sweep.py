@@ -23,7 +23,19 @@ def main() -> None:
             f"requirement.range_max_m={','.join(map(str, RANGES_M))}",
         )
         options = [word for sweep in sweeps for word in ("--sweep", sweep)]
-        command = ["study", "--planner", "predictive", "--runs", "2", "--duration", "300", "--export", str(table)]
+        command = [
+            "study",
+            "--planner",
+            "lvfg",
+            "--runs",
+            "2",
+            "--duration",
+            "300",
+            "--jobs",
+            "1",
+            "--export",
+            str(table),
+        ]
         program = [sys.executable, "-P", "-m", "sidelong.app"]
         subprocess.run([*program, *command, *options], check=True, stdout=subprocess.DEVNULL)
         runs = np.genfromtxt(table, delimiter=",", names=True, dtype=None, encoding="utf-8")

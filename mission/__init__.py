@@ -1,4 +1,4 @@
-"""Where to fly: circles beside the target, the transitions between them, and when to move.
+"""Where to fly: circles next to the target, the transitions between them, and when to move.
 
 Pure: time comes in as an argument, nothing here reads a clock, a socket or a file. Frames, units and the
 clock are those of :mod:`estimators`.

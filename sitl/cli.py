@@ -93,7 +93,7 @@ def run(
     home: Annotated[str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Degrees and metres above sea.")] = None,
     airspeed: Annotated[str, typer.Option(help="Cruise airspeed, m/s; of several vehicles in turn: A,B.")] = "15",
     endurance: Annotated[
-        str, typer.Option(metavar="S", help="So long a battery lasts, s; of several vehicles in turn: A,B.")
+        str, typer.Option(metavar="S", help="Battery life, s; for several vehicles in turn: A,B.")
     ] = "10800",
     wind_speed: Annotated[float, typer.Option(help="m/s")] = 0.0,
     wind_from_deg: Annotated[float, typer.Option(help="Where the wind comes from, degrees.")] = 0.0,
@@ -167,7 +167,7 @@ def run(
     ] = math.inf,
     lose: Annotated[
         list[str] | None,
-        typer.Option(metavar="ID@S", help="Let a vehicle vanish after so many simulated seconds; repeatable."),
+        typer.Option(metavar="ID@S", help="Let a vehicle vanish after this simulated time, s; repeatable."),
     ] = None,
     require_signing: Annotated[
         Path | None,
@@ -177,7 +177,7 @@ def run(
         bool,
         typer.Option(
             "--while-input",
-            help="End when standard input does; go no further than a program that tells its time there.",
+            help="End when standard input ends; wait for the time that a program writes there.",
         ),
     ] = False,
 ) -> None:

@@ -17,7 +17,7 @@ RUNS = {
     "planner_alone": (r"circle at (-?\d+) m north", (-200, 400), ()),
     "own_planner": (r"(\d+) moves", (3, 8), ()),
     "replay_analysis": (r"flight: (\d+) s", (100, 5000), (LOG,)),
-    "study_sweep": (r"([\d.]+) % on side", (60, 100), ()),
+    "study_sweep": (r"([\d.]+) % on side", (30, 100), ()),
 }
 
 

@@ -34,7 +34,7 @@ def export(
     ],
     wanted: Annotated[Format, typer.Option("--format", help="What to write.")] = Format.KML,
     out: Annotated[
-        Path | None, typer.Option("--out", help="The file; otherwise beside the source.", show_default=False)
+        Path | None, typer.Option("--out", help="The file; otherwise next to the source.", show_default=False)
     ] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML); a run folder has its own.")] = None,
 ) -> None:
@@ -139,7 +139,7 @@ def _feed_mcap(source: Path, flown: Flown, context: LogContext, writer: McapWrit
 
 def _write_klv(source: Path, flown: Flown, context: LogContext, out: Path) -> None:
     if context.booted is None or context.home_altitude_m is None:
-        raise InputError(f"{source} does not tell the time of day, or how high home is; KLV cannot go without.")
+        raise InputError(f"{source} does not contain the time of day or the altitude of home, which KLV needs.")
     log = KlvLog(
         out, flown.name, flown.history.plane, tracker_of(flown.config), context.booted, context.home_altitude_m
     )

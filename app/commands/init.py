@@ -76,7 +76,7 @@ def init(
     ] = None,
     fleet: Annotated[
         int | None,
-        typer.Option(min=2, max=MAX_AIRCRAFT, help="Of so many aircraft about one target.", show_default=False),
+        typer.Option(min=2, max=MAX_AIRCRAFT, help="Number of aircraft for one target.", show_default=False),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
 ) -> None:
@@ -127,7 +127,7 @@ def config_text(preset: str | None = None, fleet: int | None = None) -> str:
 
 
 def _lines(presets: Mapping[str, Preset | PayloadPreset], fleet: int | None) -> Iterator[str]:
-    yield "# Configuration of sidelong. Every key may be left out; it then has the default told beside it."
+    yield "# Configuration of sidelong. Every key may be left out; it then has the default that is written here."
     values: dict[str, dict[str, Any]] = {}
     for name, preset in presets.items():
         yield from _comment(f"Preset {name}: {preset.about}. Values from {preset.source}.")

@@ -47,7 +47,7 @@ def launch(
     config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).", show_default=False)] = None,
     fleet: Annotated[
         int | None,
-        typer.Option(min=1, max=MAX_AIRCRAFT, help="So many aircraft about one target.", show_default=False),
+        typer.Option(min=1, max=MAX_AIRCRAFT, help="Number of aircraft for one target.", show_default=False),
     ] = None,
     connect: Annotated[
         list[str] | None,
@@ -59,7 +59,7 @@ def launch(
     system_id: Annotated[
         int | None,
         typer.Option(
-            min=1, max=255, help="MAVLink system id of the vehicle, where several are heard.", show_default=False
+            min=1, max=255, help="MAVLink system id of the vehicle, if several share the link.", show_default=False
         ),
     ] = None,
     signing_key: Annotated[

@@ -251,7 +251,7 @@ class _Shown:
         console.print(result.table())
         write_json(self.json, result.as_json())
         if not frames.times_s:
-            raise InputError(f"{self.name}: there is nothing to show, the vehicle told no position.")
+            raise InputError(f"{self.name}: there is nothing to show, it contains no position of the vehicle.")
         from sidelong.app.view.replay_page import serve_replay  # noqa: PLC0415  # it takes a third of a second to load
 
         serve_replay(

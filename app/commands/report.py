@@ -19,7 +19,7 @@ def report(
     run: Annotated[Path, typer.Argument(help="A run folder, or a recorded tlog.", show_default=False)],
     out: Annotated[
         Path | None,
-        typer.Option("--out", help="The page; otherwise report.html in the run folder, or beside the log."),
+        typer.Option("--out", help="The page; otherwise report.html in the run folder, or next to the log."),
     ] = None,
     png: Annotated[
         Path | None, typer.Option(help="Write each figure into this folder as PNG too.", show_default=False)

@@ -95,7 +95,7 @@ def _from_any_thread(loop: asyncio.AbstractEventLoop, log: Any, text: str) -> No
 
 
 def status(json: JsonOption = None) -> None:
-    """Tell what sidelong serve does now: waiting, ready, watching, yielded or fault.
+    """Print what sidelong serve does now: waiting, ready, watching, yielded or fault.
 
     For example:
       sidelong status

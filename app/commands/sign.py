@@ -52,9 +52,9 @@ def sign(
         console.print(f"waiting for a heartbeat on {connect}", soft_wrap=True)
         if remove:
             setup.take_back(timeout)
-            console.print("the vehicle no longer signs and obeys anybody")
+            console.print("the vehicle no longer signs and accepts commands from any sender")
         elif setup.give(timeout):
-            console.print("the vehicle signs, and refuses what is not signed with the key")
+            console.print("the vehicle signs, and refuses frames that are not signed with the key")
         else:
             console.print(
                 "the vehicle signs; on this very port it still takes what is unsigned (ArduPlane does so on USB)",

@@ -71,7 +71,7 @@ def study(
         ),
     ] = False,
     runs: Annotated[int | None, typer.Option(min=1, help="Targets: 20 random ones, or all recorded.")] = None,
-    noise_draws: Annotated[int, typer.Option(min=1, help="Fly each target so often, with other noise.")] = 1,
+    noise_draws: Annotated[int, typer.Option(min=1, help="Runs per target, each with other noise.")] = 1,
     run: Annotated[list[int] | None, typer.Option(min=0, help="Fly this run alone (repeatable).")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of all targets and noise.")] = 1,
     planner: Annotated[list[PlannerName] | None, typer.Option(help="Compare only this one (repeatable).")] = None,

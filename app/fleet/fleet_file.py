@@ -191,7 +191,7 @@ class FleetFile(Config):
     @model_validator(mode="after")
     def _no_beacon(self) -> Self:
         if len(self.aircraft) > 1 and self.sharing.beacon is not None:
-            raise ValueError("sharing.beacon: a beacon is heard by one aircraft, not by a fleet; leave it out")
+            raise ValueError("sharing.beacon: a beacon is used by one aircraft, not by a fleet; leave it out")
         return self
 
     @property

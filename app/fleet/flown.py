@@ -77,7 +77,7 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
     names = [member.name for member in fleet.members if RunFolder(folder.path / member.name).journal.is_file()]
     names = [name for name in names if name in offsets_s]
     if not names:
-        raise InputError(f"{folder.path} holds no flight: nothing was heard of any aircraft's clock.")
+        raise InputError(f"{folder.path} holds no flight: no clock of an aircraft was received.")
     aircraft = []
     for k, name in enumerate(names):
         flown = read_flight(folder.path / name, progress=lambda share, k=k: progress((k + share) / len(names)))  # type: ignore[misc]
@@ -100,7 +100,7 @@ def _written(folder: FleetFolder) -> FleetSummary:
             for one in values["aircraft"]
         )
     except (KeyError, TypeError) as error:
-        raise InputError(f"{name}: a figure is missing or wrong; delete the file to have it made anew.") from error
+        raise InputError(f"{name}: a figure is missing or wrong; delete it to have it written again.") from error
     return FleetSummary(**plain, targets=targets, aircraft=aircraft)
 
 

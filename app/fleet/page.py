@@ -19,7 +19,7 @@ def fleet_page(flown: FleetFlown, pages: Mapping[str, str]) -> str:
     links = ", ".join(f'<a href="{escape(page)}">{escape(name)}</a>' for name, page in pages.items())
     body = f"""<h1>Flight {escape(flown.name)}, {len(flown.aircraft)} aircraft</h1>
 <p>Asked: watch {escape(wanted)}.
-Recorded by {escape(flown.program)}. Each by itself: {links}.</p>
+Recorded by {escape(flown.program)}. Each aircraft: {links}.</p>
 {_figures(flown)}
 {_said(flown)}"""
     return html.document(f"{flown.name}: flight report", body)
@@ -44,5 +44,5 @@ def _said(flown: FleetFlown) -> str:
         return ""
     start_s = min(one.flown.history.start_s + one.offset_s for one in flown.aircraft)
     rows = ((f"{one.mission_time_s - start_s:.0f} s", one.name, one.text) for one in flown.said)
-    told = html.table(("time", "aircraft", "what"), rows, "What the coordinator said")
-    return f"<details><summary>What the coordinator said ({len(flown.said)})</summary>{told}</details>"
+    told = html.table(("time", "aircraft", "what"), rows, "Announcements of the coordinator")
+    return f"<details><summary>Announcements of the coordinator ({len(flown.said)})</summary>{told}</details>"

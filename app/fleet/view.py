@@ -85,7 +85,7 @@ class FleetView(ViewDisplay):
                 self._answer("refused: the heights of a fleet are layers, which are not changed in flight")
                 return
             if wish.side is not None:
-                self._answer("refused: change the side of a fleet by itself")
+                self._answer("refused: change the side of a fleet alone, without other values")
                 return
         elif wish.action == "side" and wish.side is not None:
             refused = self.requests.watch_from(wish.side, wish.who)

@@ -366,7 +366,7 @@ class Flight:
     async def _resume(self) -> None:
         """Check the vehicle again after a yield, then ask the core to take it over.
 
-        Raises InputError with what is not ready.
+        Raises InputError that lists the failing checks.
         """
         ready, loop = self._ready, self._loop
         assert ready is not None

@@ -134,4 +134,4 @@ def describe_aircraft(vehicle: Vehicle, autopilot: Autopilot, snapshot: Snapshot
         does = "the aircraft flies to its first circle and stays on it"
     if simulated:
         return f"{does}, but it was simulated and ends with this program"
-    return does if snapshot.sensor_status.connected else f"when last heard, {does}"
+    return does if snapshot.sensor_status.connected else f"by its last message, {does}"

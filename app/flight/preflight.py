@@ -151,7 +151,7 @@ def checks(
 def _health_check(vehicle: Vehicle) -> Check:
     message = vehicle.latest.get("SYS_STATUS")
     if message is None:
-        return Check("health", True, "not told")
+        return Check("health", True, "not reported")
     fields = message.fields
     used = int(fields["onboard_control_sensors_present"]) & int(fields["onboard_control_sensors_enabled"])
     ill = [name for bit, name in _SENSORS.items() if used & ~int(fields["onboard_control_sensors_health"]) & bit]
@@ -249,7 +249,7 @@ def _source_checks(config: Config, rates: tuple[SourceRate, ...]) -> tuple[Check
 
 def _rate_check(kind: str, rates: list[SourceRate], remedy: str) -> Check:
     heard = [rate for rate in rates if rate.rate_hz >= _MIN_RATE_HZ]
-    return Check(f"{kind} source", bool(heard), "; ".join(map(str, heard)) or "none heard", remedy, True)
+    return Check(f"{kind} source", bool(heard), "; ".join(map(str, heard)) or "none received", remedy, True)
 
 
 def _number(value: float | None) -> str:

@@ -17,7 +17,9 @@ def describe_use(config: Config, kind: str, heard: Sequence[Source]) -> dict[Sou
     settings = tracker_settings(config.sensors, config.planner.lost_after_s)
     if kind == "target":
         return {
-            source: "used: the target's own" if source.message in BEACON_MESSAGES else "used while no laser is heard"
+            source: "used: the target's own"
+            if source.message in BEACON_MESSAGES
+            else "used while no laser is received"
             for source in heard
         }
     rank: Rank = range_rank if kind == "range" else sight_rank
@@ -39,7 +41,7 @@ def _words(source: Source, key: str, ranks: dict[Source, int], first: Sequence[S
         return f"not used: {'it looks down' if source.orientation == LOOKS_DOWN else 'a sensor of the autopilot'}"
     if source in first:
         if len(first) > 1:
-            return f"used if it is heard first of its like; name one by {key}"
+            return f"used if it is received first; select one with {key}"
         return "used: " + ("the only one" if len(ranks) == 1 else "the payload's own, before what repeats it")
     repeats = source.component_id == _AUTOPILOT_COMPONENT
     why = "the autopilot only repeats it" if repeats else "it is not fixed to a gimbal"

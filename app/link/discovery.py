@@ -35,7 +35,7 @@ async def the_vehicle(instance: Mavsdk, url: str, timeout_s: float, system_id: i
             return vehicles[system_id]
         await asyncio.sleep(_POLL_S)
     heard = await _described(await _vehicles(instance))
-    raise InputError(f"{url}: system {system_id} is not heard, only {heard}; give another --system-id.")
+    raise InputError(f"{url}: system {system_id} sends nothing, only {heard}; give another --system-id.")
 
 
 async def unless_refused(search: Coroutine[Any, Any, T], urls: Sequence[str]) -> T:
@@ -78,7 +78,9 @@ async def check_alone(instance: Mavsdk, url: str, until_s: float) -> None:
     vehicles = await _vehicles(instance)
     if len(vehicles) > 1:
         heard = await _described(vehicles)
-        raise InputError(f"{url}: several vehicles are heard: {heard}; name one by --system-id or link.system_id.")
+        raise InputError(
+            f"{url}: several vehicles share the link: {heard}; select one with --system-id or link.system_id."
+        )
 
 
 async def _vehicles(instance: Mavsdk) -> dict[int, Any]:

@@ -123,7 +123,9 @@ def kept_times(key_path: Path, now: int, on_trouble: Callable[[str], object]) ->
     try:
         lock = os.open(path.with_name(path.name + ".lock"), os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     except OSError as error:
-        raise InputError(f"{path} cannot be written ({error.strerror}); a key's times are kept beside it.") from error
+        raise InputError(
+            f"{path} cannot be written ({error.strerror}); a key's times are kept next to it."
+        ) from error
     try:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -170,7 +172,7 @@ def _read(path: Path) -> SigningTimes:
         return SigningTimes()
     except (OSError, ValueError, TypeError, KeyError, IndexError, RecursionError) as error:
         raise InputError(
-            f"{path} does not hold the times of a key; delete it to begin anew, then frames of the last flights "
+            f"{path} does not hold the times of a key; delete it to start again, then frames of the last flights "
             "could be replayed once."
         ) from error
 

@@ -96,7 +96,7 @@ class KeySetup:
         """Return the vehicle's system id; refuse one that is armed or behind a radio."""
         heartbeat = self._heard(timeout_s, _is_autopilot)
         if heartbeat is None:
-            raise InputError(f"{self._url!r}: no autopilot was heard within {timeout_s:g} s; check the link.")
+            raise InputError(f"{self._url!r}: no autopilot was received within {timeout_s:g} s; check the link.")
         if self._heard(_LISTEN_S, lambda frame: frame.message_id == RADIO_STATUS_ID) is not None:
             raise InputError(f"{self._url!r} goes over a radio: a key is sent in the clear; use a cable.")
         if heartbeat.payload.ljust(9, b"\0")[6] & ARMED_FLAG:

@@ -281,7 +281,7 @@ def _unheard(urls: Sequence[str], timeout_s: float, reports: Sequence[LinkReport
     if refused:
         found = ", ".join(report.refused_text() for report in refused)
         return f"{what}: only frames that are refused: {found}; give the vehicle's key, or set it up: sidelong sign."
-    return f"{what}: no autopilot was heard within {timeout_s:g} s; check that it runs and sends MAVLink there."
+    return f"{what}: no autopilot was received within {timeout_s:g} s; check that it runs and sends MAVLink there."
 
 
 async def _ended(instance: Mavsdk, ours: contextlib.ExitStack) -> None:

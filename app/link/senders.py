@@ -60,7 +60,7 @@ class SenderCheck:
         """Why there are two vehicles, and the way out, or None."""
         reason = self._door.two_vehicles
         if reason is None and len(self._kinds) > 1:
-            reason = "two vehicles speak with the same system id: their heartbeats tell different kinds"
+            reason = "two vehicles speak with the same system id: their heartbeats report different kinds"
         back = list(self._back[self.system_id]) if self.system_id is not None else []
         if reason is None and len(back) == _FRAMES and sum(back) > _BACK_MAX_SHARE * _FRAMES:
             reason = "two vehicles speak with the same system id: their frame numbers take turns"

@@ -216,7 +216,7 @@ def _errors(history: History) -> Drawing | None:
     return Drawing(
         "estimate-error",
         "Error of the estimate",
-        f"Horizontal distance from the true target, once a second, beside what the estimate claims{clipped}.",
+        f"Horizontal distance from the true target, once a second, compared with what the estimate claims{clipped}.",
         made,
     )
 
@@ -300,7 +300,7 @@ def _uploads(history: History) -> Drawing | None:
         "uploads",
         "Uploads",
         f"{len(history.plan_changes)} plans were sent{slowest_s}; {len(departed)} were flown, {len(failed)} failed. "
-        "Below: how much later than planned the aircraft was told to leave its circle.",
+        "Below: how much later than planned the aircraft was commanded to leave its circle.",
         made,
     )
 

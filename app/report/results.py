@@ -40,7 +40,7 @@ def read_summary(values: dict[str, Any], name: str) -> Summary:
         return _SUMMARY.validate_python(values, strict=False)
     except ValidationError as error:
         field = ".".join(map(str, error.errors()[0]["loc"]))
-        raise InputError(f"{name}: its {field} is missing or wrong; delete the file to have it made anew.") from error
+        raise InputError(f"{name}: its {field} is missing or wrong; delete it to have it written again.") from error
 
 
 def rows(summary: Summary) -> list[tuple[str, str]]:

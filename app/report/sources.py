@@ -129,7 +129,7 @@ def _built(
     home_deg: tuple[float, float] | None = None,
 ) -> History:
     if plane is None or builder.positions < 2:
-        raise InputError(f"{path} holds no flight: the vehicle told fewer than two positions.")
+        raise InputError(f"{path} holds no flight: it contains fewer than two positions of the vehicle.")
     wanted = asked(config, plane, home_deg)
     return builder.build(wanted, plane, read_truth(truth) if truth is not None else None)
 

@@ -303,7 +303,7 @@ class Resident:
         if self._records:
             self._log(f"the records are incomplete: {self._records}")
 
-    # -- what others are told ------------------------------------------------------------------------------
+    # -- what others receive ------------------------------------------------------------------------------
 
     def _follow(self) -> None:
         """Take the state from the flight."""

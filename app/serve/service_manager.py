@@ -1,4 +1,4 @@
-"""What systemd is told: that the service is ready, what it does, and that it is alive (sd_notify)."""
+"""Reports to systemd that the service is ready, what it does, and that it is alive (sd_notify)."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _RESTARTED_MS = 5000  # a clock that is set back by more is that of another star
 
 
 class VehicleGoneError(Exception):
-    """The vehicle is silent, or has started again: connect anew."""
+    """The vehicle is silent, or has started again: connect again."""
 
 
 class Standby:

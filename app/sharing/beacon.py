@@ -146,12 +146,12 @@ class BeaconInput(asyncio.DatagramProtocol):
         if not self._is_ours(heard) or self._now_s() == -math.inf:
             return
         if not -_AGE_MAX_S <= heard.age_s <= _AGE_MAX_S:
-            self._tell_once("the beacon's clock is off, or its words are late, by more than 2 s: it is not believed")
+            self._tell_once("the beacon's clock is off, or its messages are late, by more than 2 s: it is not used")
             return
         if not (abs(heard.latitude_deg) <= 90.0 and abs(heard.longitude_deg) <= 180.0):
             return
         east_m, north_m = self._plane.east_north_m(heard.latitude_deg, heard.longitude_deg)
-        self._tell_once(f"the beacon {heard.names[-1] or heard.names[0]} tells where the target is")
+        self._tell_once(f"the beacon {heard.names[-1] or heard.names[0]} reports the target's position")
         self._put(
             TargetFixReading(
                 self._now_s() - min(max(heard.age_s, 0.0), _AGE_USED_S),
@@ -169,7 +169,7 @@ class BeaconInput(asyncio.DatagramProtocol):
             self._first = heard.names[0]
         if heard.names[0] != self._first:
             self._several = True
-            self._tell_once("several beacons are heard: none is believed; name one by sharing.beacon_name")
+            self._tell_once("several beacons are received: none is used; select one with sharing.beacon_name")
         return not self._several
 
     def _tell_once(self, text: str) -> None:

@@ -156,7 +156,7 @@ class StudySettings:
         )
 
     def requirement(self) -> Requirement:
-        """Return what is asked for."""
+        """Return the requirement."""
         plain = Requirement(self.range_min_m, self.range_max_m, Side.LEFT, self.target_speed_max_m_s, self.threshold)
         watched = watching_from(plain, self.side)
         return replace(watched, course_horizon_s=self.course_horizon_s, fleet_size=self.fleet)

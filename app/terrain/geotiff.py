@@ -43,8 +43,7 @@ class GeoTiff:
                 self._raster: Any = WarpedVRT(dataset, crs="EPSG:4326", resampling=rasterio.enums.Resampling.bilinear)
         except self._errors as error:
             raise InputError(
-                f"{path}: lies in no place that can be told in latitude and longitude; write it in another "
-                "coordinate system."
+                f"{path}: cannot be converted to latitude and longitude; write it in another coordinate system."
             ) from error
         self._scale = dataset.scales[0] * _METRES[_unit(dataset)]
         self._offset_m = dataset.offsets[0] * _METRES[_unit(dataset)]
@@ -65,11 +64,11 @@ class GeoTiff:
 
     def _check(self, dataset: Any) -> None:
         if dataset.crs is None:
-            raise InputError(f"{self.path}: tells no coordinate system; write it with one.")
+            raise InputError(f"{self.path}: has no coordinate system; write it with one.")
         if dataset.colorinterp[0].name not in ("gray", "undefined") or "complex" in dataset.dtypes[0]:
             raise InputError(f"{self.path}: is a picture, and no heights; give a GeoTIFF of elevation data.")
         if _unit(dataset) not in _METRES:
-            raise InputError(f"{self.path}: tells heights in {_unit(dataset)}; write it in metres or feet.")
+            raise InputError(f"{self.path}: has heights in {_unit(dataset)}; write it in metres or feet.")
 
     def read(self, wanted: Posts) -> HeightArray:
         """See :class:`sidelong.app.terrain.tile.Tile`."""

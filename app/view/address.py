@@ -86,7 +86,7 @@ def page_address(
             raise InputError("--map lies under the live map; give --view with it.")
         return None
     if map_file is None and map_bounds is not None:
-        raise InputError("--map-bounds tells where the picture of --map lies; give both.")
+        raise InputError("--map-bounds is the extent of the picture of --map; give both.")
     if map_file is None:
         return Address(host, port, cert, key)
     from sidelong.app.view.background import background  # noqa: PLC0415  # SQLite, which few need

@@ -144,7 +144,7 @@ def background(path: Path, bounds: str | None) -> Background:
         raise InputError(f"--map: {path} holds no pictures; give raster tiles (PNG, JPEG or WebP), not vector ones.")
     least, most = tiles.zooms
     if not 0 <= least <= most <= _ZOOM_MAX:
-        raise InputError(f"--map: {path} tells zooms from {least} to {most}; 0 to {_ZOOM_MAX} make sense.")
+        raise InputError(f"--map: {path} has zooms from {least} to {most}; 0 to {_ZOOM_MAX} make sense.")
     return Background(path, zooms=tiles.zooms)
 
 

@@ -59,7 +59,7 @@ class Player:
             "replay": {"playing": self._playing, "speed": self._speed, "at_s": round(self._at_s, 2)},
         }
         if anew:
-            told |= {"anew": True, "states": frames.states_until(index)}
+            told |= {"restart": True, "states": frames.states_until(index)}
         if self._what_if is not None and self._what_if.times_s:
             other = self._what_if.state(self._what_if.index(self._at_s))
             told["state"]["what_if"] = {key: other[key] for key in ("proposed", "reason", "side")}

@@ -152,14 +152,14 @@ class Server:
         if "shade" in told:
             self._shade = Path(told.pop("shade"))
         states = told.pop("states", None)
-        if told.get("anew"):  # a replay has jumped
+        if told.get("restart"):  # a replay has jumped
             self._history = History(self._history.setting)
             told["series"] = [_sample(state) for state in states]
             self._history.series.extend(told["series"])
         self._history.add(told)
         if "state" in told and "series" not in told:
             told["series"] = [_sample(told["state"])]
-        event = _event({"setting": self._history.setting} | told if told.get("anew") else told)
+        event = _event({"setting": self._history.setting} | told if told.get("restart") else told)
         for page in list(self._pages):
             try:
                 page.put_nowait(event)
@@ -262,7 +262,7 @@ class Server:
         page: asyncio.Queue[bytes | None] = asyncio.Queue(_UNSENT_MAX)
         self._pages.add(page)
         try:
-            yield _event(self._history.told() | {"anew": True})
+            yield _event(self._history.told() | {"restart": True})
             while (event := await page.get()) is not None:
                 yield event
         finally:

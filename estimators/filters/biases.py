@@ -1,4 +1,4 @@
-"""The payload's constant errors, which a circling aircraft can tell apart from the target's motion.
+"""The payload's constant errors, which a circling aircraft can separate from the target's motion.
 
 Seen from one side all the time, a yaw error looks like a shifted target. From a circle the line of sight swings to
 and fro, the shift turns with it, and a target cannot be in several places at once.

@@ -81,7 +81,7 @@ class PoseHistory:
 
     _SPAN_S = 12.0
     _EXTRAPOLATION_MAX_S = 0.3
-    _GAP_MAX_S = 3.0  # between two readings: across more, nothing tells what the aircraft did
+    _GAP_MAX_S = 3.0  # between two readings: across more, the aircraft's motion is unknown
 
     def __init__(self) -> None:
         self.positions: History[PositionReading] = History(self._SPAN_S)

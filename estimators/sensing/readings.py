@@ -47,7 +47,7 @@ class AttitudeReading:
 
 @dataclass(frozen=True, slots=True)
 class RangeReading:
-    """A slant range along the line of sight. quality is 0..1, None when the sensor does not tell.
+    """A slant range along the line of sight. quality is 0..1, None when the sensor does not report it.
 
     sensor_quaternion_wxyz is the mounting of a DISTANCE_SENSOR with custom orientation, None otherwise.
     """

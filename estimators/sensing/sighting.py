@@ -8,7 +8,7 @@ The target stands on ground of unknown height; the aircraft's altitude may be of
                `--slant range--> target
 
 Three numbers are measured (slant range, bearing, depression) and three are sought (east, north, height), so the
-height is told by the sightings themselves, and horizontal range is slant * cos(depression).
+height is measured by the sightings themselves, and horizontal range is slant * cos(depression).
 """
 
 from __future__ import annotations

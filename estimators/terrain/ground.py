@@ -86,7 +86,7 @@ class Ground:
     ) -> float | None:
         """Return the horizontal distance at which a ray from a point first meets the ground; None if it does not.
 
-        A void on the way counts as not meeting it: nobody knows.
+        A void on the way counts as not meeting it: its height is unknown.
         """
         step_m = sight_step_m(self.grid)
         found_m = ray_cut_m(self.grid, east_m, north_m, height_m, bearing_rad, depression_rad, step_m, max_m)

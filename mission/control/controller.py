@@ -4,7 +4,7 @@ Rules
 -----
 1. Nothing is commanded before ``ControlAcquired`` and nothing after ``Yield`` or ``End``.
 2. At most one plan is under way to the autopilot (:mod:`sidelong.mission.control.plan_changes`), and while one is,
-   nothing is decided. One that is dropped or fails is decided anew.
+   nothing is decided. One that is dropped or fails leads to a new decision.
 3. A plan that breaks a fence is not sent; the present circle goes on.
 4. When the measured ratio of flown to commanded radius changes, the present circle is sent again.
 5. An aircraft that has left its transition for some seconds (circling a waypoint that it cannot reach, say) is sent
@@ -12,7 +12,7 @@ Rules
 6. Any flight mode but the one taken over in means that somebody else flies: Yield, latched. Only an operator's wish
    to resume ends it: the aircraft is then taken over again, and the watch goes on with the live track.
 7. A target lost for ``give_up_after_s`` ends the mission, and so does a low battery: the aircraft flies home.
-8. What a person changes in flight holds from the next decision on: the planner is made anew, and where it stays, the
+8. What a person changes in flight holds from the next decision on: a new planner is made, and where it stays, the
    present circle is sent again as changed.
 9. Every event passes :mod:`sidelong.mission.control.plausibility` first. While that doubts the aircraft's own
    position, the circle is held: nothing is decided, and no plan departs.
@@ -483,7 +483,7 @@ class StandoffController:
         if self.phase is not Phase.YIELDED:
             return f"the mission is {self.phase}"
         if not self._sensor_status.connected or self.door.no_heartbeat:
-            return "nothing is heard from the autopilot"
+            return "no message from the autopilot"
         return self.door.two_vehicles or self.door.doubt or self.health.unknown
 
     def resume(self) -> None:

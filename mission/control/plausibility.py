@@ -260,7 +260,7 @@ class Plausibility:
         if doubt is not None and self.doubt is None:
             self._told.append(Announce(now_s, "position", f"{doubt}: holding the circle, nothing is decided on it"))
         elif doubt is None and self.doubt is not None:
-            self._told.append(Announce(now_s, "position", "the aircraft's position is believed again"))
+            self._told.append(Announce(now_s, "position", "the aircraft's position is accepted again"))
         self.doubt = doubt
 
     def _wind(self, event: WindReported) -> Event | None:

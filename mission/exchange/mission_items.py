@@ -1,4 +1,4 @@
-"""Plans as mission items: laid out, written beside the line that is flown, made current at the departure."""
+"""Plans as mission items: laid out, written next to the flown items, made current at the departure."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class MissionOwnership:
         # The latest uploads, and whether they were accepted: after one in doubt the next's id may be that one's.
         self._written: deque[tuple[tuple[RawItem, ...], bool]] = deque(maxlen=_WRITTEN_MAX)
         self._read: MissionRead | None = None
-        self._read_of = (0, 0)  # total and id that were reported meanwhile
+        self._read_of = (0, 0)  # total and id that were reported in the meantime
         self._reads_unlike = 0  # of that mission, in a row
         self._in_doubt = False
         self._begun = False

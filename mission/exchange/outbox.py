@@ -73,7 +73,7 @@ class Outbox:
         self.send(name, **fields, mission_type=MISSION)
 
     def end_reading(self) -> None:
-        """Tell that the list was read: twice, for a PX4 that misses it takes no other mission for seconds."""
+        """Acknowledge that the list was read: twice, for a PX4 that misses it takes no other mission for seconds."""
         for _ in range(2):
             self.send_mission("MISSION_ACK", type=ACCEPTED)
 

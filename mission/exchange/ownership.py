@@ -44,9 +44,9 @@ class Suspicion:
 class MissionIdentity:
     """The missions of ours, each as (total, mission_id).
 
-    ``expected``: a mission of so many items was written, and its id is learnt from the first report of it.
-    ``doubtful``: missions of so many items may have been written since; an id of one proves nothing, for others write
-    as many.
+    ``expected``: a mission of this many items was written, and its id is learnt from the first report of it.
+    ``doubtful``: missions of this many items may have been written since; an id of one proves nothing, as others
+    write as many.
     """
 
     ours: set[tuple[int, int]] = field(default_factory=set)

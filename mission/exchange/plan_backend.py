@@ -43,7 +43,7 @@ class BackendSettings:
 class PlanBackend(Protocol):
     """One way of flying plans. At any moment, whatever fails, the vehicle is left on a circle that needs no one.
 
-    What becomes of a plan is told through the outbox as ``PlanStatus``.
+    The outbox reports what becomes of a plan as ``PlanStatus``.
     """
 
     @property

@@ -178,11 +178,11 @@ class Takeover:
             yield
 
     def _while_in(self, mode: str, part: Script) -> Script:
-        """Run a part of the script, unless the pilot changes the flight mode meanwhile."""
+        """Run a part of the script, unless the pilot changes the flight mode during it."""
         for _ in part:
             yield
             if self._mode != mode:
-                raise _FailedError(f"the flight mode was changed to {self._mode} meanwhile")
+                raise _FailedError(f"the flight mode was changed to {self._mode} in the meantime")
 
     def _commanded(self, command: VehicleCommand | CommandExchange) -> Iterator[None]:
         exchange = command if isinstance(command, CommandExchange) else CommandExchange(self._outbox, command)
@@ -327,7 +327,7 @@ class Takeover:
             if self._mode == mode or self._outbox.link_s >= link_end_s or (final and self._command.accepted):
                 break
             if self._mode not in expected:
-                raise _FailedError(f"the flight mode was changed to {self._mode} meanwhile")
+                raise _FailedError(f"the flight mode was changed to {self._mode} in the meantime")
             if not (self._command.accepted or self._command.refused_for_now):
                 break
             yield from self._until(lambda: False, _START_AGAIN_S)

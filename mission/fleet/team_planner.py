@@ -41,7 +41,7 @@ _FORETOLD = 160  # seconds of the others' lines: longer than any line, and what 
 class TeamPlanner:
     """Implements :class:`sidelong.mission.core.fleet.CooperativePlanner`.
 
-    requirement: how the target is to be watched; its side is the wanted one until advice tells otherwise. Raises
+    requirement: how the target is to be watched; its side is the wanted one until advice changes it. Raises
     ValueError where that has no side, either side or a sector. The rest is as for a single aircraft.
     """
 
@@ -135,9 +135,9 @@ class TeamPlanner:
         move, plan, broken = cheapest_allowed(scene, looker, costs, bar, self._check)
         if plan is not None:
             moved = describe_new_circle(present.circle, plan.circle)
-            reason = f"moving {moved}: better beside {_names(others)}"
+            reason = f"moving {moved}: better alongside {_names(others)}"
             return Decision(aircraft.time_s, plan, reason, {**values, "move": float(move)})
-        reason = f"staying: {broken}" if broken else f"staying beside {_names(others)}"
+        reason = f"staying: {broken}" if broken else f"staying alongside {_names(others)}"
         return Decision(aircraft.time_s, None, reason, values)
 
     def _for(self, wind: Wind) -> tuple[Looker, Team]:

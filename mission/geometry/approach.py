@@ -7,7 +7,7 @@
          '--'                                                            ( c2 )
 
 Curvature steps between the three parts; the autopilot's roll lag rounds them. That is good enough far from the
-target, where an approach is used; beside the target the planners fly continuous curvature.
+target, where an approach is used; next to the target the planners fly continuous curvature.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class Reach:
     speed_m_s: float
 
     def clearance_m(self, plan: Plan, airspeed_m_s: float, hold_s: float = HOLD_S, from_m: float = 0.0) -> float:
-        """Return the least distance between what is left of a plan and the disk, which grows meanwhile.
+        """Return the least distance between what is left of a plan and the disk, which grows in that time.
 
         Args:
             plan: The plan; its circle is flown for ``hold_s`` after the transition.

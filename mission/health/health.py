@@ -1,7 +1,7 @@
 """The health model: for every input its source, age and rate, and whether it agrees with the others.
 
 Ages are counted on the vehicle's clock. Where that stands still, seconds of this computer (``ClockTick``) count.
-While the link is down nothing else is judged: the loss of the link is reported by itself.
+While the link is down nothing else is judged: the loss of the link is reported separately.
 """
 
 from __future__ import annotations

@@ -119,7 +119,7 @@ class PayloadCheck:
         self._attitude = reading
 
     def position(self, reading: PositionReading) -> None:
-        """Take the aircraft's position; its course tells how far it has turned."""
+        """Take the aircraft's position; its course gives how far it has turned."""
         before, self._position = self._position, reading
         east_m_s, north_m_s = reading.velocity_east_m_s, reading.velocity_north_m_s
         if east_m_s * east_m_s + north_m_s * north_m_s < _FLYING_M_S**2:

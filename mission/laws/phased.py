@@ -1,9 +1,9 @@
 """Several aircraft on one circle about a moving target at equal phases, by two laws of the literature.
 
-phased field         the Lyapunov vector field; who is behind its phase flies faster, who is ahead of it slower (Frew,
-                     Lawrence, Morris: "Coordinated standoff tracking of moving targets using Lyapunov guidance vector
-                     fields", Journal of Guidance, Control, and Dynamics 31(2), 2008)
-circular formation   constant speed; who is behind its phase flies a smaller circle, who is ahead of it a larger one
+phased field         the Lyapunov vector field; an aircraft behind its phase flies faster, one ahead of it slower
+                     (Frew, Lawrence, Morris: "Coordinated standoff tracking of moving targets using Lyapunov guidance
+                     vector fields", Journal of Guidance, Control, and Dynamics 31(2), 2008)
+circular formation   constant speed; an aircraft behind its phase flies a smaller circle, one ahead of it a larger one
                      (Garcia de Marina, Sun, Bronz, Hattenberger: "Circular formation control of fixed-wing UAVs with
                      constant speeds", IROS 2017; Paparazzi flies it)
 
@@ -72,7 +72,7 @@ class CircularFormation:
 def behind(aircraft: Sequence[AircraftState], target: TargetEstimate, clockwise: bool) -> list[float]:
     """Return by how much each is behind its place between those before and after it, rad; they keep their order.
 
-    Alone, nobody is behind.
+    Alone, no aircraft is behind.
     """
     n, sense = len(aircraft), 1.0 if clockwise else -1.0
     phase_rad = [sense * math.atan2(one.east_m - target.east_m, one.north_m - target.north_m) for one in aircraft]

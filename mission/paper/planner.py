@@ -4,7 +4,7 @@ Rules
 -----
 1. The regular step is O2 = O1 + e on ABCD (17): it keeps the compass direction in which the circle lies from the
    target. It is taken when another lap would end outside [Dmin, C Dmax], and refused when ABCD has no room for it.
-2. The circle is placed anew beside the target (20-22) when it is not one of ours, when the regular step would not
+2. The circle is placed again next to the target (20-22) when it is not one of ours, when the regular step would not
    keep the required side of the target's motion, or when the circle dips below Dmin. Of ABCD and stretched laps
    that move takes the first which keeps its distance, or else the one that does best; the paper leaves it open. A
    circle flown the other way round is left at once, by turn, straight and turn.
@@ -42,7 +42,7 @@ _LONGEST_INTERVAL_S = 2.0  # between two calls; the first call after a pause cou
 class _Chosen:
     """A circle, and where the target it was chosen for would be seen now had it stood still since.
 
-    placed tells that the planner put it beside the target; a circle found flown is only adopted.
+    placed: whether the planner put it next to the target; a circle found flown is only adopted.
     """
 
     circle: Circle
@@ -142,7 +142,7 @@ class PaperPlanner:
     def _follow(self, aircraft: AircraftState, seen: RelativePosition, present: Plan) -> _Chosen:
         """Carry the reference models on to now; return the one of the circle that is flown.
 
-        A proposed circle waits beside the flown one until it is flown: an upload may fail.
+        A proposed circle waits next to the flown one until it is flown: an upload may fail.
         """
         last = self._last or aircraft
         flown_m = (aircraft.east_m - last.east_m, aircraft.north_m - last.north_m)
@@ -202,7 +202,7 @@ class PaperPlanner:
     # -- where to ------------------------------------------------------------------------------------------
 
     def _placed_anew(self, situation: Situation) -> tuple[Move, Path | None]:
-        """Return the move to the circle beside the target, and its line.
+        """Return the move to the circle next to the target, and its path.
 
         None for the line where both ways to a circle of another kind overlap: the autopilot finds its own.
         """

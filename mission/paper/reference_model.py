@@ -1,4 +1,4 @@
-"""Where a target that never moved would be seen, and what the difference tells (equations 1-8)."""
+"""Where a target that never moved would be seen, and what the difference shows (equations 1-8)."""
 
 from __future__ import annotations
 

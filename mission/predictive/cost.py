@@ -1,4 +1,4 @@
-"""What a place beside the target costs: the planner's one measure. Unit: seconds off the chosen side.
+"""What a position next to the target costs: the planner's one measure. Unit: seconds off the chosen side.
 
 Watch frame: origin at the target, x to the right of the watch course, y ahead. The watch course is the target's
 (held through stops), mirrored for the right side, so that the side to be on is always the left one, x < 0. For

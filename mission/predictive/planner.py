@@ -48,7 +48,7 @@ from sidelong.mission.route.route import Route
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
 from sidelong.mission.viewpoint.side_policy import SidePolicy
 
-# So many moves are tried against fences and other aircraft, the cheapest first.
+# This many moves are tried against fences and other aircraft, the cheapest first.
 _MAX_TRIES = 30
 # What a move must gain, in seconds off side. The wider the circle is in its band the more moves are needed, and the
 # more each has to be worth if no hour is to have too many: from a share of the band on, up to the widest circle that
@@ -131,8 +131,8 @@ class PredictivePlanner:
     """Implements :class:`sidelong.mission.core.plan.Planner`.
 
     table is that of :func:`table_configuration`; windy are more of them, for other winds. The one nearest to the
-    present wind is used. check tells which fence a plan would break, or None: the best plan that breaks none is
-    taken. sight tells what the ground hides about a target of this place and velocity (east, north, m and m/s).
+    present wind is used. check returns which fence a plan would break, or None: the best plan that breaks none is
+    taken. sight returns what the ground hides about a target of this place and velocity (east, north, m and m/s).
     table_at returns the table for another wind speed, which has to be at hand when it is prepared for. route: the
     target's expected route.
     """

@@ -1,4 +1,4 @@
-"""The worth of a place and heading beside the target: expected future cost of going on as well as can be.
+"""The value of a position and heading next to the target: expected future cost of going on as well as can be.
 
 V(class, heading, x, y) is the discounted cost of flying on from there, from the clockwise circle, by the best moves,
 in the watch frame of :mod:`sidelong.mission.predictive.cost`. A class is velocities of target and wind in that frame.

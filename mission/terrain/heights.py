@@ -80,7 +80,7 @@ class FlightHeights:
         if math.isinf(floor_m):
             return "the new circle lies over ground of unknown height"
         line = plan.transition
-        # The transition's own heights count where nobody climbs to the circle's on it.
+        # The transition's own heights count where no aircraft climbs to the circle's on it.
         line_floor_m = (
             -math.inf if line is None else self._highest_along(line.east_m, line.north_m) + rules.clearance_m
         )

@@ -48,7 +48,7 @@ class Fences:
         """Return which part of the plan breaks which fence, in words, or None.
 
         The whole transition and the whole circle are looked at; of a plan without a transition the circle alone,
-        as nobody knows how the autopilot gets there.
+        as the autopilot's way there is unknown.
         """
         if self._floor_m is not None and height_m < self._floor_m:
             return f"the height of {height_m:.0f} m is below the floor of {self._floor_m:.0f} m"

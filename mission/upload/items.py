@@ -73,8 +73,7 @@ def plan_items(
     layout = lay_out(plan.transition, plan.circle, tracking, tolerance_m)
     if layout.deviation_m > tolerance_m:
         raise UnflyableError(
-            f"the autopilot would fly {layout.deviation_m:.0f} m beside the transition; "
-            f"tolerance_m is {tolerance_m:.0f}"
+            f"the autopilot would fly {layout.deviation_m:.0f} m off the transition; tolerance_m is {tolerance_m:.0f}"
         )
     waypoints = (
         Item(

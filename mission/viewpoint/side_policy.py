@@ -32,7 +32,7 @@ class SidePolicy:
     def __init__(self, requirement: Requirement, hysteresis_m: float, course_horizon_s: float = 0.0) -> None:
         """hysteresis_m: how far across the target's line the aircraft must be before the other side is taken.
 
-        course_horizon_s: the sides are those of the course made good over so long; 0: of the present course.
+        course_horizon_s: the sides are those of the course made good over this time, s; 0: of the present course.
         """
         sector, side = requirement.sector, requirement.side
         fixed_rad = math.nan if sector is None else sector.middle_rad - side.normal_turn_rad

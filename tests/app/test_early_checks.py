@@ -18,7 +18,7 @@ from sidelong.app.commands import launch_one, replay
         (["launch", "--target", "none.gpx"], "none.gpx"),
         (["launch", "--cot", "foo"], "sharing.cot: 'foo' is no address"),
         (["launch", "--beacon", "udp://127.0.0.1:70000"], "sharing.beacon"),
-        (["launch", "--fleet", "2", "--beacon", "udp://127.0.0.1:6969"], "a beacon is heard by one aircraft"),
+        (["launch", "--fleet", "2", "--beacon", "udp://127.0.0.1:6969"], "a beacon is used by one aircraft"),
         (["launch", "--connect", "nope://x"], "'nope://x' is no link this can open"),
         (["launch", "--connect", "udpin://0.0.0.0:99999"], "a port is a number from 1 to 65535, not 99999"),
         (["connect", "tcpout://127.0.0.1:0"], "a port is a number from 1 to 65535, not 0"),

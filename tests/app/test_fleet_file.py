@@ -61,7 +61,7 @@ def test_others_are_told_of_one_target_and_of_every_aircraft_by_its_name(written
     assert north.config.sharing.cot == south.config.sharing.cot == "udp://127.0.0.1:8087"
     assert (north.config.sharing.cot_own_callsign, south.config.sharing.cot_own_callsign) == ("north", "south")
     assert (north.config.sharing.nmea, south.config.sharing.nmea) == ("udp://127.0.0.1:8088", None)
-    with pytest.raises(InputError, match="a beacon is heard by one aircraft"):
+    with pytest.raises(InputError, match="a beacon is used by one aircraft"):
         load_fleet(written(TWO + '[sharing]\nbeacon = "udp://127.0.0.1:6969"\n'))
 
 

@@ -278,7 +278,7 @@ def test_a_lost_track_and_a_lost_link_catch_the_eye(page, display, snapshots):
     display.pump()
     page.locator("#quality.bad", has_text="track lost").wait_for()
     assert page.locator("#link.bad").inner_text() == "link lost"
-    assert "Nothing is heard of the aircraft" in page.locator("#seen.bad").inner_text()
+    assert "No message of the aircraft" in page.locator("#seen.bad").inner_text()
 
 
 def test_before_the_flight_there_are_no_empty_plots_and_a_long_name_is_cut(browser, snapshots):

@@ -66,11 +66,11 @@ def test_times_count_from_when_watching_began(steps, frames):
 def test_it_plays_at_its_speed_and_tells_only_what_came(frames, clock):
     player = Player(frames, 10.0, clock)
     first = player.told()
-    assert first["anew"]
+    assert first["restart"]
     clock.now_s += 1.0
     second = player.told()
     assert second["replay"]["at_s"] == pytest.approx(first["replay"]["at_s"] + 10.0)
-    assert "anew" not in second
+    assert "restart" not in second
     assert len(second["trail"]) == pytest.approx(50, abs=1)
 
 
@@ -81,7 +81,7 @@ def test_paused_it_stands_and_a_seek_begins_anew(frames, clock):
     clock.now_s += 5.0
     player.pressed({"action": "seek", "value": 200.0})
     told = player.told()
-    assert (told["replay"]["playing"], told["replay"]["at_s"], told["anew"]) == (False, 200.0, True)
+    assert (told["replay"]["playing"], told["replay"]["at_s"], told["restart"]) == (False, 200.0, True)
     assert told["state"]["time_s"] == pytest.approx(200.0, abs=0.2)
     assert max(time_s for time_s, *_ in told["trail"]) <= 200.0
     assert all(time_s is None or time_s <= 200.0 for time_s, *_ in told["said"])

@@ -90,7 +90,7 @@ def test_a_page_that_opens_late_is_told_what_was_before(shown):
     shown.pump()
     with urlopen(f"{shown.url}events") as stream:
         told = json.loads(stream.readline().removeprefix(b"data: "))
-    assert told["anew"]
+    assert told["restart"]
     assert told["setting"]["band_m"] == [100.0, 500.0]
     assert len(told["trail"]) == pytest.approx(120, abs=2)
     assert told["state"]["phase"] == "watching"

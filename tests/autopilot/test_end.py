@@ -35,7 +35,8 @@ def test_with_a_vehicle_that_falls_silent_during_an_upload(vehicle_of, launch):
     application.wait_for("link lost")
     application.process.send_signal(signal.SIGINT)
     assert application.process.wait(WIND_UP_S) == 130
-    assert "interrupted by SIGINT: when last heard, the aircraft goes on circling where it is." in application.said
+    ended = "interrupted by SIGINT: by its last message, the aircraft goes on circling where it is."
+    assert ended in application.said
     (run,) = application.out.iterdir()
     assert json.loads((run / "summary.json").read_text())["outcome"] == "interrupted"
     assert "was left off" not in application.said

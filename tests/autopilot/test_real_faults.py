@@ -112,7 +112,7 @@ def test_a_second_vehicle_with_another_id_is_listed_and_refused(flown, launch):
         if message.get_type() in VEHICLE and message.get_srcComponent() == 1:
             yield 0.0, packed(message, system_id=7)
 
-    refused(flown, launch, beside, "several vehicles are heard", "system 7 (", "name one by --system-id")
+    refused(flown, launch, beside, "several vehicles share the link", "system 7 (", "select one with --system-id")
 
 
 def test_a_second_vehicle_with_the_same_id_is_told_before_anything_is_armed(flown, launch):
@@ -204,7 +204,7 @@ def test_a_position_that_jumps_is_bridged_and_a_longer_jump_doubted(flown, watch
     flown.relay.change = away
     watching.wait_for("holding the circle, nothing is decided on it")
     flown.relay.change = unchanged
-    watching.wait_for("the aircraft's position is believed again")
+    watching.wait_for("the aircraft's position is accepted again")
     flown.wait(20.0)
     summary = watching.end()
     assert summary["min_range_m"] > 90.0
@@ -246,7 +246,7 @@ def test_a_receiver_without_a_fix_holds_the_circle(flown, watching):
         flown.wait(5.0)
     finally:
         flown.relay.set_parameter(name, on, kind)
-    watching.wait_for("the aircraft's position is believed again")
+    watching.wait_for("the aircraft's position is accepted again")
     flown.wait(20.0)
     assert watching.end()["outcome"] == "interrupted", watching.said
 

@@ -45,7 +45,7 @@ def test_of_two_vehicles_one_has_to_be_named(free_port, tmp_path):
     with vehicles(port, ("--system-id", 1), ("--system-id", 7, "--autopilot", "px4")):
         unnamed = sidelong("launch", "--connect", url, "--out", tmp_path)
         assert unnamed.returncode == 2, unnamed.stdout + unnamed.stderr
-        assert "several vehicles are heard: system 1 (" in unnamed.stderr
+        assert "several vehicles share the link: system 1 (" in unnamed.stderr
         assert "system 7 (px4" in unnamed.stderr
         assert "--system-id" in unnamed.stderr
         named = sidelong("connect", url, "--system-id", 7, "--listen", 1, "--json", tmp_path / "found.json")
@@ -53,7 +53,7 @@ def test_of_two_vehicles_one_has_to_be_named(free_port, tmp_path):
         assert json.loads((tmp_path / "found.json").read_text())["system_id"] == 7
         absent = sidelong("connect", url, "--system-id", 3, "--timeout", 2)
         assert absent.returncode == 2
-        assert "system 3 is not heard, only system 1" in absent.stderr
+        assert "system 3 sends nothing, only system 1" in absent.stderr
 
 
 def test_two_vehicles_with_one_id_are_told_before_anything_is_armed(free_port, tmp_path):

@@ -66,7 +66,7 @@ def test_a_busy_port():
 @pytest.mark.udp
 def test_no_heartbeat(free_port):
     said = refused("connect", f"udpin://127.0.0.1:{free_port()}", "--timeout", 1)
-    assert "no autopilot was heard within 1 s" in said
+    assert "no autopilot was received within 1 s" in said
 
 
 @pytest.mark.udp

@@ -116,7 +116,7 @@ def test_a_resume_is_refused_while_the_autopilot_is_silent(in_the_air):
     flight.run(20.0)
     sent = len(flight.found(SendMessage))
     resume(flight)
-    assert "resume refused: nothing is heard from the autopilot" in flight.found(Announce)[-1].text
+    assert "resume refused: no message from the autopilot" in flight.found(Announce)[-1].text
     flight.run(5.0)
     assert phase(flight) is Phase.YIELDED
     assert len(flight.found(SendMessage)) == sent

@@ -57,7 +57,7 @@ def test_a_target_is_watched_by_its_beacon_alone(flavour):
     loop = BeaconLoop(Scenario(4, flavour, 300.0))
     flown = loop.fly()
     assert watched(flown, loop.controller)
-    assert [text for _, text in flown.told if "beacon" in text] == ["the beacon 30 tells where the target is"]
+    assert [text for _, text in flown.told if "beacon" in text] == ["the beacon 30 reports the target's position"]
     assert all(100.0 - 3 * SIGMA_M <= range_m <= 500.0 + 3 * SIGMA_M for range_m in flown.range_m)
     assert sum(decision.moved for decision in flown.decided) >= 1
     seen_m = [one.target_error_m for one in flown.decided if one.unseen_s < 2.0]

@@ -122,6 +122,6 @@ def test_a_longer_jump_holds_the_circle_and_says_so():
     assert not [one for one in flown.decided if BEGIN_S + 3.3 < one.time_s < BEGIN_S + 7.9]
     said = [text for _, text in flown.told]
     assert any("holding the circle, nothing is decided on it" in text for text in said)
-    assert "the aircraft's position is believed again" in said
+    assert "the aircraft's position is accepted again" in said
     assert max(one.own_error_m for one in flown.decided) < 15.0
     assert not math.isnan(flown.decided[-1].own_error_m)

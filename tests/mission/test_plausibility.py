@@ -280,7 +280,7 @@ def test_a_jump_of_the_position_is_bridged_and_then_doubted(flown, jump_m, lengt
     assert flown.of(PositionReading)[-1] == position(124.9)
     assert flown.door.doubt is None
     assert "jumped by" in flown.told[0]
-    assert flown.told[-1] == "the aircraft's position is believed again" or length_s < 3.0
+    assert flown.told[-1] == "the aircraft's position is accepted again" or length_s < 3.0
 
 
 def test_with_the_velocity_lost_as_well_the_bank_tells_the_turn(flown):

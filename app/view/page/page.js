@@ -36,25 +36,25 @@ function clock(timeS) {
 
 // -- data from the flight ------------------------------------------------------------------------------------
 
-function hear(told) {
+function hear(update) {
   heardAt = performance.now();
-  if (told.anew) {
+  if (update.restart) {
     map.forget();
     plots.samples = [];
     byId("log").replaceChildren();
   }
-  if (told.start_s !== null) startS = told.start_s;
-  if (told.setting?.band_m) set(told.setting);
-  if (told.replay) bar.show(told.replay);
-  map.addTrail(told.trail);
-  for (const sample of told.series ?? []) map.addTarget(sample.target_m);
-  plots.add(told.series ?? []);
-  for (const [timeS, kind, text] of told.said) {
+  if (update.start_s !== null) startS = update.start_s;
+  if (update.setting?.band_m) set(update.setting);
+  if (update.replay) bar.show(update.replay);
+  map.addTrail(update.trail);
+  for (const sample of update.series ?? []) map.addTarget(sample.target_m);
+  plots.add(update.series ?? []);
+  for (const [timeS, kind, text] of update.said) {
     say(timeS, kind, text);
-    if (kind === "operator" && !told.anew) answer(text);
+    if (kind === "operator" && !update.restart) answer(text);
   }
-  if (told.state) state = told.state;
-  over ||= told.over ?? false;
+  if (update.state) state = update.state;
+  over ||= update.over ?? false;
   if (drawn) {
     drawn = false;
     requestAnimationFrame(draw);
@@ -220,7 +220,7 @@ function seen() {
   const unseen = target?.unseen_s;
   const line = byId("seen");
   if (!state.connected) {
-    line.textContent = "Nothing is heard of the aircraft; all below is as heard last.";
+    line.textContent = "No message of the aircraft; all below is from its last message.";
     line.className = "bad";
     return;
   }
@@ -297,7 +297,7 @@ setInterval(() => {
   news.hidden = !over && silent < SILENT_MS;
   news.textContent = over
     ? "The flight's program has ended; this is how things stood last."
-    : `Nothing heard from the flight's program for ${Math.round(silent / 1000)} s; what is shown is old.`;
+    : `No message from the flight's program for ${Math.round(silent / 1000)} s; what is shown is old.`;
   if (over) buttons();
 }, 250);
 

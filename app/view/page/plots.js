@@ -25,7 +25,7 @@ const PLOTS = [
     range: (setting) => [-1.1 * degrees(setting.bank_max_rad), 1.1 * degrees(setting.bank_max_rad)],
   },
   {
-    inner: true, title: "time since last heard, s", digits: 1,
+    inner: true, title: "time since last message, s", digits: 1,
     lines: [[(s) => s.range_age_s, "laser"], [(s) => s.gimbal_age_s, "gimbal"], [(s) => s.link_age_s, "link"]],
     range: (_, most) => [0, Math.min(Math.max(2, most), 60)],
   },

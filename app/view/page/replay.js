@@ -20,7 +20,7 @@ export class ReplayBar {
     for (const button of root.querySelectorAll("[data-step]")) {
       button.addEventListener("click", () => press({ action: "step", value: Number(button.dataset.step) }));
     }
-    this.seek.addEventListener("input", () => { this.held = true; this.tell(Number(this.seek.value)); });
+    this.seek.addEventListener("input", () => { this.held = true; this.seekTo(Number(this.seek.value)); });
     this.seek.addEventListener("change", () => {
       this.held = false;
       press({ action: "seek", value: Number(this.seek.value) });
@@ -64,10 +64,10 @@ export class ReplayBar {
     if (document.activeElement !== this.speed) this.speed.value = speed;
     if (this.held) return;
     this.seek.value = at;
-    this.tell(at);
+    this.seekTo(at);
   }
 
-  tell(at) {
+  seekTo(at) {
     this.at.textContent = `${clock(at - this.startS)} of ${clock(this.endS - this.startS)}`;
     this.seek.setAttribute("aria-valuetext", this.at.textContent);
   }
