@@ -16,6 +16,7 @@ from sidelong.app.config import Config, Polygon, SensorsSection
 from sidelong.app.errors import InputError
 from sidelong.app.planners.planner_kind import PlannerKind, PlannerNeeds
 from sidelong.app.planners.registry import planner_by_name
+from sidelong.app.route_file import read_route
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.compiled import is_cached
 from sidelong.estimators.filters.imm_kernel import update
@@ -25,6 +26,7 @@ from sidelong.estimators.tracking.track import Track
 from sidelong.estimators.tracking.tracker import SourceChoice, Tracker, TrackerSettings
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.heights import ClimbRates, OneHeight
 from sidelong.mission.core.plan import AircraftState, Plan, Planner
 from sidelong.mission.core.requirement import Wind
@@ -35,6 +37,8 @@ from sidelong.mission.exchange.takeover import TakeoverSettings
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.mission.geometry.trapezoid import Trapezoids
 from sidelong.mission.geometry.wind import ground_speeds_m_s
+from sidelong.mission.route.progress import RoutePlanner
+from sidelong.mission.route.route import route_of
 from sidelong.mission.upload.fences import FenceError, Fences, Outline
 
 if TYPE_CHECKING:
@@ -127,8 +131,22 @@ def controller_of(
         make_planner,
     )
     track = Track(tracker_settings(config.sensors, lost_after_s))
-    _warm_up(make_planner(aircraft, requirement), track, requirement.range_max_m - 190.0)
+    with_route = config.route.file is not None
+    _warm_up(make_planner(aircraft, requirement), track, requirement.range_max_m - 190.0, with_route)
     return controller
+
+
+def route_given(config: Config, plane: LocalPlane, time_s: float) -> RouteGiven | None:
+    """Return the configured route as an event of the vehicle's time; None without one.
+
+    Raises InputError if the route file cannot be read.
+    """
+    route = config.route
+    if route.file is None:
+        return None
+    east_m, north_m = read_route(route.file).in_plane(plane)
+    way = tuple(east_m.tolist()), tuple(north_m.tolist())
+    return RouteGiven(time_s, *way, route.lap, route.tolerance_m, route.speed_m_s, route.direction)
 
 
 def winds_m_s(config: Config) -> list[float]:
@@ -164,12 +182,14 @@ def planner_needs(
     )
 
 
-def _warm_up(planner: Planner, track: Track, beyond_m: float) -> None:
+def _warm_up(planner: Planner, track: Track, beyond_m: float, with_route: bool) -> None:
     """Run every compiled function that a flight calls from Python, so that nothing compiles or loads in flight.
 
     In the last decisions the target is ``beyond_m`` farther away, out of the band, so that the planner lays out a new
     circle as well. A test flies and fails if a kernel is called in flight with arguments that this has not run.
     """
+    if with_route and isinstance(planner, RoutePlanner):
+        planner.follow(route_of(np.array([-300.0, 300.0]), np.zeros(2)))
     circle = Circle(-250.0, 0.0, 60.0, clockwise=True)
     plan = Plan(circle)
     path = Trapezoids.between(circle.curvature_per_m, [0.0], [300.0], [circle.curvature_per_m], 1e-3)

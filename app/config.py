@@ -302,6 +302,21 @@ def _beacon(text: str) -> str:
     return text
 
 
+class RouteSection(Section):
+    """The route that the target is expected to follow. Off the route, sidelong plans as without one."""
+
+    file: Path | None = None
+    """Route file: .gpx, .geojson, .kml, or .csv with lat,lon."""
+    lap: bool = False
+    """Whether the last way point connects to the first one."""
+    tolerance_m: float = Field(12.0, ge=1, le=200)
+    """One standard deviation of the target's lateral offset from the route, m."""
+    speed_m_s: float | None = Field(None, gt=0, le=50)
+    """Expected speed along the route, m/s; left out: unknown."""
+    direction: Literal["forward", "backward", "either"] = "either"
+    """Direction in which the target follows the way points."""
+
+
 class SharingSection(Section):
     """External outputs (CoT, FOLLOW_TARGET, NMEA), and a beacon that the target carries."""
 
@@ -384,6 +399,7 @@ class Config(Section):
     link: LinkSection = LinkSection()  # type: ignore[call-arg]
     fences: FencesSection = FencesSection()  # type: ignore[call-arg]
     terrain: TerrainSection = TerrainSection()  # type: ignore[call-arg]
+    route: RouteSection = RouteSection()  # type: ignore[call-arg]
     sharing: SharingSection = SharingSection()  # type: ignore[call-arg]
     control: ControlSection = ControlSection()  # type: ignore[call-arg]
     simulation: SimulationSection = SimulationSection()  # type: ignore[call-arg]

@@ -32,6 +32,7 @@ from sidelong.app.payload.registry import KIND_NAMES, MAVLINK
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.records.mcap_writer import mcap_writer_class
 from sidelong.app.records.run_folder import check_space
+from sidelong.app.route_file import read_route
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, Address, free_port, is_desktop, page_address
 
@@ -72,6 +73,14 @@ def launch(
             metavar="KIND://HOST[:PORT]",
             help=f"Read laser and gimbal by the payload's own protocol: {', '.join(KIND_NAMES)}; "
             "KIND:// alone with a simulated vehicle.",
+            show_default=False,
+        ),
+    ] = None,
+    route: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Route that the target is expected to follow: .gpx, .geojson, .kml, or .csv with lat,lon.",
             show_default=False,
         ),
     ] = None,
@@ -183,6 +192,7 @@ def launch(
       sidelong launch --autopilot px4 --target walk --side right --view
       sidelong launch mission.toml --connect udpin://0.0.0.0:14540
       sidelong launch --connect udpin://0.0.0.0:14540 --payload siyi://192.168.144.25
+      sidelong launch --connect udpin://0.0.0.0:14540 --route ferry.gpx
       sidelong launch --fleet 2 --autopilot arduplane,px4
     """
     checked_output(json)
@@ -208,6 +218,7 @@ def launch(
         "requirement": {"side": side, "target_speed_max_m_s": target_speed},
         "terrain": {"folder": None if terrain is None else str(terrain)},
         "planner": {"name": planner, "guidance": guidance},
+        "route": {"file": route},
         "sharing": {"cot": cot, "follow_target": follow_target, "nmea": nmea, "beacon": beacon},
     }
     if mcap:
@@ -308,6 +319,8 @@ def _check_input(settings: Config, point_gimbal: bool) -> None:
         read_key(settings.link.signing_key_file)
     if settings.terrain.folder is not None:
         elevation_data(Path(settings.terrain.folder))
+    if settings.route.file is not None:
+        read_route(settings.route.file)
     if point_gimbal and settings.terrain.is_known and settings.sensors.angles_alone:
         raise InputError(
             "--point-gimbal points the gimbal at the estimate, which would confirm itself while the laser is silent; "
@@ -337,6 +350,8 @@ def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) ->
                 "a fleet reads its payloads by MAVLink; run one `sidelong payload` for each aircraft, "
                 'and leave payload.kind = "mavlink".'
             )
+        if member.config.route.file is not None:
+            raise InputError("route.file: only an aircraft that flies alone uses a route; leave it out.")
     if system_id is not None:
         raise InputError("--system-id names one vehicle; give each aircraft of the fleet file its system_id.")
 

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from sidelong.app.analysis.score import Moment
 from sidelong.app.analysis.summary import Summary, SummaryCollector, summarise
 from sidelong.app.analysis.truth import Truth
-from sidelong.app.assembly import mission_controller_of, settle, winds_m_s
+from sidelong.app.assembly import mission_controller_of, route_given, settle, winds_m_s
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.autopilots.parameter import ParameterTable, RequiredParameter
 from sidelong.app.autopilots.release import Release
@@ -341,6 +341,9 @@ class Flight:
         interrupt = asyncio.create_task(stopped.wait())
         delay = asyncio.create_task(self._tell_delay(loop))
         listening = asyncio.create_task(alarms.run())
+        route = route_given(self._config, plane, self._telemetry.now_s)
+        if route is not None:
+            loop.put(route)
         loop.put(self._takeover(loop.link_s))
         try:
             await asyncio.wait((running, over, interrupt), return_when=asyncio.FIRST_COMPLETED)

@@ -29,6 +29,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.plan import AircraftState, Decision, Plan, Planner
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.exchange.dialect import Home
@@ -107,6 +108,11 @@ def run_closed_loop(
     states = [aircraft.state]
     vehicle.flown = states.append
     loop.start(lambda plane: mission_controller_of(config, controller, autopilot, plane, _HOME), vehicle.mode)
+    if flown.route is not None:
+        route = flown.route
+        points = tuple(route.east_m.tolist()), tuple(route.north_m.tolist())
+        speed_m_s = None if math.isnan(route.speed_m_s) else route.speed_m_s
+        loop.put(RouteGiven(vehicle.time_s, *points, route.lap, route.tolerance_m, speed_m_s, route.direction.value))
     loop.run(flown.duration_s - vehicle.time_s)
     rows = np.array([(state.time_s, state.east_m, state.north_m) for state in states])
     log = np.hstack([rows, flown.target.sampled(rows[:, 0])])

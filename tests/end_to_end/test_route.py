@@ -1,0 +1,50 @@
+"""A flight that knows the target's route, from the command line to the replay."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from sidelong.estimators.frames import LocalPlane
+from tests.end_to_end.test_flights import sidelong
+
+pytestmark = pytest.mark.udp
+HOME = LocalPlane(-35.363262, 149.165237)
+CORNERS_M = (250.0, 100.0), (250.0, 700.0), (1250.0, 700.0)  # east, north
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Return a track at 4 m/s around a corner, and its way points."""
+    places = [(250.0, 100.0 + 4.0 * s) for s in range(150)] + [(250.0 + 4.0 * s, 700.0) for s in range(150)]
+    track, route = tmp_path / "track.csv", tmp_path / "route.csv"
+    for file, head, rows in ((track, "time,lat,lon", places), (route, "lat,lon", CORNERS_M)):
+        degrees = [",".join(f"{angle:.8f}" for angle in HOME.latitude_longitude_deg(*row)) for row in rows]
+        lines = [f"{second},{row}" for second, row in enumerate(degrees)] if file == track else degrees
+        file.write_text("\n".join([head, *lines]))
+    return track, route
+
+
+def test_a_flight_along_a_route_reports_it_and_replays_the_same(files, tmp_path):
+    track, route = files
+    done = sidelong(
+        *("launch", "--target", track, "--target-speed", 6, "--route", route, "--duration", 150, "--speed", 10),
+        *("--no-view", "--out", tmp_path / "runs", "--json", tmp_path / "summary.json"),
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    (run,) = (tmp_path / "runs").iterdir()
+    journal = (run / "journal.jsonl").read_text()
+    assert "the target is expected on a route of 1600 m" in journal
+    assert "on route: the target is" in journal
+    assert json.loads((tmp_path / "summary.json").read_text())["time_in_band"] >= 0.9
+    replayed = sidelong("replay", run, "--verify", "--quiet")
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
+
+
+def test_an_unreadable_route_ends_the_launch_before_anything_flies(tmp_path):
+    route = tmp_path / "route.gpx"
+    route.write_text("not a route")
+    done = sidelong("launch", "--route", route)
+    assert done.returncode == 2
+    assert "route.gpx: is not a readable route" in " ".join(done.stderr.split())
