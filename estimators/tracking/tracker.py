@@ -66,6 +66,7 @@ class Tracker:
             from sidelong.estimators.tracking.delays import DelayFit  # noqa: PLC0415
 
             self._delay_fit = DelayFit(settings, self._pairing.parent_from_mount)
+        self._doubted = False  # from the time that the payload turns out to be wrong until it agrees again
         self._delays: Delays | None = None
         self._delays_of: dict[tuple[Source | None, Source | None], Delays] = {}
         self._devices: tuple[Source | None, Source | None] = None, None
@@ -103,7 +104,7 @@ class Tracker:
                 self._delays = self._delays_of.get(devices)
                 self._pairing.set_delays(self._delays)
             self._devices = devices
-        found = fit.updated(reading.time_s)
+        found = None if self._doubted else fit.updated(reading.time_s)
         if found is None:
             return
         apart_s = (
@@ -263,11 +264,19 @@ class Tracker:
 
     def forget_since(self, time_s: float) -> None:
         """Undo all sightings since a time: the payload has turned out to be wrong since then."""
+        self._doubted = True
         self._track.forget_since(time_s)
 
     def begin_again(self) -> None:
         """Restart the track with the next sighting: what it was made from has turned out to be wrong."""
+        self._doubted = False
+        self.restart_delays()
         self._track.begin_again()
+
+    def restart_delays(self) -> None:
+        """Fit the delays to later readings only: those before show another target, or are wrong."""
+        if self._delay_fit is not None:
+            self._delay_fit.clear()
 
     @property
     def unpaired(self) -> int:

@@ -532,6 +532,8 @@ class StandoffController:
         self.surroundings.separation.note(told.neighbours)
         if before not in ("", told.target):
             self._news = TargetNews()
+        if told.turn_payload:
+            self.tracker.restart_delays()
         if self.phase not in _FLYING:
             return ()
         if told.role is Role.LEAVE:

@@ -47,7 +47,7 @@ def test_journals_of_the_cooperative_planner_still_replay(fleet_size, tmp_path, 
     more = advice(180.0) if fleet_size > 1 else {}
     recorded(folder, config_of(fleet_size), 100.0, more, TeamPredictive())
     if fleet_size > 1:
-        assert "better beside south" in folder.journal.read_text()
+        assert "better alongside south" in folder.journal.read_text()
     load_command("replay").main([str(folder.path), "--verify"], standalone_mode=False)
     assert "all the same to the last bit" in capsys.readouterr().out
 

@@ -74,7 +74,7 @@ def test_its_report_is_about_all_and_leads_to_each(flown, tmp_path):
     for name in ("plane", "wing"):
         (link,) = re.findall(f'href="([^"]*)">{name}</a>', page)
         assert '<figure id="observation-angle"' in (tmp_path / link).read_text()
-    assert "What the coordinator said" in page
+    assert "Announcements of the coordinator" in page
     assert f"<td>{summary['min_separation_m']:.0f} m</td>" in page
     assert f"<td>{100.0 * summary['time_on_side_any']:.1f} %</td>" in page
 

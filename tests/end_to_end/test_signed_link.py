@@ -46,7 +46,7 @@ def vehicle(free_port):
 def test_a_key_is_made_given_demanded_and_taken_back(tmp_path, vehicle, capsys):
     key, other, (simulation, url) = tmp_path / "plane.key", tmp_path / "other.key", vehicle
     sign(key, url, timeout=20.0)
-    assert "refuses what is not signed" in " ".join(capsys.readouterr().out.split())
+    assert "refuses frames that are not signed" in " ".join(capsys.readouterr().out.split())
     assert simulation.vehicle.radio.signing.required
     assert "AIRSPEED_CRUISE 15" in sidelong("connect", url, "--signing-key", key, "--listen", 1)
     sign(other)

@@ -255,8 +255,8 @@ def test_a_geotiff_without_a_place_is_one_sentence(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("crs", "dtype", "count", "words"),
     [
-        ('LOCAL_CS["site",UNIT["metre",1]]', "float32", 1, "no place that can be told"),
-        ("+proj=longlat +a=1737400 +b=1737400 +no_defs", "float32", 1, "no place that can be told"),
+        ('LOCAL_CS["site",UNIT["metre",1]]', "float32", 1, "cannot be converted to latitude"),
+        ("+proj=longlat +a=1737400 +b=1737400 +no_defs", "float32", 1, "cannot be converted to latitude"),
         ("EPSG:4978", "float32", 1, "no raster of heights"),
         ("EPSG:4326", "uint8", 3, "is a picture"),
         ("EPSG:4326", "complex64", 1, "is a picture"),
