@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from sidelong.app.assembly import tracker_settings
 from sidelong.app.simulation.airframe import KinematicAircraft
@@ -79,7 +80,9 @@ def aircraft_on(settings: StudySettings, flown: Scene, circle: Circle) -> Kinema
 
 def sensed_by(settings: StudySettings, flown: Scene) -> Sensed:
     """Return what one aircraft sees the target with."""
-    return Sensed(*payload_of(settings), flown.sensor_rng, settings.perfect_sensors)
+    errors, told = payload_of(settings)
+    # The compiled loop estimates no delays: its payload has none.
+    return Sensed(errors, replace(told, latency_sigma_s=0.0), flown.sensor_rng, settings.perfect_sensors)
 
 
 def _steered(

@@ -8,7 +8,7 @@ from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.geometry.retreat import Reach
 
-_BLIND_S = 15.0  # longer than a laser misses
+_BLIND_S = 20.0  # longer than a laser or a beacon misses
 _PROBATION_S = 8.0  # a payload that reports a wrong target is found out within this time
 
 
