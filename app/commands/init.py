@@ -42,6 +42,8 @@ _EXAMPLES = {
     "fences.floor_m": "60.0",
     "fences.ceiling_m": "150.0",
     "terrain.folder": '"dem"',
+    "route.file": '"ferry.gpx"',
+    "route.speed_m_s": "5.0",
     "sharing.cot": '"tls://tak.example.org:8089"',
     "sharing.cot_certificate_file": '"client.pem"',
     "sharing.cot_key_file": '"client.key"',
