@@ -537,8 +537,8 @@ def test_instead_of_flying_home_the_circle_can_be_held(page, display):
             display.pump()
         assert got[0].action == "hold"
     with alarmed(display, replace(LOST, countdown_s=None)):
-        page.locator("#alarms > div").wait_for()
-        assert not page.get_by_role("button", name="Hold instead").is_visible()
+        page.get_by_role("button", name="Hold instead").wait_for(state="hidden")
+        assert page.locator("#alarms > div").is_visible()
 
 
 def test_an_alarm_sounds_until_it_is_muted_or_acknowledged(page, display):
