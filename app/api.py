@@ -136,7 +136,7 @@ async def watch(
         url: MAVSDK URL of the vehicle, instead of the configured link; without any a vehicle is simulated.
         duration_s: How long to watch, of the vehicle's clock; None: until the context is left.
         out: Where the run folder is made.
-        note: Receives what is said to an operator.
+        note: Receives each message to an operator.
 
     Raises:
         InputError: The configuration is wrong, or the records cannot be written.

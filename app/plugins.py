@@ -1,4 +1,4 @@
-"""Planners, payloads and autopilots of other distributions, by their entry points: nobody edits this package."""
+"""Find planners, payloads and autopilots of other distributions by their entry points."""
 
 from __future__ import annotations
 

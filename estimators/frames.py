@@ -29,7 +29,7 @@ class LocalPlane:
 
     Points of the ellipsoid are projected along the vertical of the origin (orthographic), so both ways are exact
     inverses. Within 5 km of the origin, at any latitude, places and the distances between them are those of the
-    geodesics to 5 mm; within 50 km to 1 m. North of the plane is true north at the origin: beside it the meridians
+    geodesics to 5 mm; within 50 km to 1 m. North of the plane is true north at the origin: east of it the meridians
     lean by (east / 6378 km) tan(latitude), which is 0.04 degrees at 5 km and 45 degrees.
 
     Points beyond the horizon, as only a broken position has them, still come out far away and never near.

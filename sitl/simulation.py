@@ -38,7 +38,7 @@ _LEAN = 0.05  # of the aircraft's bank, by which a stabilised camera leans in a 
 class Simulation:
     """Datagrams in by :meth:`receive`, time by :meth:`advance`, datagrams out by :meth:`take`.
 
-    A station is any hashable address; :meth:`connect` adds one that is sent to before it has sent anything.
+    A station is any hashable address; :meth:`connect` adds a station that receives frames before it has sent any.
     ``time_s`` runs from 0; the vehicle's own clock does too until a reboot.
     """
 

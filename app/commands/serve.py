@@ -104,11 +104,11 @@ def status(json: JsonOption = None) -> None:
     checked_output(json)
     answer = ask("status")
     if json is None or str(json) != "-":
-        told = answer["status"]
+        reported = answer["status"]
         console.print(plain(answer["text"]), markup=False, highlight=False, soft_wrap=True)
         for name in ("vehicle", "run", "records"):
-            if told[name]:
-                console.print(plain(f"{name}: {told[name]}"), markup=False, highlight=False, soft_wrap=True)
+            if reported[name]:
+                console.print(plain(f"{name}: {reported[name]}"), markup=False, highlight=False, soft_wrap=True)
     write_json(json, answer["status"])
 
 

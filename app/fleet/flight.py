@@ -390,10 +390,10 @@ class FleetFlight:
         if len(errors) < len(self._aircraft):
             lost = "; ".join(f"{one.name}: {one.recording.lost}" for one in self._aircraft if one.recording.lost)
             return FlightError(f"the flight has ended, but its records are incomplete: {lost}.") if lost else None
-        told = " ".join(f"{name}: {error}" for name, error in errors.items())
+        reasons = " ".join(f"{name}: {error}" for name, error in errors.items())
         if not life.was_armed and all(isinstance(error, InputError) for error in errors.values()):
-            return InputError(told)
-        return FlightError(f"{told} Now {described}.")
+            return InputError(reasons)
+        return FlightError(f"{reasons} Now {described}.")
 
 
 def target_options(fleet: FleetFile) -> list[str]:

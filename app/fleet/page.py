@@ -44,5 +44,5 @@ def _said(flown: FleetFlown) -> str:
         return ""
     start_s = min(one.flown.history.start_s + one.offset_s for one in flown.aircraft)
     rows = ((f"{one.mission_time_s - start_s:.0f} s", one.name, one.text) for one in flown.said)
-    told = html.table(("time", "aircraft", "what"), rows, "Announcements of the coordinator")
-    return f"<details><summary>Announcements of the coordinator ({len(flown.said)})</summary>{told}</details>"
+    table = html.table(("time", "aircraft", "what"), rows, "Announcements of the coordinator")
+    return f"<details><summary>Announcements of the coordinator ({len(flown.said)})</summary>{table}</details>"

@@ -77,7 +77,7 @@ async def open_beacon(
 ) -> BeaconInput | None:
     """Return the configured beacon's input, to be stopped at the end; None without one on a socket of its own.
 
-    listeners: of the vehicle's messages, among which a traffic contact is heard.
+    listeners: of the vehicle's messages, through which a traffic contact is received.
 
     Raises InputError when its address is not free or not here.
     """

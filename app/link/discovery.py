@@ -34,8 +34,8 @@ async def the_vehicle(instance: Mavsdk, url: str, timeout_s: float, system_id: i
         if system_id in vehicles:
             return vehicles[system_id]
         await asyncio.sleep(_POLL_S)
-    heard = await _described(await _vehicles(instance))
-    raise InputError(f"{url}: system {system_id} sends nothing, only {heard}; give another --system-id.")
+    found = await _described(await _vehicles(instance))
+    raise InputError(f"{url}: system {system_id} sends nothing, only {found}; give another --system-id.")
 
 
 async def unless_refused(search: Coroutine[Any, Any, T], urls: Sequence[str]) -> T:
@@ -77,9 +77,9 @@ async def check_alone(instance: Mavsdk, url: str, until_s: float) -> None:
     await asyncio.sleep(max(0.0, until_s - time.monotonic()))
     vehicles = await _vehicles(instance)
     if len(vehicles) > 1:
-        heard = await _described(vehicles)
+        found = await _described(vehicles)
         raise InputError(
-            f"{url}: several vehicles share the link: {heard}; select one with --system-id or link.system_id."
+            f"{url}: several vehicles share the link: {found}; select one with --system-id or link.system_id."
         )
 
 

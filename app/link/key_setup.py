@@ -93,7 +93,7 @@ class KeySetup:
     # -- steps ---------------------------------------------------------------------------------------------
 
     def _checked(self, timeout_s: float) -> int:
-        """Return the vehicle's system id; refuse one that is armed or behind a radio."""
+        """Return the vehicle's system id; refuse an armed vehicle, and one behind a radio."""
         heartbeat = self._heard(timeout_s, _is_autopilot)
         if heartbeat is None:
             raise InputError(f"{self._url!r}: no autopilot was received within {timeout_s:g} s; check the link.")

@@ -5,8 +5,8 @@ bit, NaN and the infinities as Python's json spells them. It ends in its own che
 damaged is recognised, and every whole line is read, whatever happened to its neighbours. The first line is the
 header. The journal defines no event types; the reader receives them as an argument.
 
-msgspec reads a line as it is written today, which nearly all are. What it refuses (NaN, a number where another kind
-is wanted, words of before) json and cattrs read as they always have, ten times slower; both give the same values.
+msgspec reads lines in today's form, which nearly all have. The lines that it refuses (NaN, a number where another
+kind is expected, names of earlier versions) are read by json and cattrs, ten times slower; both give the same values.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ WINDOW_BYTES = 2 << 20
 
 
 class Window(NamedTuple):
-    """``data[own_begin:own_end]`` belongs to this window and to no other; around it is what lies beside it."""
+    """``data[own_begin:own_end]`` belongs to this window and to no other; the rest overlaps its neighbours."""
 
     data: bytes
     own_begin: int

@@ -1,7 +1,7 @@
 """What a person does at the transmitter or ground station that starts, resumes or ends a watch.
 
-Only a change counts: a switch that is up already when it is first heard, or a mode that is flown already, does
-nothing. A mode that sidelong itself has selected is no request either.
+Only a change counts: a switch that is already up when it is first received, or a mode that is already flown, does
+nothing. A mode that sidelong itself has selected is not a request either.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _REPEATED_S = 2.0  # a command that is not acknowledged comes again
 
 
 class Triggers:
-    """One vehicle's. ``take`` every message that is heard, of the vehicle and of other stations."""
+    """Requests to one vehicle: ``take`` every message received from the vehicle and from other stations."""
 
     def __init__(self, config: ControlSection, system_id: int, own_modes: tuple[str, ...] = ()) -> None:
         self._config, self._system_id, self._own_modes = config, system_id, own_modes

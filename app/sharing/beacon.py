@@ -139,26 +139,26 @@ class BeaconInput(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: object) -> None:
         if len(data) <= _DATAGRAM_MAX:
-            for heard in decode(data, self._now()):
-                self._take(heard)
+            for report in decode(data, self._now()):
+                self._take(report)
 
-    def _take(self, heard: Heard) -> None:
-        if not self._is_ours(heard) or self._now_s() == -math.inf:
+    def _take(self, report: Heard) -> None:
+        if not self._is_ours(report) or self._now_s() == -math.inf:
             return
-        if not -_AGE_MAX_S <= heard.age_s <= _AGE_MAX_S:
+        if not -_AGE_MAX_S <= report.age_s <= _AGE_MAX_S:
             self._tell_once("the beacon's clock is off, or its messages are late, by more than 2 s: it is not used")
             return
-        if not (abs(heard.latitude_deg) <= 90.0 and abs(heard.longitude_deg) <= 180.0):
+        if not (abs(report.latitude_deg) <= 90.0 and abs(report.longitude_deg) <= 180.0):
             return
-        east_m, north_m = self._plane.east_north_m(heard.latitude_deg, heard.longitude_deg)
-        self._tell_once(f"the beacon {heard.names[-1] or heard.names[0]} reports the target's position")
+        east_m, north_m = self._plane.east_north_m(report.latitude_deg, report.longitude_deg)
+        self._tell_once(f"the beacon {report.names[-1] or report.names[0]} reports the target's position")
         self._put(
             TargetFixReading(
-                self._now_s() - min(max(heard.age_s, 0.0), _AGE_USED_S),
+                self._now_s() - min(max(report.age_s, 0.0), _AGE_USED_S),
                 east_m,
                 north_m,
-                heard.sigma_m or self._sigma_m,
-                Source(heard.message, 0),
+                report.sigma_m or self._sigma_m,
+                Source(report.message, 0),
             )
         )
 

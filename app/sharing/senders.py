@@ -42,7 +42,7 @@ class DatagramSender:
 class StreamSender:
     """Sends by TCP or TLS and reconnects automatically; create it in the running event loop.
 
-    It reads and discards incoming data, because a server forwards the messages of its other clients. It calls tell
+    It reads and discards incoming data, because a server forwards the messages of its other clients. It announces
     when the connection is established and when it is lost.
     """
 
@@ -115,7 +115,7 @@ def tls_context(certificate: Path | None, key: Path | None, authority: Path | No
 
 
 def _refused(name: str) -> str:
-    raise InputError(f"{name}: the key is protected by a password; give one that is not (openssl pkey can write it).")
+    raise InputError(f"{name}: the key is protected by a password; remove it with openssl pkey -in KEY -out NEW.")
 
 
 def _reason(error: Exception) -> str:

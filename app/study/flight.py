@@ -1,7 +1,7 @@
 """Runs of a study in the compiled loop, and what the loop leaves to others.
 
-Those are other planners, a track that begins, and what it cannot measure with: other filters, and payloads that
-measure late or beside the aircraft.
+The loop leaves to others: other planners, a track that begins, other filters, and payloads that measure late or from
+the ground.
 """
 
 from __future__ import annotations

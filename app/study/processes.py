@@ -12,7 +12,7 @@ from queue import SimpleQueue
 from sidelong.app.study.batch import Batch, Designs, Executor, Flown, flown
 from sidelong.mission.predictive.value_table import ValueTable
 
-_AHEAD = 2  # batches for each process: one that is flown, one that waits
+_AHEAD = 2  # batches for each process: one in flight, one waiting
 
 
 def on_processes(jobs: int | None) -> Executor:

@@ -21,9 +21,9 @@ FloatArray = npt.NDArray[np.float64]
 _STEP_S = 0.5
 _SMOOTHED_OVER = 5  # steps: 2.5 s
 _SHORTEST_S = 30.0
-# A single step so much faster than both its neighbours, and over so much, is the receiver's jump and no motion.
+# A single step faster than this, and by this much faster than both its neighbours, is a jump of the receiver.
 _JUMP_M_S, _JUMP_OVER_OTHERS_M_S = 15.0, 10.0
-# Its course: the direction of its way over so many steps, held where that is no longer than so many metres.
+# The course is the direction of the path over this many steps, held while that path is shorter than this.
 _COURSE_STEPS, _COURSE_WAY_M = 10, 2.5
 _SUFFIXES = (".csv", ".gpx")
 

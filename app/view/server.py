@@ -1,6 +1,6 @@
 """The page's server: static files, a stream of states to each browser, and the button presses.
 
-``sidelong.app.view.access`` controls who may view the page and press buttons. Other sites cannot reach this server:
+``sidelong.app.view.access`` controls access to the page and its buttons. Other sites cannot reach this server:
 not by another host name (Host), from another origin (Origin, Sec-Fetch-Site) or in a frame. Every request is small
 and fast.
 

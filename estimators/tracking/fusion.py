@@ -18,10 +18,17 @@ _GATE = 23.5  # chi-square with four degrees of freedom, one in ten thousand
 Name = TypeVar("Name", int, str)
 
 
-def agreeing(tracks: Mapping[Name, TargetEstimate], believed: Collection[Name] = ()) -> list[Name]:
-    """Return the largest group around one track that agrees with it, the surest first.
+def agreeing(tracks: Mapping[Name, TargetEstimate], accepted: Collection[Name] = ()) -> list[Name]:
+    """Return the largest group of tracks that agree with one of them.
 
-    Of equal groups the one with more that are ``believed`` already, then that around the surest track.
+    Args:
+        tracks: Tracks by name.
+        accepted: Names that were accepted before: of equal groups the one with more of them is chosen, then that
+            around the track with the least covariance.
+
+    Returns:
+        Names of the group, by increasing covariance.
+
     """
     groups = {
         name: [other for other in tracks if other == name or squared_distance(track, tracks[other]) <= _GATE]
@@ -30,7 +37,7 @@ def agreeing(tracks: Mapping[Name, TargetEstimate], believed: Collection[Name] =
 
     def rank(name: Name) -> tuple[int, int, float, Name]:
         group = groups[name]
-        return -len(group), -sum(one in believed for one in group), _spread_m2(tracks[name]), name
+        return -len(group), -sum(one in accepted for one in group), _spread_m2(tracks[name]), name
 
     return sorted(groups[min(groups, key=rank)], key=lambda name: _spread_m2(tracks[name]))
 

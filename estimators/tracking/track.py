@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _HISTORY_S, _REPEATED_MAX = 5.0, 60
 _KEPT, _KEPT_EVERY_S = 40, 1.0  # filters to go back to when sightings turn out to have been wrong
-# Longer predictions go by steps, so that the motion models can mix on the way; the longest by so many larger ones.
+# Longer predictions go by steps, so that the motion models can mix on the way; the longest take this many steps.
 _STEP_MAX_S, _STEPS_MAX = 1.0, 60
 
 FilterStart = Callable[..., "TargetImm"]
@@ -94,9 +94,13 @@ class Track:
         self._ground = ground
 
     def resume(self, last: TargetImm, last_sighting_s: float, astray: list[AnySighting]) -> None:
-        """Go on from a filter as of the last sighting; astray: those beyond the gate since then.
+        """Go on from a filter as of the last sighting. Earlier filters are no longer available.
 
-        Nothing can be gone back to before that time.
+        Args:
+            last: The filter after the last accepted sighting.
+            last_sighting_s: Time of that sighting, vehicle's clock, s.
+            astray: Sightings since then that the gate rejected.
+
         """
         self._filter, self._coasted = last, None
         self._steps.clear()

@@ -116,7 +116,7 @@ class Tracker:
         least = 1.0 if sure else _EVIDENT
         if any(step_s > max(_STEP_MIN_S, least * sigma_s) for step_s, sigma_s in zip(apart_s, sigmas_s, strict=True)):
             self._pairing.set_delays(found)
-            # The errors of the payload were found with the delays of before, and stand firm.
+            # The payload's errors were estimated with the previous delays and would change only slowly.
             self._track.restart(self._biases_with(found), self._pairing.repeated(reading.time_s - _REPEATED_S))
         elif not sure:
             return  # nothing is known better than before

@@ -4,7 +4,7 @@ Rules
 -----
 1. Nothing is commanded before ``ControlAcquired`` and nothing after ``Yield`` or ``End``.
 2. At most one plan is under way to the autopilot (:mod:`sidelong.mission.control.plan_changes`), and while one is,
-   nothing is decided. One that is dropped or fails leads to a new decision.
+   nothing is decided. A plan that is dropped or fails leads to a new decision.
 3. A plan that breaks a fence is not sent; the present circle goes on.
 4. When the measured ratio of flown to commanded radius changes, the present circle is sent again.
 5. An aircraft that has left its transition for some seconds (circling a waypoint that it cannot reach, say) is sent
@@ -523,28 +523,28 @@ class StandoffController:
             return ()
         return (Announce(event.time_s, "decision", f"ready for a wind of {event.speed_m_s:g} m/s"),)
 
-    def _advised(self, told: FleetAdvice | NeighbourPlanned) -> tuple[Command, ...]:
+    def _advised(self, advice: FleetAdvice | NeighbourPlanned) -> tuple[Command, ...]:
         before = self.planning.target
-        self.planning.advise(told)
-        if isinstance(told, NeighbourPlanned):
-            self.surroundings.separation.planned(told)
+        self.planning.advise(advice)
+        if isinstance(advice, NeighbourPlanned):
+            self.surroundings.separation.planned(advice)
             return ()
-        self.surroundings.separation.note(told.neighbours)
-        if before not in ("", told.target):
+        self.surroundings.separation.note(advice.neighbours)
+        if before not in ("", advice.target):
             self._news = TargetNews()
-        if told.turn_payload:
+        if advice.turn_payload:
             self.tracker.restart_delays()
         if self.phase not in _FLYING:
             return ()
-        if told.role is Role.LEAVE:
-            self._end(Phase.ENDED, told.reason)
-            return (End(told.time_s, "return", told.reason),)
+        if advice.role is Role.LEAVE:
+            self._end(Phase.ENDED, advice.reason)
+            return (End(advice.time_s, "return", advice.reason),)
         requirement = self.settings.requirement
-        if told.side is requirement.side:
+        if advice.side is requirement.side:
             return ()
-        self.settings = replace(self.settings, requirement=replace(requirement, side=told.side))
+        self.settings = replace(self.settings, requirement=replace(requirement, side=advice.side))
         self.planning.watch_from(self.settings.requirement)
-        return (Announce(told.time_s, "decision", f"watching from the {told.side}: {told.reason}"),)
+        return (Announce(advice.time_s, "decision", f"watching from the {advice.side}: {advice.reason}"),)
 
     # -- what a person asks for ----------------------------------------------------------------------------
 

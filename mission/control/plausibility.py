@@ -73,7 +73,7 @@ class Plausibility:
 
     Attributes:
         doubt: Why nothing may be decided now, in words; None if decisions are allowed.
-        dead_reckoned: Whether the latest position (``position.believed``) is dead reckoned.
+        dead_reckoned: Whether the latest position (``position.accepted``) is dead reckoned.
         no_heartbeat: Whether the flight mode is too old for commands; set by the health model.
         vehicle_silent: Whether the vehicle's clock stands still; set by the health model.
 
@@ -155,7 +155,7 @@ class Plausibility:
         if not self._on_time(reading.time_s, reading):
             self._refused = True
             return None
-        if self.position.believed is None and not possible:
+        if self.position.accepted is None and not possible:
             return None
         self._overtaken |= reading.time_s < self.clock.now_s - _OVERTAKEN_S
         was_astray = self.position.astray_s is not None
@@ -172,13 +172,13 @@ class Plausibility:
         self.dead_reckoned = believed is not reading
         if self.dead_reckoned and not was_astray:
             self._tell("jump", "position", f"the position jumped by {_length(self.position.jump_m)}: dead reckoning")
-        elif self.position.believed is reading:
+        elif self.position.accepted is reading:
             self._overtaken = self._refused = False
         self._judge(reading.time_s)
         return believed
 
     def _await_after_silence(self, now_s: float) -> None:
-        last = self.position.believed
+        last = self.position.accepted
         if last is not None and now_s - last.time_s > SILENT_S:
             self._awaited_s = dict.fromkeys((*self._good_s, *self._faults), now_s)
 
@@ -201,7 +201,7 @@ class Plausibility:
             self._suspect_two(f"its clocks take turns, {clock.slow_lines_s:.0f} s apart")
             clock.slow_lines_s = None
         if stamp is Stamp.NEW_LINE:
-            if clock.returned and self.position.believed is not None:
+            if clock.returned and self.position.accepted is not None:
                 # No time has gone by that the clock left out: the place is still to be held to.
                 self.position.shift(clock.shift_s)
                 self._faults = {
@@ -210,7 +210,7 @@ class Plausibility:
                 }
             if clock.restarted:
                 self.position = PositionCheck()
-                self._yield = YieldRequested(stamp_s, "the autopilot has started anew")
+                self._yield = YieldRequested(stamp_s, "the autopilot has restarted")
             return True
         off_s = clock.in_question_s
         if off_s is not None and clock.questioned_for_s > BRIDGED_S:
@@ -267,7 +267,7 @@ class Plausibility:
         speed_m_s = math.hypot(event.east_m_s, event.north_m_s)
         if speed_m_s < self._wind_max_m_s:
             return event
-        self._tell("wind", "position", f"a wind of {speed_m_s:.0f} m/s was reported: not believed")
+        self._tell("wind", "position", f"a wind of {speed_m_s:.0f} m/s was reported: rejected")
         return None
 
     # -- the payload ---------------------------------------------------------------------------------------
@@ -306,7 +306,7 @@ class Plausibility:
                     sigma_m is None or 0.0 < sigma_m <= _RANGE_SIGMA_MAX_M
                 )
             case TargetFixReading():
-                own = self.position.believed
+                own = self.position.accepted
                 return (
                     own is not None
                     and 0.0 < reading.sigma_m <= _FIX_SIGMA_MAX_M

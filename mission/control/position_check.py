@@ -35,7 +35,7 @@ class PositionCheck:
     """State of the position check.
 
     Attributes:
-        believed: The latest accepted or dead-reckoned position; None before the first one.
+        accepted: The latest accepted or dead-reckoned position; None before the first one.
         astray_s: Since when readings have been rejected (vehicle's clock); None while they are accepted.
         jump_m: How far the first rejected reading was from the reference.
         two_places_m: Distance of two alternating positions; None while there is one position.
@@ -44,7 +44,7 @@ class PositionCheck:
     """
 
     def __init__(self) -> None:
-        self.believed: PositionReading | None = None
+        self.accepted: PositionReading | None = None
         self._before: PositionReading | None = None  # the accepted reading before the latest one
         self.astray_s: float | None = None
         self.jump_m = 0.0
@@ -63,8 +63,8 @@ class PositionCheck:
 
     def shift(self, seconds: float) -> None:
         """Follow the vehicle's clock to another count."""
-        if self.believed is not None:
-            self.believed = replace(self.believed, time_s=self.believed.time_s + seconds)
+        if self.accepted is not None:
+            self.accepted = replace(self.accepted, time_s=self.accepted.time_s + seconds)
         self._before = None
         if self.astray_s is not None:
             self.astray_s += seconds
@@ -79,7 +79,7 @@ class PositionCheck:
             jumped: Whether rejected readings are jumps. They may continue or return; neither is flown motion.
 
         """
-        places = (self.believed, self._elsewhere if jumped and self.astray_s is not None else None)
+        places = (self.accepted, self._elsewhere if jumped and self.astray_s is not None else None)
         return any(one is not None and _stayed(one, place, passed_s) for one in places)
 
     def take(
@@ -94,7 +94,7 @@ class PositionCheck:
             sound: Whether GPS and EKF report no fault.
 
         """
-        last = self.believed
+        last = self.accepted
         if last is None:
             return self._believe(reading)
         step_s = reading.time_s - last.time_s
@@ -113,12 +113,12 @@ class PositionCheck:
             self._readings = self._elsewhere_count - 1
             return self._believe(reading)
         reckoned = _dead_reckoned(last, reading, bank_rad)
-        self.believed = reckoned
+        self.accepted = reckoned
         return reckoned
 
     def _believe(self, reading: PositionReading) -> PositionReading:
-        self._before = self.believed if self.astray_s is None else None
-        self.believed, self.astray_s, self._drifted_m = reading, None, 0.0
+        self._before = self.accepted if self.astray_s is None else None
+        self.accepted, self.astray_s, self._drifted_m = reading, None, 0.0
         self._readings += 1
         return reading
 

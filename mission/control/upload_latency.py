@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
-# The longest of so many plans but one, once there are three: one that hung says nothing of the next. Each took as
-# many round trips as the next will take: an upload at least two, the announcement's and the items', a command one.
+# The second longest of this many plans, once there are three: a stalled upload is an outlier. Each took as many round
+# trips as the next will take: an upload at least two (the count's and the items'), a command one.
 _PLANS, _MARGIN_S = 5, 0.1
 _UPLOAD_ROUND_TRIPS, _COMMAND_ROUND_TRIPS = 2.0, 1.0
 

@@ -87,7 +87,11 @@ class ModeReported:
 class ControlAcquired:
     """The aircraft flies ``circle`` in ``mode``, by our command: from now on the step may move the circle.
 
-    commanded is the circle as the autopilot was told to fly it, where that is another one.
+    Attributes:
+        time_s: Time on the vehicle's clock, s.
+        circle: The circle that is flown.
+        commanded: The circle as it was commanded, where that differs from ``circle``.
+
     """
 
     time_s: float
@@ -100,10 +104,15 @@ class ControlAcquired:
 class PlanStatus:
     """How far the autopilot has followed plan ``number``.
 
-    ready: it holds the plan and still flies the line before it. departed: it flies the plan. failed: it does
-    neither, and flies the line before it. unconfirmed: it was told to fly the plan and has not said what it flies;
-    departed or failed follows. A departure that failed may still be followed by departed.
-    by_command: of ready, nothing had to be brought to the autopilot: departed will tell that a command was obeyed.
+    Attributes:
+        time_s: Time on the vehicle's clock, s.
+        number: Number of the plan.
+        stage: ready: the autopilot holds the plan and still flies the previous path. departed: it flies the plan.
+            failed: it does neither, and flies the previous path. unconfirmed: the plan was commanded, but not
+            confirmed; departed or failed follows. A failed departure may still be followed by departed.
+        detail: The reason of a failure, in words.
+        by_command: With ready: no upload was needed; departed follows when the command is obeyed.
+
     """
 
     time_s: float
@@ -235,8 +244,13 @@ Event = (
 class UploadPlan:
     """Bring plan ``number`` to the autopilot without flying it yet; report ready or failed.
 
-    commanded is the plan's circle as the autopilot has to be told, so that the wanted one is flown. wind is what is
-    known of it now: waypoints are laid out for it.
+    Attributes:
+        time_s: Time on the vehicle's clock, s.
+        number: Number of the plan.
+        plan: The plan.
+        commanded: The plan's circle, corrected so that the autopilot flies the required one.
+        wind: The present estimate of the wind, for which waypoints are laid out.
+
     """
 
     time_s: float

@@ -25,9 +25,12 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Neighbour:
-    """Another aircraft. ours: it follows the plans that ``NeighbourPlanned`` tells; a foreign one just flies on.
+    """Another aircraft.
 
-    target: which one it watches; '' for a foreign aircraft.
+    Attributes:
+        ours: It follows the plans of ``NeighbourPlanned``; a foreign aircraft flies straight on.
+        target: Name of the target it watches; '' for a foreign aircraft.
+
     """
 
     name: str
@@ -42,10 +45,20 @@ class Neighbour:
 class FleetAdvice:
     """About once a second: which target to watch, from which side, and where the others are.
 
-    estimate: the joint one of that target, None before it was seen. height_m: of the layer to fly in. reason: why
-    this differs from the advice before, '' where it does not. turn_payload: its payload looks at another target.
-    course_rad: of the target, whose sides the fleet shares out; None before anybody watches. separation: which
-    aircraft is too near, in words; '' where none is.
+    Attributes:
+        time_s: Time on the vehicle's clock, s.
+        target: Name of the target.
+        role: Role of this aircraft.
+        side: Side to watch from.
+        estimate: Joint estimate of that target; None before it was seen.
+        height_m: Height of the layer to fly in, above home, m.
+        neighbours: The other aircraft.
+        reason: Why this differs from the previous advice; '' where it does not.
+        turn_payload: The payload looks at another target and has to turn.
+        course_rad: Course of the target by which the fleet assigns the sides, clockwise from north; None before the
+            first aircraft watches.
+        separation: Which aircraft is too near, in words; '' if none is.
+
     """
 
     time_s: float
@@ -63,9 +76,11 @@ class FleetAdvice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NeighbourPlanned:
-    """What another aircraft of the fleet flies, and the plan on its way to it; told whenever either changes.
+    """What another aircraft of the fleet flies, and the plan on its way to it; sent whenever either changes.
 
-    present None: it is not known, or is no longer one of the fleet.
+    Attributes:
+        present: None: not known, or the aircraft has left the fleet.
+
     """
 
     time_s: float

@@ -54,9 +54,9 @@ class HeightProfile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """Leave the present line at ``departure_s`` on ``transition``, then fly ``circle`` for ever.
+    """Leave the present path at ``departure_s`` on ``transition``, then fly ``circle`` indefinitely.
 
-    transition is None for a plan that is only a circle (the first one, or one that is already flown). heights is
+    transition is None for a plan that is only a circle (the first one, or the circle already flown). heights is
     None where all is flown at the one configured height.
     """
 

@@ -44,7 +44,7 @@ class ProtocolQuirks:
     stores_items_one_by_one: each item is stored as it arrives, and MISSION_WRITE_PARTIAL_LIST is understood; else a
     list is taken whole or not at all, and a list on board is read in its order only.
     home_at_zero: item 0 is its home, whatever is sent, and MISSION_CURRENT's total does not count it.
-    reports_target_at_once: its position target tells a switch before MISSION_CURRENT does.
+    reports_target_at_once: its position target shows a switch before MISSION_CURRENT does.
     """
 
     stores_items_one_by_one: bool

@@ -1,11 +1,11 @@
-r"""The circle that leads an aircraft along its plan from where it is: commanded anew every second, it flies the plan.
+r"""The circle that leads an aircraft along its plan from where it is; commanding it every second flies the plan.
 
 ::
 
       plan  ____---- * a point of the plan ahead
        __---     . '
       '       . '        The circle touches the aircraft's course and passes through that point, so the autopilot is
-    ->|   . '            on it already and only banks. Alone, if nothing comes after it, it is flown for ever.
+    ->|   . '            on it already and only banks. If no command follows, it is flown indefinitely.
    aircraft
 
 A nearly straight piece has no circle of a useful size: there the aircraft is sent to a circle of the plan's radius
@@ -23,7 +23,7 @@ from sidelong.mission.geometry.progress import dead_reckoned, nearest_arc_m, poi
 
 _LOOK_AHEAD_S = 3.5
 _RESPONSE_S = 0.6  # from a command to the bank it asks for
-_STRAIGHT_RADII = 4.0  # a larger circle than so many of the plan's is flown as a straight line
+_STRAIGHT_RADII = 4.0  # a circle larger than this many of the plan's radii is flown as a straight line
 _AHEAD_RADII = 4.0
 
 

@@ -29,7 +29,19 @@ def first_ahead(layout: MissionLayout, path: Path, plane: LocalPlane, flown_m: f
 def flown_after(
     layout: MissionLayout, seq: int | None, aircraft: AircraftState | None, plane: LocalPlane, duration_s: float
 ) -> int:
-    """Return the item that is flown after a while, ``seq`` being flown now: a waypoint may be passed meanwhile."""
+    """Return the item that will be flown after ``duration_s``: a waypoint may be passed until then.
+
+    Args:
+        layout: The items on board.
+        seq: Number of the item flown now; None if unknown.
+        aircraft: State of the aircraft; None if unknown: no waypoint is passed.
+        plane: The local plane of the mission.
+        duration_s: How far to look ahead, s.
+
+    Returns:
+        Number of the item.
+
+    """
     index = min(max(seq if seq is not None else layout.first, layout.first), layout.end - 1)
     if aircraft is None or index == layout.end - 1:
         return index

@@ -108,7 +108,12 @@ class MissionItemBackend:
         self._judge_upload()
 
     def adopt(self, round_trip_s: float) -> None:
-        """Read the mission that is flown; ``adopted`` then tells what it is. round_trip_s: as far as it is known."""
+        """Begin to read the mission that is flown; the result is in ``adopted``.
+
+        Args:
+            round_trip_s: Round-trip time of the link, s.
+
+        """
         self._read = MissionRead(self._outbox, self._dialect.quirks, self._outbox.link_s + _READ_S, round_trip_s)
 
     @property
@@ -220,7 +225,7 @@ class MissionItemBackend:
                 self._tell(change.command.number, "unconfirmed", "the autopilot has not confirmed the switch")
 
     def _lay_out(self, change: _Change) -> None:
-        """Find places for the plan's items beside the line that is flown, and write them there."""
+        """Find free places for the plan's items next to those that are flown, and write them there."""
         assert self._layout is not None
         command = change.command
         try:
@@ -285,7 +290,7 @@ class MissionItemBackend:
     def _marked(self) -> int:
         """Return the item to mark as current in an upload: PX4 goes there at once when the last item has come.
 
-        That is the item flown then, so a waypoint which is passed meanwhile does not count any more.
+        That is the item flown at that moment, so a waypoint passed during the upload is not flown again.
         """
         assert self._layout is not None
         return flown_after(self._layout, self.flown_index, self._aircraft, self._settings.plane, self._upload.took_s)

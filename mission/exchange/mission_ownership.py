@@ -138,7 +138,7 @@ class MissionOwnership:
                 self._flown = report.seq
 
     def target(self, report: PositionTargetReported, lines: Iterable[MissionLayout | None]) -> None:
-        """Take where the autopilot flies to: where it does not identify its mission, only this tells whose it is.
+        """Take where the autopilot flies to: the only evidence of its mission's owner, if missions have no identity.
 
         Args:
             report: What the autopilot reports.

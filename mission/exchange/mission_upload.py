@@ -50,7 +50,14 @@ class MissionUpload:
         self._onboard = items
 
     def begin(self, layout: MissionLayout, bound_s: float, marked: Callable[[], int]) -> None:
-        """Bring a mission on board within ``bound_s``; marked tells which item is to be flown on taking it over."""
+        """Begin the upload of a mission.
+
+        Args:
+            layout: The items to upload.
+            bound_s: Time limit, s.
+            marked: Returns the number of the item to fly once the mission is accepted.
+
+        """
         items = layout.closed_by(self._tail).items
         self._layout, self._result = layout, None
         changed = range(len(items))

@@ -18,16 +18,24 @@ _ELSEWHERE_S = 1e9
 def spread_over(
     targets: Sequence[str], costs: Sequence[Sequence[RoleCosts]], at: Sequence[str], change_s: float
 ) -> tuple[list[str], float]:
-    """Return the target of each aircraft, and by how much that is cheaper than as it is, in seconds off the sides.
+    """Return the assignment of the aircraft to the targets that costs least among the even ones.
 
-    As evenly as can be, and with the least cost for all together: each target has a place on its wanted side, then
-    one opposite, and so on in turn. costs: of each aircraft beside each target, finite; at: where each is, '' or
-    another name for none of these. Each aircraft that changes costs ``change_s`` beside: so none does for less, also
-    while others have to. The gain is infinite where the aircraft are spread unevenly, or one is nowhere.
+    Each target has a position on its required side, then one opposite, and so on in turn.
+
+    Args:
+        targets: Names of the targets.
+        costs: Costs of each aircraft (rows) at each target (columns), finite.
+        at: The present target of each aircraft; any other name if it has none.
+        change_s: Price of each change of target, in seconds off the required side.
+
+    Returns:
+        The target of each aircraft, and the gain over the present assignment in seconds off the required side. The
+        gain is infinite if the aircraft are spread unevenly now, or one has no target.
+
     """
     each, odd = divmod(len(costs), len(targets))
     places = [(k, row) for k in range(len(targets)) for row in range(each + (odd > 0))]
-    # Every target has its even share first; who is over goes where it costs least.
+    # Every target gets its even share first; the remaining aircraft go where they cost least.
     share_s = np.where([row < each for _, row in places], _SHARE_S, 0.0)
     elsewhere = np.array([[targets[k] != name for k, _ in places] for name in at])
     beside_s = [[own[k].opposite_s if row % 2 else own[k].wanted_s for k, row in places] for own in costs]

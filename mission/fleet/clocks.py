@@ -43,7 +43,7 @@ class VehicleTime:
             time_s: Time on the vehicle's clock, s.
             mission_time_s: Mission time at that moment, s.
             sigma_s: One standard deviation of it, s.
-            anew: Replace what is known: the reports have another source from now on.
+            anew: Whether to discard earlier reports because the source has changed.
 
         """
         offset_s, sigma_s = mission_time_s - time_s, max(sigma_s, 1e-6)

@@ -292,7 +292,7 @@ class FleetCoordinator:
         for name, target in self._targets.items():
             if target.requirement.side is not event.side:
                 self._change(name, replace(target.requirement, side=event.side))
-                self._assignments[name] = RoleAssignment()  # who is nearest to it holds it at once
+                self._assignments[name] = RoleAssignment()  # the nearest aircraft holds it at once
         self._say("", f"the wanted side is the {event.side} one now")
         self._next_s = -math.inf
 
@@ -388,7 +388,7 @@ class FleetCoordinator:
             costs = self._judges.costs(vehicle, target, estimate)
             if costs is None:
                 continue
-            # One that has to get there first takes no side from one that is there.
+            # An aircraft that has to get there first does not take the side of one already there.
             way_s = math.inf if self._is_to_be_relieved(vehicle) else self._judges.way_s(vehicle, target, estimate)
             costs = replace(costs, wanted_s=costs.wanted_s + way_s)
             beside = is_beside(report.state, estimate, wanted, self._judges.course_rad(target))

@@ -10,7 +10,7 @@ because the two sides change places. Rules
    course has to be known for that: which side is which hangs on it.
 3. After a hand-over the next one waits ``settling_s``, in which both make their plans, and until these have reached
    the autopilots, ``under_way_max_s`` at most. It does not wait for whole lines to be flown: where a target turned
-   meanwhile that cost more of the side than it spared of changes.
+   in the meantime, that cost more time off side than it saved in hand-overs.
 4. The others are spread over the opposite and the wanted side in turn, those that it is worth least to first.
 """
 
@@ -44,7 +44,14 @@ class RoleCosts:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One aircraft that takes part. beside: it watches from the wanted side; under_way: a plan to it."""
+    """One aircraft that takes part.
+
+    Attributes:
+        costs: Its expected cost in each role.
+        beside: It watches from the required side now.
+        under_way: A plan for it is on its way to the autopilot.
+
+    """
 
     costs: RoleCosts
     beside: bool = True

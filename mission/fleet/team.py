@@ -10,7 +10,7 @@ from sidelong.mission.core.requirement import Side
 from sidelong.mission.fleet.cover_kernel import Team
 from sidelong.mission.predictive.value_table import ValueTable
 
-# A circle that takes more of the band swings further about the target: what is foretold of the others is worth less.
+# A circle that takes more of the band swings further about the target: predictions of the others are worth less.
 _WIDE, _WIDER_POWER = 1.0 / 7.0, 3
 # The share of the band that the fastest target crosses in a lap: where it is more, a circle is left sooner anyway.
 _CROSSED = 0.43
@@ -19,14 +19,9 @@ _DIRECTIONS_RAD = np.radians(np.arange(-168.75, 180.0, 22.5))
 
 @dataclass(frozen=True, slots=True)
 class TeamSettings:
-    """alone_running, alone_end: shares of what an aircraft would pay alone, on its line and after it.
+    """Weights of joint decisions; see :class:`sidelong.mission.fleet.cover_kernel.Team` for each.
 
-    together: weight of the time without anybody on the wanted side. price: share of an aircraft's prices of changes.
-    opposite: per second, of the share of courses for which nobody would be on the wanted side. Fast targets lower the
-    price and raise that. turn: weight of the time that a turn of the target would leave all off the side; margin: of
-    the side then, in radii of the circle.
-    own: weight of what a move gains for who holds the wanted side where it looks ahead alone; wide circles raise it.
-    futures: 1 to foretell the target by its velocity alone, 3 to count on turns too.
+    Fast targets lower ``price`` and raise ``opposite``; wide circles raise ``own``.
     """
 
     alone_running: float = 0.2

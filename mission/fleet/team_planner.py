@@ -1,8 +1,7 @@
 """One aircraft's planner in a fleet: it counts on what the others will see, and moves where all together gain.
 
-Without fresh advice, or alone on its target, it decides as the planner of a single aircraft does. One of several does
-so at the price of moves that it pays beside others: it may have been left opposite the side that nobody watches any
-more.
+Without fresh advice, or alone on its target, it decides as the planner of a single aircraft does. In a fleet it then
+pays the fleet's price of moves: its partner may have gone and left the required side unwatched.
 """
 
 from __future__ import annotations

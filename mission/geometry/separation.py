@@ -2,8 +2,8 @@
 
 Height layers keep aircraft apart wherever they fly; then nothing else is asked. Where two heights are closer than the
 least distance, three things are: on the way, moment by moment, the distance less what the speeds may be wrong by; and
-on the circles that both end in, where nobody can tell the phase, that the circles themselves are far enough apart. A
-foreign aircraft flies straight on, for as long as that can be foretold.
+on the circles that both end in, where the phase is unknown, that the circles themselves are far enough apart. A
+foreign aircraft is predicted straight on, for a limited time.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Separation:
     _plans: dict[str, NeighbourPlanned] = field(default_factory=dict)
 
     def note(self, neighbours: tuple[Neighbour, ...]) -> None:
-        """Take where the others are; who is not among them is no longer there."""
+        """Replace the list of the other aircraft."""
         self._others = {one.name: one for one in neighbours}
 
     def planned(self, told: NeighbourPlanned) -> None:

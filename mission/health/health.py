@@ -80,7 +80,7 @@ class Health:
         self._evaluate_s = -math.inf
         self._ticks, self._moved_tick = 0, 0  # and when the vehicle's clock last went on
         self._connected = True
-        self._is_news = True  # whether the reports have to be made anew
+        self._is_news = True  # whether the reports have to be made again
         self._sources: dict[Input, Source | None] = {Input.LASER: None, Input.GIMBAL: None}
         self._refused: set[Source] = set()
 

@@ -4,7 +4,7 @@ Rules
 -----
 1. A laser whose range stays the same to ``_SAME_RANGE_M`` while the aircraft turns by ``_TURNED_RAD``, or comes
    ``_CLOSED_M`` nearer along the line of sight, is stuck.
-2. A gimbal whose orientation stays the same to ``_SAME_SIGHT`` meanwhile is frozen: in a turn, a line of sight to
+2. A gimbal whose orientation stays the same to ``_SAME_SIGHT`` during that turn is frozen: a line of sight to
    a target turns relative to north as well as to the aircraft.
 3. Of the ways to read the gimbal's frame and the laser's unit, the right one makes the target move straight
    (:mod:`sidelong.mission.health.motion_fit`), and puts it on the ground.

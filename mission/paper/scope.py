@@ -41,7 +41,7 @@ class Scope:
 def scope(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2) -> Scope:
     """Return the scope of the once-a-lap method.
 
-    The range at A is taken from A itself, D + R cos psi_c beside the target's line; the paper's psi_c = pi/2 makes
+    The range at A is taken from A itself, D + R cos psi_c across the target's line; the paper's psi_c = pi/2 makes
     the second term zero. A threshold below D counts as D: the circle would have to move at once.
     """
     lap_travel_m = requirement.target_speed_max_m_s * aircraft.lap_s

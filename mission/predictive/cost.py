@@ -21,9 +21,9 @@ _OUTSIDE, _OUTSIDE_PER_M = 20.0, 0.5
 _WALL_WIDTH_M, _WALL = 20.0, 2.0
 # The planner keeps this far inside the required band: the aircraft's own error and what it learns too late.
 _MARGIN_M = 15.0
-# In wind the ground passes at another speed than the plan's: so much more for each m/s, to twice as much in all.
+# In wind the ground speed differs from the plan's: this much more margin for each m/s, up to twice the margin.
 _MARGIN_IN_WIND_S = 3.0
-# A target may turn towards the aircraft: from the near edge it keeps what the fastest one comes nearer in so long.
+# A target may turn towards the aircraft: the margin at the near edge is what the fastest one covers in this time.
 _MARGIN_OF_TARGET_S = 1.8
 
 Values = npt.NDArray[np.floating]

@@ -52,8 +52,8 @@ from sidelong.mission.viewpoint.side_policy import SidePolicy
 _MAX_TRIES = 30
 # What a move must gain, in seconds off side. The wider the circle is in its band the more moves are needed, and the
 # more each has to be worth if no hour is to have too many: from a share of the band on, up to the widest circle that
-# leaves room in it. In a fleet, where others see meanwhile, cheaper moves than those of that share are too hasty in
-# the tables; one that is left alone keeps these, as others may join it, and pays the fleet's share of the price.
+# leaves room in it. In a fleet, where other aircraft watch during a move, cheaper moves than those of that share are
+# too frequent in the tables. A remaining aircraft keeps these, as others may join it, and pays the fleet's price.
 _PRICE_S, _PRICE_SHARE, _PRICE_POWER = 4.0, 0.175, 1.7
 _MIN_SHARE, _MIN_SHARE_IN_FLEET, _MAX_SHARE = 1.0 / 8.0, _PRICE_SHARE, 1.0 / 3.8
 _TURN_SHARE_IN_FLEET = 0.5
@@ -67,7 +67,7 @@ class PredictiveSettings:
     """change_cost: what a change of a plan under way must gain, in seconds off side; None: as much as any move.
 
     Within commit_s of a departure it must gain commit_cost more, unless the plan leads out of the band in threat_s.
-    beam: so many of the best moves are looked at two moves deep over horizon_s at least, in futures in which the
+    beam: how many of the best moves are looked at two moves deep over horizon_s at least, in futures in which the
     target keeps its course or begins to turn at turn_rate_rad_s either way, which fades with turn_fades_s.
     """
 
@@ -206,7 +206,10 @@ class PredictivePlanner:
     def for_(cls, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:
         """Return a planner with the value table for still air, which takes a second or so to compute.
 
-        aircraft, requirement: what is flown and what is asked for, as they are given to every planner.
+        Args:
+            aircraft: Limits of the aircraft.
+            requirement: How the target is to be observed.
+
         """
         from sidelong.mission.predictive.value_iteration import compute  # noqa: PLC0415  # what is compiled loads slowly
 

@@ -34,14 +34,21 @@ from sidelong.mission.terrain.clearance_kernel import (
     mean_height,
 )
 
-# A height within so much of the wanted one, as a share of it, is as good.
+# A height within this share of the required one is as good.
 _HEIGHT_SLACK = 0.2
 _ARC_STEP_M = 8.0
 
 
 @dataclass(frozen=True, slots=True)
 class HeightRules:
-    """height_m is above what ``above`` says. margin_m: so far beside a line the ground counts as being under it."""
+    """Rules for the height of a plan.
+
+    Attributes:
+        height_m: Height above the reference, m.
+        above: The reference: home, or the ground below.
+        margin_m: The ground within this distance of a path counts as being below it, m.
+
+    """
 
     height_m: float
     above: Literal["home", "ground"]

@@ -1,7 +1,7 @@
 """From where a target that moves over the ground is seen, and will be.
 
-The planner heeds it one move deep. Two moves deep it saw 21 targets among hills for 99.91 % of the time, not 99.93,
-was on side for 96.1 %, not 96.3, and took twice as long to decide.
+The planner uses it one move deep. Two moves deep it saw 21 targets among hills for 99.91 % of the time instead of
+99.93 %, was on side for 96.1 % instead of 96.3 %, and took twice as long to decide.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ class SidePolicy:
     def viewpoint(self, east_m: float, north_m: float, target: TargetEstimate) -> Viewpoint:
         """Return the viewpoint for an aircraft at a place of the plane.
 
-        While the target has not moved yet, its course is presumed to be such that the aircraft began right beside it.
+        Until the target has moved, its course is assumed to put the aircraft's first position exactly on the side.
         """
         view = kernel.viewpoint(east_m, north_m, known(target), self.wish, self.memory)
         return Viewpoint(view.course_rad, Side.LEFT if view.side > 0.0 else Side.RIGHT, view.course_sigma_rad)

@@ -87,7 +87,7 @@ class _Download:
 
 
 class Transfer:
-    """Serves one mission type. beside: all transfers of the vehicle, this one included; in-order reads block all."""
+    """Serves one mission type. beside: all transfers of the vehicle, including this one; in-order reads block all."""
 
     def __init__(
         self,

@@ -34,7 +34,7 @@ def test_one_of_two_links_is_cut_again_and_again(vehicle_of, launch, flavour):
     summary = application.end()
     print(f"{flavour}: {CUTS} cuts, {application.said.count('is bad: using')} changes of link, {summary}")
     assert summary["outcome"] == "interrupted"
-    for trouble in ("yielding", "link lost", "started anew"):
+    for trouble in ("yielding", "link lost", "has restarted"):
         assert trouble not in application.said
     if SPEED == 1.0 and not FAULTS.loss:  # a second of silence is ten of the vehicle's at ten times the speed
         assert "too late" not in application.said

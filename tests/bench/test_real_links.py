@@ -193,7 +193,7 @@ def test_one_of_two_links_is_cut(tmp_path, flavour):
         f"{text.count('too late')} too late\n{summary}"
     )
     assert not [one for one in events if isinstance(one, Yield)]
-    for trouble in ("yielding", "link lost", "started anew", "Traceback"):
+    for trouble in ("yielding", "link lost", "has restarted", "Traceback"):
         assert trouble not in text
 
 

@@ -20,4 +20,4 @@ def test_the_largest_group_that_agrees_is_found_the_surest_first():
 def test_of_two_that_contradict_each_other_the_one_believed_so_far_is():
     two = {"a": track(0.0, 3.0), "b": track(80.0, 1.0)}
     assert agreeing(two) == ["b"]
-    assert agreeing(two, believed=["a"]) == ["a"]
+    assert agreeing(two, accepted=["a"]) == ["a"]

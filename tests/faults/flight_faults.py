@@ -14,7 +14,7 @@ Arriving = Iterator[tuple[float, Message]]
 Change = Callable[[Message, float, np.random.Generator], Arriving]
 """What becomes of a message so long after the fault began: copies, each with its delay."""
 
-EXPECTED_YIELDS = {"reboot": "started anew", "second vehicle": "two vehicles", "pilot": "flight mode"}
+EXPECTED_YIELDS = {"reboot": "has restarted", "second vehicle": "two vehicles", "pilot": "flight mode"}
 BLINDING = frozenset({"silence", "gps lost", "vehicle clock", "position silent", "heartbeat gone"})
 """Faults that leave nothing to decide on."""
 MISLEADING = frozenset({"stuck laser", "wrong flags", "wrong unit", "frozen gimbal", "second gimbal", "second laser"})

@@ -208,7 +208,7 @@ def test_a_jump_is_no_flight_of_a_clock_that_goes_ahead(flown, jump_ends_s):
 
 def test_nothing_is_seen_from_a_place_whose_clock_stood_still(flown):
     flown.fly(110.0, 116.1, only(VEHICLE, later(-4.3)))
-    believed = flown.door.position.believed
+    believed = flown.door.position.accepted
     assert math.hypot(believed.east_m - position(116.0).east_m, believed.north_m - position(116.0).north_m) > 40.0
     assert not flown.door.place_is_known
     flown.fly(116.1, 118.0)
@@ -229,7 +229,7 @@ def test_no_place_is_bridged_from_a_clock_that_came_back_from_ahead(flown):
     for tick in range(1196, 1300):
         now_s = tick / 10
         flown.give(attitude(now_s), position(now_s))
-        believed, here = flown.door.position.believed, position(now_s)
+        believed, here = flown.door.position.accepted, position(now_s)
         if now_s > 127.3 and math.hypot(believed.east_m - here.east_m, believed.north_m - here.north_m) > 30.0:
             assert flown.door.doubt is not None
     assert any("holding the circle" in text for text in flown.told)
@@ -264,7 +264,7 @@ def test_an_autopilot_that_starts_anew_is_told_within_seconds(flown):
     flown.fly(0.3, 1.5)
     assert not flown.of(YieldRequested)
     flown.fly(1.5, 3.5)
-    assert [event.reason for event in flown.of(YieldRequested)] == ["the autopilot has started anew"]
+    assert [event.reason for event in flown.of(YieldRequested)] == ["the autopilot has restarted"]
 
 
 # -- the place ---------------------------------------------------------------------------------------------
@@ -319,7 +319,7 @@ def test_a_jump_that_meets_a_silence_is_still_a_jump(flown):
 def test_a_jump_off_the_circle_during_a_silence_is_nothing_that_has_drifted(flown):
     lap_s = round(20.0 * math.pi * RADIUS_M / SPEED_M_S) / 10.0
     silent_s = lap_s * math.ceil(25.0 / lap_s)  # it comes back with the velocity that it had
-    there, begin_s = flown.door.position.believed, 109.9 + silent_s
+    there, begin_s = flown.door.position.accepted, 109.9 + silent_s
     reckoned_m = silent_s * there.velocity_east_m_s, silent_s * there.velocity_north_m_s
 
     def jumped(event: Event) -> Event:
