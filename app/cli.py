@@ -71,8 +71,33 @@ class _Commands(TyperGroup):
             formatter.write_dl([(name, command.get_short_help_str(width)) for name, command in listed.items()])
 
 
+def help_groups(command: Any, context: Any) -> dict[str, list[tuple[str, str]]]:
+    """Return the lines of ``--help`` for arguments and options, by group.
+
+    Args:
+        command: A command of :func:`load_command`.
+        context: Its click context.
+
+    Returns:
+        (name, help) of each argument and option, by the group's title, in the order of their definition.
+
+    """
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for one in command.get_params(context):
+        record = one.get_help_record(context)
+        if record is not None:
+            other = "Arguments" if one.param_type_name == "argument" else "Options"
+            groups.setdefault(getattr(one, "rich_help_panel", None) or other, []).append(record)
+    return groups
+
+
 class _Command(TyperCommand):
-    """One command; invalid values are reported with sidelong's own messages only."""
+    """One command: options in groups; invalid values are reported with sidelong's own messages only."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        for title, records in help_groups(self, ctx).items():
+            with formatter.section(title):
+                formatter.write_dl(records)
 
     def make_context(self, *arguments: Any, **options: Any) -> Any:
         try:

@@ -61,17 +61,27 @@ _LINE_MAX = 100  # characters
 
 def run(
     autopilot: Annotated[
-        str, typer.Option(help="Which autopilot it behaves like: arduplane or px4; several vehicles in turn: a,b.")
+        str,
+        typer.Option(
+            help="Which autopilot it behaves like: arduplane or px4; several vehicles in turn: a,b.",
+            rich_help_panel="Vehicle",
+        ),
     ] = Flavour.ARDUPLANE,
     version: Annotated[
         str | None,
         typer.Option(
-            help="Firmware release it behaves like, such as 4.5 [the newest]; of several vehicles in turn: A,B."
+            help="Firmware release it behaves like, such as 4.5 [the newest]; of several vehicles in turn: A,B.",
+            rich_help_panel="Vehicle",
         ),
     ] = None,
     vehicles: Annotated[
         int | None,
-        typer.Option(min=1, max=MAX_VEHICLES, help="How many [as many as autopilots are named]"),
+        typer.Option(
+            min=1,
+            max=MAX_VEHICLES,
+            help="Number of vehicles [the number of autopilots named]",
+            rich_help_panel="Vehicle",
+        ),
     ] = None,
     to: Annotated[
         list[str] | None,
@@ -79,105 +89,172 @@ def run(
             metavar="[ID@]HOST:PORT",
             help=f"Where to send to, all vehicles or that one; repeatable [{' and '.join(DEFAULT_STATIONS)}; "
             "each of several vehicles has a port of its own from 14540 on]",
+            rich_help_panel="Link",
         ),
     ] = None,
-    speed: Annotated[float, typer.Option(help="Simulated over wall time.")] = 1.0,
+    speed: Annotated[float, typer.Option(help="Simulated time over wall time.", rich_help_panel="Run")] = 1.0,
     duration: Annotated[
-        float | None, typer.Option(metavar="S", help="Simulated seconds; endless if left out.")
+        float | None, typer.Option(metavar="S", help="Simulated seconds; endless if left out.", rich_help_panel="Run")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of all noise and of the target.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all noise and of the target.", rich_help_panel="Run")] = 0,
     truth: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="Write what really happened as CSV; once for each vehicle."),
+        typer.Option(
+            metavar="FILE", help="Write the true tracks as CSV; once for each vehicle.", rich_help_panel="Run"
+        ),
     ] = None,
-    home: Annotated[str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Degrees and metres above sea.")] = None,
-    airspeed: Annotated[str, typer.Option(help="Cruise airspeed, m/s; of several vehicles in turn: A,B.")] = "15",
+    home: Annotated[
+        str | None,
+        typer.Option(metavar="LAT,LON[,ALT]", help="Degrees and metres above sea.", rich_help_panel="Vehicle"),
+    ] = None,
+    airspeed: Annotated[
+        str, typer.Option(help="Cruise airspeed, m/s; of several vehicles in turn: A,B.", rich_help_panel="Vehicle")
+    ] = "15",
     endurance: Annotated[
-        str, typer.Option(metavar="S", help="Battery life, s; for several vehicles in turn: A,B.")
+        str,
+        typer.Option(
+            metavar="S", help="Battery life, s; for several vehicles in turn: A,B.", rich_help_panel="Vehicle"
+        ),
     ] = "10800",
-    wind_speed: Annotated[float, typer.Option(help="m/s")] = 0.0,
-    wind_from_deg: Annotated[float, typer.Option(help="Where the wind comes from, degrees.")] = 0.0,
+    wind_speed: Annotated[float, typer.Option(help="Wind speed, m/s.", rich_help_panel="Vehicle")] = 0.0,
+    wind_from_deg: Annotated[
+        float, typer.Option(help="Where the wind comes from, degrees.", rich_help_panel="Vehicle")
+    ] = 0.0,
     system_id: Annotated[
         int | None,
-        typer.Option(min=1, max=250, help="Of the first vehicle, or of the one --payload-for is meant for [1]"),
+        typer.Option(
+            min=1,
+            max=250,
+            help="Of the first vehicle, or of the one --payload-for is meant for [1]",
+            rich_help_panel="Vehicle",
+        ),
     ] = None,
     target: Annotated[
         list[str] | None,
         typer.Option(
             metavar="[NAME=]SPEC",
             help=f"Motion: {', '.join(MOTIONS)}, or a .gpx or .csv track [walk]; repeatable: several targets.",
+            rich_help_panel="Target",
         ),
     ] = None,
     target_speed: Annotated[
-        list[float] | None, typer.Option(help="Greatest speed, m/s [3; for tracks 6]; of several targets in turn.")
+        list[float] | None,
+        typer.Option(
+            help="Greatest speed, m/s [3; for tracks 6]; of several targets in turn.", rich_help_panel="Target"
+        ),
     ] = None,
     target_start: Annotated[
         list[str] | None,
         typer.Option(
             metavar="EAST,NORTH",
             help=f"Metres from the first home [{STARTS_M[0][0]:g},{STARTS_M[0][1]:g}]; of several targets in turn.",
+            rich_help_panel="Target",
         ),
     ] = None,
     target_skip: Annotated[
-        float | None, typer.Option(metavar="S", help="Begin a track here [where it becomes lively]")
+        float | None,
+        typer.Option(metavar="S", help="Begin a track here [where it becomes lively]", rich_help_panel="Target"),
     ] = None,
     looks_at: Annotated[
-        str, typer.Option(metavar="N", help="Which target a payload sees first; of several vehicles in turn: 1,2.")
+        str,
+        typer.Option(
+            metavar="N",
+            help="Which target a payload sees first; of several vehicles in turn: 1,2.",
+            rich_help_panel="Target",
+        ),
     ] = "1",
     terrain: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Fly over the ground of these SRTM .hgt tiles [flat]")
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Fly over the ground of these SRTM .hgt tiles [flat]", rich_help_panel="Vehicle"
+        ),
     ] = None,
-    payload: Annotated[bool, typer.Option(help="Laser and gimbal.")] = True,
+    payload: Annotated[bool, typer.Option(help="Laser and gimbal.", rich_help_panel="Payload")] = True,
     device: Annotated[
         str | None,
         typer.Option(
             metavar="KIND@HOST:PORT",
             help=f"Let the payload speak its maker's protocol, on a port of its own: {', '.join(DEVICES)}.",
+            rich_help_panel="Payload",
         ),
     ] = None,
     payload_for: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="No vehicle, only laser, gimbal and target for the vehicle at this URL."),
+        typer.Option(
+            metavar="URL",
+            help="No vehicle, only laser, gimbal and target for the vehicle at this URL.",
+            rich_help_panel="Payload",
+        ),
     ] = None,
     binary: Annotated[
         list[Path] | None,
         typer.Option(
             metavar="PATH",
             help="Your own SITL program of the --autopilot instead of the simulated one; repeatable.",
+            rich_help_panel="Vehicle",
         ),
     ] = None,
     logs: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Keep the folders of --binary's programs, with their own logs, here."),
+        typer.Option(
+            metavar="DIR",
+            help="Keep the folders of --binary's programs, with their own logs, here.",
+            rich_help_panel="Vehicle",
+        ),
     ] = None,
-    range_sigma: Annotated[float, typer.Option(help="Laser noise, m.")] = 0.8,
-    range_outliers: Annotated[float, typer.Option(help="Fraction of wrong ranges.")] = 0.02,
-    range_message: Annotated[RangeMessage, typer.Option()] = RangeMessage.DISTANCE_SENSOR,
-    gimbal_sigma_deg: Annotated[float, typer.Option(help="Gimbal noise, degrees.")] = 0.35,
-    gimbal_yaw_bias_deg: Annotated[float, typer.Option(help="Constant gimbal error, degrees.")] = 0.4,
-    gimbal_frame: Annotated[GimbalFrame, typer.Option(help="What its yaw is relative to.")] = GimbalFrame.EARTH,
-    dropouts: Annotated[float, typer.Option(help="Fraction of the time without range.")] = 0.15,
-    payload_latency_ms: Annotated[float, typer.Option(help="From measuring to sending.")] = 50.0,
-    loss: Annotated[float, typer.Option(help="Fraction of packets lost, each way.")] = 0.0,
-    delay_ms: Annotated[float, typer.Option(help="Wall-clock delay, each way.")] = 0.0,
-    duplicate: Annotated[float, typer.Option(help="Fraction of packets doubled, each way.")] = 0.0,
+    range_sigma: Annotated[float, typer.Option(help="Laser noise, m.", rich_help_panel="Payload")] = 0.8,
+    range_outliers: Annotated[
+        float, typer.Option(help="Fraction of wrong ranges.", rich_help_panel="Payload")
+    ] = 0.02,
+    range_message: Annotated[
+        RangeMessage, typer.Option(help="Message that carries the range.", rich_help_panel="Payload")
+    ] = RangeMessage.DISTANCE_SENSOR,
+    gimbal_sigma_deg: Annotated[float, typer.Option(help="Gimbal noise, degrees.", rich_help_panel="Payload")] = 0.35,
+    gimbal_yaw_bias_deg: Annotated[
+        float, typer.Option(help="Constant gimbal error, degrees.", rich_help_panel="Payload")
+    ] = 0.4,
+    gimbal_frame: Annotated[
+        GimbalFrame, typer.Option(help="What its yaw is relative to.", rich_help_panel="Payload")
+    ] = GimbalFrame.EARTH,
+    dropouts: Annotated[
+        float, typer.Option(help="Fraction of the time without range.", rich_help_panel="Payload")
+    ] = 0.15,
+    payload_latency_ms: Annotated[
+        float, typer.Option(help="Time from measurement to sending, ms.", rich_help_panel="Payload")
+    ] = 50.0,
+    loss: Annotated[float, typer.Option(help="Fraction of packets lost, each way.", rich_help_panel="Link")] = 0.0,
+    delay_ms: Annotated[float, typer.Option(help="Wall-clock delay, each way.", rich_help_panel="Link")] = 0.0,
+    duplicate: Annotated[
+        float, typer.Option(help="Fraction of packets doubled, each way.", rich_help_panel="Link")
+    ] = 0.0,
     baud: Annotated[
         float,
-        typer.Option(help="Of a serial line, each way: what it cannot carry is late, then lost.", show_default=False),
+        typer.Option(
+            help="Of a serial line, each way: what it cannot carry is late, then lost.",
+            show_default=False,
+            rich_help_panel="Link",
+        ),
     ] = math.inf,
     lose: Annotated[
         list[str] | None,
-        typer.Option(metavar="ID@S", help="Let a vehicle vanish after this simulated time, s; repeatable."),
+        typer.Option(
+            metavar="ID@S", help="Lose a vehicle after this simulated time, s; repeatable.", rich_help_panel="Vehicle"
+        ),
     ] = None,
     require_signing: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Sign, and hear only what is signed with the key in this file."),
+        typer.Option(
+            metavar="FILE",
+            help="Sign, and accept only messages signed with the key in this file.",
+            rich_help_panel="Link",
+        ),
     ] = None,
     while_input: Annotated[
         bool,
         typer.Option(
             "--while-input",
             help="End when standard input ends; wait for the time that a program writes there.",
+            rich_help_panel="Run",
         ),
     ] = False,
 ) -> None:

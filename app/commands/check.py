@@ -36,22 +36,54 @@ _LABELS = {
 
 def check(
     config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).", show_default=False)] = None,
-    airspeed: Annotated[float | None, typer.Option(help="Airspeed, m/s.")] = None,
+    airspeed: Annotated[
+        float | None, typer.Option(help="Airspeed, m/s.", rich_help_panel="Aircraft and requirement")
+    ] = None,
     radius: RadiusOption = None,
-    target_speed: Annotated[float | None, typer.Option(help="Highest speed of the target, m/s.")] = None,
-    dmin: Annotated[float | None, typer.Option(help="Least allowed range, m.")] = None,
-    dmax: Annotated[float | None, typer.Option(help="Greatest allowed range, m.")] = None,
+    target_speed: Annotated[
+        float | None,
+        typer.Option(help="Highest speed of the target, m/s.", rich_help_panel="Aircraft and requirement"),
+    ] = None,
+    dmin: Annotated[
+        float | None, typer.Option(help="Least allowed range, m.", rich_help_panel="Aircraft and requirement")
+    ] = None,
+    dmax: Annotated[
+        float | None, typer.Option(help="Greatest allowed range, m.", rich_help_panel="Aircraft and requirement")
+    ] = None,
     planner: Annotated[
-        str | None, typer.Option(help=f"{' or '.join(PLANNER_NAMES)}; the configured one by default.")
+        str | None,
+        typer.Option(
+            help=f"{' or '.join(PLANNER_NAMES)}; the configured one by default.",
+            rich_help_panel="Aircraft and requirement",
+        ),
     ] = None,
     threshold: Annotated[
-        float | None, typer.Option(help="Paper: factor C on dmax at which the circle is moved.")
+        float | None,
+        typer.Option(
+            help="Paper: factor C on dmax at which the circle is moved.",
+            rich_help_panel="Published method (planner paper)",
+        ),
     ] = None,
     optimise: Annotated[
-        bool, typer.Option("--optimise", help="Paper: also find the best threshold and airspeed.")
+        bool,
+        typer.Option(
+            "--optimise",
+            help="Paper: also find the best threshold and airspeed.",
+            rich_help_panel="Published method (planner paper)",
+        ),
     ] = False,
-    slowest: Annotated[float, typer.Option(help="Slowest airspeed --optimise may choose, m/s.")] = 8.0,
-    fastest: Annotated[float, typer.Option(help="Fastest airspeed --optimise may choose, m/s.")] = 30.0,
+    slowest: Annotated[
+        float,
+        typer.Option(
+            help="Slowest airspeed --optimise may choose, m/s.", rich_help_panel="Published method (planner paper)"
+        ),
+    ] = 8.0,
+    fastest: Annotated[
+        float,
+        typer.Option(
+            help="Fastest airspeed --optimise may choose, m/s.", rich_help_panel="Published method (planner paper)"
+        ),
+    ] = 30.0,
     json: JsonOption = None,
 ) -> None:
     """Check whether the configured planner can keep the requirement, and name the number to change if it cannot.

@@ -48,24 +48,40 @@ def launch(
     config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).", show_default=False)] = None,
     fleet: Annotated[
         int | None,
-        typer.Option(min=1, max=MAX_AIRCRAFT, help="Number of aircraft for one target.", show_default=False),
+        typer.Option(
+            min=1,
+            max=MAX_AIRCRAFT,
+            help="Number of aircraft for one target.",
+            show_default=False,
+            rich_help_panel="Mission",
+        ),
     ] = None,
     connect: Annotated[
         list[str] | None,
         typer.Option(
             help="MAVSDK URL of a vehicle; twice for two links to it; without it one is simulated.",
             show_default=False,
+            rich_help_panel="Vehicle and link",
         ),
     ] = None,
     system_id: Annotated[
         int | None,
         typer.Option(
-            min=1, max=255, help="MAVLink system id of the vehicle, if several share the link.", show_default=False
+            min=1,
+            max=255,
+            help="MAVLink system id of the vehicle, if several share the link.",
+            show_default=False,
+            rich_help_panel="Vehicle and link",
         ),
     ] = None,
     signing_key: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Sign the link with this key, see: sidelong sign.", show_default=False),
+        typer.Option(
+            metavar="FILE",
+            help="Sign the link with this key, see: sidelong sign.",
+            show_default=False,
+            rich_help_panel="Vehicle and link",
+        ),
     ] = None,
     payload: Annotated[
         str | None,
@@ -74,6 +90,7 @@ def launch(
             help=f"Read laser and gimbal by the payload's own protocol: {', '.join(KIND_NAMES)}; "
             "KIND:// alone with a simulated vehicle.",
             show_default=False,
+            rich_help_panel="Payload",
         ),
     ] = None,
     route: Annotated[
@@ -82,40 +99,78 @@ def launch(
             metavar="FILE",
             help="Route that the target is expected to follow: .gpx, .geojson, .kml, or .csv with lat,lon.",
             show_default=False,
+            rich_help_panel="Mission",
         ),
     ] = None,
     target: Annotated[
-        str | None, typer.Option(help="Simulated target: a built-in motion, a .gpx or a .csv track.")
+        str | None,
+        typer.Option(
+            help="Simulated target: a built-in motion, a .gpx or a .csv track.", rich_help_panel="Simulation"
+        ),
     ] = None,
     target_speed: Annotated[
-        float | None, typer.Option(help="Highest speed to expect of the target, m/s.", show_default=False)
+        float | None,
+        typer.Option(
+            help="Highest speed to expect of the target, m/s.", show_default=False, rich_help_panel="Mission"
+        ),
     ] = None,
-    duration: Annotated[float, typer.Option(min=1.0, help="Watch this long, s of the vehicle's time.")] = _DURATION_S,
+    duration: Annotated[
+        float, typer.Option(min=1.0, help="Watch this long, s of the vehicle's time.", rich_help_panel="Mission")
+    ] = _DURATION_S,
     speed: Annotated[
-        float | None, typer.Option(help="Simulated time over wall time [10; with --payload 4].", show_default=False)
+        float | None,
+        typer.Option(
+            help="Simulated time over wall time [10; with --payload 4].",
+            show_default=False,
+            rich_help_panel="Simulation",
+        ),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Of the simulation's noise.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the simulation's noise.", rich_help_panel="Simulation")
+    ] = None,
     side: Annotated[
-        str | None, typer.Option(help="Watch from left or right of its motion, either, or bearings like 120-200.")
+        str | None,
+        typer.Option(
+            help="Watch from left or right of its motion, either, or bearings like 120-200.",
+            rich_help_panel="Mission",
+        ),
     ] = None,
     autopilot: Annotated[
         str | None,
-        typer.Option(help="Simulated autopilot: arduplane or px4; of a fleet in turn: a,b.", show_default=False),
+        typer.Option(
+            help="Simulated autopilot: arduplane or px4; of a fleet in turn: a,b.",
+            show_default=False,
+            rich_help_panel="Simulation",
+        ),
     ] = None,
-    planner: Annotated[str | None, typer.Option(help=f"{' or '.join(PLANNER_NAMES)}.", show_default=False)] = None,
+    planner: Annotated[
+        str | None, typer.Option(help=f"{' or '.join(PLANNER_NAMES)}.", show_default=False, rich_help_panel="Mission")
+    ] = None,
     view: Annotated[
         bool | None,
-        typer.Option("--view/--no-view", help="Show a live map in the browser; by default in a desktop session."),
+        typer.Option(
+            "--view/--no-view",
+            help="Show a live map in the browser; by default in a desktop session.",
+            rich_help_panel="Live map",
+        ),
     ] = None,
     view_port: PortOption = DEFAULT_PORT,
     view_host: Annotated[
-        str, typer.Option(help="Address the live map is served at; anything but loopback asks for a token.")
+        str,
+        typer.Option(
+            help="Address the live map is served at; anything but loopback asks for a token.",
+            rich_help_panel="Live map",
+        ),
     ] = LOOPBACK[0],
     view_cert: Annotated[
-        Path | None, typer.Option(metavar="PEM", help="Serve the live map by TLS.", show_default=False)
+        Path | None,
+        typer.Option(
+            metavar="PEM", help="Serve the live map by TLS.", show_default=False, rich_help_panel="Live map"
+        ),
     ] = None,
     view_key: Annotated[
-        Path | None, typer.Option(metavar="PEM", help="Key of that certificate.", show_default=False)
+        Path | None,
+        typer.Option(metavar="PEM", help="Key of that certificate.", show_default=False, rich_help_panel="Live map"),
     ] = None,
     map_file: MapOption = None,
     map_bounds: BoundsOption = None,
@@ -125,6 +180,7 @@ def launch(
             metavar="ADDRESS",
             help="Send target and aircraft as cursor on target: udp://, tcp:// or tls://HOST:PORT.",
             show_default=False,
+            rich_help_panel="Other programs",
         ),
     ] = None,
     follow_target: Annotated[
@@ -133,12 +189,16 @@ def launch(
             metavar="ADDRESS",
             help="Send the target as FOLLOW_TARGET, for another autopilot: udp://HOST:PORT.",
             show_default=False,
+            rich_help_panel="Other programs",
         ),
     ] = None,
     nmea: Annotated[
         str | None,
         typer.Option(
-            metavar="ADDRESS", help="Send the target as NMEA sentences: udp://HOST:PORT.", show_default=False
+            metavar="ADDRESS",
+            help="Send the target as NMEA sentences: udp://HOST:PORT.",
+            show_default=False,
+            rich_help_panel="Other programs",
         ),
     ] = None,
     beacon: Annotated[
@@ -147,28 +207,60 @@ def launch(
             metavar="ADDRESS",
             help="The target's beacon: udp://0.0.0.0:PORT (FOLLOW_TARGET, cursor on target), adsb:ICAO, ais:MMSI.",
             show_default=False,
+            rich_help_panel="Payload",
         ),
     ] = None,
     point_gimbal: Annotated[
-        bool, typer.Option("--point-gimbal", help="Point the gimbal at the target, by the vehicle or by --payload.")
+        bool,
+        typer.Option(
+            "--point-gimbal",
+            help="Point the gimbal at the target, by the vehicle or by --payload.",
+            rich_help_panel="Payload",
+        ),
     ] = False,
-    report: Annotated[bool, typer.Option("--report", help="Write report.html into the run folder.")] = False,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write report.html into the run folder.", rich_help_panel="Output")
+    ] = False,
     guidance: Annotated[
         str | None,
-        typer.Option(help="Plans as mission items, or one command a circle: mission or command.", show_default=False),
+        typer.Option(
+            help="Plans as mission items, or one command a circle: mission or command.",
+            show_default=False,
+            rich_help_panel="Mission",
+        ),
     ] = None,
     mcap: Annotated[
-        bool, typer.Option("--mcap", help="Also write flight.mcap, for Foxglove and PlotJuggler (package mcap).")
+        bool,
+        typer.Option(
+            "--mcap",
+            help="Also write flight.mcap, for Foxglove and PlotJuggler (package mcap).",
+            rich_help_panel="Output",
+        ),
     ] = False,
     terrain: Annotated[
         Path | None,
-        typer.Option(help="Elevation data: a folder of SRTM .hgt tiles or GeoTIFF files.", show_default=False),
+        typer.Option(
+            help="Elevation data: a folder of SRTM .hgt tiles or GeoTIFF files.",
+            show_default=False,
+            rich_help_panel="Mission",
+        ),
     ] = None,
     home: Annotated[
-        str | None, typer.Option(metavar="LAT,LON", help="Where a simulated vehicle stands.", show_default=False)
+        str | None,
+        typer.Option(
+            metavar="LAT,LON",
+            help="Home position of the simulated vehicle.",
+            show_default=False,
+            rich_help_panel="Simulation",
+        ),
     ] = None,
     set_parameters: Annotated[
-        bool, typer.Option("--set-parameters", help="Set the parameters that stand in the way; back at the end.")
+        bool,
+        typer.Option(
+            "--set-parameters",
+            help="Change conflicting parameters for the flight; restore them at the end.",
+            rich_help_panel="Vehicle and link",
+        ),
     ] = False,
     take_over_from: Annotated[
         list[str] | None,
@@ -176,10 +268,11 @@ def launch(
             metavar="MODE",
             help="Take a flying aircraft over out of RTL, LAND or failsafe (repeatable); else that is refused.",
             show_default=False,
+            rich_help_panel="Vehicle and link",
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Where run folders are made.")] = Path("runs"),
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
+    out: Annotated[Path, typer.Option(help="Where run folders are made.", rich_help_panel="Output")] = Path("runs"),
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.", rich_help_panel="Output")] = False,
     json: JsonOption = None,
 ) -> None:
     """Fly: circle to one side of the target and relocate the circle as the target moves.

@@ -95,7 +95,10 @@ def warn(text: str) -> None:
 
 
 JsonOption = Annotated[
-    Path | None, typer.Option("--json", help="Write the summary to this file as JSON; - is standard output.")
+    Path | None,
+    typer.Option(
+        "--json", help="Write the summary to this file as JSON; - is standard output.", rich_help_panel="Output"
+    ),
 ]
 
 

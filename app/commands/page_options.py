@@ -7,16 +7,20 @@ from typing import Annotated
 
 import typer
 
-PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port of the live map.")]
+PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port of the live map.", rich_help_panel="Live map")]
 MapOption = Annotated[
     Path | None,
     typer.Option(
         "--map",
         metavar="FILE",
-        help="Lies under the live map: raster tiles (.mbtiles, .pmtiles), or a picture with --map-bounds.",
+        help="Map below the tracks: raster tiles (.mbtiles, .pmtiles), or a picture with --map-bounds.",
         show_default=False,
+        rich_help_panel="Live map",
     ),
 ]
 BoundsOption = Annotated[
-    str | None, typer.Option(metavar="S,W,N,E", help="Where that picture lies, degrees.", show_default=False)
+    str | None,
+    typer.Option(
+        metavar="S,W,N,E", help="Bounds of that picture, degrees.", show_default=False, rich_help_panel="Live map"
+    ),
 ]

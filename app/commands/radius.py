@@ -25,6 +25,7 @@ RadiusOption = Annotated[
         metavar="M|auto",
         show_default=False,
         help="Radius of the circle, m; auto: 3.5 s of flight, with room in the range band.",
+        rich_help_panel="Aircraft and requirement",
     ),
 ]
 

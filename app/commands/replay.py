@@ -62,14 +62,19 @@ def replay(
     verify: Annotated[
         bool, typer.Option("--verify", help="Compare every decision with the run's own; exit 1 at a difference.")
     ] = False,
-    view: Annotated[bool, typer.Option("--view", help="Show the replay on a live map in the browser.")] = False,
+    view: Annotated[
+        bool, typer.Option("--view", help="Show the replay on a live map in the browser.", rich_help_panel="Live map")
+    ] = False,
     view_port: PortOption = DEFAULT_PORT,
     view_speed: Annotated[
-        float, typer.Option(min=0.1, max=SPEED_MAX, help="Recorded time over wall time with --view.")
+        float,
+        typer.Option(
+            min=0.1, max=SPEED_MAX, help="Recorded time over wall time with --view.", rich_help_panel="Live map"
+        ),
     ] = 10.0,
     map_file: MapOption = None,
     map_bounds: BoundsOption = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.", rich_help_panel="Output")] = False,
     json: JsonOption = None,
 ) -> None:
     """Run the filter and the planner over a recorded flight: show its decisions and the error of the estimate.

@@ -26,11 +26,16 @@ def serve(
     connect: Annotated[
         list[str] | None, typer.Option(help="MAVSDK URL of the vehicle, instead of link.url.", show_default=False)
     ] = None,
-    view: Annotated[bool, typer.Option("--view", help="Serve a live map while a watch lasts.")] = False,
-    view_host: Annotated[str, typer.Option(help="Address of the map; anything but loopback asks for a token.")] = (
-        LOOPBACK[0]
-    ),
-    view_port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the map.")] = DEFAULT_PORT,
+    view: Annotated[
+        bool, typer.Option("--view", help="Serve a live map while a watch lasts.", rich_help_panel="Live map")
+    ] = False,
+    view_host: Annotated[
+        str,
+        typer.Option(help="Address of the map; anything but loopback asks for a token.", rich_help_panel="Live map"),
+    ] = (LOOPBACK[0]),
+    view_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the map.", rich_help_panel="Live map")
+    ] = DEFAULT_PORT,
     point_gimbal: Annotated[bool, typer.Option("--point-gimbal", help="Point the gimbal at the target.")] = False,
     out: Annotated[Path, typer.Option(help="Where run folders are made.")] = Path("runs"),
 ) -> None:

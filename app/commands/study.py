@@ -62,73 +62,151 @@ def study(
     ] = None,
     targets: Annotated[
         list[Path] | None,
-        typer.Option(help="A folder of recorded targets (.csv with t_s,east_m,north_m or time,lat,lon; .gpx)."),
+        typer.Option(
+            help="A folder of recorded targets (.csv with t_s,east_m,north_m or time,lat,lon; .gpx).",
+            rich_help_panel="Targets",
+        ),
     ] = None,
     routes: Annotated[
         bool,
         typer.Option(
-            help="Let the predictive planner know NAME.route.csv (.gpx, .geojson, .kml) next to each track."
+            help="Let the predictive planner know NAME.route.csv (.gpx, .geojson, .kml) next to each track.",
+            rich_help_panel="Targets",
         ),
     ] = False,
-    runs: Annotated[int | None, typer.Option(min=1, help="Targets: 20 random ones, or all recorded.")] = None,
-    noise_draws: Annotated[int, typer.Option(min=1, help="Runs per target, each with other noise.")] = 1,
-    run: Annotated[list[int] | None, typer.Option(min=0, help="Fly this run alone (repeatable).")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of all targets and noise.")] = 1,
-    planner: Annotated[list[PlannerName] | None, typer.Option(help="Compare only this one (repeatable).")] = None,
-    airspeed: Annotated[float | None, typer.Option(help="Of the aircraft, m/s; 10 by default.")] = None,
+    runs: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Number of targets; default 20 random ones, or all recorded.", rich_help_panel="Targets"
+        ),
+    ] = None,
+    noise_draws: Annotated[
+        int, typer.Option(min=1, help="Runs per target, each with different noise.", rich_help_panel="Targets")
+    ] = 1,
+    run: Annotated[
+        list[int] | None,
+        typer.Option(min=0, help="Fly only the run of this number (repeatable).", rich_help_panel="Targets"),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all targets and noise.", rich_help_panel="Targets")] = 1,
+    planner: Annotated[
+        list[PlannerName] | None,
+        typer.Option(help="Compare only this planner (repeatable).", rich_help_panel="Comparison"),
+    ] = None,
+    airspeed: Annotated[
+        float | None,
+        typer.Option(help="Airspeed, m/s; 10 by default.", rich_help_panel="Aircraft and requirement"),
+    ] = None,
     radius: RadiusOption = None,
     target_speed_max: Annotated[
         float | None,
         typer.Option(
             help="Highest speed of the target, m/s, half the airspeed by default; "
-            "recorded ones whose 95th percentile is above are skipped."
+            "recorded ones whose 95th percentile is above are skipped.",
+            rich_help_panel="Aircraft and requirement",
         ),
     ] = None,
-    wind: Annotated[float | None, typer.Option(help="Steady wind, m/s.")] = None,
+    wind: Annotated[
+        float | None, typer.Option(help="Steady wind, m/s.", rich_help_panel="Aircraft and requirement")
+    ] = None,
     autopilot: Annotated[
         str | None,
-        typer.Option(help="Latency and lag as measured of this autopilot, or the one simulated: arduplane or px4."),
+        typer.Option(
+            help="Latency and lag measured for this autopilot; closed loop: the simulated one. arduplane or px4.",
+            rich_help_panel="Aircraft and requirement",
+        ),
     ] = None,
-    latency: Annotated[float | None, typer.Option(help="From a decision to the earliest departure, s; 0.2.")] = None,
-    lag: Annotated[float | None, typer.Option(help="Time constant of the aircraft's bank, s; 0.")] = None,
+    latency: Annotated[
+        float | None,
+        typer.Option(
+            help="Time from a decision to the earliest departure, s; 0.2 by default.",
+            rich_help_panel="Aircraft and requirement",
+        ),
+    ] = None,
+    lag: Annotated[
+        float | None,
+        typer.Option(
+            help="Time constant of the aircraft's bank, s; 0 by default.", rich_help_panel="Aircraft and requirement"
+        ),
+    ] = None,
     sweep: Annotated[
         list[str] | None,
-        typer.Option(help="Fly every value of a parameter: KEY=V1,V2 or KEY=FROM:TO:STEP (repeatable)."),
+        typer.Option(
+            help="Fly every value of a parameter: KEY=V1,V2 or KEY=FROM:TO:STEP (repeatable).",
+            rich_help_panel="Comparison",
+        ),
     ] = None,
-    legs: Annotated[str, typer.Option(help="How long a random target keeps a course and speed, s.")] = "40-200",
+    legs: Annotated[
+        str, typer.Option(help="How long a random target keeps its course and speed, s.", rich_help_panel="Targets")
+    ] = "40-200",
     duration: Annotated[
-        float | None, typer.Option(help="Of each run at most, s: 1200, or a recorded target's whole track.")
+        float | None,
+        typer.Option(
+            help="Longest run, s; default 1200, or a recorded target's whole track.", rich_help_panel="Targets"
+        ),
     ] = None,
     fidelity: Annotated[
         Fidelity,
-        typer.Option(help="kinematic: filter and planner, fast; closed-loop: the whole product and a vehicle."),
+        typer.Option(
+            help="kinematic: filter and planner, fast; closed-loop: the whole product and a vehicle.",
+            rich_help_panel="Comparison",
+        ),
     ] = Fidelity.KINEMATIC,
     perfect_sensors: Annotated[
-        bool, typer.Option("--perfect-sensors", help="Let the planners know the truth.")
+        bool,
+        typer.Option(
+            "--perfect-sensors", help="Give the planners the true state of the target.", rich_help_panel="Comparison"
+        ),
     ] = False,
     fleet: Annotated[
-        int, typer.Option(min=1, max=6, help="Aircraft on each target: joint decisions, and laws that hold phases.")
+        int,
+        typer.Option(
+            min=1,
+            max=6,
+            help="Number of aircraft on each target, with joint decisions and phased guidance laws.",
+            rich_help_panel="Aircraft and requirement",
+        ),
     ] = 1,
     terrain: Annotated[
         Path | None,
         typer.Option(
-            help="Fly the default planner over this elevation data, and as if it were flat.", show_default=False
+            help="Compare the default planner with and without this elevation data (folder).",
+            show_default=False,
+            rich_help_panel="Aircraft and requirement",
         ),
     ] = None,
     home: Annotated[
-        str | None, typer.Option(metavar="LAT,LON", help="Where, with --terrain.", show_default=False)
+        str | None,
+        typer.Option(
+            metavar="LAT,LON",
+            help="Position of the study on the terrain.",
+            show_default=False,
+            rich_help_panel="Aircraft and requirement",
+        ),
     ] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; by default one for each core.")] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Processes; by default one for each core.", rich_help_panel="Computation"),
+    ] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="Fly on the workers of this Dask scheduler: tcp://HOST:PORT.")
+        str | None,
+        typer.Option(
+            help="Fly on the workers of this Dask scheduler: tcp://HOST:PORT.", rich_help_panel="Computation"
+        ),
     ] = None,
     store: Annotated[
-        Path | None, typer.Option(help="Keep each result in this SQLite file; what is there is not flown again.")
+        Path | None,
+        typer.Option(
+            help="Store each result in this SQLite file; stored runs are not flown again.",
+            rich_help_panel="Computation",
+        ),
     ] = None,
     export: Annotated[
-        Path | None, typer.Option(help="Write a row for each run to this .csv or .parquet file.")
+        Path | None,
+        typer.Option(help="Write a row for each run to this .csv or .parquet file.", rich_help_panel="Output"),
     ] = None,
-    report: Annotated[Path | None, typer.Option(help="Write a page with all figures to this .html file.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write a page with all figures to this .html file.", rich_help_panel="Output")
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Compare planners against many targets, random or recorded, without an autopilot.

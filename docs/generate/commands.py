@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from sidelong.app.cli import COMMANDS, load_command
+from sidelong.app.cli import COMMANDS, help_groups, load_command
 
 
 def page() -> str:
@@ -37,15 +37,11 @@ def _command(name: str, command: Any) -> Iterator[str]:
         lines = "\n".join(line.strip() for line in examples.strip().splitlines())
         yield f"\n```sh\n{lines}\n```\n"
     context = command.make_context(name, [], resilient_parsing=True)
-    groups: dict[str, list[tuple[str, str]]] = {}
-    for one in command.params:
-        record = one.get_help_record(context)
-        if record is not None:
-            other = "Arguments" if one.param_type_name == "argument" else "Options"
-            groups.setdefault(getattr(one, "rich_help_panel", None) or other, []).append(record)
-    for group, records in groups.items():
-        yield f"\n| {group} | |\n| --- | --- |"
-        yield from (f"| `{option}` | {_cell(about)} |" for option, about in records)
+    for group, records in help_groups(command, context).items():
+        rows = [f"| `{option}` | {_cell(about)} |" for option, about in records if option != "--help"]
+        if rows:
+            yield f"\n| {group} | |\n| --- | --- |"
+            yield from rows
 
 
 def _cell(text: str) -> str:

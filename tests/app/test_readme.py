@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sidelong.app.cli import COMMANDS, load_command
+from sidelong.app.cli import COMMANDS, help_groups, load_command
 
 ROOT = Path(__file__).resolve().parents[2]
 _COMMAND = re.compile(r"\bsidelong (?!sidelong)([a-z]+)((?:[ ]+[^\s`|#]+)*)")
@@ -41,13 +41,16 @@ def test_a_command_of_the_documents_is_understood(name, arguments):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_shows_examples_on_lines_of_their_own_that_can_be_given(name):
+def test_help_explains_every_option_in_short_groups_and_shows_valid_examples(name):
     command = load_command(name)
     with command.make_context(name, [], resilient_parsing=True) as context:
         lines = re.findall(rf"^ +sidelong {name}\b([^#\n]*)", command.get_help(context), re.MULTILINE)
     assert lines
+        groups = help_groups(command, context)
     for arguments in lines:
         command.make_context(name, shlex.split(arguments))
+    assert all(about for records in groups.values() for _, about in records)
+    assert max(map(len, groups.values())) <= 12, "group the options by rich_help_panel"
 
 
 @pytest.mark.parametrize("document", DOCUMENTS[:3], ids=lambda path: path.name)
