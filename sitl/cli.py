@@ -116,9 +116,9 @@ def run(
             metavar="S", help="Battery life, s; for several vehicles in turn: A,B.", rich_help_panel="Vehicle"
         ),
     ] = "10800",
-    wind_speed: Annotated[float, typer.Option(help="Wind speed, m/s.", rich_help_panel="Vehicle")] = 0.0,
+    wind_speed: Annotated[float, typer.Option(help="Wind speed, m/s.", rich_help_panel="Wind and ground")] = 0.0,
     wind_from_deg: Annotated[
-        float, typer.Option(help="Where the wind comes from, degrees.", rich_help_panel="Vehicle")
+        float, typer.Option(help="Where the wind comes from, degrees.", rich_help_panel="Wind and ground")
     ] = 0.0,
     system_id: Annotated[
         int | None,
@@ -166,7 +166,9 @@ def run(
     terrain: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="Fly over the ground of these SRTM .hgt tiles [flat]", rich_help_panel="Vehicle"
+            metavar="DIR",
+            help="Fly over the ground of these SRTM .hgt tiles [flat]",
+            rich_help_panel="Wind and ground",
         ),
     ] = None,
     payload: Annotated[bool, typer.Option(help="Laser and gimbal.", rich_help_panel="Payload")] = True,

@@ -45,8 +45,8 @@ def test_help_explains_every_option_in_short_groups_and_shows_valid_examples(nam
     command = load_command(name)
     with command.make_context(name, [], resilient_parsing=True) as context:
         lines = re.findall(rf"^ +sidelong {name}\b([^#\n]*)", command.get_help(context), re.MULTILINE)
-    assert lines
         groups = help_groups(command, context)
+    assert lines
     for arguments in lines:
         command.make_context(name, shlex.split(arguments))
     assert all(about for records in groups.values() for _, about in records)
