@@ -18,7 +18,15 @@ class Ellipse:
     orientation_rad: float
 
     def outline(self, corners: int) -> list[tuple[float, float]]:
-        """Return (east, north) of points on it from its middle, m, in one round, closed."""
+        """Return points of the ellipse in one closed round.
+
+        Args:
+            corners: Number of points; the first one is repeated at the end.
+
+        Returns:
+            (east, north) of each point from the centre, m.
+
+        """
         sin, cos = math.sin(self.orientation_rad), math.cos(self.orientation_rad)
         points = []
         for corner in range(corners):
@@ -29,9 +37,14 @@ class Ellipse:
 
 
 def confidence_ellipse(covariance: npt.NDArray[np.float64], probability: float = 0.95) -> Ellipse:
-    """Return the ellipse of a (2, 2) position covariance, east and north, m^2.
+    """Return the confidence ellipse of a position.
 
     Two Gaussian coordinates lie within k sigma with probability 1 - exp(-k^2 / 2).
+
+    Args:
+        covariance: Covariance of (east, north), m^2, (2, 2).
+        probability: Probability that the position is inside, 0 to 1.
+
     """
     k = math.sqrt(-2.0 * math.log(1.0 - probability))
     variance_e, variance_n, cross = float(covariance[0, 0]), float(covariance[1, 1]), float(covariance[0, 1])

@@ -14,12 +14,23 @@ _Vector = tuple[float, float, float]
 
 
 def wrap_rad(angle_rad: float) -> float:
-    """Return the same angle in [-pi, pi)."""
+    """Return the same angle in [-pi, pi).
+
+    Args:
+        angle_rad: Any finite angle, rad.
+
+    """
     return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
 
 
 def bearing_rad(east: float, north: float) -> float:
-    """Return the compass angle of a vector in the plane, in (-pi, pi]; 0 for the zero vector."""
+    """Return the compass angle of a vector in the plane, in (-pi, pi]; 0 for the zero vector.
+
+    Args:
+        east: East component.
+        north: North component, in the same unit.
+
+    """
     return math.atan2(east, north)
 
 
@@ -39,7 +50,16 @@ class LocalPlane:
     origin_longitude_deg: float
 
     def east_north_m(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
-        """Return (east, north) of a geodetic position."""
+        """Return a geodetic position in the plane.
+
+        Args:
+            latitude_deg: Geodetic latitude (WGS 84), degrees.
+            longitude_deg: Longitude, degrees.
+
+        Returns:
+            (east, north) from the origin, m.
+
+        """
         origin, east, north, up = _axes(self.origin_latitude_deg, self.origin_longitude_deg)
         place = _earth_centred_m(latitude_deg, longitude_deg)
         offset = (place[0] - origin[0], place[1] - origin[1], place[2] - origin[2])
@@ -52,7 +72,16 @@ class LocalPlane:
         return unfolded_m * math.sin(azimuth_rad), unfolded_m * math.cos(azimuth_rad)
 
     def latitude_longitude_deg(self, east_m: float, north_m: float) -> tuple[float, float]:
-        """Return (latitude, longitude) of a point of the plane; a point beyond the horizon comes out at it."""
+        """Return the geodetic position of a point of the plane.
+
+        Args:
+            east_m: East of the origin, m.
+            north_m: North of the origin, m.
+
+        Returns:
+            (latitude, longitude) (WGS 84), degrees; for a point beyond the horizon, that of the horizon.
+
+        """
         origin, east, north, up = _axes(self.origin_latitude_deg, self.origin_longitude_deg)
         x, y, z = (o + east_m * e + north_m * n for o, e, n in zip(origin, east, north, strict=True))
         # How far above the ellipsoid is it along the vertical? With z stretched the ellipsoid is a sphere.

@@ -12,7 +12,13 @@ Vector = tuple[float, float, float]
 
 
 def multiply(a_from_b: Quaternion, b_from_c: Quaternion) -> Quaternion:
-    """Return a_from_c."""
+    """Return a_from_c.
+
+    Args:
+        a_from_b: Rotation from frame b to frame a.
+        b_from_c: Rotation from frame c to frame b.
+
+    """
     aw, ax, ay, az = a_from_b
     bw, bx, by, bz = b_from_c
     return (
@@ -24,7 +30,14 @@ def multiply(a_from_b: Quaternion, b_from_c: Quaternion) -> Quaternion:
 
 
 def from_roll_pitch_yaw(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
-    """Return parent_from_child for a child turned by yaw, then pitch, then roll (aerospace order)."""
+    """Return parent_from_child for a child turned by yaw, then pitch, then roll (aerospace order).
+
+    Args:
+        roll_rad: Rotation about the forward axis, rad.
+        pitch_rad: Rotation about the right axis, rad.
+        yaw_rad: Rotation about the down axis, rad.
+
+    """
     cr, sr = math.cos(roll_rad / 2), math.sin(roll_rad / 2)
     cp, sp = math.cos(pitch_rad / 2), math.sin(pitch_rad / 2)
     cy, sy = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
@@ -37,7 +50,16 @@ def from_roll_pitch_yaw(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Qu
 
 
 def rotate(a_from_b: Quaternion, vector_b: Vector) -> Vector:
-    """Return the vector in frame a. The quaternion is of unit length."""
+    """Return a vector in another frame.
+
+    Args:
+        a_from_b: Rotation from frame b to frame a, of unit length.
+        vector_b: The vector in frame b.
+
+    Returns:
+        The vector in frame a.
+
+    """
     w, x, y, z = a_from_b
     vx, vy, vz = vector_b
     tx, ty, tz = 2 * (y * vz - z * vy), 2 * (z * vx - x * vz), 2 * (x * vy - y * vx)
@@ -49,7 +71,15 @@ def rotate(a_from_b: Quaternion, vector_b: Vector) -> Vector:
 
 
 def normalized(quaternion: Quaternion) -> Quaternion:
-    """Return the quaternion at unit length. Raises ValueError for the zero quaternion, which is no rotation."""
+    """Return the quaternion at unit length.
+
+    Args:
+        quaternion: Any quaternion but zero.
+
+    Raises:
+        ValueError: The quaternion is zero, which is not a rotation.
+
+    """
     length = math.sqrt(sum(part * part for part in quaternion))
     if length < 1e-6:
         raise ValueError("a quaternion of zero length is no rotation")
@@ -58,9 +88,15 @@ def normalized(quaternion: Quaternion) -> Quaternion:
 
 
 def interpolated(first: Quaternion, second: Quaternion, fraction: float) -> Quaternion:
-    """Return the rotation at ``fraction`` of the way, the short way round (normalised linear interpolation).
+    """Return a rotation between two, by normalised linear interpolation the short way round.
 
-    Against the great arc the error is below 0.01 degree for steps up to 10 degrees.
+    Compared with the great arc the error is below 0.01 degree for steps up to 10 degrees.
+
+    Args:
+        first: Rotation at fraction 0.
+        second: Rotation at fraction 1.
+        fraction: Share of the way, 0 to 1.
+
     """
     same_side = sum(a * b for a, b in zip(first, second, strict=True)) >= 0.0
     far = fraction if same_side else -fraction
@@ -76,6 +112,14 @@ def interpolated(first: Quaternion, second: Quaternion, fraction: float) -> Quat
 
 
 def sight_direction(quaternion: Quaternion) -> Vector:
-    """Return where a sight points: its forward axis in the parent frame."""
+    """Return the direction of a line of sight: its forward axis in the parent frame.
+
+    Args:
+        quaternion: Rotation from the sight's frame to the parent frame.
+
+    Returns:
+        Unit vector in the parent frame.
+
+    """
     w, x, y, z = quaternion
     return 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)

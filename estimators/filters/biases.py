@@ -68,7 +68,12 @@ class Biases:
 
     @staticmethod
     def prior(settings: TrackerSettings) -> Biases:
-        """Return what the settings say before anything was measured: zero, with their standard deviations."""
+        """Return the errors before the first measurement: zero, with the configured standard deviations.
+
+        Args:
+            settings: Settings of the tracker.
+
+        """
         return Biases(np.zeros(3), np.diag(np.square(prior_sigmas(settings))))
 
     @property
@@ -78,5 +83,13 @@ class Biases:
 
 
 def prior_sigmas(settings: TrackerSettings) -> tuple[float, float, float]:
-    """Return one standard deviation of the yaw, pitch and range errors before anything was measured."""
+    """Return the standard deviations of the payload's errors before the first measurement.
+
+    Args:
+        settings: Settings of the tracker.
+
+    Returns:
+        Yaw error, rad; pitch error, rad; range error, m (1 sigma).
+
+    """
     return settings.yaw_bias_sigma_rad, settings.pitch_bias_sigma_rad, settings.range_bias_sigma_m

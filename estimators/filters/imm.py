@@ -96,7 +96,15 @@ class TargetImm:
     def resumed(
         cls, settings: TrackerSettings, time_s: float, state: FloatArray, ground: Ground | None = None
     ) -> Self:
-        """Return a filter in a known ``state``, shape (models, 1 + n + n * n)."""
+        """Return a filter in a known state.
+
+        Args:
+            settings: Settings of the tracker.
+            time_s: Time of the state, vehicle's clock, s.
+            state: Probability, mean and covariance of each model, (models, 1 + n + n * n).
+            ground: The ground on which the target stands; None if unknown.
+
+        """
         filtered = cls.__new__(cls)
         filtered._set_up(settings, time_s, state, ground)
         return filtered
@@ -111,7 +119,12 @@ class TargetImm:
         return DENSITIES[settings.target_kind]
 
     def predict(self, time_s: float) -> None:
-        """Move on to ``time_s``, no earlier than the filter's own time."""
+        """Predict the state.
+
+        Args:
+            time_s: Time to predict to, vehicle's clock, s; not earlier than the filter's own time.
+
+        """
         step_s = round(time_s - self.time_s, 6)
         self.time_s = time_s
         if step_s > 0.0:
@@ -123,7 +136,11 @@ class TargetImm:
             self.state = ahead
 
     def update(self, sighting: AnySighting, gate_nis: float) -> float:
-        """Take in a sighting made at the filter's time, unless it lies beyond the gate.
+        """Update the state with a sighting made at the filter's time, unless the gate rejects it.
+
+        Args:
+            sighting: The sighting.
+            gate_nis: Greatest accepted normalised innovation squared.
 
         Returns:
             The normalised innovation squared: chi-square with three degrees of freedom for laser and gimbal.
@@ -160,7 +177,13 @@ class TargetImm:
         return mean, covariance
 
     def widen_clock(self, payload: int, sigma_s: float) -> None:
-        """Set the uncertainty of a payload's clock, before its first detection."""
+        """Set the uncertainty of a payload's clock, before its first detection.
+
+        Args:
+            payload: Index of the payload.
+            sigma_s: Standard deviation of its clock, s.
+
+        """
         n = kernel.numbers_of(self.state)
         at = errors_of(payload, n)[0] + ERRORS
         self.state = self.state.copy()
@@ -172,7 +195,13 @@ class TargetImm:
 
 
 def prior_of(payloads: Sequence[TrackerSettings], clock_sigmas_s: Sequence[float]) -> Biases:
-    """Return the prior of the errors of several payloads, each with its clock."""
+    """Return the prior of the errors of several payloads, each with its clock.
+
+    Args:
+        payloads: Settings of each payload.
+        clock_sigmas_s: Standard deviation of each payload's clock, s.
+
+    """
     sigmas = [(*prior_sigmas(one), clock_s) for one, clock_s in zip(payloads, clock_sigmas_s, strict=True)]
     return Biases(np.zeros(4 * len(sigmas)), np.diag(np.square(sigmas).ravel()))
 
@@ -180,7 +209,17 @@ def prior_of(payloads: Sequence[TrackerSettings], clock_sigmas_s: Sequence[float
 def starting_moments(
     settings: TrackerSettings, sighting: AnySighting, biases: Biases
 ) -> tuple[FloatArray, FloatArray]:
-    """Return mean (n,) and covariance (n, n) of a target first seen here, its velocity unknown."""
+    """Return mean and covariance of a target at its first sighting, with unknown velocity.
+
+    Args:
+        settings: Settings of the tracker.
+        sighting: The first sighting.
+        biases: Prior of the payload's errors.
+
+    Returns:
+        Mean (n,) and covariance (n, n) of (east, north, velocity east, velocity north, height, turn rate, errors).
+
+    """
     size = TARGET + biases.mean.size
     mean, covariance = np.zeros(size), np.zeros((size, size))
     first = errors_of(sighting.payload, size)[0] - TARGET
@@ -201,7 +240,12 @@ def starting_moments(
 
 
 def seen(sighting: AnySighting) -> Seen:
-    """Return a sighting in the form of the compiled functions."""
+    """Return a sighting in the form of the compiled functions.
+
+    Args:
+        sighting: The sighting.
+
+    """
     if isinstance(sighting, Fix):
         return Seen(True, sighting.east_m, sighting.north_m, 0.0, *sighting.variances, 0.0, 0.0, 0.0)
     return Seen(

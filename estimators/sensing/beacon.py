@@ -19,7 +19,16 @@ class BeaconErrors:
         self._last_s = -math.inf
 
     def sigma_m(self, time_s: float, sigma_m: float) -> float:
-        """Return the sigma to use for a fix of ``sigma_m`` at ``time_s``."""
+        """Return the standard deviation to use for a fix.
+
+        Args:
+            time_s: Time of the fix, vehicle's clock, s.
+            sigma_m: Standard deviation that the beacon reports or that is configured, m.
+
+        Returns:
+            Standard deviation, m.
+
+        """
         step_s = max(abs(time_s - self._last_s), _MIN_STEP_S)
         self._last_s = max(self._last_s, time_s)
         return sigma_m * math.sqrt(max(2.0 * _CORRELATION_S / step_s, 1.0))

@@ -99,8 +99,11 @@ class VehicleClock:
     def take(self, stamp_s: float, confirmed_after_s: float | None = None) -> Stamp:
         """Process a stamp of the vehicle.
 
-        ``confirmed_after_s`` is how long another sequence has to last before it is followed; None: depends on its
-        distance.
+        Args:
+            stamp_s: Time since boot in the message, s.
+            confirmed_after_s: How long another sequence of stamps has to last before it is followed, s; None: depends
+                on its distance.
+
         """
         if self.goes_on(stamp_s):
             return Stamp.GOOD
@@ -108,7 +111,15 @@ class VehicleClock:
         return self._taken_elsewhere(self._own, stamp_s, confirmed_after_s)
 
     def goes_on(self, stamp_s: float) -> bool:
-        """Accept a stamp if it continues the clock, as nearly all do; return whether it does."""
+        """Accept a stamp if it continues the clock, as nearly all do.
+
+        Args:
+            stamp_s: Time since boot in the message, s.
+
+        Returns:
+            Whether the stamp continues the clock.
+
+        """
         own = self._own
         if own is None:
             self._own = _Line(stamp_s, stamp_s)
@@ -187,7 +198,16 @@ class SourceClock:
         self._sampled_s = -math.inf
 
     def corrected_s(self, stamp_s: float, clock: VehicleClock) -> float | None:
-        """Return the stamp on the vehicle's clock, or None when it fits neither that nor the source's own."""
+        """Return a stamp of the source on the vehicle's clock.
+
+        Args:
+            stamp_s: Time in the message, s.
+            clock: The vehicle's clock.
+
+        Returns:
+            Time on the vehicle's clock, s; None if the stamp fits neither that clock nor the source's own.
+
+        """
         ahead_s = stamp_s - clock.now_s
         if abs(clock.now_s - self._sampled_s) >= _SAMPLE_EVERY_S:  # a clock that stands still gives no measurement
             self._sampled_s = clock.now_s

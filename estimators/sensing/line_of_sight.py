@@ -31,16 +31,27 @@ class LineOfSight:
 
 
 def ned_from_body(attitude: AttitudeReading) -> Quaternion:
-    """Return the rotation of the aircraft's attitude, body (FRD) to north-east-down."""
+    """Return the aircraft's attitude as a rotation from body (forward, right, down) to north-east-down.
+
+    Args:
+        attitude: Roll, pitch and yaw of the aircraft.
+
+    """
     return from_roll_pitch_yaw(attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad)
 
 
 def line_of_sight(
     gimbal: GimbalReading, attitude: AttitudeReading | None, parent_from_mount: Quaternion
 ) -> LineOfSight:
-    """Return where the gimbal points. Only an earth-frame gimbal does without the aircraft's attitude.
+    """Return the direction in which the gimbal points.
 
-    Straight down the bearing is 0: a sight within a degree of it has no bearing to speak of.
+    Straight down the bearing is 0: a line of sight within a degree of it has no usable bearing.
+
+    Args:
+        gimbal: The gimbal's orientation and its frame.
+        attitude: Attitude of the aircraft; None is accepted for an earth-frame gimbal only.
+        parent_from_mount: Rotation from the gimbal's mount to its parent frame.
+
     """
     direction = sight_direction(normalized(gimbal.quaternion_wxyz))
     if gimbal.frame != "earth":
@@ -55,6 +66,15 @@ def line_of_sight(
 
 
 def lever_arm_plane_m(lever_arm_body_m: Vector, attitude: AttitudeReading) -> Vector:
-    """Return (east, north, up) from the aircraft's position to its gimbal."""
+    """Return the gimbal's position relative to the aircraft's position.
+
+    Args:
+        lever_arm_body_m: The same in body axes (forward, right, down), m.
+        attitude: Attitude of the aircraft.
+
+    Returns:
+        (east, north, up), m.
+
+    """
     north, east, down = rotate(ned_from_body(attitude), lever_arm_body_m)
     return east, north, -down

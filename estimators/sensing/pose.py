@@ -43,7 +43,15 @@ class History(Generic[T]):
         return self._items[-1].time_s if self._items else float("-inf")
 
     def add(self, item: T) -> bool:
-        """Keep the reading. Returns False for a duplicate."""
+        """Store a reading.
+
+        Args:
+            item: The reading.
+
+        Returns:
+            False for a duplicate.
+
+        """
         items = self._items
         if not items or item.time_s > items[-1].time_s:
             items.append(item)
@@ -58,7 +66,15 @@ class History(Generic[T]):
         return True
 
     def around(self, time_s: float) -> tuple[T, T] | None:
-        """Return the readings before (or at) and after ``time_s``; one twice when it is exact; None at the ends."""
+        """Return the readings before (or at) and after a time.
+
+        Args:
+            time_s: Vehicle's clock, s.
+
+        Returns:
+            Both readings, the same one twice if its time is exact; None before the first and after the last reading.
+
+        """
         at = bisect_right(self._items, time_s, key=_time_s)
         if at == 0:
             return None
@@ -68,7 +84,12 @@ class History(Generic[T]):
         return None if at == len(self._items) else (before, self._items[at])
 
     def since(self, time_s: float) -> list[T]:
-        """Return the readings from a time on."""
+        """Return the readings from a time on.
+
+        Args:
+            time_s: Vehicle's clock, s.
+
+        """
         return self._items[bisect_right(self._items, time_s, key=_time_s) :]
 
     def newest(self) -> T | None:
@@ -88,17 +109,29 @@ class PoseHistory:
         self.attitudes: History[AttitudeReading] = History(self._SPAN_S)
 
     def add(self, reading: PositionReading | AttitudeReading) -> None:
-        """Take a reading; those that come late are put in their place."""
+        """Store a reading; late ones are inserted in the order of their times.
+
+        Args:
+            reading: Position or attitude of the aircraft.
+
+        """
         if isinstance(reading, PositionReading):
             self.positions.add(reading)
         else:
             self.attitudes.add(reading)
 
     def position_at(self, time_s: float) -> PositionReading | None:
-        """Return where the aircraft was; None before the first, well after the last reading, and in a long gap.
+        """Return the aircraft's position at a time.
 
-        Follows the cubic through two positions and their velocities: at 1 Hz and 0.5 g of turn it stays within
-        0.1 m where a straight line errs by 0.6 m. Past the last reading, its velocity is held for 0.3 s.
+        Follows the cubic through two positions and their velocities: at 1 Hz and 0.5 g of turn it stays within 0.1 m
+        where a straight line errs by 0.6 m. After the last reading, its velocity is held for 0.3 s.
+
+        Args:
+            time_s: Vehicle's clock, s.
+
+        Returns:
+            The position; None before the first reading, more than 0.3 s after the last one, and in a long gap.
+
         """
         pair = self.positions.around(time_s)
         if pair is None:
@@ -141,7 +174,15 @@ class PoseHistory:
         )
 
     def attitude_at(self, time_s: float) -> AttitudeReading | None:
-        """Return how the aircraft was turned, angles interpolated linearly; None outside them and in a long gap."""
+        """Return the aircraft's attitude at a time, angles interpolated linearly.
+
+        Args:
+            time_s: Vehicle's clock, s.
+
+        Returns:
+            The attitude; None outside the readings and in a long gap.
+
+        """
         pair = self.attitudes.around(time_s)
         if pair is None:
             return None

@@ -125,7 +125,15 @@ AnySighting = Sighting | Fix
 
 
 def measurement_by_biases(sighting: AnySighting) -> FloatArray:
-    """Return the derivative (3, 3) of what is measured by the payload's (yaw, pitch, range) errors; read only."""
+    """Return the derivative of a measurement by the payload's errors.
+
+    Args:
+        sighting: The sighting.
+
+    Returns:
+        Derivative by the (yaw, pitch, range) errors, (3, 3); read only.
+
+    """
     return _BY_BIASES if isinstance(sighting, Sighting) else _BY_NO_BIASES
 
 

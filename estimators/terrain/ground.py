@@ -59,16 +59,43 @@ class Ground:
         return min(self.step_east_m, self.step_north_m)
 
     def height_m(self, east_m: float, north_m: float) -> float:
-        """Return the height at a place, NaN where it is not known."""
+        """Return the height at a place, NaN where it is not known.
+
+        Args:
+            east_m: East in the local plane, m.
+            north_m: North in the local plane, m.
+
+        Returns:
+            Height, m; NaN if unknown.
+
+        """
         return height_and_slope(self.grid, east_m, north_m)[0]
 
     def heights_at_m(self, east_m: npt.ArrayLike, north_m: npt.ArrayLike) -> FloatArray:
-        """Return the heights at places, arrays of one shape."""
+        """Return the heights at places, arrays of one shape.
+
+        Args:
+            east_m: East in the local plane, m, any shape.
+            north_m: North in the local plane, m, the same shape.
+
+        Returns:
+            Heights, m, of that shape; NaN where unknown.
+
+        """
         east, north = np.asarray(east_m, np.float64), np.asarray(north_m, np.float64)
         return heights_at(self.grid, east.ravel(), north.ravel()).reshape(east.shape)
 
     def patch(self, east_m: float, north_m: float) -> GroundPatch | None:
-        """Return the ground about a place, None where it is not known."""
+        """Return height and slope of the ground around a position.
+
+        Args:
+            east_m: East in the local plane, m.
+            north_m: North in the local plane, m.
+
+        Returns:
+            The patch; None if unknown.
+
+        """
         height_m, slope_east, slope_north = height_and_slope(self.grid, east_m, north_m)
         if math.isnan(height_m):
             return None
@@ -84,9 +111,19 @@ class Ground:
         depression_rad: float,
         max_m: float,
     ) -> float | None:
-        """Return the horizontal distance at which a ray from a point first meets the ground; None if it does not.
+        """Return the horizontal distance at which a ray first meets the ground.
 
-        A void on the way counts as not meeting it: its height is unknown.
+        Args:
+            east_m: East of the ray's origin, m.
+            north_m: North of the ray's origin, m.
+            height_m: Height of the ray's origin, m.
+            bearing_rad: Bearing of the ray, clockwise from north, rad.
+            depression_rad: Angle below the horizon, rad.
+            max_m: Greatest distance, m.
+
+        Returns:
+            Distance, m; None if the ray does not meet the ground or crosses a void, whose height is unknown.
+
         """
         step_m = sight_step_m(self.grid)
         found_m = ray_cut_m(self.grid, east_m, north_m, height_m, bearing_rad, depression_rad, step_m, max_m)
@@ -95,14 +132,31 @@ class Ground:
     def sees(
         self, a_m: tuple[float, float, float], b_m: tuple[float, float, float], clearance_m: float = 0.0
     ) -> bool:
-        """Return whether the line between two points (east, north, height) clears the ground. Voids hide nothing."""
+        """Return whether the line between two points clears the ground. Voids hide nothing.
+
+        Args:
+            a_m: (east, north, height) of one point, m.
+            b_m: (east, north, height) of the other point, m.
+            clearance_m: Required clearance, m.
+
+        """
         return sight_clearance_m(self.grid, a_m, b_m, sight_step_m(self.grid)) >= clearance_m
 
     def horizon_m(
         self, east_m: float, north_m: float, height_m: float, azimuths: int, rings: int, ring_m: float
     ) -> npt.NDArray[np.float32]:
-        """Return the height (azimuths, rings) from which a point is seen, at distances of 1..rings times ``ring_m``.
+        """Return the heights from which a point is visible. Voids hide nothing.
 
-        The first azimuth is north, the rest follow clockwise. Voids hide nothing.
+        Args:
+            east_m: East of the point, m.
+            north_m: North of the point, m.
+            height_m: Height of the point, m.
+            azimuths: Number of azimuths; the first is north, the others follow clockwise.
+            rings: Number of distances.
+            ring_m: Difference of two distances, and the first distance, m.
+
+        Returns:
+            Heights, m, (azimuths, rings).
+
         """
         return horizon(self.grid, east_m, north_m, height_m, azimuths, rings, ring_m)

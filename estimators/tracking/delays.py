@@ -70,15 +70,30 @@ class DelayFit:
         self._begin()
 
     def position(self, p: PositionReading) -> None:
-        """Take a position of the aircraft."""
+        """Take a position of the aircraft.
+
+        Args:
+            p: The position.
+
+        """
         self._positions.add(p.time_s, p.east_m, p.north_m, p.velocity_east_m_s, p.velocity_north_m_s)
 
     def attitude(self, a: AttitudeReading) -> None:
-        """Take an attitude of the aircraft."""
+        """Take an attitude of the aircraft.
+
+        Args:
+            a: The attitude.
+
+        """
         self._attitudes.add(a.time_s, a.roll_rad, a.pitch_rad, a.yaw_rad)
 
     def gimbal(self, reading: GimbalReading) -> None:
-        """Take a line of sight, with its own stamp."""
+        """Take a line of sight, with its own stamp.
+
+        Args:
+            reading: The line of sight.
+
+        """
         if reading.frame != self.frame:
             self.frame = reading.frame
             self._gimbals.clear()
@@ -89,11 +104,25 @@ class DelayFit:
             self._gimbals.add(reading.time_s - self._latency_s, *direction)
 
     def range(self, time_s: float, slant_range_m: float) -> None:
-        """Take a range, with its own stamp."""
+        """Take a range, with its own stamp.
+
+        Args:
+            time_s: Stamp of the reading, vehicle's clock, s.
+            slant_range_m: Slant range, m.
+
+        """
         self._ranges.add(time_s - self._latency_s, slant_range_m)
 
     def updated(self, now_s: float) -> Delays | None:
-        """Return the delays by the readings until now, from time to time; None otherwise, and while unknown."""
+        """Estimate the delays from time to time.
+
+        Args:
+            now_s: Time of the latest reading, vehicle's clock, s.
+
+        Returns:
+            New delays; None between two estimates, and while they are unknown.
+
+        """
         if abs(now_s - self._next_s) < _EVERY_KNOWN_S and now_s < self._next_s:
             return None
         found = self.fit(now_s)
@@ -102,7 +131,15 @@ class DelayFit:
         return found
 
     def fit(self, now_s: float) -> Delays | None:
-        """Return the delays by the readings of the last minutes; None while there are too few."""
+        """Estimate the delays from the readings of the last minutes.
+
+        Args:
+            now_s: Time of the latest reading, vehicle's clock, s.
+
+        Returns:
+            The delays; None while there are too few readings.
+
+        """
         since_s = now_s - _WINDOW_S
         positions, attitudes, gimbals, ranges = (
             log.since(since_s) for log in (self._positions, self._attitudes, self._gimbals, self._ranges)

@@ -43,12 +43,24 @@ def agreeing(tracks: Mapping[Name, TargetEstimate], accepted: Collection[Name] =
 
 
 def apart_m(a: TargetEstimate, b: TargetEstimate) -> float:
-    """Return the distance of two tracks' places."""
+    """Return the horizontal distance of two tracks, m.
+
+    Args:
+        a: One track.
+        b: Another track, at the same time.
+
+    """
     return float(np.hypot(a.east_m - b.east_m, a.north_m - b.north_m))
 
 
 def squared_distance(a: TargetEstimate, b: TargetEstimate) -> float:
-    """Return the squared Mahalanobis distance of two tracks, as if they were independent."""
+    """Return the squared Mahalanobis distance of two tracks, treated as independent.
+
+    Args:
+        a: One track.
+        b: Another track, at the same time.
+
+    """
     off = _state(a) - _state(b)
     return float(off @ np.linalg.solve(a.covariance + b.covariance + 1e-9 * np.eye(4), off))
 

@@ -56,7 +56,14 @@ class JointTrack:
         return Track(self._settings[0], start)
 
     def add(self, name: str, sighting: AnySighting, clock_sigma_s: float = 0.0) -> SightingOutcome:
-        """Take a payload's sighting in. clock_sigma_s: how well its time is known; that of its first one counts."""
+        """Update the track with a payload's sighting.
+
+        Args:
+            name: Name of the payload's aircraft.
+            sighting: The sighting.
+            clock_sigma_s: Standard deviation of its time, s; that of the payload's first sighting counts.
+
+        """
         payload = self._names.index(name)
         self._own[payload].add(sighting)
         if payload in self._refused:
@@ -71,7 +78,12 @@ class JointTrack:
         return self._track.add(self._latest[payload])
 
     def estimate(self, time_s: float) -> TargetEstimate | None:
-        """Return the estimate at a time; None before the first sighting."""
+        """Return the estimate at a time; None before the first sighting.
+
+        Args:
+            time_s: Time to predict to, s.
+
+        """
         if time_s - self._compared_s >= _COMPARED_EVERY_S:
             self._compared_s = time_s
             self._compare(time_s)
@@ -83,7 +95,12 @@ class JointTrack:
         return {self._names[payload]: reason for payload, reason in self._refused.items()}
 
     def calibration(self, name: str) -> Calibration:
-        """Return the estimated errors of a payload."""
+        """Return the estimated errors of a payload.
+
+        Args:
+            name: Name of the payload's aircraft.
+
+        """
         last, _ = self._track.last
         biases = last.biases() if last is not None else prior_of(self._settings, self._clock_sigmas_s)
         first = ERRORS_AND_CLOCK * self._names.index(name)

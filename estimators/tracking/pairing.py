@@ -52,7 +52,15 @@ class Pairing:
         self.unpaired = 0
 
     def add_gimbal(self, gimbal: GimbalReading) -> bool:
-        """Store a line of sight; return whether it is new and its quaternion a rotation."""
+        """Store a line of sight.
+
+        Args:
+            gimbal: The line of sight.
+
+        Returns:
+            Whether it is new and its quaternion is a rotation.
+
+        """
         length_2 = sum(part * part for part in gimbal.quaternion_wxyz)
         if abs(length_2 - 1.0) >= 0.1 or not self._gimbals.add(gimbal):
             return False
@@ -69,7 +77,12 @@ class Pairing:
         return True
 
     def add_range(self, reading: RangeReading) -> None:
-        """Keep a range until it can be paired."""
+        """Store a range until it can be paired.
+
+        Args:
+            reading: The range.
+
+        """
         if self._ranges.add(reading):
             insort(self.waiting, reading, key=_time_s)
             if len(self.waiting) > _WAITING_MAX:
@@ -100,13 +113,23 @@ class Pairing:
         return made
 
     def set_delays(self, delays: Delays | None) -> None:
-        """Take other delays from now on; None: as configured. Whole milliseconds, so that a replay rounds alike."""
+        """Use other delays from now on, rounded to whole milliseconds so that a replay computes the same values.
+
+        Args:
+            delays: Delays of laser and gimbal; None: the configured ones.
+
+        """
         self.gimbal_delay_s = self.range_delay_s = self._settings.latency_s
         if delays is not None:
             self.gimbal_delay_s, self.range_delay_s = round(delays.gimbal_s, 3), round(delays.range_s, 3)
 
     def repeated(self, since_s: float) -> list[Sighting]:
-        """Return the sightings of all ranges since a time that no longer wait, with the delays as they are now."""
+        """Return the paired sightings since a time, computed again with the present delays.
+
+        Args:
+            since_s: Vehicle's clock, s.
+
+        """
         self._paired_s = -math.inf
         waiting = {reading.time_s for reading in self.waiting}
         readings = [reading for reading in self._ranges.since(since_s) if reading.time_s not in waiting]

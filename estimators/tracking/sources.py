@@ -32,7 +32,15 @@ Rank = Callable[[Source], int | None]
 
 
 def range_rank(source: Source) -> int | None:
-    """Return the preference for a range, lower is better; None for one that cannot be the payload's."""
+    """Return the preference for a source of ranges.
+
+    Args:
+        source: Message and component.
+
+    Returns:
+        Lower is better; None for a source that cannot be the payload's.
+
+    """
     from_autopilot = source.component_id == _AUTOPILOT_COMPONENT
     if source.orientation == LOOKS_DOWN or (from_autopilot and source.message == "RANGEFINDER"):
         return None
@@ -41,7 +49,15 @@ def range_rank(source: Source) -> int | None:
 
 
 def sight_rank(source: Source) -> int | None:
-    """Return the preference for a line of sight: a target in the image comes before where the image points."""
+    """Return the preference for a source of lines of sight: a target in the image comes before the camera's axis.
+
+    Args:
+        source: Message and component.
+
+    Returns:
+        Lower is better.
+
+    """
     if source.message == "CAMERA_TRACKING_IMAGE_STATUS":
         return -1
     return 2 * (source.message == "DISTANCE_SENSOR") + (source.component_id == _AUTOPILOT_COMPONENT)

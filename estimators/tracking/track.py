@@ -64,7 +64,12 @@ class Track:
         self._kept: deque[tuple[float, TargetImm]] = deque(maxlen=_KEPT)
 
     def forget_since(self, time_s: float) -> None:
-        """Undo all detections since a time; without an earlier one the track restarts."""
+        """Undo all detections since a time; without an earlier one the track restarts.
+
+        Args:
+            time_s: Vehicle's clock, s.
+
+        """
         while self._kept and self._kept[-1][0] > time_s:
             self._kept.pop()
         if self._kept:
@@ -80,7 +85,13 @@ class Track:
         self._begins_again = True
 
     def restart(self, biases: Biases, sightings: Sequence[AnySighting]) -> None:
-        """Start again with other errors of the payload and sightings that replace all earlier ones."""
+        """Start again with other errors of the payload.
+
+        Args:
+            biases: Errors of the payload.
+            sightings: Sightings that replace all earlier ones.
+
+        """
         self._filter = self._coasted = None
         self._steps.clear()
         self._astray.clear()
@@ -90,7 +101,12 @@ class Track:
             self.add(sighting)
 
     def stand_on(self, ground: Ground) -> None:
-        """Take the target to stand on a ground from now on."""
+        """Assume from now on that the target stands on a ground.
+
+        Args:
+            ground: The ground.
+
+        """
         self._ground = ground
 
     def resume(self, last: TargetImm, last_sighting_s: float, astray: list[AnySighting]) -> None:
@@ -112,7 +128,12 @@ class Track:
         return self._filter, self._last_sighting_s
 
     def add(self, sighting: AnySighting) -> SightingOutcome:
-        """Take a sighting in, or reject it with a reason."""
+        """Update the track with a sighting, or reject it with a reason.
+
+        Args:
+            sighting: The sighting.
+
+        """
         settings = self._settings
         if sighting.quality is not None and sighting.quality < settings.quality_min:
             reason = f"signal quality {sighting.quality:.2f} is below {settings.quality_min:.2f}"
@@ -200,9 +221,14 @@ class Track:
         )
 
     def estimate(self, now_s: float) -> TargetEstimate | None:
-        """Return the target predicted to ``now_s``, or as of the last sighting if that is later.
+        """Return the predicted target.
 
-        None before the first sighting.
+        Args:
+            now_s: Time to predict to, vehicle's clock, s.
+
+        Returns:
+            The estimate at that time, or at the last sighting if that is later; None before the first sighting.
+
         """
         if self._filter is None:
             return None
@@ -223,7 +249,15 @@ class Track:
         )
 
     def drop_m(self, height_m: float) -> float:
-        """Return how far the target's ground is below a height of the aircraft; 0 before the first sighting."""
+        """Return how far the ground at the target is below the aircraft.
+
+        Args:
+            height_m: Height of the aircraft above home, m.
+
+        Returns:
+            Difference of heights, m; 0 before the first sighting.
+
+        """
         return 0.0 if self._filter is None else height_m - self._filter.height_m
 
     def _coasted_to(self, last: TargetImm, now_s: float) -> TargetImm:

@@ -74,7 +74,15 @@ class Tracker:
         self.rejected = 0
 
     def add(self, reading: Reading) -> tuple[SightingOutcome, ...]:
-        """Take a reading in. Returns the sightings that it completed, each with what became of it."""
+        """Process a reading.
+
+        Args:
+            reading: A position, attitude, range, line of sight or position fix.
+
+        Returns:
+            The outcome of each sighting that the reading completed.
+
+        """
         match reading:
             case PositionReading():
                 self._poses.add(reading)
@@ -151,7 +159,12 @@ class Tracker:
             self._delay_fit.gimbal(reading)
 
     def as_configured(self, reading: GimbalReading) -> GimbalReading:
-        """Return a line of sight with the configured frame in place of the flagged one."""
+        """Return a line of sight with the configured frame in place of the frame in its flags.
+
+        Args:
+            reading: The line of sight.
+
+        """
         frame = self._settings.gimbal_frame
         return reading if frame is None or reading.frame == frame else replace(reading, frame=frame)
 
@@ -219,17 +232,25 @@ class Tracker:
         return outcome
 
     def stand_on(self, ground: Ground, angles_alone: bool = True) -> None:
-        """Take the target to stand on a ground, before the first sighting.
+        """Assume that the target stands on a ground. Call it before the first sighting.
 
-        angles_alone: while the laser is silent, the line of sight alone counts. It must not where the gimbal follows
-        the estimate: that would confirm itself.
+        Args:
+            ground: The ground.
+            angles_alone: Whether the line of sight alone counts while the laser is silent. Set False where the gimbal
+                follows the estimate, which would confirm itself.
+
         """
         self._track.stand_on(ground)
         if angles_alone:
             self._pairing.ground = ground
 
     def estimate(self, now_s: float) -> TargetEstimate | None:
-        """Return the target predicted to ``now_s``; None before the first sighting."""
+        """Return the target predicted to ``now_s``; None before the first sighting.
+
+        Args:
+            now_s: Time to predict to, vehicle's clock, s.
+
+        """
         return self._track.estimate(now_s)
 
     @property
@@ -263,7 +284,12 @@ class Tracker:
         return self._gimbals.refused
 
     def forget_since(self, time_s: float) -> None:
-        """Undo all sightings since a time: the payload has turned out to be wrong since then."""
+        """Undo all sightings since a time at which the payload turned out to be wrong.
+
+        Args:
+            time_s: Vehicle's clock, s.
+
+        """
         self._doubted = True
         self._track.forget_since(time_s)
 
