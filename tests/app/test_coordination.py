@@ -10,7 +10,6 @@ import pytest
 
 from sidelong.app.fleet.coordination import Coordination, Participant
 from sidelong.app.fleet.vehicle_clock import VehicleClockReader
-from sidelong.app.link.message import Message
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.plan import AircraftState, HeightProfile, Plan
@@ -28,14 +27,11 @@ from sidelong.mission.fleet.events import (
     VehicleReported,
 )
 from sidelong.mission.fleet.reports import FleetReporter
+from tests.messages import message
 
 UTC_S = 1.8e9
 STATE = AircraftState(10.0, 1.0, 2.0, 0.0, 15.0, 0.02)
 PLAN = Plan(Circle(0.0, 0.0, 50.0, True), None, 0.0, HeightProfile(100.0, 120.0, 0.1))
-
-
-def said(name, component_id=1, **fields):
-    return Message(name, 1, component_id, fields, 0.0)
 
 
 class Coordinator:
@@ -80,20 +76,20 @@ def pair(monkeypatch):
 
 def test_system_time_tells_a_clock_and_an_unset_one_does_not():
     reader = VehicleClockReader("a", lambda: 10.0)
-    set_ = said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_500)
+    set_ = message("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_500)
     told = reader.report(set_)
     assert told == ClockReported("a", 10.5, UTC_S, told.sigma_s)
     assert 0.0 < told.sigma_s <= 0.05
-    assert reader.report(said("SYSTEM_TIME", time_unix_usec=5_000_000, time_boot_ms=10_500)) is None
+    assert reader.report(message("SYSTEM_TIME", time_unix_usec=5_000_000, time_boot_ms=10_500)) is None
     assert (
-        reader.report(said("SYSTEM_TIME", component_id=154, time_unix_usec=int(UTC_S * 1e6), time_boot_ms=1)) is None
+        reader.report(message("SYSTEM_TIME", component=154, time_unix_usec=int(UTC_S * 1e6), time_boot_ms=1)) is None
     )
 
 
 def test_a_clock_goes_on_where_its_stamps_begin_anew():
     wrapped_s = 2**32 * 1e-3
     reader = VehicleClockReader("a", lambda: wrapped_s + 3.0)
-    told = reader.report(said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=3_200))
+    told = reader.report(message("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=3_200))
     assert told.time_s == pytest.approx(wrapped_s + 3.2)
 
 
@@ -102,16 +98,16 @@ def test_timesync_counts_half_the_round_trip_and_only_where_there_is_no_utc(monk
     monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.monotonic", lambda: wall[0])
     reader = VehicleClockReader("a", lambda: 30.0)
     asked_ns = 999_600_000_000
-    answer = said("TIMESYNC", tc1=30_000_000_000, ts1=asked_ns)
+    answer = message("TIMESYNC", tc1=30_000_000_000, ts1=asked_ns)
     assert reader.report(answer) is None  # UTC may still come
     wall[0], answer.fields["ts1"] = 1004.0, 1_003_600_000_000
     told = reader.report(answer)
     assert told.time_s == pytest.approx(30.0)
     assert told.mission_time_s == pytest.approx(time.time() - 0.2, abs=0.1)
     assert told.sigma_s >= 0.2
-    assert reader.report(said("TIMESYNC", tc1=0, ts1=asked_ns)) is None  # a question
-    assert reader.report(said("TIMESYNC", tc1=1, ts1=asked_ns - 10**12)) is None  # an answer to somebody else
-    reader.report(said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=30_000))
+    assert reader.report(message("TIMESYNC", tc1=0, ts1=asked_ns)) is None  # a question
+    assert reader.report(message("TIMESYNC", tc1=1, ts1=asked_ns - 10**12)) is None  # an answer to somebody else
+    reader.report(message("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=30_000))
     assert reader.report(answer) is None
 
 
@@ -130,10 +126,10 @@ class Wall:
             for name, ahead_s in utc_ahead_s.items():
                 boot_s = rate * (self.now_s - 900.0) + {"a": 0.0, "b": 490.0}[name]
                 utc_us = int((UTC_S + 900.0 + rate * (self.now_s - 900.0) + ahead_s) * 1e6)
-                told = said("SYSTEM_TIME", time_unix_usec=utc_us, time_boot_ms=int(1e3 * boot_s))
+                told = message("SYSTEM_TIME", time_unix_usec=utc_us, time_boot_ms=int(1e3 * boot_s))
                 self._coordination.message(name, told)
                 tc1_ns = int(1e9 * (boot_s - rate * round_trip_s / 2.0))
-                answer = said("TIMESYNC", tc1=tc1_ns, ts1=int(1e9 * (self.now_s - round_trip_s)))
+                answer = message("TIMESYNC", tc1=tc1_ns, ts1=int(1e9 * (self.now_s - round_trip_s)))
                 self._coordination.message(name, answer)
 
 
@@ -196,13 +192,13 @@ def test_without_either_the_positions_tell_the_clock_by_their_arrival(monkeypatc
     wall = [1000.0]
     monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.monotonic", lambda: wall[0])
     reader = VehicleClockReader("a", lambda: 30.0)
-    position = said("GLOBAL_POSITION_INT", time_boot_ms=30_000)
+    position = message("GLOBAL_POSITION_INT", time_boot_ms=30_000)
     assert reader.report(position) is None
     wall[0] += 11.0
     told = reader.report(position)
     assert (told.time_s, told.mission_time_s) == (30.0, pytest.approx(time.time(), abs=5.0))
     assert told.sigma_s >= 0.5
-    assert reader.report(said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=30_000)) is not None
+    assert reader.report(message("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=30_000)) is not None
     assert reader.report(position) is None
 
 
@@ -214,16 +210,16 @@ def test_one_whose_utc_stands_still_goes_by_the_others_while_they_are_heard_and_
     clocks["a"] = wall.now_s - 900.0
     utc_us = int((UTC_S + wall.now_s) * 1e6)
     for boot_s in (590.0, 600.0):  # it was told, and then it does not go on
-        by_others.report(said("SYSTEM_TIME", time_unix_usec=utc_us, time_boot_ms=int(1e3 * boot_s)))
+        by_others.report(message("SYSTEM_TIME", time_unix_usec=utc_us, time_boot_ms=int(1e3 * boot_s)))
     wall.now_s += 0.5
-    told = by_others.report(said("GLOBAL_POSITION_INT", time_boot_ms=600_500))
+    told = by_others.report(message("GLOBAL_POSITION_INT", time_boot_ms=600_500))
     assert told.mission_time_s == pytest.approx(UTC_S + wall.now_s - 0.5)
     wall.now_s += 300.0  # the other one has gone home, and its clock stands still
     assert math.isnan(coordination.told_by_others_s("b"))
-    told = by_others.report(said("GLOBAL_POSITION_INT", time_boot_ms=900_500))
+    told = by_others.report(message("GLOBAL_POSITION_INT", time_boot_ms=900_500))
     assert told.mission_time_s == pytest.approx(UTC_S + wall.now_s - 0.5)
     wall.pass_by(1, {"a": 0.0})  # it is heard again: neither goes by the other now
-    told = by_others.report(said("GLOBAL_POSITION_INT", time_boot_ms=901_500))
+    told = by_others.report(message("GLOBAL_POSITION_INT", time_boot_ms=901_500))
     assert told.mission_time_s == pytest.approx(UTC_S + wall.now_s - 0.5)
 
 
@@ -231,8 +227,8 @@ def test_mission_time_is_the_latest_of_any_aircraft_and_goes_on_when_all_are_sil
     coordination, coordinator, _, _, _, clocks = pair
     coordination.keep_up(0.0)
     assert coordinator.heard == []  # nobody's clock is known
-    coordination.message("a", said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_000))
-    coordination.message("b", said("SYSTEM_TIME", time_unix_usec=int((UTC_S + 0.2) * 1e6), time_boot_ms=500_000))
+    coordination.message("a", message("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_000))
+    coordination.message("b", message("SYSTEM_TIME", time_unix_usec=int((UTC_S + 0.2) * 1e6), time_boot_ms=500_000))
     assert coordination.now_s == pytest.approx(UTC_S + 0.2)
     coordination.keep_up(0.0)
     coordination.keep_up(0.5)
@@ -246,7 +242,7 @@ def test_mission_time_is_the_latest_of_any_aircraft_and_goes_on_when_all_are_sil
 
 def test_what_goes_in_and_comes_out_is_in_the_journal(pair):
     coordination, coordinator, journal, told, noted, _ = pair
-    coordination.message("a", said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_000))
+    coordination.message("a", message("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_000))
     coordinator.answers = [answer := Tell("a", NeighbourPlanned(10.0, "b", None, None))]
     coordination.lost("b", "its link is lost")
     assert [type(line) for line in journal.lines] == [ClockReported, VehicleLost, Tell]
@@ -257,7 +253,7 @@ def test_what_goes_in_and_comes_out_is_in_the_journal(pair):
 def test_the_battery_is_told_when_it_changes(pair):
     coordination, coordinator, *_ = pair
     for percent in (80, 80, 79, -1):
-        coordination.message("b", said("SYS_STATUS", battery_remaining=percent))
+        coordination.message("b", message("SYS_STATUS", battery_remaining=percent))
     assert coordinator.heard == [BatteryReported("b", 500.0, 0.8), BatteryReported("b", 500.0, 0.79)]
 
 
@@ -280,7 +276,7 @@ def test_heights_are_above_the_common_home_for_the_coordinator_and_above_its_own
 
 def test_what_a_person_asks_reaches_the_coordinator_at_mission_time_and_is_written_down(pair):
     coordination, coordinator, journal, _, _, _ = pair
-    coordination.message("a", said("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_000))
+    coordination.message("a", message("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=10_000))
     changed = RequirementChanged(UTC_S, "boat", Requirement(100.0, 500.0, Side.RIGHT, 5.0))
     coordinator.answers = [changed]
     coordination.watch_from(Side.RIGHT, "operator 1")

@@ -7,20 +7,20 @@ import math
 import pytest
 
 from sidelong.app.fleet.foreign import ForeignAircraft
-from sidelong.app.link.message import Message
 from sidelong.estimators.frames import LocalPlane
+from tests.messages import message, position
 
 PLANE = LocalPlane(47.0, 8.0)
 
 
 def adsb(**other):
     fields = {"ICAO_address": 0xABC, "lat": 470_100_000, "lon": 80_000_000, "altitude": 800_000, "heading": 9000}
-    return Message("ADSB_VEHICLE", 1, 156, fields | {"hor_velocity": 5000, "flags": 15} | other, 0.0)
+    return message("ADSB_VEHICLE", 156, **fields | {"hor_velocity": 5000, "flags": 15} | other)
 
 
-def position(system_id, component_id=1, **other):
+def flying(system_id, component=1, **other):
     fields = {"lat": 470_000_000, "lon": 80_100_000, "alt": 600_000, "vx": 0, "vy": 2000}
-    return Message("GLOBAL_POSITION_INT", system_id, component_id, fields | other, 0.0)
+    return position(system=system_id, component=component, **fields | other)
 
 
 @pytest.fixture
@@ -38,21 +38,21 @@ def test_an_aircraft_by_adsb_is_placed_above_our_home(heard):
 
 
 def test_another_system_is_foreign_and_one_of_the_fleet_is_not(heard):
-    told = heard[0].report(position(7))
+    told = heard[0].report(flying(7))
     assert told.identity == "system 7"
     assert (told.height_m, told.speed_m_s) == (100.0, 20.0)
     assert told.course_rad == pytest.approx(math.pi / 2)
-    assert heard[0].report(position(2)) is None
-    assert heard[0].report(position(8, component_id=154)) is None
+    assert heard[0].report(flying(2)) is None
+    assert heard[0].report(flying(8, component=154)) is None
 
 
 def test_aircraft_of_the_fleet_is_foreign_once_it_was_yielded(heard):
     foreign, clock = heard
-    told = foreign.report(position(2), "south")
+    told = foreign.report(flying(2), "south")
     assert (told.identity, told.height_m, told.member) == ("south", 100.0, True)
     clock[0] += 2.0
     assert foreign.report(adsb(), "south") is None  # that is another aircraft
-    assert not foreign.report(position(7)).member
+    assert not foreign.report(flying(7)).member
 
 
 def test_each_is_told_once_a_second(heard):
@@ -66,7 +66,7 @@ def test_each_is_told_once_a_second(heard):
 
 @pytest.mark.parametrize(
     "message",
-    [adsb(flags=13), adsb(flags=14), adsb(lat=0, lon=0), adsb(lat=500_000_000), position(7, lat=0, lon=0)],
+    [adsb(flags=13), adsb(flags=14), adsb(lat=0, lon=0), adsb(lat=500_000_000), flying(7, lat=0, lon=0)],
     ids=["no altitude", "no place", "null island", "far away", "no fix"],
 )
 def test_what_tells_no_place_near_us_is_passed_over(heard, message):

@@ -8,23 +8,10 @@ import random
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.link.frames import Frame
 from sidelong.app.link.merger import LinkMerger, time_of
-from sidelong.app.link.message import Message
 from sidelong.app.link.meter import LinkMeter
 from sidelong.app.link.quality import LinkQuality, Measured
-
-
-class Sender:
-    """The vehicle's end of one link, with sequence numbers of its own."""
-
-    def __init__(self, component=1) -> None:
-        self._mav = mavlink.MAVLink(None, 1, component)
-
-    def __call__(self, message) -> Frame:
-        frame = Frame(bytes(message.pack(self._mav)))
-        self._mav.seq = (self._mav.seq + 1) % 256
-        return frame
+from tests.messages import Sender, acknowledgement, message
 
 
 def position(time_s):
@@ -242,10 +229,10 @@ def test_mavsdk_s_copy_is_measured_but_for_what_is_addressed_to_us():
         if number % 10 != 5:
             meter.frame(frame.data)
         elif number % 20 == 5:  # addressed to us: it comes, but not in the copy
-            meter.message(Message("COMMAND_ACK", 1, 1, {"target_system": 245}, 0.0))
+            meter.message(acknowledgement())
     meter.frame(bytes(mode(0).pack(ours)))
     name, question = meter.question()
-    meter.message(Message(name, 1, 1, {"tc1": 5, "ts1": question["ts1"]}, 0.0))
+    meter.message(message(name, tc1=5, ts1=question["ts1"]))
     (report,) = meter.reports()
     assert report.measured.loss == pytest.approx(0.05, abs=0.01)
     assert report.measured.round_trip_s < 1.0

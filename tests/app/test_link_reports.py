@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from sidelong.app.link.message import Message
 from sidelong.app.link.reports import VehicleReports
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.mission.exchange.reports import CommandAcknowledged, MissionAcknowledged
+from tests.messages import message
 
 OURS, OTHER = {"target_system": 245, "target_component": 190}, {"target_system": 250, "target_component": 190}
 COMMAND = {"command": 400, "result": 0}
@@ -20,7 +20,7 @@ MISSION = {"type": 0, "mission_type": 0}
 def report():
     vehicle = Vehicle(SimpleNamespace(system_id=1, own_id=(245, 190)))
     reports = VehicleReports(vehicle)
-    return lambda name, component, fields: reports.report(Message(name, 1, component, fields, 0.0), 2.0, 3.0)
+    return lambda name, component, fields: reports.report(message(name, component, **fields), 2.0, 3.0)
 
 
 @pytest.mark.parametrize("component", [100, 154, 191])

@@ -6,7 +6,6 @@ import asyncio
 from types import SimpleNamespace
 
 import pytest
-from pymavlink.dialects.v20 import common as mavlink
 
 from sidelong.app.flight.executor import CommandExecutor
 from sidelong.app.flight.loop import ControlLoop
@@ -17,6 +16,7 @@ from sidelong.app.link.vehicle import Vehicle
 from sidelong.mission.core.events import Announce, End, ModeReported, Yield
 from sidelong.mission.exchange.outbox import SendMessage, TakeoverFailed
 from sidelong.mission.exchange.reports import CommandAcknowledged, ShutdownRequested, TimerExpired
+from tests.messages import acknowledgement, message, position
 
 OURS = (245, 190)
 
@@ -37,8 +37,9 @@ class Wire:
         self.sent.append(name)
         if name == "COMMAND_LONG" and len(self.sent) >= self.heeded:
             to = {"target_system": self.to[0], "target_component": self.to[1]}
-            ack = {"command": fields["command"], "result": mavlink.MAV_RESULT_ACCEPTED} | to
-            self.inbox.put_nowait(Message("COMMAND_ACK", *self.answerer, ack, 0.0))
+            system, component = self.answerer
+            ack = acknowledgement(fields["command"], component=component, system=system, **to)
+            self.inbox.put_nowait(ack)
 
     async def messages(self):
         while True:
@@ -159,14 +160,11 @@ def test_everything_passes_the_journal_before_the_core():
 
 
 def test_a_message_becomes_a_report_with_the_time_of_vehicle_and_link():
-    position = {"time_boot_ms": 5000, "lat": 470_000_000, "lon": 80_000_000, "relative_alt": 0}
-    position |= {"vx": 0, "vy": 0, "vz": 0}
-    ack = {"command": 400, "result": 0, "target_system": 245, "target_component": 190}
-    heard = [Message("GLOBAL_POSITION_INT", 1, 1, position, 0.0), Message("COMMAND_ACK", 1, 1, ack, 0.0)]
+    heard = [position(5000), acknowledgement()]
     others = [
-        Message("COMMAND_ACK", 1, 154, ack, 0.0),
-        Message("COMMAND_ACK", 1, 1, ack | {"target_system": 255}, 0.0),
-        Message("MISSION_CURRENT", 1, 154, {"seq": 3}, 0.0),
+        acknowledgement(component=154),
+        acknowledgement(target_system=255),
+        message("MISSION_CURRENT", 154, seq=3),
     ]
     core = Core()
     run_loop(core, *heard, *others, STOP)

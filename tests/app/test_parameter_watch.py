@@ -3,14 +3,14 @@
 import struct
 
 from sidelong.app.autopilots.parameter import Parameter, ParameterTable, Purpose
-from sidelong.app.link.message import Message
 from sidelong.app.link.parameters import ParameterWatch
+from tests.messages import message
 
 PARAMETERS = (Parameter("WP_LOITER_RAD", Purpose.CIRCLE), Parameter("AIRSPEED_CRUISE", Purpose.AIRSPEED))
 
 
 def value_of(name, value, component=1, kind=9):
-    return Message("PARAM_VALUE", 1, component, {"param_id": name, "param_value": value, "param_type": kind}, 0.0)
+    return message("PARAM_VALUE", component, param_id=name, param_value=value, param_type=kind)
 
 
 def watch(own=(), *, bytewise=False):

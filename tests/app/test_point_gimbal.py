@@ -15,6 +15,7 @@ from sidelong.app.link.vehicle import Vehicle
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Phase
+from tests.messages import acknowledgement
 
 PLANE = LocalPlane(47.4, 8.5)
 ALTITUDE_M = 420.0
@@ -39,8 +40,7 @@ class LoopbackLink:
         kind(**{key: value for key, value in fields.items() if key in kind.fieldnames}).pack(ENCODER)
         assert set(fields) <= set(kind.fieldnames)
         if name == "COMMAND_INT" and self.result is not None:
-            ack = {"command": fields["command"], "result": self.result}
-            await self._inbox.put(Message("COMMAND_ACK", 1, 1, ack, 0.0))
+            await self._inbox.put(acknowledgement(fields["command"], self.result))
 
     async def messages(self):
         while True:

@@ -9,8 +9,8 @@ from sidelong.app.config import Config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.source_rates import SourceRate
-from sidelong.app.link.message import Message
 from sidelong.estimators.sensing.readings import Source
+from tests.messages import latest
 
 GOOD_ARDUPLANE = {"AIRSPEED_CRUISE": 15.0}
 NOTHING_READ = ParameterTable((), None, {})
@@ -23,7 +23,7 @@ class Silent:
     system_id, own_id = 1, (245, 190)
 
     def __init__(self, **messages):
-        self.latest = {name: Message(name, 1, 1, fields, 0.0) for name, fields in messages.items()}
+        self.latest = latest(**messages)
 
 
 def test_good_parameters_need_nothing():
@@ -99,7 +99,7 @@ class Flying:
         heartbeat = {"autopilot": 3, "base_mode": 0x80 | 1, "custom_mode": mode, "system_status": state}
         position = {"relative_alt": round(height_m * 1e3)}
         fields = {"HEARTBEAT": heartbeat, "GLOBAL_POSITION_INT": position}
-        self.latest = {name: Message(name, 1, 1, values, 0.0) for name, values in fields.items()}
+        self.latest = latest(**fields)
 
 
 @pytest.mark.parametrize(

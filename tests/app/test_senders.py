@@ -7,8 +7,8 @@ import itertools
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from sidelong.app.link.message import Message
 from sidelong.app.link.senders import SenderCheck
+from tests.messages import Sender, heartbeat, position
 
 
 @pytest.fixture
@@ -19,20 +19,10 @@ def senders() -> SenderCheck:
 
 
 def frames(first: int, component: int = 1, system: int = 1, version: int = 2):
-    mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+    sender = Sender(component, system, first)
     for number in itertools.count(first):
-        mav.seq = number % 256
-        message = mavlink.MAVLink_attitude_message(number, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        yield message.pack(mav, force_mavlink1=version == 1)
-
-
-def told(name: str, **fields) -> Message:
-    return Message(name, 1, 1, fields, 0.0)
-
-
-def position(time_ms: int, lat: int = 474_000_000) -> Message:
-    fields = {"lon": 85_000_000, "relative_alt": 0, "vx": 0, "vy": 0, "vz": 0}
-    return told("GLOBAL_POSITION_INT", time_boot_ms=time_ms, lat=lat, **fields)
+        attitude = mavlink.MAVLink_attitude_message(number, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        yield sender(attitude, force_mavlink1=version == 1).data
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -75,12 +65,12 @@ def test_places_that_take_turns_are_two(senders):
 
 def test_heartbeats_of_two_kinds_are_two(senders):
     for kind in (1, 2, 1):
-        senders.message(told("HEARTBEAT", autopilot=3, type=kind, base_mode=81, custom_mode=0))
+        senders.message(heartbeat(type=kind))
     assert "different kinds" in senders.two
 
 
 def test_a_vehicle_alone_is_one(senders):
     for time_ms in range(100_000, 130_000, 100):
         senders.message(position(time_ms))
-        senders.message(told("HEARTBEAT", autopilot=3, type=1, base_mode=81, custom_mode=0))
+        senders.message(heartbeat())
     assert senders.two is None

@@ -2,22 +2,22 @@
 
 import pytest
 
-from sidelong.app.link.message import Message
 from sidelong.app.link.status_texts import StatusTexts
+from tests.messages import message
 
 LONG = "Arming denied: Resolve system health failures first"  # one character more than a chunk holds
 
 
 def text(text, number=0, chunk=0, severity=2, at_s=0.0):
     fields = {"text": text, "severity": severity, "id": number, "chunk_seq": chunk}
-    return Message("STATUSTEXT", 1, 1, fields, at_s)
+    return message("STATUSTEXT", received_s=at_s, **fields)
 
 
 def taken(*messages):
     texts, heard = StatusTexts(), []
     texts.listeners.append(lambda one: heard.append(one.text))
-    for message in messages:
-        texts.take(message)
+    for one in messages:
+        texts.take(one)
     return texts, heard
 
 

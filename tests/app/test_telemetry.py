@@ -6,7 +6,6 @@ import math
 
 import pytest
 
-from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.estimators.sensing.readings import (
     BEACON_MESSAGES,
@@ -17,39 +16,7 @@ from sidelong.estimators.sensing.readings import (
     TargetFixReading,
 )
 from sidelong.mission.core.events import ModeReported, WindReported
-
-
-def message(name: str, component: int = 1, system: int = 1, **fields) -> Message:
-    return Message(name, system, component, fields, 0.0)
-
-
-def heartbeat(autopilot: int, custom_mode: int, base_mode: int = 129, **kw) -> Message:
-    return message("HEARTBEAT", autopilot=autopilot, type=1, base_mode=base_mode, custom_mode=custom_mode, **kw)
-
-
-def position(time_ms: int = 10_000, lat: int = 474_000_000, lon: int = 85_000_000, **kw) -> Message:
-    fields = {"relative_alt": 120_000, "vx": 300, "vy": -400, "vz": 50} | kw
-    return message("GLOBAL_POSITION_INT", time_boot_ms=time_ms, lat=lat, lon=lon, **fields)
-
-
-def laser(**kw) -> Message:
-    fields = {
-        "time_boot_ms": 10_000,
-        "min_distance": 100,
-        "max_distance": 65_500,
-        "current_distance": 23_462,
-        "id": 1,
-        "orientation": 100,
-        "covariance": 255,
-        "signal_quality": 90,
-        "quaternion": [0.0, 0.0, 0.0, 0.0],
-    } | kw
-    return message("DISTANCE_SENSOR", 154, **fields)
-
-
-def gimbal(flags: int, **kw) -> Message:
-    fields = {"time_boot_ms": 10_000, "q": [1.0, 0.0, 0.0, 0.0], "flags": flags, "gimbal_device_id": 0} | kw
-    return message("GIMBAL_DEVICE_ATTITUDE_STATUS", 154, **fields)
+from tests.messages import gimbal, heartbeat, laser, message, position
 
 
 @pytest.fixture

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from sidelong.app.link.message import Message
 from sidelong.app.link.quality import LinkReport, Measured
 from sidelong.app.link.vehicle_status import vehicle_status
-
-
-def latest(**fields):
-    return {name: Message(name, 1, 1, values, 0.0) for name, values in fields.items()}
+from tests.messages import latest
 
 
 def link(*, in_use=True, **measured):

@@ -13,7 +13,6 @@ from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES, Coordination, P
 from sidelong.app.fleet.fleet_file import FleetFile
 from sidelong.app.fleet.planner import planner_in_fleet
 from sidelong.app.fleet.replay import compare_coordination
-from sidelong.app.link.message import Message
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
 from sidelong.mission.core.events import End
 from sidelong.mission.core.fleet import Role
@@ -21,6 +20,7 @@ from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.fleet.events import PlansReported, SightingReported
 from sidelong.sitl.settings import STARTS_M, Flavour, Settings, TargetSettings
 from sidelong.sitl.several import in_turn
+from tests.messages import message
 
 SYSTEM_TIME, DO_SET_ROI_LOCATION = 2, 195
 
@@ -103,7 +103,7 @@ class Fleet:
         craft.flight.take_over()
 
     def charge(self, name, percent):
-        self.coordination.message(name, Message("SYS_STATUS", 1, 1, {"battery_remaining": percent}, 0.0))
+        self.coordination.message(name, message("SYS_STATUS", battery_remaining=percent))
 
     def run(self, seconds, until=lambda: False):
         end_s = self.crafts[0].flight.simulation.time_s + seconds

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sidelong.app.link.message import Message
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.simulation.payload import Payload, PayloadErrors
 from sidelong.estimators.rotations import sight_direction
 from sidelong.estimators.sensing.readings import GimbalReading
+from tests.messages import message
 
 CAMERA = PayloadErrors(yaw_bias_rad=0.0, has_laser=False, view_deg=30.0)
 
@@ -37,7 +37,7 @@ def telemetry_with(**fields) -> tuple[Telemetry, list[GimbalReading]]:
         ("GIMBAL_DEVICE_ATTITUDE_STATUS", 154, {"q": q, "flags": 92, "gimbal_device_id": 0}),
         ("CAMERA_TRACKING_IMAGE_STATUS", 100, {"tracking_status": 1, "tracking_mode": 1} | fields),
     ]
-    events = [telemetry.event(Message(name, 1, part, {"time_boot_ms": 5000} | one, 0.0)) for name, part, one in told]
+    events = [telemetry.event(message(name, part, time_boot_ms=5000, **one)) for name, part, one in told]
     return telemetry, [one for one in events if isinstance(one, GimbalReading)]
 
 

@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sidelong.app.link.message import Message
 from sidelong.app.payload.driver import RangeMeasured
 from sidelong.app.payload.messages import COMPONENT, fields_of
 from sidelong.app.simulation.payload import Payload
@@ -16,6 +15,7 @@ from sidelong.sitl.payload.device import Seen
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.settings import Quirks
 from tests.faults.flight import ERRORS, STEP_S, FaultedFlight, Scenario
+from tests.messages import message
 from tests.payload.wiring import Wired
 
 NO_QUIRKS = Quirks()
@@ -69,7 +69,7 @@ class Device(Payload):
                     loop.ranges_s.append(at_s)
                 ago_s = time_s - at_s + loop.wired.now_s - one.time_s
                 name, fields = fields_of(one, boot_ms * 1e-3 - ago_s)
-                messages.append(Message(name, 1, COMPONENT, fields, 0.0))
+                messages.append(message(name, COMPONENT, **fields))
         return messages
 
 

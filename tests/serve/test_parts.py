@@ -18,7 +18,6 @@ import pytest
 from sidelong.app.config import Config, ControlSection, config_from, load_config
 from sidelong.app.errors import InputError
 from sidelong.app.flight.recording import Recording
-from sidelong.app.link.message import Message
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.serve import control_socket
 from sidelong.app.serve.rotation import rotate
@@ -26,6 +25,7 @@ from sidelong.app.serve.service_manager import feed_watchdog, notify
 from sidelong.app.serve.triggers import Triggers
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import ModeReported
+from tests.messages import heartbeat, message
 
 DEPLOYMENT = Path(__file__).resolve().parents[2] / "docs" / "deployment"
 NOW = datetime(2026, 11, 23, tzinfo=UTC)
@@ -33,18 +33,16 @@ VEHICLE = 7
 
 
 def rc(pulse_us):
-    return Message("RC_CHANNELS", VEHICLE, 1, {"chan9_raw": pulse_us}, 0.0)
+    return message("RC_CHANNELS", system=VEHICLE, chan9_raw=pulse_us)
 
 
-def heartbeat(custom_mode, component=1, system_id=VEHICLE):
-    return Message(
-        "HEARTBEAT", system_id, component, {"autopilot": 3, "base_mode": 1, "custom_mode": custom_mode}, 0.0
-    )
+def beat(custom_mode, component=1, system=VEHICLE):
+    return heartbeat(3, custom_mode, 1, component=component, system=system)
 
 
 def aux(level, received_s=0.0, function=300, target=VEHICLE):
     fields = {"command": 218, "param1": function, "param2": level, "target_system": target, "target_component": 1}
-    return Message("COMMAND_LONG", 255, 190, fields, received_s)
+    return message("COMMAND_LONG", 190, 255, received_s, **fields)
 
 
 def requests(triggers, messages):
@@ -67,10 +65,10 @@ def test_a_switch_requests_by_its_movement(pulses_us, found):
 
 def test_a_mode_requests_when_a_person_selects_it():
     triggers = Triggers(ControlSection(flight_mode="loiter"), VEHICLE, ("AUTO", "GUIDED"))
-    assert requests(triggers, map(heartbeat, (12, 12, 5, 12, 12, 10, 5))) == ["watch"]
-    assert requests(triggers, [heartbeat(12, component=191), heartbeat(12, system_id=8)]) == []
+    assert requests(triggers, map(beat, (12, 12, 5, 12, 12, 10, 5))) == ["watch"]
+    assert requests(triggers, [beat(12, component=191), beat(12, system=8)]) == []
     own = Triggers(ControlSection(flight_mode="AUTO"), VEHICLE, ("AUTO", "GUIDED"))
-    assert requests(own, map(heartbeat, (5, 10))) == []  # sidelong selects it itself
+    assert requests(own, map(beat, (5, 10))) == []  # sidelong selects it itself
 
 
 def test_a_ground_stations_command_requests_once():
@@ -78,7 +76,7 @@ def test_a_ground_stations_command_requests_once():
     told = [aux(2.0), aux(2.0, 1.0), aux(1.0, 1.5), aux(0.0, 2.0), aux(2.0, 9.0), aux(2.0, 20.0)]
     assert requests(triggers, told) == ["watch", "release", "watch", "watch"]
     assert requests(triggers, [aux(2.0, 40.0, function=301), aux(2.0, 41.0, target=8)]) == []
-    assert requests(Triggers(ControlSection(), VEHICLE), [aux(2.0), rc(1000), rc(2000), heartbeat(5)]) == []
+    assert requests(Triggers(ControlSection(), VEHICLE), [aux(2.0), rc(1000), rc(2000), beat(5)]) == []
 
 
 def made(parent, name, size):

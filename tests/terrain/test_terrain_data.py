@@ -15,12 +15,12 @@ from sidelong.app.autopilots.parameter import ParameterTable
 from sidelong.app.config import Config
 from sidelong.app.flight.preflight import checks
 from sidelong.app.flight.terrain_server import TerrainServer
-from sidelong.app.link.message import Message
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.terrain.elevation_data import ElevationData
 from sidelong.app.terrain.terrain_data import answers
 from sidelong.sitl.settings import Home, Settings
 from sidelong.sitl.simulation import Simulation
+from tests.messages import latest, message
 
 HOME_DEG = 36.59, -84.24
 CORNER_E7 = 365_500_000, -842_800_000
@@ -62,21 +62,24 @@ def test_a_vehicle_that_asks_is_answered(hills_folder: Path) -> None:
 
         def __init__(self) -> None:
             self.sent: list[bytes] = []
+            self.answered = asyncio.Event()
 
         async def send(self, name: str, fields: dict) -> None:
             assert name == "TERRAIN_DATA"
             self.sent.append(mavlink.MAVLink_terrain_data_message(**fields).pack(mavlink.MAVLink(None, 245, 190)))
+            if len(self.sent) == 3:
+                self.answered.set()
 
     async def asked() -> Link:
         link = Link()
         vehicle = Vehicle(link)  # type: ignore[arg-type]
         server = TerrainServer(vehicle, ElevationData(hills_folder))
-        vehicle.take(Message("TERRAIN_REQUEST", 1, 1, request(0b1011), 0.0))
-        while len(link.sent) < 3:
-            await asyncio.sleep(0.01)
+        vehicle.take(message("TERRAIN_REQUEST", **request(0b1011)))
+        await link.answered.wait()
         server.stop()
-        vehicle.take(Message("TERRAIN_REQUEST", 1, 1, request(), 0.0))
-        await asyncio.sleep(0.05)
+        before = asyncio.all_tasks()
+        vehicle.take(message("TERRAIN_REQUEST", **request()))
+        assert asyncio.all_tasks() == before  # none answers
         return link
 
     link = asyncio.run(asyncio.wait_for(asked(), 20.0))
@@ -98,12 +101,12 @@ def test_a_plane_without_heights_asks_and_then_reports_the_ground_below(hills_fo
     for second in range(1, 21):
         simulation.advance(float(second))
         for _, sent in simulation.take():
-            for message in heard.parse_buffer(sent) or ():
-                if message.get_type() == "TERRAIN_REPORT":
-                    reports.append(message)
-                elif message.get_type() == "TERRAIN_REQUEST":
+            for one in heard.parse_buffer(sent) or ():
+                if one.get_type() == "TERRAIN_REPORT":
+                    reports.append(one)
+                elif one.get_type() == "TERRAIN_REQUEST":
                     requests += 1
-                    for fields in answers(message.to_dict(), data):
+                    for fields in answers(one.to_dict(), data):
                         simulation.receive("ground", mavlink.MAVLink_terrain_data_message(**fields).pack(speaks))
     first, last = reports[0], reports[-1]
     assert first.spacing == 0 and first.pending > 0
@@ -123,7 +126,7 @@ def test_the_autopilots_own_data_are_compared_before_the_flight(
     lat, lon = (round(1e7 * degrees) for degrees in HOME_DEG)
     fields = {"lat": lat, "lon": lon, "spacing": spacing, "terrain_height": told_m}
     vehicle = Silent()
-    vehicle.latest = {"TERRAIN_REPORT": Message("TERRAIN_REPORT", 1, 1, fields, 0.0)}  # type: ignore[attr-defined]
+    vehicle.latest = latest(TERRAIN_REPORT=fields)  # type: ignore[attr-defined]
     config = Config(terrain={"folder": str(hills_folder)})  # type: ignore[arg-type]
     found = checks(config, vehicle, ArduPlane(), ParameterTable((), None, {}), None, ())  # type: ignore[arg-type]
     compared = [check for check in found if check.name == "terrain data"]
