@@ -108,10 +108,13 @@ class Alarms:
         self._right_since_s: dict[str, float] = {}
 
     def update(self, now: Situation) -> tuple[tuple[Alarm, ...], tuple[Alarm, ...]]:
-        """Take a situation, not before the last one.
+        """Process a situation.
+
+        Args:
+            now: The situation, not older than the previous one.
 
         Returns:
-            The alarms that are raised by it, and those that are cleared.
+            The alarms that it raises, and those that it clears.
 
         """
         self._remember(now)
@@ -122,7 +125,15 @@ class Alarms:
         return raised, tuple(alarm for key, alarm in before.items() if after[key] is None)
 
     def acknowledge(self, key: str) -> bool:
-        """Mark an alarm as seen; return whether it was active and not seen."""
+        """Mark an alarm as seen.
+
+        Args:
+            key: Key of the alarm.
+
+        Returns:
+            Whether it was active and not seen before.
+
+        """
         known = any(alarm.key == key and not alarm.acknowledged for alarm in self.active)
         self.active = tuple(replace(alarm, acknowledged=True) if alarm.key == key else alarm for alarm in self.active)
         return known
@@ -152,7 +163,12 @@ class Alarms:
         return None if settled else before
 
     def is_late(self, now: Situation) -> bool:
-        """Return whether the aircraft has had the time to reach band and side."""
+        """Return whether the aircraft has had the time to reach band and side.
+
+        Args:
+            now: The situation.
+
+        """
         return self._begun_s is not None and now.time_s - self._begun_s >= _SETTLED_AFTER_S
 
     @property

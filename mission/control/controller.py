@@ -155,7 +155,15 @@ class StandoffController:
         self._unseen = UnseenTarget(tracker)
 
     def step(self, event: Event) -> tuple[Command, ...]:
-        """Process one event; return the commands and announcements that result, in order."""
+        """Process one event.
+
+        Args:
+            event: The event; its time is not earlier than that of the previous one by the same clock.
+
+        Returns:
+            The resulting commands and announcements, in order.
+
+        """
         self.sighted = ()
         told: tuple[Command, ...]
         admitted, told = self.door.admit(event)
@@ -434,7 +442,15 @@ class StandoffController:
         return self._upload_circle("decision", present, reason)
 
     def cleared(self, plan: Plan) -> Plan | str:
-        """Return the plan with its heights, or in words the fence that it breaks or the obstacle in its path."""
+        """Check a plan against fences, ground and other aircraft.
+
+        Args:
+            plan: The plan.
+
+        Returns:
+            The plan with its heights, or in words the fence that it breaks or the obstacle in its path.
+
+        """
         height_m = self.flown_height_m
         cleared = self.surroundings.cleared(plan, height_m, self._target_m)
         if isinstance(cleared, str):
@@ -446,7 +462,15 @@ class StandoffController:
         return near or cleared
 
     def cleared_first(self, plan: Plan) -> Plan | str:
-        """Return the same of the first circle, which is gone to from anywhere and before anything is seen."""
+        """Check the first circle, which is approached from anywhere, before the target is seen.
+
+        Args:
+            plan: The plan.
+
+        Returns:
+            The plan with its heights, or in words the fence that it breaks or the obstacle in its path.
+
+        """
         return self.surroundings.cleared(plan, None, None)
 
     @property
@@ -590,7 +614,12 @@ class StandoffController:
         return (Announce(event.time_s, "operator", f"operator: {what}, {when}"),)
 
     def objection(self, change: MissionChange) -> str | None:
-        """Return which fence or ground keeps the present circle from being flown at another height; None: nothing."""
+        """Return which fence or ground keeps the present circle from being flown at another height; None: nothing.
+
+        Args:
+            change: The requested change.
+
+        """
         if change.height_m is None or self.present is None:
             return None
         circle = replace(self.present, transition=None)

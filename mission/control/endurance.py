@@ -33,7 +33,13 @@ class Endurance:
         self._last: tuple[float, float] | None = None
 
     def take(self, time_s: float, percent: float) -> None:
-        """Take the reported charge at a time of the vehicle's clock, not before the last one."""
+        """Process the reported charge.
+
+        Args:
+            time_s: Vehicle's clock, s; not earlier than the previous one.
+            percent: Remaining charge, 0 to 100.
+
+        """
         last = None if self._last is None else self._last[1]
         self._last = time_s, percent
         if last is not None and percent > last:  # another battery, or a correction
@@ -59,7 +65,15 @@ class Endurance:
         return falling if falling > 0.0 else None
 
     def left_s(self, time_s: float) -> float | None:
-        """Return the flight time left until the reserve; None where the consumption is not known."""
+        """Return the flight time left until the reserve.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+
+        Returns:
+            Time, s; None while the consumption is unknown.
+
+        """
         rate = self.percent_per_s
         if rate is None:
             return None
@@ -68,7 +82,18 @@ class Endurance:
 
 
 def time_to_s(aircraft: AircraftState, place_m: tuple[float, float], airspeed_m_s: float, wind: Wind) -> float:
-    """Return the time of a straight flight to a place in the plane; inf where the wind does not let it get there."""
+    """Return the time of a straight flight to a position.
+
+    Args:
+        aircraft: State of the aircraft.
+        place_m: The position (east, north), m.
+        airspeed_m_s: Airspeed, m/s.
+        wind: Estimate of the wind.
+
+    Returns:
+        Time, s; infinite if the wind prevents the flight.
+
+    """
     east_m, north_m = place_m[0] - aircraft.east_m, place_m[1] - aircraft.north_m
     distance_m = math.hypot(east_m, north_m)
     if distance_m == 0.0:

@@ -29,7 +29,13 @@ class FlownRadius:
         self._last_rad: float | None = None
 
     def observe(self, aircraft: AircraftState, commanded: Circle) -> None:
-        """Take one position while ``commanded`` (the circle as sent to the autopilot) is flown."""
+        """Process one position of the aircraft.
+
+        Args:
+            aircraft: State of the aircraft.
+            commanded: The circle as it was sent to the autopilot.
+
+        """
         if commanded != self._circle:
             self._restart(commanded)
         east_m, north_m = aircraft.east_m - commanded.east_m, aircraft.north_m - commanded.north_m
@@ -55,5 +61,10 @@ class FlownRadius:
         self._circle, self._turned_rad, self._sum_m, self._count, self._last_rad = circle, 0.0, 0.0, 0, None
 
     def commanded(self, wanted: Circle) -> Circle:
-        """Return the circle to command so that the aircraft flies ``wanted``."""
+        """Return the circle to command so that the aircraft flies ``wanted``.
+
+        Args:
+            wanted: The required circle.
+
+        """
         return Circle(wanted.east_m, wanted.north_m, wanted.radius_m / self.ratio, wanted.clockwise)

@@ -10,7 +10,16 @@ from sidelong.mission.viewpoint.side_policy import watching_from
 
 
 def requirement_after(change: MissionChange, requirement: Requirement) -> Requirement:
-    """Return the requirement as changed. Raises ValueError when the side's words are none."""
+    """Return the requirement after a change.
+
+    Args:
+        change: The change.
+        requirement: The present requirement.
+
+    Raises:
+        ValueError: The words for the side are invalid.
+
+    """
     min_m = requirement.range_min_m if change.range_min_m is None else change.range_min_m
     max_m = requirement.range_max_m if change.range_max_m is None else change.range_max_m
     banded = replace(requirement, range_min_m=min_m, range_max_m=max_m)
@@ -18,12 +27,23 @@ def requirement_after(change: MissionChange, requirement: Requirement) -> Requir
 
 
 def aircraft_after(change: MissionChange, aircraft: Aircraft) -> Aircraft:
-    """Return the aircraft as it is to be flown."""
+    """Return the aircraft's limits after a change.
+
+    Args:
+        change: The change.
+        aircraft: The present limits.
+
+    """
     return aircraft if change.radius_m is None else replace(aircraft, radius_m=change.radius_m)
 
 
 def describe_change(change: MissionChange) -> str:
-    """Return the changes in words."""
+    """Return a change in words.
+
+    Args:
+        change: The change.
+
+    """
     words = []
     if change.radius_m is not None:
         words.append(f"radius {change.radius_m:g} m")

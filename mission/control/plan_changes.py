@@ -64,17 +64,37 @@ class PlanChanges:
         self._on_line_s = math.inf  # when the aircraft was last seen on its transition; inf: it flies none
 
     def begin(self, plan: Plan, flown: Circle, commanded: Circle) -> None:
-        """Begin with a circle that is already flown and was sent to the autopilot as ``commanded``."""
+        """Begin with a circle that is already flown and was sent to the autopilot as ``commanded``.
+
+        Args:
+            plan: The plan.
+            flown: The circle that is flown.
+            commanded: The circle as it was sent to the autopilot.
+
+        """
         self.present, self._commanded, self._not_taken = plan, commanded, None
         self._flown_radius = FlownRadius(flown.radius_m / commanded.radius_m)
 
     def observe(self, aircraft: AircraftState) -> None:
-        """Update the aircraft's state, unless it is dead reckoned."""
+        """Update the aircraft's state, unless it is dead reckoned.
+
+        Args:
+            aircraft: State of the aircraft.
+
+        """
         if self._commanded is not None:
             self._flown_radius.observe(aircraft, self._commanded)
 
     def upload(self, time_s: float, plan: Plan, wind: Wind, reason: str) -> UploadPlan:
-        """Set a plan under way."""
+        """Begin to upload a plan.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+            plan: The plan.
+            wind: Estimate of the wind.
+            reason: Reason of the decision, in words.
+
+        """
         assert self.present is not None
         self.uploads += 1
         commanded = self._flown_radius.commanded(plan.circle)
@@ -86,7 +106,13 @@ class PlanChanges:
         self.under_way = None
 
     def activate_due(self, now_s: float, *, watching: bool) -> tuple[Command, ...]:
-        """Activate the plan that is ready, when its time has come."""
+        """Activate the plan that is ready, at its time of departure.
+
+        Args:
+            now_s: Present time, vehicle's clock, s.
+            watching: Whether control of the aircraft is confirmed.
+
+        """
         change = self.under_way
         if change is None or change.stage != "ready":
             return ()
@@ -109,7 +135,15 @@ class PlanChanges:
     def report(
         self, event: PlanStatus, now_s: float, aircraft: AircraftState | None, *, watching: bool
     ) -> tuple[Command, ...]:
-        """Take what has become of a plan."""
+        """Process the status of a plan.
+
+        Args:
+            event: The status.
+            now_s: Present time, vehicle's clock, s.
+            aircraft: State of the aircraft; None if unknown.
+            watching: Whether control of the aircraft is confirmed.
+
+        """
         late = self._not_taken
         if event.stage == "departed" and late is not None and late.number == event.number:
             self.failures -= 1
@@ -162,7 +196,12 @@ class PlanChanges:
     # -- how the present plan is flown ---------------------------------------------------------------------
 
     def is_off_track(self, aircraft: AircraftState) -> bool:
-        """Return whether the aircraft has left its transition for good."""
+        """Return whether the aircraft has left its transition for good.
+
+        Args:
+            aircraft: State of the aircraft.
+
+        """
         present = self.present
         if present is None or present.transition is None:
             return False

@@ -41,7 +41,13 @@ class Planning:
         self.planner: Planner = make_planner(aircraft, requirement)
 
     def renew(self, aircraft: Aircraft, requirement: Requirement) -> None:
-        """Rebuild the planner for a new aircraft or requirement."""
+        """Rebuild the planner for a new aircraft or requirement.
+
+        Args:
+            aircraft: Limits of the aircraft.
+            requirement: How the target has to be observed.
+
+        """
         self._aircraft, self._requirement = aircraft, requirement
         self.planner = self.make_planner(aircraft, requirement)
         if isinstance(self.planner, WindPlanner):
@@ -54,7 +60,15 @@ class Planning:
                 self.planner.advise(told)
 
     def prepare_wind(self, speed_m_s: float) -> bool:
-        """Prepare the planner for winds of this speed from data in memory; return whether that is new to it."""
+        """Prepare the planner for winds of a speed from tables in memory.
+
+        Args:
+            speed_m_s: Wind speed, m/s.
+
+        Returns:
+            Whether the planner was not prepared for it before.
+
+        """
         if speed_m_s in self.prepared_winds_m_s or not isinstance(self.planner, WindPlanner):
             return False
         self.prepared_winds_m_s.append(speed_m_s)
@@ -64,7 +78,15 @@ class Planning:
     # -- the route -----------------------------------------------------------------------------------------
 
     def follow(self, given: RouteGiven) -> str:
-        """Expect the target on a route; return in words what that means."""
+        """Expect the target on a route.
+
+        Args:
+            given: The route.
+
+        Returns:
+            What that means for planning, in words.
+
+        """
         if not isinstance(self.planner, RoutePlanner):
             return "this planner does not use a route"
         try:
@@ -100,7 +122,12 @@ class Planning:
     # -- the fleet -----------------------------------------------------------------------------------------
 
     def advise(self, told: FleetAdvice | NeighbourPlanned) -> None:
-        """Pass fleet advice, or a neighbour's plan, to the planner."""
+        """Pass fleet advice, or a neighbour's plan, to the planner.
+
+        Args:
+            told: Advice of the coordinator, or the plans of another aircraft.
+
+        """
         before = self.target
         if isinstance(told, NeighbourPlanned):
             self._neighbours[told.name] = told
@@ -122,19 +149,40 @@ class Planning:
         return self._advice is not None and self._advice.turn_payload
 
     def too_near(self, time_s: float) -> str:
-        """Return which other aircraft is too near, in words; '' where none is, and without fresh advice."""
+        """Return which other aircraft is too near.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+
+        Returns:
+            In words; '' if none is, and without fresh advice.
+
+        """
         advice = self._advice
         return "" if advice is None or time_s - advice.time_s > _ADVICE_S else advice.separation
 
     def watch_from(self, requirement: Requirement) -> None:
-        """Plan for the side that the fleet assigns; a cooperative planner receives the side with the advice."""
+        """Plan for the side that the fleet assigns; a cooperative planner receives the side with the advice.
+
+        Args:
+            requirement: How the target has to be observed.
+
+        """
         if isinstance(self.planner, CooperativePlanner):
             self._requirement = requirement
         else:
             self.renew(self._aircraft, requirement)
 
     def joint_estimate(self, time_s: float) -> TargetEstimate | None:
-        """Return the fleet's estimate of the target, while it is fresh and not lost."""
+        """Return the fleet's estimate of the target.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+
+        Returns:
+            The estimate; None if it is old or lost.
+
+        """
         advice = self._advice
         if advice is None or advice.estimate is None or time_s - advice.time_s > _ADVICE_S:
             return None
@@ -145,7 +193,19 @@ class Planning:
     def decide(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float
     ) -> Decision:
-        """Return the planner's decision; out of its range, approach a circle next to the target first."""
+        """Return the planner's decision; outside of its range, approach a circle next to the target first.
+
+        Args:
+            aircraft: State of the aircraft.
+            target: Estimate of the target.
+            present: The plan that is flown.
+            wind: Estimate of the wind.
+            latency_s: Time until a new plan has reached the autopilot, s; a plan departs no earlier.
+
+        Returns:
+            A new plan, or None to continue, with the reason.
+
+        """
         range_m = math.hypot(aircraft.east_m - target.east_m, aircraft.north_m - target.north_m)
         if range_m <= self._requirement.range_max_m:
             return self.planner.decide(aircraft, target, present, wind, latency_s)

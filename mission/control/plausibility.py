@@ -122,7 +122,15 @@ class Plausibility:
         return self.doubt is None and not self.faulty
 
     def admit(self, event: Event) -> Admitted:
-        """Return the checked event, None if it is rejected, and the announcements for the operator."""
+        """Check an event.
+
+        Args:
+            event: An event from telemetry, payload, operator or timer.
+
+        Returns:
+            The checked event, None if it is rejected, and the announcements for the operator.
+
+        """
         judge = self._judges.get(type(event))
         if judge is None:
             return event, ()

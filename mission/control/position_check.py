@@ -58,11 +58,21 @@ class PositionCheck:
         self._drifted_m = 0.0
 
     def allow(self, drifted_m: float) -> None:
-        """Increase the tolerance of the next reading: recent positions may have drifted."""
+        """Increase the tolerance of the next reading: recent positions may have drifted.
+
+        Args:
+            drifted_m: Possible drift of recent positions, m.
+
+        """
         self._drifted_m = drifted_m
 
     def shift(self, seconds: float) -> None:
-        """Follow the vehicle's clock to another count."""
+        """Follow a jump of the vehicle's clock.
+
+        Args:
+            seconds: Size of the jump, s.
+
+        """
         if self.accepted is not None:
             self.accepted = replace(self.accepted, time_s=self.accepted.time_s + seconds)
         self._before = None

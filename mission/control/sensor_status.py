@@ -51,7 +51,14 @@ class SensorStatus:
         )
 
     def note(self, reading: Reading, outcomes: Iterable[SightingOutcome], tracker: Tracker) -> None:
-        """Take a reading that ``tracker`` has taken, with what it returned."""
+        """Process a reading after the tracker.
+
+        Args:
+            reading: The reading.
+            outcomes: What the tracker returned for it.
+            tracker: The tracker.
+
+        """
         match reading:
             case PositionReading():
                 self.height_m, self.delays = reading.height_m, tracker.delays

@@ -44,10 +44,17 @@ class Surroundings:
         target_m: tuple[float, float] | None,
         heights: Heights | None = None,
     ) -> Plan | str:
-        """Return the plan with its heights, or in words which fence it breaks or what ground is in its way.
+        """Check a plan against fences, ground and other aircraft.
 
-        flown_m: the aircraft's height, None where it does not matter; target_m: the target's place; heights: others
-        than those that are used.
+        Args:
+            plan: The plan.
+            flown_m: Present height above home, m; None if it does not matter.
+            target_m: Target's position (east, north), m; None if unknown.
+            heights: Rules for the heights instead of the present ones.
+
+        Returns:
+            The plan with its heights, or in words the fence that it breaks or the ground in its path.
+
         """
         heights = heights or self.heights
         levelled = plan if heights is None else heights.levelled(plan, flown_m, target_m)

@@ -20,7 +20,13 @@ class DelayNews:
         self._told_s = (latency_s, latency_s)
 
     def tell(self, time_s: float, delays: Delays | None) -> tuple[Announce, ...]:
-        """Return an announcement if a delay differs clearly from the one that was announced last."""
+        """Return an announcement if a delay differs clearly from the one that was announced last.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+            delays: Estimated delays of the payload; None while unknown.
+
+        """
         if delays is None:
             return ()
         now_s = delays.gimbal_s, delays.range_s
@@ -43,7 +49,16 @@ class TargetNews:
         self._told: _Sight | None = None
 
     def tell(self, time_s: float, estimate: TargetEstimate) -> tuple[Announce, ...]:
-        """Return a new announcement about the target; None if nothing has changed."""
+        """Announce changes of the target.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+            estimate: Estimate of the target.
+
+        Returns:
+            New announcements; empty if nothing has changed.
+
+        """
         unseen_s = time_s - estimate.last_sighting_s
         sight = _Sight.SEEN
         if estimate.quality is TrackQuality.LOST:

@@ -24,16 +24,24 @@ class UploadLatency:
         self._took_s: deque[tuple[float, float | None]] = deque([(expected_s, None)], _PLANS)
 
     def note(self, took_s: float, *, by_command: bool = False) -> None:
-        """Take how long a plan took; of one that was given up too, which would have taken longer.
+        """Process the duration of an upload, also of one that was abandoned and would have taken longer.
 
-        by_command: it was not uploaded, but flown as soon as one command was obeyed.
+        Args:
+            took_s: Duration until the plan could be flown, s.
+            by_command: The plan was not uploaded, but flown as soon as one command was obeyed.
+
         """
         self._by_command = by_command
         self._took_s.append((took_s, self._round_trip_s))
         self._expect()
 
     def note_round_trip(self, round_trip_s: float) -> None:
-        """Take how long the link takes now."""
+        """Process a measured round trip of the link.
+
+        Args:
+            round_trip_s: Round-trip time, s.
+
+        """
         self._round_trip_s = round_trip_s
         self._expect()
 

@@ -31,7 +31,15 @@ class Circle:
         return 1.0 / self.radius_m if self.clockwise else -1.0 / self.radius_m
 
     def position_at_course(self, course_rad: float) -> tuple[float, float]:
-        """Return (east, north) of the point of the circle where it is flown on ``course_rad``."""
+        """Return the point of the circle at which it is flown on a course.
+
+        Args:
+            course_rad: Course, clockwise from north, rad.
+
+        Returns:
+            (east, north) in the local plane, m.
+
+        """
         # The centre lies to the right (cos, -sin) of a clockwise flight.
         signed_radius_m = self.radius_m if self.clockwise else -self.radius_m
         return (
@@ -40,13 +48,31 @@ class Circle:
         )
 
     def course_at(self, east_m: float, north_m: float) -> float:
-        """Return the course flown at the point of the circle nearest to (east, north)."""
+        """Return the course flown at the point of the circle nearest to a position.
+
+        Args:
+            east_m: East in the local plane, m.
+            north_m: North in the local plane, m.
+
+        Returns:
+            Course, clockwise from north, rad.
+
+        """
         outward_rad = math.atan2(east_m - self.east_m, north_m - self.north_m)
         return outward_rad + (math.pi / 2 if self.clockwise else -math.pi / 2)
 
     @staticmethod
     def tangent_to(east_m: float, north_m: float, course_rad: float, radius_m: float, clockwise: bool) -> Circle:
-        """Return the circle that touches the ray from (east, north) along ``course_rad``."""
+        """Return the circle that touches a ray at its origin.
+
+        Args:
+            east_m: East of the ray's origin, m.
+            north_m: North of the ray's origin, m.
+            course_rad: Direction of the ray, clockwise from north, rad.
+            radius_m: Radius of the circle, m.
+            clockwise: Whether the circle is flown clockwise.
+
+        """
         signed_radius_m = radius_m if clockwise else -radius_m
         return Circle(
             east_m + signed_radius_m * math.cos(course_rad),

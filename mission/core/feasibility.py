@@ -37,13 +37,27 @@ class Change:
 
 
 def in_words(changes: Iterable[Change]) -> str:
-    """Return each reason once, with all the changes of which one would do."""
+    """Return the reasons in words, each once, with all the changes of which one is sufficient.
+
+    Args:
+        changes: Possible changes of the configuration.
+
+    """
     reasons = groupby(changes, key=lambda change: change.because)
     return "; ".join(f"{because}: {', or '.join(each.remedy for each in those)}" for because, those in reasons)
 
 
 def unflyable(aircraft: Aircraft, requirement: Requirement) -> tuple[Change, ...]:
-    """Return what no planner can help: a circle too tight, a target too fast, a band too narrow for the circle."""
+    """Return why no planner can keep the requirement: a circle too tight, a target too fast, a band too narrow.
+
+    Args:
+        aircraft: Limits of the aircraft.
+        requirement: How the target has to be observed.
+
+    Returns:
+        Possible changes; empty if the requirement can be kept.
+
+    """
     return (
         *_circle_too_tight(aircraft),
         *_target_too_fast(aircraft, requirement),
@@ -82,5 +96,11 @@ def _band_too_narrow(aircraft: Aircraft, requirement: Requirement) -> Iterator[C
 
 
 def fits_band(aircraft: Aircraft, requirement: Requirement) -> bool:
-    """Return whether the whole circle lies in the range band of a standing target (19)."""
+    """Return whether the whole circle lies in the range band of a standing target (19).
+
+    Args:
+        aircraft: Limits of the aircraft.
+        requirement: How the target has to be observed.
+
+    """
     return requirement.range_min_m + 2.0 * aircraft.radius_m <= requirement.range_max_m

@@ -94,5 +94,10 @@ class CooperativePlanner(Planner, Protocol):
     """A planner that counts on the others."""
 
     def advise(self, told: FleetAdvice | NeighbourPlanned) -> None:
-        """Process fleet data; the next decision uses it."""
+        """Process fleet data; the next decision uses it.
+
+        Args:
+            told: Advice of the coordinator, or the plans of another aircraft.
+
+        """
         ...

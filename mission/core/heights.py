@@ -15,14 +15,26 @@ class Heights(Protocol):
     """Gives plans their heights, m above home."""
 
     def levelled(self, plan: Plan, flown_m: float | None, target_m: tuple[float, float] | None = None) -> Plan | str:
-        """Return the plan with its heights, or in words why there are none.
+        """Return a plan with its heights.
 
-        flown_m is the present height, None before the first circle; target_m the target's place (east, north).
+        Args:
+            plan: The plan.
+            flown_m:  None|Present height above home, m; None before the first circle.
+            target_m: Target's position (east, north), m.
+
+        Returns:
+            The plan with heights above home, or in words why there are none.
+
         """
         ...
 
     def at(self, height_m: float) -> Heights:
-        """Return the same for another height, above what the configured one is above."""
+        """Return the same rules for another height.
+
+        Args:
+            height_m: The height, above the reference of the configured one, m.
+
+        """
         ...
 
 
@@ -35,11 +47,22 @@ class ClimbRates:
     descent_m_s: float = 2.0
 
     def slope(self, *, climbs: bool) -> float:
-        """Return metres of height for each metre flown, as far as they can be counted on."""
+        """Return the usable change of height per metre flown.
+
+        Args:
+            climbs: Whether the aircraft climbs; else it descends.
+
+        """
         return _RATE_RESERVE * (self.climb_m_s if climbs else self.descent_m_s) / self.airspeed_m_s
 
     def profile(self, from_m: float, to_m: float) -> HeightProfile:
-        """Return the heights on the way from one to the other."""
+        """Return the heights on the way from one height to another.
+
+        Args:
+            from_m: Height at the start, m.
+            to_m: Height at the end, m.
+
+        """
         return HeightProfile(from_m, to_m, self.slope(climbs=to_m >= from_m))
 
 
@@ -51,11 +74,23 @@ class OneHeight:
     height_m: float | None = None
 
     def levelled(self, plan: Plan, flown_m: float | None, _target_m: tuple[float, float] | None = None) -> Plan:
-        """Return the plan with its heights."""
+        """Return the plan with its heights.
+
+        Args:
+            plan: The plan.
+            flown_m:  None|Present height above home, m; None before the first circle.
+            _target_m: Not used.
+
+        """
         if self.height_m is None:
             return plan
         return replace(plan, heights=self.rates.profile(self.height_m if flown_m is None else flown_m, self.height_m))
 
     def at(self, height_m: float) -> OneHeight:
-        """Return the same for another height."""
+        """Return the same for another height.
+
+        Args:
+            height_m: Height above home, m.
+
+        """
         return OneHeight(self.rates, height_m)

@@ -45,7 +45,12 @@ class HeightProfile:
         convert_to_floats(self, "from_m", "to_m", "slope")
 
     def at_m(self, arc_m: float) -> float:
-        """Return the height so far along the plan."""
+        """Return the height at a point of the plan, m.
+
+        Args:
+            arc_m: Arc length from the start of the plan, m.
+
+        """
         change_m = self.slope * arc_m
         if self.to_m >= self.from_m:
             return min(self.from_m + change_m, self.to_m)
@@ -77,12 +82,23 @@ class Plan:
         return 0.0 if self.transition is None else self.transition.length_m
 
     def circle_height_m(self, configured_m: float) -> float:
-        """Return the height of the circle, above home."""
+        """Return the height of the circle, above home.
+
+        Args:
+            configured_m: Height for a plan without heights of its own, above home, m.
+
+        """
         return configured_m if self.heights is None else self.heights.to_m
 
 
 def settled_m(height_m: float, plan: Plan | None) -> float:
-    """Return the height an aircraft flies: that of its plan, when it is about there."""
+    """Return the height that an aircraft flies: that of its plan, once it is close to it.
+
+    Args:
+        height_m: Present height above home, m.
+        plan: The plan.
+
+    """
     if plan is None or plan.heights is None or abs(height_m - plan.heights.to_m) > _SAME_HEIGHT_M:
         return height_m
     return plan.heights.to_m
@@ -114,8 +130,17 @@ class Planner(Protocol):
     ) -> Decision:
         """Decide at ``aircraft.time_s`` while ``present`` is flown.
 
-        latency_s is how long a new plan takes to reach the autopilot: a plan departs no earlier than
-        ``aircraft.time_s + latency_s``.
+        Args:
+            aircraft: State of the aircraft.
+            target: Estimate of the target.
+            present: The plan that is flown.
+            wind: Estimate of the wind.
+            latency_s: Time that a new plan takes to reach the autopilot, s: it departs no earlier than
+                ``aircraft.time_s + latency_s``.
+
+        Returns:
+            A new plan, or None to continue, with the reason.
+
         """
         ...
 
@@ -125,7 +150,12 @@ class WindPlanner(Planner, Protocol):
     """A planner that knows winds of some speeds better than others."""
 
     def prepare(self, wind_speed_m_s: float) -> None:
-        """Use what is at hand for winds of this speed, from the next decision on."""
+        """Use the available tables for winds of this speed from the next decision on.
+
+        Args:
+            wind_speed_m_s: Wind speed, m/s.
+
+        """
         ...
 
 

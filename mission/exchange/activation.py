@@ -74,7 +74,12 @@ class Activation:
         return self._due_s if self.answer is Answer.OPEN else math.inf
 
     def expire(self, first_ahead: int) -> None:
-        """Ask again. first_ahead: the item of the line that the aircraft cannot have passed when this arrives."""
+        """Repeat the request.
+
+        Args:
+            first_ahead: Number of the first item that the aircraft cannot have passed when the request arrives.
+
+        """
         now_s = self._outbox.link_s
         if self.answer is not Answer.OPEN or now_s < self._due_s:
             return
@@ -98,7 +103,12 @@ class Activation:
         self._outbox.send_mission("MISSION_REQUEST_LIST")
 
     def current(self, seq: int) -> None:
-        """Take a MISSION_CURRENT."""
+        """Process a MISSION_CURRENT.
+
+        Args:
+            seq: Number of the current item.
+
+        """
         if seq in self.layout:
             self.answer, self.index = Answer.FLOWN, seq
         elif seq in self.before and self._settled:
@@ -107,18 +117,33 @@ class Activation:
                 self.answer = Answer.NOT_TAKEN
 
     def target(self, report: PositionTargetReported) -> None:
-        """Process the reported position target; if it is new, the autopilot reported the switch at once."""
+        """Process the reported position target; a new one is evidence of the switch.
+
+        Args:
+            report: The report of the autopilot.
+
+        """
         if self._sends and not self._target_was_on_line and self._is_on_line(report):
             self.answer = Answer.FLOWN
 
     def counted(self, report: MissionCountReported) -> None:
-        """Process the answer to the query: later reports are newer than the last request."""
+        """Process the answer to the query: later reports are newer than the last request.
+
+        Args:
+            report: The report of the autopilot.
+
+        """
         if self.unanswered and not self._settled:
             self._settled = True
             self._outbox.end_reading()
 
     def track(self, aircraft: AircraftState) -> None:
-        """Take where the aircraft is: it flies the one plan or the other, or neither."""
+        """Process the aircraft's position: it is on the new plan, the old one, or neither.
+
+        Args:
+            aircraft: State of the aircraft.
+
+        """
         if not self._sends or self.answer is not Answer.OPEN:
             return
         on_plan, off_plan = _flies(aircraft, self._plan)

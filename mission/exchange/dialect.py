@@ -81,19 +81,40 @@ class AutopilotDialect(Protocol):
         ...
 
     def head(self, home: Home) -> tuple[RawItem, ...]:
-        """Return the items that stand in front of every mission."""
+        """Return the items at the beginning of every mission.
+
+        Args:
+            home: Home position of the vehicle.
+
+        """
         ...
 
     def tail(self, home: Home) -> tuple[RawItem, ...]:
-        """Return the items that close every mission without ever being reached."""
+        """Return the items that close every mission without ever being reached.
+
+        Args:
+            home: Home position of the vehicle.
+
+        """
         ...
 
     def tracking(self, airspeed_m_s: float, wind: Wind = STILL_AIR) -> LineTracking:
-        """Return how it flies along waypoints, for laying them out."""
+        """Return how the autopilot flies along waypoints, for laying them out.
+
+        Args:
+            airspeed_m_s: Airspeed, m/s.
+            wind: Estimate of the wind.
+
+        """
         ...
 
     def raw(self, item: Item) -> RawItem:
-        """Return the item as this autopilot stores it."""
+        """Return the item as this autopilot stores it.
+
+        Args:
+            item: The mission item.
+
+        """
         ...
 
     def arm(self) -> VehicleCommand:
@@ -113,9 +134,23 @@ class AutopilotDialect(Protocol):
         ...
 
     def fly_circle(self, order: CircleOrder, take_over: bool) -> VehicleCommand:
-        """Return the command to fly a circle without a mission. take_over: from another mode too."""
+        """Return the command to fly a circle without a mission.
+
+        Args:
+            order: The circle on the globe.
+            take_over: Whether to change from another flight mode.
+
+        """
         ...
 
     def reported_circle(self, report: VehicleReport) -> CircleOrder | None:
-        """Return the circle that a report says is flown in ``circle_mode``; radius 0: not reported."""
+        """Return the circle that the autopilot reports in ``circle_mode``.
+
+        Args:
+            report: The report of the autopilot.
+
+        Returns:
+            The circle; radius 0 if it is not reported. None for any other report.
+
+        """
         ...

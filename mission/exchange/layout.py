@@ -40,11 +40,24 @@ class MissionLayout:
         return self.items[self.first : self.end]
 
     def since(self, index: int) -> MissionLayout:
-        """Return the same mission with what lies before ``index`` flown: its places are free for a new line."""
+        """Return the same mission with the items before an index flown: their places are free for a new path.
+
+        Args:
+            index: Number of the first item still needed.
+
+        """
         return replace(self, first=index) if index in self else self
 
     def with_line(self, line: Sequence[RawItem]) -> MissionLayout:
-        """Return the mission that holds the present line where it is and ``line`` as the next; first is its start."""
+        """Return the mission with the present path in place and another path as the next one.
+
+        Args:
+            line: Items of the next path.
+
+        Returns:
+            The layout; its first item is the start of the next path.
+
+        """
         fits = len(line) <= self.first - self.head
         first = self.head if fits else self.end
         end = first + len(line)
@@ -57,5 +70,10 @@ class MissionLayout:
         return replace(self, items=(*self.items, *(self.items[self.end - 1 : self.end] * missing)))
 
     def closed_by(self, tail: Sequence[RawItem]) -> MissionLayout:
-        """Return the mission with items after it that are never reached (PX4 wants a landing)."""
+        """Return the mission with items at its end that are never reached (PX4 wants a landing).
+
+        Args:
+            tail: The items.
+
+        """
         return replace(self, items=(*self.items, *tail))

@@ -17,7 +17,18 @@ SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
 
 
 def first_ahead(layout: MissionLayout, path: Path, plane: LocalPlane, flown_m: float) -> int:
-    """Return the first item of the line that is more than ``flown_m`` along its path, at the latest its circle."""
+    """Return the first item that is ahead on a path.
+
+    Args:
+        layout: The items on board.
+        path: The path.
+        plane: The local plane of the mission.
+        flown_m: Distance flown along the path, m.
+
+    Returns:
+        Number of the item, at most that of the circle.
+
+    """
     for seq in range(layout.first, layout.end - 1):
         east_m, north_m = _place(layout.items[seq], plane)
         nearest = int(np.argmin(np.hypot(path.east_m - east_m, path.north_m - north_m)))

@@ -99,7 +99,15 @@ class MissionController:
         return self.controller.snapshot()
 
     def step(self, event: InboundEvent) -> tuple[Output, ...]:
-        """Take one event; return what it led to, in order."""
+        """Process one event.
+
+        Args:
+            event: The event.
+
+        Returns:
+            The resulting outputs, in order.
+
+        """
         self._outputs = []
         if not isinstance(event, _FREQUENT) and isinstance(event, ExchangeEvent):
             self._outbox.begin(event.time_s, event.link_s)

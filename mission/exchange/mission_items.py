@@ -98,7 +98,16 @@ class MissionItemBackend:
     # -- the first mission ---------------------------------------------------------------------------------
 
     def load(self, plan: Plan, lead_in: tuple[RawItem, ...] = ()) -> None:
-        """Upload the first mission: ``lead_in`` (a take-off), then the plan's line. Raises UnflyableError."""
+        """Upload the first mission.
+
+        Args:
+            plan: The plan.
+            lead_in: Items before the plan, such as a take-off.
+
+        Raises:
+            UnflyableError: No waypoints lead along the plan.
+
+        """
         head = self._dialect.head(self._settings.home)
         first = len(head) + len(lead_in)
         items = (*head, *lead_in, *self.line(plan))
@@ -155,7 +164,16 @@ class MissionItemBackend:
         return self._current.seq if self._current is not None else None
 
     def line(self, plan: Plan, wind: Wind = STILL_AIR) -> tuple[RawItem, ...]:
-        """Return the items of a plan as the autopilot stores them. Raises UnflyableError."""
+        """Return the items of a plan as the autopilot stores them.
+
+        Args:
+            plan: The plan.
+            wind: Estimate of the wind.
+
+        Raises:
+            UnflyableError: No waypoints lead along the plan.
+
+        """
         settings = self._settings
         tracking = self._dialect.tracking(settings.airspeed_m_s, wind)
         items = plan_items(plan, settings.plane, settings.height_m, settings.tolerance_m, tracking)
@@ -168,7 +186,12 @@ class MissionItemBackend:
     # -- plans ---------------------------------------------------------------------------------------------
 
     def upload(self, command: UploadPlan) -> None:
-        """Bring a plan to the autopilot without flying it yet."""
+        """Bring a plan to the autopilot without flying it yet.
+
+        Args:
+            command: The plan with its number.
+
+        """
         change = self._change
         busy = self._upload.under_way or (change is not None and change.stage is _Stage.ACTIVATING)
         if busy or self._closed or self._layout is None:
@@ -180,7 +203,12 @@ class MissionItemBackend:
         self._waits = True
 
     def activate(self, command: ActivatePlan) -> None:
-        """Fly a plan now."""
+        """Fly a plan now.
+
+        Args:
+            command: Number of the plan.
+
+        """
         change = self._change
         if change is None or change.command.number != command.number or change.stage is not _Stage.READY:
             self._tell(command.number, "failed", "it is not on board")
@@ -298,7 +326,13 @@ class MissionItemBackend:
     # -- what is reported ----------------------------------------------------------------------------------
 
     def observe(self, aircraft: AircraftState, mode: str) -> None:
-        """Take where the aircraft is, and its flight mode."""
+        """Process the aircraft's position and flight mode.
+
+        Args:
+            aircraft: State of the aircraft.
+            mode: Flight mode by the autopilot's name.
+
+        """
         self._aircraft = aircraft
         change = self._change
         if change is not None and change.activation is not None:
@@ -306,7 +340,12 @@ class MissionItemBackend:
             self._judge_activation(change)
 
     def receive(self, report: VehicleReport) -> None:
-        """Take what the autopilot reports."""
+        """Process a report of the autopilot.
+
+        Args:
+            report: The report of the autopilot.
+
+        """
         if self._read is not None:
             self._read.receive(report)
         frozen = self._ownership.frozen

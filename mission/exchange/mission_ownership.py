@@ -76,19 +76,41 @@ class MissionOwnership:
             self._audit_s = self._outbox.link_s + _AUDIT_S
 
     def measured(self, round_trip_s: float) -> None:
-        """Take a round trip of the link."""
+        """Process a measured round trip of the link.
+
+        Args:
+            round_trip_s: Round-trip time, s.
+
+        """
         self._reports.round_trip_s = self._contents.round_trip_s = round_trip_s
 
     def adopted(self, report: MissionCurrentReported) -> None:
-        """Take the mission that is flown for ours."""
+        """Accept the mission that is flown as sidelong's own.
+
+        Args:
+            report: The report of the autopilot.
+
+        """
         self._identity.ours.add((report.total, report.mission_id))
 
     def writing(self, items: int) -> None:
-        """Begin to write a mission with this number of items."""
+        """Begin to write a mission.
+
+        Args:
+            items: Number of its items.
+
+        """
         self._identity.writing = items - self._quirks.home_at_zero
 
     def written(self, items: tuple[RawItem, ...], mission_id: int, accepted: bool) -> None:
-        """Have written a mission, or perhaps written it."""
+        """Register a mission that was written, or may have been.
+
+        Args:
+            items: The items on board afterwards.
+            mission_id: Id that the autopilot reported; 0 if unknown.
+            accepted: Whether the autopilot confirmed it.
+
+        """
         self._call_off()
         self._flown = -1  # a list that is taken whole begins at the item that was marked
         self._in_doubt = self._begun and not accepted and not self._quirks.stores_items_one_by_one
@@ -157,7 +179,12 @@ class MissionOwnership:
             self._read = None
 
     def receive(self, report: VehicleReport) -> None:
-        """Take what the autopilot reports."""
+        """Process a report of the autopilot.
+
+        Args:
+            report: The report of the autopilot.
+
+        """
         if self._read is not None:
             self._read.receive(report)
             self._judge_read(self._read)
@@ -183,7 +210,13 @@ class MissionOwnership:
             self._outbox.report(ExternalControl(self._outbox.time_s, _CHANGED))
 
     def item(self, report: MissionItemReported, layout: MissionLayout) -> None:
-        """Take an item that is on board."""
+        """Process an item that was read from the vehicle.
+
+        Args:
+            report: The report of the autopilot.
+            layout: The mission that should be on board.
+
+        """
         if not self._begun or report.seq not in layout:
             return
         if same_item(layout.items[report.seq], report.item):
@@ -193,7 +226,12 @@ class MissionOwnership:
             self._suspect(self._contents, _CHANGED)
 
     def audit(self, seq: int | None) -> None:
-        """Ask for the item that is flown: another station may have written it without changing the list's length."""
+        """Request the item that is flown: another station may have written it without changing the number of items.
+
+        Args:
+            seq: Number of the item; None if unknown.
+
+        """
         if self._outbox.link_s < self._audit_s:
             return
         self._audit_s = self._outbox.link_s + (_AUDIT_AGAIN_S if self._contents.active else _AUDIT_S)

@@ -46,7 +46,12 @@ class MissionUpload:
         return self._write.next_timer_s if self._write is not None else math.inf
 
     def adopted(self, items: tuple[RawItem, ...]) -> None:
-        """Take over what was read to be on board."""
+        """Register the items that were read from the vehicle.
+
+        Args:
+            items: All items on board.
+
+        """
         self._onboard = items
 
     def begin(self, layout: MissionLayout, bound_s: float, marked: Callable[[], int]) -> None:
@@ -84,7 +89,12 @@ class MissionUpload:
         )
 
     def receive(self, report: VehicleReport) -> None:
-        """Take a report."""
+        """Process a report of the autopilot.
+
+        Args:
+            report: The report of the autopilot.
+
+        """
         if self._write is not None:
             self._write.receive(report)
 

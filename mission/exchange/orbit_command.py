@@ -63,7 +63,15 @@ class OrbitCommandBackend:
         return self._command.next_timer_s if self._command is not None else math.inf
 
     def take_over(self, first: Plan) -> CommandExchange:
-        """Take the aircraft over from any mode onto a circle; return the command that does."""
+        """Take the aircraft over from any flight mode onto a circle.
+
+        Args:
+            first: The plan whose circle is flown first.
+
+        Returns:
+            The command that does so.
+
+        """
         order = self._order(first.circle, first)
         return CommandExchange(self._outbox, self._dialect.fly_circle(order, take_over=True))
 
@@ -73,12 +81,22 @@ class OrbitCommandBackend:
         self._suspicion.forget()
 
     def upload(self, command: UploadPlan) -> None:
-        """Bring a plan to the autopilot without flying it yet."""
+        """Bring a plan to the autopilot without flying it yet.
+
+        Args:
+            command: The plan with its number.
+
+        """
         self._plan = command
         self._outbox.report(PlanStatus(self._outbox.time_s, command.number, "ready", by_command=True))
 
     def activate(self, command: ActivatePlan) -> None:
-        """Fly a plan now."""
+        """Fly a plan now.
+
+        Args:
+            command: Number of the plan.
+
+        """
         plan = self._plan
         if plan is None or plan.number != command.number or self._closed:
             self._tell(command.number, "failed", "it is not the plan that was made ready")
@@ -91,7 +109,13 @@ class OrbitCommandBackend:
         self._closed, self._flown, self._departing = True, None, False
 
     def observe(self, aircraft: AircraftState, mode: str) -> None:
-        """Take where the aircraft is, and its flight mode."""
+        """Process the aircraft's position and flight mode.
+
+        Args:
+            aircraft: State of the aircraft.
+            mode: Flight mode by the autopilot's name.
+
+        """
         self._aircraft, self._mode = aircraft, mode
         if self._flown is not None and self._command is None and aircraft.time_s >= self._due_s:
             self._waits = True
@@ -108,7 +132,12 @@ class OrbitCommandBackend:
             self._lead(self._flown)
 
     def receive(self, report: VehicleReport) -> None:
-        """Take what the autopilot reports."""
+        """Process a report of the autopilot.
+
+        Args:
+            report: The report of the autopilot.
+
+        """
         if isinstance(report, CommandAcknowledged) and self._command is not None:
             self._command.receive(report)
             self._judge()

@@ -53,23 +53,49 @@ class Outbox:
     _began: tuple[float, float] | None = None
 
     def begin(self, time_s: float, link_s: float) -> None:
-        """Begin a step that an event of the exchange leads to."""
+        """Begin a step of the exchange.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+            link_s: Present time on the link's clock, s.
+
+        """
         self.time_s, self.link_s = time_s, link_s
         if math.isfinite(time_s) and (self._began is None or time_s < self._began[0]):
             self._began = (time_s, link_s)
 
     def vehicle_s(self, link_s: float) -> float:
-        """Return a duration of the link's clock on the vehicle's, which runs faster in a simulation."""
+        """Convert a time of the link's clock to the vehicle's clock, which runs faster in a simulation.
+
+        Args:
+            link_s: Duration on the link's clock, s.
+
+        Returns:
+            Duration on the vehicle's clock, s.
+
+        """
         if self._began is None or self.link_s - self._began[1] < _RATE_KNOWN_S:
             return link_s
         return link_s * (self.time_s - self._began[0]) / (self.link_s - self._began[1])
 
     def send(self, name: str, **fields: float) -> None:
-        """Send a message."""
+        """Send a message.
+
+        Args:
+            name: Name of the MAVLink message.
+            fields: Its fields.
+
+        """
         self.sent.append(SendMessage(self.time_s, name, fields))
 
     def send_mission(self, name: str, **fields: float) -> None:
-        """Send a message of the mission protocol."""
+        """Send a message of the mission protocol.
+
+        Args:
+            name: Name of the MAVLink message.
+            fields: Its fields.
+
+        """
         self.send(name, **fields, mission_type=MISSION)
 
     def end_reading(self) -> None:
@@ -78,9 +104,21 @@ class Outbox:
             self.send_mission("MISSION_ACK", type=ACCEPTED)
 
     def send_item(self, seq: int, item: RawItem, current: bool) -> None:
-        """Send MISSION_ITEM_INT."""
+        """Send MISSION_ITEM_INT.
+
+        Args:
+            seq: Number of the item.
+            item: The item.
+            current: Whether it becomes the current item.
+
+        """
         self.send_mission("MISSION_ITEM_INT", seq=seq, current=int(current), **asdict(item))
 
     def report(self, event: Derived | Announce | TakeoverFailed) -> None:
-        """Report to the control step, or to the operator."""
+        """Report to the control step, or to the operator.
+
+        Args:
+            event: An event for the control step, or an announcement for the operator.
+
+        """
         self.derived.append(event)

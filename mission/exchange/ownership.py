@@ -26,7 +26,15 @@ class Suspicion:
         self.active = False
 
     def is_confirmed_by(self, link_s: float) -> bool:
-        """Process a report that does not fit; return whether it proves that another operator is in command."""
+        """Process a report that does not fit.
+
+        Args:
+            link_s: Present time on the link's clock, s.
+
+        Returns:
+            Whether it proves that another operator is in command.
+
+        """
         self.active = True
         while self._reports_s and link_s - self._reports_s[0] > _REMEMBERED_S:
             self._reports_s.popleft()
@@ -55,7 +63,14 @@ class MissionIdentity:
     writing: int | None = None  # number of items being written; the mission may be on board already
 
     def written(self, total: int, mission_id: int, accepted: bool = True) -> None:
-        """Take over a mission that is on board, or may be. mission_id 0: not known yet."""
+        """Register a mission that is on board, or may be.
+
+        Args:
+            total: Number of its items.
+            mission_id: Its id; 0 while unknown.
+            accepted: Whether the autopilot confirmed it.
+
+        """
         self.writing = self.expected = None
         if not accepted:
             self.doubtful.add(total)
@@ -67,12 +82,24 @@ class MissionIdentity:
             self.expected = total
 
     def is_open(self, total: int, mission_id: int) -> bool:
-        """Return whether only the items themselves show who wrote the reported mission."""
+        """Return whether only the items themselves show who wrote the reported mission.
+
+        Args:
+            total: Reported number of items.
+            mission_id: Reported id; 0 if the autopilot reports none.
+
+        """
         unknown = mission_id != 0 and (total, mission_id) not in self.ours
         return unknown and self.writing is None and total in self.doubtful
 
     def is_ours(self, total: int, mission_id: int) -> bool:
-        """Return whether a report is about a mission of sidelong; learn its id if one is expected."""
+        """Return whether a report is about a mission of sidelong; learn its id if one is expected.
+
+        Args:
+            total: Reported number of items.
+            mission_id: Reported id; 0 if the autopilot reports none.
+
+        """
         if (total, mission_id) in self.ours or self._is_under_way(total, mission_id):
             return True
         if total != self.expected and total not in self.doubtful:

@@ -28,7 +28,13 @@ class BackendSettings:
     bank_max_rad: float
 
     def order(self, circle: Circle, plan: Plan) -> CircleOrder:
-        """Return a circle of the plane on the globe, at the height of a plan."""
+        """Return a circle of the plane on the globe, at the height of a plan.
+
+        Args:
+            circle: The circle.
+            plan: The plan.
+
+        """
         height_m = plan.circle_height_m(self.height_m)
         latitude_deg, longitude_deg = self.plane.latitude_longitude_deg(circle.east_m, circle.north_m)
         return CircleOrder(
@@ -62,11 +68,21 @@ class PlanBackend(Protocol):
         ...
 
     def upload(self, command: UploadPlan) -> None:
-        """Bring a plan to the autopilot without flying it yet."""
+        """Bring a plan to the autopilot without flying it yet.
+
+        Args:
+            command: The plan with its number.
+
+        """
         ...
 
     def activate(self, command: ActivatePlan) -> None:
-        """Fly a plan now."""
+        """Fly a plan now.
+
+        Args:
+            command: Number of the plan.
+
+        """
         ...
 
     def take_control(self) -> None:
@@ -74,11 +90,22 @@ class PlanBackend(Protocol):
         ...
 
     def receive(self, report: VehicleReport) -> None:
-        """Take what the autopilot reports."""
+        """Process a report of the autopilot.
+
+        Args:
+            report: The report of the autopilot.
+
+        """
         ...
 
     def observe(self, aircraft: AircraftState, mode: str) -> None:
-        """Take where the aircraft is, and its flight mode."""
+        """Process the aircraft's position and flight mode.
+
+        Args:
+            aircraft: State of the aircraft.
+            mode: Flight mode by the autopilot's name.
+
+        """
         ...
 
     def expire(self) -> None:

@@ -30,7 +30,12 @@ class RawItem:
 
 
 def raw_item(item: Item) -> RawItem:
-    """Return the item in MISSION_ITEM_INT's units, without any autopilot's habits."""
+    """Return an item in the units of MISSION_ITEM_INT, without changes for any autopilot.
+
+    Args:
+        item: The mission item.
+
+    """
     return RawItem(
         command=item.command,
         frame=item.frame,
@@ -46,12 +51,25 @@ def raw_item(item: Item) -> RawItem:
 
 
 def at_place(x: int, y: int, item: RawItem) -> bool:
-    """Return whether an item's position is in units of 1e-7 degrees."""
+    """Return whether an item's position is in units of 1e-7 degrees.
+
+    Args:
+        x: Field x of MISSION_ITEM_INT.
+        y: Field y of MISSION_ITEM_INT.
+        item: The item they belong to.
+
+    """
     return max(abs(x - item.x), abs(y - item.y)) <= _COMPARED_METRES_AS_DEGREES_E7
 
 
 def same_item(a: RawItem, b: RawItem) -> bool:
-    """Return whether the items are equal up to the vehicle's rounding; PX4 does not store a take-off's pitch."""
+    """Return whether two items are equal up to the vehicle's rounding; PX4 does not store a take-off's pitch.
+
+    Args:
+        a: One item.
+        b: The other item.
+
+    """
     return (
         a.command == b.command
         and at_place(a.x, a.y, b)
@@ -64,5 +82,11 @@ def same_item(a: RawItem, b: RawItem) -> bool:
 
 
 def same_items(sent: Sequence[RawItem], onboard: Sequence[RawItem]) -> bool:
-    """Return whether the vehicle stores what was sent, up to its own rounding."""
+    """Return whether the vehicle stores what was sent, up to its own rounding.
+
+    Args:
+        sent: The items that were sent.
+        onboard: The items read from the vehicle.
+
+    """
     return len(sent) == len(onboard) and all(map(same_item, sent, onboard))

@@ -111,15 +111,30 @@ class PayloadCheck:
         self._rejected: deque[tuple[float, int, int]] = deque()  # second, sightings, rejected
 
     def stand_on(self, ground: GroundHeight) -> None:
-        """Compare heights with this ground."""
+        """Compare heights with this ground.
+
+        Args:
+            ground: Returns the height of the ground at a position.
+
+        """
         self._fit.ground = ground
 
     def attitude(self, reading: AttitudeReading) -> None:
-        """Take the aircraft's attitude."""
+        """Process the aircraft's attitude.
+
+        Args:
+            reading: The attitude.
+
+        """
         self._attitude = reading
 
     def position(self, reading: PositionReading) -> None:
-        """Take the aircraft's position; its course gives how far it has turned."""
+        """Process the aircraft's position; its course gives how far it has turned.
+
+        Args:
+            reading: The position.
+
+        """
         before, self._position = self._position, reading
         east_m_s, north_m_s = reading.velocity_east_m_s, reading.velocity_north_m_s
         if east_m_s * east_m_s + north_m_s * north_m_s < _FLYING_M_S**2:
@@ -141,7 +156,12 @@ class PayloadCheck:
         self._passed += (north_m * east - east_m * north) / max(self._range.slant_range_m, 50.0) / _PASSED_RAD
 
     def range(self, reading: RangeReading) -> None:
-        """Take a range of the laser in use."""
+        """Process a range of the laser in use.
+
+        Args:
+            reading: The range.
+
+        """
         if self._range is not None and reading.source != self._range.source:
             self._range_repeats = _Repeats()
             self._begin_fit()
@@ -153,7 +173,12 @@ class PayloadCheck:
             self._settle()
 
     def gimbal(self, reading: GimbalReading) -> None:
-        """Take a line of sight of the gimbal in use."""
+        """Process a line of sight of the gimbal in use.
+
+        Args:
+            reading: The line of sight.
+
+        """
         if reading.source != self._gimbal_source:
             self._gimbal_source = reading.source
             self._sight_repeats = _Repeats()
@@ -187,7 +212,13 @@ class PayloadCheck:
             self._settle()
 
     def sightings(self, time_s: float, outcomes: Sequence[SightingOutcome]) -> None:
-        """Take what became of sightings."""
+        """Process the outcomes of sightings.
+
+        Args:
+            time_s: Time on the vehicle's clock, s.
+            outcomes: What the tracker returned.
+
+        """
         second = math.floor(time_s)
         rejected = sum(not one.accepted for one in outcomes)
         if self._rejected and self._rejected[-1][0] == second:

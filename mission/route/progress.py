@@ -48,7 +48,12 @@ class RoutePlanner(Planner, Protocol):
     """A planner that plans along a known route."""
 
     def follow(self, route: Route) -> None:
-        """Expect the target on this route from the next decision on."""
+        """Expect the target on this route from the next decision on.
+
+        Args:
+            route: The route.
+
+        """
         ...
 
     @property
@@ -58,7 +63,16 @@ class RoutePlanner(Planner, Protocol):
 
 
 def progress_of(route: Route, memory: FloatArray) -> RouteProgress | None:
-    """Return what the filter's memory says; None before its first update."""
+    """Return what the filter's memory says; None before its first update.
+
+    Args:
+        route: The route.
+        memory: Memory of the filter.
+
+    Returns:
+        The progress; None before the filter's first update.
+
+    """
     if math.isnan(memory[LAST_S]):
         return None
     best, on_route = likeliest(memory), bool(memory[ON_ROUTE] > 0.0)
@@ -72,7 +86,12 @@ def progress_of(route: Route, memory: FloatArray) -> RouteProgress | None:
 
 
 def describe(progress: RouteProgress) -> str:
-    """Return the progress in a few words."""
+    """Return the progress in a few words.
+
+    Args:
+        progress: The target's progress along the route.
+
+    """
     if not progress.on_route:
         return "off route"
     return f"{progress.along_m:.0f} of {progress.length_m:.0f} m along the route"

@@ -70,16 +70,28 @@ class FlightHeights:
         self._highest = _highest_about(ground, rules.margin_m)
 
     def at(self, height_m: float) -> FlightHeights:
-        """Return the same for another height, above what the rules say."""
+        """Return the same rules for another height.
+
+        Args:
+            height_m: Height above the reference of the rules, m.
+
+        """
         other = copy(self)
         other._rules, other._carried = replace(self._rules, height_m=height_m), True
         return other
 
     def levelled(self, plan: Plan, flown_m: float | None, target_m: tuple[float, float] | None = None) -> Plan | str:
-        """Return the plan with its heights, or in words why it cannot be flown over this ground.
+        """Return a plan with its heights over this ground.
 
-        flown_m is the present height; None before the first circle. target_m is the target's place (east, north);
-        where its ground is not known, the ground below the circle serves.
+        Args:
+            plan: The plan.
+            flown_m:  None|Present height above home, m; None before the first circle.
+            target_m: Target's position (east, north), m; where its ground is unknown, the ground below the circle
+                serves.
+
+        Returns:
+            The plan with heights above home, or in words why it cannot be flown.
+
         """
         rules = self._rules
         ring = _ring(plan.circle)
@@ -116,11 +128,23 @@ class FlightHeights:
         return self._at(plan, flown_m, to_m)
 
     def height_at_m(self, arc_m: float, plan: Plan) -> float:
-        """Return the height so far along a plan, above home."""
+        """Return the height at a point of a plan, above home, m.
+
+        Args:
+            arc_m: Arc length from the start of the plan, m.
+            plan: The plan.
+
+        """
         return self._rules.height_m if plan.heights is None else plan.heights.at_m(arc_m)
 
     def expected_m(self, flown_m: float | None, target_m: tuple[float, float]) -> float:
-        """Return the height at which the next circle about a target (east, north) will be flown, clearance apart."""
+        """Return the height at which the next circle around a target will be flown, apart from clearance, m.
+
+        Args:
+            flown_m:  None|Present height above home, m; None before the first circle.
+            target_m: Target's position (east, north), m.
+
+        """
         rules = self._rules
         if rules.above == "home":
             return rules.height_m
@@ -129,7 +153,14 @@ class FlightHeights:
         return wanted_m if flown_m is None else flown_m if math.isnan(watched_m) else max(flown_m, wanted_m)
 
     def clearance_m(self, east_m: float, north_m: float, height_m: float) -> float:
-        """Return how far a height is above the ground about a place."""
+        """Return how far a height is above the ground around a position, m.
+
+        Args:
+            east_m: East in the local plane, m.
+            north_m: North in the local plane, m.
+            height_m: Height above home, m.
+
+        """
         return height_m - highest_at(self._highest, self._grid, east_m, north_m)
 
     def _fixed(self, plan: Plan, floor_m: float, line_floor_m: float, flown_m: float | None) -> Plan | str:

@@ -35,9 +35,18 @@ class SightField:
     def sight(
         self, east_m: float, north_m: float, velocity_east_m_s: float, velocity_north_m_s: float, height_m: float
     ) -> Sight:
-        """Return what is seen of a target from ``height_m`` above home: all, where its ground is not known.
+        """Return from where a target is visible.
 
-        All too where no ground about it reaches a line of sight: the planner then looks as deep as over a plain.
+        Everything is visible if the ground at the target is unknown, and if no ground around it reaches a line of
+        sight: the planner then looks as deep as over a plain.
+
+        Args:
+            east_m: Target's east, m.
+            north_m: Target's north, m.
+            velocity_east_m_s: Target's velocity to the east, m/s.
+            velocity_north_m_s: Target's velocity to the north, m/s.
+            height_m: Height of the aircraft above home, m.
+
         """
         if math.isnan(self._ground.height_m(east_m, north_m)):
             return NOTHING_HIDDEN

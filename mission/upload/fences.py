@@ -45,10 +45,18 @@ class Fences:
         self._floor_m, self._ceiling_m, self._margin_m = floor_m, ceiling_m, margin_m
 
     def rejection(self, plan: Plan, height_m: float) -> str | None:
-        """Return which part of the plan breaks which fence, in words, or None.
+        """Return which part of a plan breaks which fence.
 
-        The whole transition and the whole circle are looked at; of a plan without a transition the circle alone,
-        as the autopilot's way there is unknown.
+        The whole transition and the whole circle are checked; of a plan without a transition the circle alone, as the
+        autopilot's path to it is unknown.
+
+        Args:
+            plan: The plan.
+            height_m: Height above home of a plan without heights, m.
+
+        Returns:
+            In words; None if no fence is broken.
+
         """
         if self._floor_m is not None and height_m < self._floor_m:
             return f"the height of {height_m:.0f} m is below the floor of {self._floor_m:.0f} m"
@@ -64,7 +72,12 @@ class Fences:
         return self._broken_by("the new circle", _ring(plan.circle))
 
     def check(self, height_m: float) -> Callable[[Plan], str | None]:
-        """Return :meth:`rejection` at the heights of plans, or at this one, as the control step wants it."""
+        """Return :meth:`rejection` as a function of the plan alone.
+
+        Args:
+            height_m: Height above home of plans without heights, m.
+
+        """
 
         def rejection(plan: Plan) -> str | None:
             return self.rejection(plan, plan.circle_height_m(height_m))

@@ -47,7 +47,14 @@ class Item:
 
 
 def circle_item(circle: Circle, plane: LocalPlane, height_m: float) -> Item:
-    """Return the circle without end: param3 is the radius, negative counter-clockwise."""
+    """Return an unlimited loiter; param3 is the radius, negative counter-clockwise.
+
+    Args:
+        circle: The circle.
+        plane: The local plane of the mission.
+        height_m: Height above home, m.
+
+    """
     return Item(
         NAV_LOITER_UNLIM,
         FRAME_GLOBAL_RELATIVE_ALT,
@@ -60,11 +67,20 @@ def circle_item(circle: Circle, plane: LocalPlane, height_m: float) -> Item:
 def plan_items(
     plan: Plan, plane: LocalPlane, height_m: float, tolerance_m: float, tracking: LineTracking | None = None
 ) -> tuple[Item, ...]:
-    """Return the line of a plan: the waypoints of its transition, as few as possible, and its circle.
+    """Return the mission items of a plan: the waypoints of its transition, as few as possible, and its circle.
 
-    height_m is that of a plan without heights of its own. ``tracking`` is how the autopilot flies them, ArduPlane's
-    defaults at 15 m/s if not given; param2 of a waypoint is its acceptance radius. Raises UnflyableError when the
-    flown line would leave the transition by more than ``tolerance_m``.
+    param2 of a waypoint is its acceptance radius.
+
+    Args:
+        plan: The plan.
+        plane: The local plane of the mission.
+        height_m: Height above home of a plan without heights, m.
+        tolerance_m: Greatest deviation of the flown path from the transition, m.
+        tracking: How the autopilot flies along waypoints; None: ArduPlane's defaults at 15 m/s.
+
+    Raises:
+        UnflyableError: The flown path would leave the transition by more than ``tolerance_m``.
+
     """
     circle = circle_item(plan.circle, plane, plan.circle_height_m(height_m))
     if plan.transition is None:

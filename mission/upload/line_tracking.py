@@ -59,11 +59,21 @@ class LineTracking:
         return self.first_s * self.airspeed_m_s
 
     def gain_per_m(self, ground_speed_m_s: float) -> float:
-        """Return g, the curvature for one radian of course error."""
+        """Return g, the curvature for one radian of course error, 1/m.
+
+        Args:
+            ground_speed_m_s: Ground speed, m/s.
+
+        """
         return 4.0 * math.pi * self.damping / (self.period_s * ground_speed_m_s)
 
     def look_ahead_m(self, ground_speed_m_s: float) -> float:
-        """Return l, the distance off the line that counts as one radian."""
+        """Return l, the cross-track distance that counts as one radian, m.
+
+        Args:
+            ground_speed_m_s: Ground speed, m/s.
+
+        """
         return self.damping * self.period_s * ground_speed_m_s / math.pi
 
     def fly(
@@ -75,7 +85,20 @@ class LineTracking:
         circle: Circle,
         duration_s: float,
     ) -> FloatArray:
-        """Return the flown line as rows (time, east, north), from ``start`` through the waypoints to the circle."""
+        """Return the path that the autopilot flies through waypoints to a circle.
+
+        Args:
+            start: Start (east, north), m.
+            course_rad: Course, clockwise from north, rad.
+            curvature_per_m: Curvature at the start, 1/m, positive to the right.
+            waypoints: Waypoints (east, north), m.
+            circle: The circle at the end.
+            duration_s: Duration of the prediction, s.
+
+        Returns:
+            Rows of (time s, east m, north m), (n, 3).
+
+        """
         at, leg = start, 0
         previous: Point | None = start if self.first_is_line else None
         rows = []
@@ -127,7 +150,14 @@ class LineTracking:
         return max(along_m_s + math.sqrt(max(self.airspeed_m_s**2 - across_m_s**2, 0.0)), 1.0)
 
     def is_done(self, at: Point, previous: Point | None, waypoint: Point) -> bool:
-        """Return whether a leg ends here: near its waypoint, or abreast of it."""
+        """Return whether a leg ends here: near its waypoint, or abreast of it.
+
+        Args:
+            at: Position (east, north), m.
+            previous: The waypoint before; None on the first leg.
+            waypoint: The waypoint of the leg.
+
+        """
         if math.dist(at, waypoint) <= self.switch_m:
             return True
         if previous is None:

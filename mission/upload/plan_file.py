@@ -24,11 +24,18 @@ def plan_file(
     keep_in: Sequence[Outline] = (),
     keep_out: Sequence[Outline] = (),
 ) -> str:
-    """Return the text of a .plan file, version 1, with home at the plane's origin.
+    """Return the text of a QGroundControl .plan file, version 1, with home at the plane's origin.
 
-    ``items`` go without a home item: the file has a field of its own for it, and whoever loads it for ArduPilot puts
-    home at 0. home_altitude_m is above mean sea level; mav_autopilot is the MAV_AUTOPILOT that flies it; fences are
-    outlines in the plane.
+    Args:
+        items: Mission items without a home item: the file has a field of its own for it, and whatever loads it for
+            ArduPilot puts home at 0.
+        plane: The local plane of the mission.
+        home_altitude_m: Altitude of home above mean sea level, m.
+        airspeed_m_s: Airspeed, m/s.
+        mav_autopilot: MAV_AUTOPILOT of the vehicle.
+        keep_in: Outlines of inclusion fences, (east, north) m.
+        keep_out: Outlines of exclusion fences, (east, north) m.
+
     """
     document = {
         "fileType": "Plan",

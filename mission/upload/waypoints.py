@@ -41,9 +41,17 @@ class Layout:
 
 
 def lay_out(transition: Path, circle: Circle, tracking: LineTracking, tolerance_m: float) -> Layout:
-    """Return the fewest waypoints found that lead along ``transition`` to ``circle`` within the tolerance.
+    """Return the fewest waypoints found that lead along a transition to a circle within a tolerance.
 
-    Where no layout keeps the tolerance, the one with the least deviation is returned.
+    Args:
+        transition: The transition.
+        circle: The circle.
+        tracking: How the autopilot flies along waypoints.
+        tolerance_m: Greatest deviation from the transition, m.
+
+    Returns:
+        The layout; if none keeps the tolerance, the one with the least deviation.
+
     """
     problem = _Problem(transition, circle, tracking)
     best = Layout((), problem.deviations_m(np.empty((0, 2)))[1])  # straight to the circle

@@ -16,7 +16,12 @@ from sidelong.mission.viewpoint.viewpoint_kernel import COURSE, STANDING, Known
 
 
 def known(target: TargetEstimate) -> Known:
-    """Return an estimate as the loops see it."""
+    """Return an estimate as the loops see it.
+
+    Args:
+        target: Estimate of the target.
+
+    """
     return Known(
         target.time_s,
         target.east_m,
@@ -34,7 +39,15 @@ class CourseHold:
         self._memory = kernel.fresh_memory(1.0)
 
     def update(self, target: TargetEstimate) -> float | None:
-        """Take an estimate, in the order of time, and return the course to watch from."""
+        """Process an estimate.
+
+        Args:
+            target: Estimate of the target, in order of time.
+
+        Returns:
+            Course to watch from, rad; None until the target has moved.
+
+        """
         kernel.held_course_rad(known(target), self._memory)
         return self.course_rad
 
@@ -51,5 +64,10 @@ class CourseHold:
 
 
 def course_sigma_rad(target: TargetEstimate) -> float:
-    """Return one standard deviation of a moving target's course: the velocity's across it, over the speed."""
+    """Return one standard deviation of a moving target's course: the velocity's across it, over the speed.
+
+    Args:
+        target: Estimate of the target.
+
+    """
     return kernel.course_sigma_rad(known(target))

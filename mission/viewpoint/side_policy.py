@@ -40,25 +40,42 @@ class SidePolicy:
         self.memory = kernel.fresh_memory(1.0 if side is Side.LEFT else -1.0)
 
     def viewpoint(self, east_m: float, north_m: float, target: TargetEstimate) -> Viewpoint:
-        """Return the viewpoint for an aircraft at a place of the plane.
+        """Return from where an aircraft watches.
 
         Until the target has moved, its course is assumed to put the aircraft's first position exactly on the side.
+
+        Args:
+            east_m: Aircraft's east, m.
+            north_m: Aircraft's north, m.
+            target: Estimate of the target.
+
         """
         view = kernel.viewpoint(east_m, north_m, known(target), self.wish, self.memory)
         return Viewpoint(view.course_rad, Side.LEFT if view.side > 0.0 else Side.RIGHT, view.course_sigma_rad)
 
 
 def side_words(requirement: Requirement) -> str:
-    """Return the requirement's side as :func:`watching_from` takes it."""
+    """Return the requirement's side as :func:`watching_from` takes it.
+
+    Args:
+        requirement: How the target has to be observed.
+
+    """
     if requirement.sector is not None:
         return f"{math.degrees(requirement.sector.from_rad):g}-{math.degrees(requirement.sector.to_rad):g}"
     return "either" if requirement.either_side else str(requirement.side)
 
 
 def watching_from(requirement: Requirement, words: str) -> Requirement:
-    """Return the requirement with its side as a person writes it: left, right, either, or a sector like 120-200.
+    """Return the requirement with its side as a person writes it.
 
-    Raises ValueError with one sentence when the words are none of these.
+    Args:
+        requirement: How the target has to be observed.
+        words: left, right, either, or a sector like 120-200.
+
+    Raises:
+        ValueError: The words are none of these; the message is one sentence.
+
     """
     plain = replace(requirement, either_side=False, sector=None)
     if words in (Side.LEFT, Side.RIGHT):
