@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -40,14 +41,7 @@ from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.server import serve
-from sidelong.sitl.settings import (
-    STARTS_M,
-    Flavour,
-    GimbalFrame,
-    PayloadSettings,
-    RangeMessage,
-    Settings,
-)
+from sidelong.sitl.settings import STARTS_M, Flavour, GimbalFrame, PayloadSettings, RangeMessage, Settings
 from sidelong.sitl.several import MAX_VEHICLES, in_turn
 from sidelong.sitl.simulation import Simulation
 from sidelong.sitl.world.airframe import Wind
@@ -56,208 +50,124 @@ from sidelong.sitl.world.motion import MOTIONS
 from sidelong.sitl.world.track import TrackError
 from sidelong.sitl.world.truth import TruthFile
 
+_LINK, _PAYLOAD, _RUN, _TARGET, _VEHICLE, _GROUND = (
+    partial(typer.Option, rich_help_panel=name)
+    for name in ("Link", "Payload", "Run", "Target", "Vehicle", "Wind and ground")
+)
 _LINE_MAX = 100  # characters
 
 
 def run(
     autopilot: Annotated[
-        str,
-        typer.Option(
-            help="Which autopilot it behaves like: arduplane or px4; several vehicles in turn: a,b.",
-            rich_help_panel="Vehicle",
-        ),
+        str, _VEHICLE(help="Which autopilot it behaves like: arduplane or px4; several vehicles in turn: a,b.")
     ] = Flavour.ARDUPLANE,
     version: Annotated[
         str | None,
-        typer.Option(
-            help="Firmware release it behaves like, such as 4.5 [the newest]; of several vehicles in turn: A,B.",
-            rich_help_panel="Vehicle",
+        _VEHICLE(
+            help="Firmware release it behaves like, such as 4.5 [the newest]; of several vehicles in turn: A,B."
         ),
     ] = None,
     vehicles: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=MAX_VEHICLES,
-            help="Number of vehicles [the number of autopilots named]",
-            rich_help_panel="Vehicle",
-        ),
+        int | None, _VEHICLE(min=1, max=MAX_VEHICLES, help="Number of vehicles [the number of autopilots named]")
     ] = None,
     to: Annotated[
         list[str] | None,
-        typer.Option(
+        _LINK(
             metavar="[ID@]HOST:PORT",
             help=f"Where to send to, all vehicles or that one; repeatable [{' and '.join(DEFAULT_STATIONS)}; "
             "each of several vehicles has a port of its own from 14540 on]",
-            rich_help_panel="Link",
         ),
     ] = None,
-    speed: Annotated[float, typer.Option(help="Simulated time over wall time.", rich_help_panel="Run")] = 1.0,
-    duration: Annotated[
-        float | None, typer.Option(metavar="S", help="Simulated seconds; endless if left out.", rich_help_panel="Run")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all noise and of the target.", rich_help_panel="Run")] = 0,
+    speed: Annotated[float, _RUN(help="Simulated time over wall time.")] = 1.0,
+    duration: Annotated[float | None, _RUN(metavar="S", help="Simulated seconds; endless if left out.")] = None,
+    seed: Annotated[int, _RUN(min=0, help="Seed of all noise and of the target.")] = 0,
     truth: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE", help="Write the true tracks as CSV; once for each vehicle.", rich_help_panel="Run"
-        ),
+        list[Path] | None, _RUN(metavar="FILE", help="Write the true tracks as CSV; once for each vehicle.")
     ] = None,
-    home: Annotated[
-        str | None,
-        typer.Option(metavar="LAT,LON[,ALT]", help="Degrees and metres above sea.", rich_help_panel="Vehicle"),
-    ] = None,
-    airspeed: Annotated[
-        str, typer.Option(help="Cruise airspeed, m/s; of several vehicles in turn: A,B.", rich_help_panel="Vehicle")
-    ] = "15",
+    home: Annotated[str | None, _VEHICLE(metavar="LAT,LON[,ALT]", help="Degrees and metres above sea.")] = None,
+    airspeed: Annotated[str, _VEHICLE(help="Cruise airspeed, m/s; of several vehicles in turn: A,B.")] = "15",
     endurance: Annotated[
-        str,
-        typer.Option(
-            metavar="S", help="Battery life, s; for several vehicles in turn: A,B.", rich_help_panel="Vehicle"
-        ),
+        str, _VEHICLE(metavar="S", help="Battery life, s; for several vehicles in turn: A,B.")
     ] = "10800",
-    wind_speed: Annotated[float, typer.Option(help="Wind speed, m/s.", rich_help_panel="Wind and ground")] = 0.0,
-    wind_from_deg: Annotated[
-        float, typer.Option(help="Where the wind comes from, degrees.", rich_help_panel="Wind and ground")
-    ] = 0.0,
+    wind_speed: Annotated[float, _GROUND(help="Wind speed, m/s.")] = 0.0,
+    wind_from_deg: Annotated[float, _GROUND(help="Where the wind comes from, degrees.")] = 0.0,
     system_id: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            max=250,
-            help="Of the first vehicle, or of the one --payload-for is meant for [1]",
-            rich_help_panel="Vehicle",
-        ),
+        _VEHICLE(min=1, max=250, help="Of the first vehicle, or of the one --payload-for is meant for [1]"),
     ] = None,
     target: Annotated[
         list[str] | None,
-        typer.Option(
+        _TARGET(
             metavar="[NAME=]SPEC",
             help=f"Motion: {', '.join(MOTIONS)}, or a .gpx or .csv track [walk]; repeatable: several targets.",
-            rich_help_panel="Target",
         ),
     ] = None,
     target_speed: Annotated[
-        list[float] | None,
-        typer.Option(
-            help="Greatest speed, m/s [3; for tracks 6]; of several targets in turn.", rich_help_panel="Target"
-        ),
+        list[float] | None, _TARGET(help="Greatest speed, m/s [3; for tracks 6]; of several targets in turn.")
     ] = None,
     target_start: Annotated[
         list[str] | None,
-        typer.Option(
+        _TARGET(
             metavar="EAST,NORTH",
             help=f"Metres from the first home [{STARTS_M[0][0]:g},{STARTS_M[0][1]:g}]; of several targets in turn.",
-            rich_help_panel="Target",
         ),
     ] = None,
     target_skip: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Begin a track here [where it becomes lively]", rich_help_panel="Target"),
+        float | None, _TARGET(metavar="S", help="Begin a track here [where it becomes lively]")
     ] = None,
     looks_at: Annotated[
-        str,
-        typer.Option(
-            metavar="N",
-            help="Which target a payload sees first; of several vehicles in turn: 1,2.",
-            rich_help_panel="Target",
-        ),
+        str, _TARGET(metavar="N", help="Which target a payload sees first; of several vehicles in turn: 1,2.")
     ] = "1",
     terrain: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Fly over the ground of these SRTM .hgt tiles [flat]",
-            rich_help_panel="Wind and ground",
-        ),
+        Path | None, _GROUND(metavar="DIR", help="Fly over the ground of these SRTM .hgt tiles [flat]")
     ] = None,
-    payload: Annotated[bool, typer.Option(help="Laser and gimbal.", rich_help_panel="Payload")] = True,
+    payload: Annotated[bool, _PAYLOAD(help="Laser and gimbal.")] = True,
     device: Annotated[
         str | None,
-        typer.Option(
+        _PAYLOAD(
             metavar="KIND@HOST:PORT",
             help=f"Let the payload speak its maker's protocol, on a port of its own: {', '.join(DEVICES)}.",
-            rich_help_panel="Payload",
         ),
     ] = None,
     payload_for: Annotated[
         str | None,
-        typer.Option(
-            metavar="URL",
-            help="No vehicle, only laser, gimbal and target for the vehicle at this URL.",
-            rich_help_panel="Payload",
-        ),
+        _PAYLOAD(metavar="URL", help="No vehicle, only laser, gimbal and target for the vehicle at this URL."),
     ] = None,
     binary: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="PATH",
-            help="Your own SITL program of the --autopilot instead of the simulated one; repeatable.",
-            rich_help_panel="Vehicle",
+        _VEHICLE(
+            metavar="PATH", help="Your own SITL program of the --autopilot instead of the simulated one; repeatable."
         ),
     ] = None,
     logs: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Keep the folders of --binary's programs, with their own logs, here.",
-            rich_help_panel="Vehicle",
-        ),
+        _VEHICLE(metavar="DIR", help="Keep the folders of --binary's programs, with their own logs, here."),
     ] = None,
-    range_sigma: Annotated[float, typer.Option(help="Laser noise, m.", rich_help_panel="Payload")] = 0.8,
-    range_outliers: Annotated[
-        float, typer.Option(help="Fraction of wrong ranges.", rich_help_panel="Payload")
-    ] = 0.02,
+    range_sigma: Annotated[float, _PAYLOAD(help="Laser noise, m.")] = 0.8,
+    range_outliers: Annotated[float, _PAYLOAD(help="Fraction of wrong ranges.")] = 0.02,
     range_message: Annotated[
-        RangeMessage, typer.Option(help="Message that carries the range.", rich_help_panel="Payload")
+        RangeMessage, _PAYLOAD(help="Message that carries the range.")
     ] = RangeMessage.DISTANCE_SENSOR,
-    gimbal_sigma_deg: Annotated[float, typer.Option(help="Gimbal noise, degrees.", rich_help_panel="Payload")] = 0.35,
-    gimbal_yaw_bias_deg: Annotated[
-        float, typer.Option(help="Constant gimbal error, degrees.", rich_help_panel="Payload")
-    ] = 0.4,
-    gimbal_frame: Annotated[
-        GimbalFrame, typer.Option(help="What its yaw is relative to.", rich_help_panel="Payload")
-    ] = GimbalFrame.EARTH,
-    dropouts: Annotated[
-        float, typer.Option(help="Fraction of the time without range.", rich_help_panel="Payload")
-    ] = 0.15,
-    payload_latency_ms: Annotated[
-        float, typer.Option(help="Time from measurement to sending, ms.", rich_help_panel="Payload")
-    ] = 50.0,
-    loss: Annotated[float, typer.Option(help="Fraction of packets lost, each way.", rich_help_panel="Link")] = 0.0,
-    delay_ms: Annotated[float, typer.Option(help="Wall-clock delay, each way.", rich_help_panel="Link")] = 0.0,
-    duplicate: Annotated[
-        float, typer.Option(help="Fraction of packets doubled, each way.", rich_help_panel="Link")
-    ] = 0.0,
+    gimbal_sigma_deg: Annotated[float, _PAYLOAD(help="Gimbal noise, degrees.")] = 0.35,
+    gimbal_yaw_bias_deg: Annotated[float, _PAYLOAD(help="Constant gimbal error, degrees.")] = 0.4,
+    gimbal_frame: Annotated[GimbalFrame, _PAYLOAD(help="What its yaw is relative to.")] = GimbalFrame.EARTH,
+    dropouts: Annotated[float, _PAYLOAD(help="Fraction of the time without range.")] = 0.15,
+    payload_latency_ms: Annotated[float, _PAYLOAD(help="Time from measurement to sending, ms.")] = 50.0,
+    loss: Annotated[float, _LINK(help="Fraction of packets lost, each way.")] = 0.0,
+    delay_ms: Annotated[float, _LINK(help="Wall-clock delay, each way.")] = 0.0,
+    duplicate: Annotated[float, _LINK(help="Fraction of packets doubled, each way.")] = 0.0,
     baud: Annotated[
-        float,
-        typer.Option(
-            help="Of a serial line, each way: what it cannot carry is late, then lost.",
-            show_default=False,
-            rich_help_panel="Link",
-        ),
+        float, _LINK(help="Of a serial line, each way: what it cannot carry is late, then lost.", show_default=False)
     ] = math.inf,
     lose: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="ID@S", help="Lose a vehicle after this simulated time, s; repeatable.", rich_help_panel="Vehicle"
-        ),
+        list[str] | None, _VEHICLE(metavar="ID@S", help="Lose a vehicle after this simulated time, s; repeatable.")
     ] = None,
     require_signing: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Sign, and accept only messages signed with the key in this file.",
-            rich_help_panel="Link",
-        ),
+        Path | None, _LINK(metavar="FILE", help="Sign, and accept only messages signed with the key in this file.")
     ] = None,
     while_input: Annotated[
         bool,
-        typer.Option(
-            "--while-input",
-            help="End when standard input ends; wait for the time that a program writes there.",
-            rich_help_panel="Run",
-        ),
+        _RUN("--while-input", help="End when standard input ends; wait for the time that a program writes there."),
     ] = False,
 ) -> None:
     """Fly a simulated vehicle that speaks MAVLink over UDP, with a laser and a gimbal on a moving target.

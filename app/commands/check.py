@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
+from sidelong.app.commands.options import AIRCRAFT, panel
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
 from sidelong.app.commands.progress import table_progress
 from sidelong.app.commands.radius import RadiusOption, warn_of_little_room
@@ -23,6 +24,8 @@ from sidelong.mission.paper.feasibility import feasibility
 from sidelong.mission.paper.optimum import ThresholdBounds, threshold_bounds
 from sidelong.mission.paper.optimum import optimise as optimum
 
+_PUBLISHED = panel("Published method (planner paper)")
+
 _PAPER = "paper"
 _LABELS = {
     "x_tr_m": ("advance of one turn of the transition (x_tr)", "m"),
@@ -35,55 +38,23 @@ _LABELS = {
 
 
 def check(
-    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).", show_default=False)] = None,
-    airspeed: Annotated[
-        float | None, typer.Option(help="Airspeed, m/s.", rich_help_panel="Aircraft and requirement")
-    ] = None,
+    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).")] = None,
+    airspeed: Annotated[float | None, AIRCRAFT(help="Airspeed, m/s.")] = None,
     radius: RadiusOption = None,
-    target_speed: Annotated[
-        float | None,
-        typer.Option(help="Highest speed of the target, m/s.", rich_help_panel="Aircraft and requirement"),
-    ] = None,
-    dmin: Annotated[
-        float | None, typer.Option(help="Least allowed range, m.", rich_help_panel="Aircraft and requirement")
-    ] = None,
-    dmax: Annotated[
-        float | None, typer.Option(help="Greatest allowed range, m.", rich_help_panel="Aircraft and requirement")
-    ] = None,
+    target_speed: Annotated[float | None, AIRCRAFT(help="Highest speed of the target, m/s.")] = None,
+    dmin: Annotated[float | None, AIRCRAFT(help="Least allowed range, m.")] = None,
+    dmax: Annotated[float | None, AIRCRAFT(help="Greatest allowed range, m.")] = None,
     planner: Annotated[
-        str | None,
-        typer.Option(
-            help=f"{' or '.join(PLANNER_NAMES)}; the configured one by default.",
-            rich_help_panel="Aircraft and requirement",
-        ),
+        str | None, AIRCRAFT(help=f"{' or '.join(PLANNER_NAMES)}; the configured one by default.")
     ] = None,
     threshold: Annotated[
-        float | None,
-        typer.Option(
-            help="Paper: factor C on dmax at which the circle is moved.",
-            rich_help_panel="Published method (planner paper)",
-        ),
+        float | None, _PUBLISHED(help="Paper: factor C on dmax at which the circle is moved.")
     ] = None,
     optimise: Annotated[
-        bool,
-        typer.Option(
-            "--optimise",
-            help="Paper: also find the best threshold and airspeed.",
-            rich_help_panel="Published method (planner paper)",
-        ),
+        bool, _PUBLISHED("--optimise", help="Paper: also find the best threshold and airspeed.")
     ] = False,
-    slowest: Annotated[
-        float,
-        typer.Option(
-            help="Slowest airspeed --optimise may choose, m/s.", rich_help_panel="Published method (planner paper)"
-        ),
-    ] = 8.0,
-    fastest: Annotated[
-        float,
-        typer.Option(
-            help="Fastest airspeed --optimise may choose, m/s.", rich_help_panel="Published method (planner paper)"
-        ),
-    ] = 30.0,
+    slowest: Annotated[float, _PUBLISHED(help="Slowest airspeed --optimise may choose, m/s.")] = 8.0,
+    fastest: Annotated[float, _PUBLISHED(help="Fastest airspeed --optimise may choose, m/s.")] = 30.0,
     json: JsonOption = None,
 ) -> None:
     """Check whether the configured planner can keep the requirement, and name the number to change if it cannot.

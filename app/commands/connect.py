@@ -38,27 +38,20 @@ def connect(
     urls: Annotated[
         list[str] | None,
         typer.Argument(
-            help="MAVSDK URL of the vehicle; several links to one; without it as the configuration has it.",
-            show_default=False,
+            help="MAVSDK URL of the vehicle; several links to one; without it as the configuration has it."
         ),
     ] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML) to check against.")] = None,
     timeout: Annotated[float | None, typer.Option(help="Wait this long for a heartbeat, s.")] = None,
     listen_s: Annotated[float, typer.Option("--listen", min=0.5, help="Listen to the sensors this long, s.")] = 3.0,
-    system_id: Annotated[
-        int | None, typer.Option(min=1, max=255, help="MAVLink system id of the vehicle.", show_default=False)
-    ] = None,
+    system_id: Annotated[int | None, typer.Option(min=1, max=255, help="MAVLink system id of the vehicle.")] = None,
     payload: Annotated[
         str | None,
         typer.Option(
-            metavar="KIND://HOST[:PORT]",
-            help=f"Read the payload by its own protocol: {', '.join(KIND_NAMES)}.",
-            show_default=False,
+            metavar="KIND://HOST[:PORT]", help=f"Read the payload by its own protocol: {', '.join(KIND_NAMES)}."
         ),
     ] = None,
-    signing_key: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Key of the link's signing.", show_default=False)
-    ] = None,
+    signing_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Key of the link's signing.")] = None,
     json: JsonOption = None,
 ) -> None:
     """List the detected components (autopilot, mode, position, sensors, parameters) and failing pre-flight checks.
@@ -112,11 +105,7 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
     link = config.link
     async with (
         connected(
-            urls,
-            link.heartbeat_timeout_s,
-            key=link.signing_key_file,
-            note=console.print,
-            system_id=link.system_id,
+            urls, link.heartbeat_timeout_s, key=link.signing_key_file, note=console.print, system_id=link.system_id
         ) as session,
         payload_input(config, session.vehicle, console.print) as payload,
     ):

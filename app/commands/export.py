@@ -29,13 +29,9 @@ from sidelong.mission.upload.items import plan_items
 
 
 def export(
-    source: Annotated[
-        Path, typer.Argument(help="A run folder of ours, or a tlog, PX4 ULog or ArduPilot .bin.", show_default=False)
-    ],
+    source: Annotated[Path, typer.Argument(help="A run folder of ours, or a tlog, PX4 ULog or ArduPilot .bin.")],
     wanted: Annotated[Format, typer.Option("--format", help="What to write.")] = Format.KML,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="The file; otherwise next to the source.", show_default=False)
-    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="The file; otherwise next to the source.")] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML); a run folder has its own.")] = None,
 ) -> None:
     """Write a flight for other programs.

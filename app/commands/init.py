@@ -73,12 +73,10 @@ def init(
         typer.Option(
             metavar="NAME[,NAME]",
             help=f"Begin with an airframe ({', '.join(PRESETS)}), a payload ({', '.join(PAYLOAD_PRESETS)}), or both.",
-            show_default=False,
         ),
     ] = None,
     fleet: Annotated[
-        int | None,
-        typer.Option(min=2, max=MAX_AIRCRAFT, help="Number of aircraft for one target.", show_default=False),
+        int | None, typer.Option(min=2, max=MAX_AIRCRAFT, help="Number of aircraft for one target.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
 ) -> None:

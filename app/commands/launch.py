@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sidelong.app.commands.options import MAP, OUTPUT, BoundsOption, MapOption, PortOption, panel
 from sidelong.app.commands.output import (
     JsonOption,
     checked_output,
@@ -18,7 +19,6 @@ from sidelong.app.commands.output import (
     warn,
     write_json,
 )
-from sidelong.app.commands.page_options import BoundsOption, MapOption, PortOption
 from sidelong.app.commands.radius import warn_of_little_room
 from sidelong.app.commands.report import write_fleet_report, write_report
 from sidelong.app.config import DEMONSTRATION, MAX_AIRCRAFT, Config, check_flyable, load_config, with_values
@@ -40,239 +40,120 @@ if TYPE_CHECKING:
     from sidelong.app.fleet.flight import FleetEnded
     from sidelong.app.flight.single import FlightEnded
 
+_MISSION = panel("Mission")
+_VEHICLE = panel("Vehicle and link")
+_PAYLOAD = panel("Payload")
+_SIMULATION = panel("Simulation")
+_PROGRAMS = panel("Other programs")
+
 _DURATION_S = 1200.0
 _DRIVER_SPEED_MAX = 4.0  # a simulated payload's data are stamped as they arrive: faster, this computer's load shows
 
 
 def launch(
-    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).", show_default=False)] = None,
-    fleet: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=MAX_AIRCRAFT,
-            help="Number of aircraft for one target.",
-            show_default=False,
-            rich_help_panel="Mission",
-        ),
-    ] = None,
+    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).")] = None,
+    fleet: Annotated[int | None, _MISSION(min=1, max=MAX_AIRCRAFT, help="Number of aircraft for one target.")] = None,
     connect: Annotated[
         list[str] | None,
-        typer.Option(
-            help="MAVSDK URL of a vehicle; twice for two links to it; without it one is simulated.",
-            show_default=False,
-            rich_help_panel="Vehicle and link",
-        ),
+        _VEHICLE(help="MAVSDK URL of a vehicle; twice for two links to it; without it one is simulated."),
     ] = None,
     system_id: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=255,
-            help="MAVLink system id of the vehicle, if several share the link.",
-            show_default=False,
-            rich_help_panel="Vehicle and link",
-        ),
+        int | None, _VEHICLE(min=1, max=255, help="MAVLink system id of the vehicle, if several share the link.")
     ] = None,
     signing_key: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Sign the link with this key, see: sidelong sign.",
-            show_default=False,
-            rich_help_panel="Vehicle and link",
-        ),
+        Path | None, _VEHICLE(metavar="FILE", help="Sign the link with this key, see: sidelong sign.")
     ] = None,
     payload: Annotated[
         str | None,
-        typer.Option(
+        _PAYLOAD(
             metavar="KIND://HOST[:PORT]",
             help=f"Read laser and gimbal by the payload's own protocol: {', '.join(KIND_NAMES)}; "
             "KIND:// alone with a simulated vehicle.",
-            show_default=False,
-            rich_help_panel="Payload",
         ),
     ] = None,
     route: Annotated[
         Path | None,
-        typer.Option(
+        _MISSION(
             metavar="FILE",
             help="Route that the target is expected to follow: .gpx, .geojson, .kml, or .csv with lat,lon.",
-            show_default=False,
-            rich_help_panel="Mission",
         ),
     ] = None,
     target: Annotated[
-        str | None,
-        typer.Option(
-            help="Simulated target: a built-in motion, a .gpx or a .csv track.", rich_help_panel="Simulation"
-        ),
+        str | None, _SIMULATION(help="Simulated target: a built-in motion, a .gpx or a .csv track.")
     ] = None,
-    target_speed: Annotated[
-        float | None,
-        typer.Option(
-            help="Highest speed to expect of the target, m/s.", show_default=False, rich_help_panel="Mission"
-        ),
-    ] = None,
-    duration: Annotated[
-        float, typer.Option(min=1.0, help="Watch this long, s of the vehicle's time.", rich_help_panel="Mission")
-    ] = _DURATION_S,
-    speed: Annotated[
-        float | None,
-        typer.Option(
-            help="Simulated time over wall time [10; with --payload 4].",
-            show_default=False,
-            rich_help_panel="Simulation",
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(help="Seed of the simulation's noise.", rich_help_panel="Simulation")
-    ] = None,
+    target_speed: Annotated[float | None, _MISSION(help="Highest speed to expect of the target, m/s.")] = None,
+    duration: Annotated[float, _MISSION(min=1.0, help="Watch this long, s of the vehicle's time.")] = _DURATION_S,
+    speed: Annotated[float | None, _SIMULATION(help="Simulated time over wall time [10; with --payload 4].")] = None,
+    seed: Annotated[int | None, _SIMULATION(help="Seed of the simulation's noise.")] = None,
     side: Annotated[
-        str | None,
-        typer.Option(
-            help="Watch from left or right of its motion, either, or bearings like 120-200.",
-            rich_help_panel="Mission",
-        ),
+        str | None, _MISSION(help="Watch from left or right of its motion, either, or bearings like 120-200.")
     ] = None,
     autopilot: Annotated[
-        str | None,
-        typer.Option(
-            help="Simulated autopilot: arduplane or px4; of a fleet in turn: a,b.",
-            show_default=False,
-            rich_help_panel="Simulation",
-        ),
+        str | None, _SIMULATION(help="Simulated autopilot: arduplane or px4; of a fleet in turn: a,b.")
     ] = None,
-    planner: Annotated[
-        str | None, typer.Option(help=f"{' or '.join(PLANNER_NAMES)}.", show_default=False, rich_help_panel="Mission")
-    ] = None,
+    planner: Annotated[str | None, _MISSION(help=f"{' or '.join(PLANNER_NAMES)}.")] = None,
     view: Annotated[
-        bool | None,
-        typer.Option(
-            "--view/--no-view",
-            help="Show a live map in the browser; by default in a desktop session.",
-            rich_help_panel="Live map",
-        ),
+        bool | None, MAP("--view/--no-view", help="Show a live map in the browser; by default in a desktop session.")
     ] = None,
     view_port: PortOption = DEFAULT_PORT,
     view_host: Annotated[
-        str,
-        typer.Option(
-            help="Address the live map is served at; anything but loopback asks for a token.",
-            rich_help_panel="Live map",
-        ),
+        str, MAP(help="Address the live map is served at; anything but loopback asks for a token.")
     ] = LOOPBACK[0],
-    view_cert: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PEM", help="Serve the live map by TLS.", show_default=False, rich_help_panel="Live map"
-        ),
-    ] = None,
-    view_key: Annotated[
-        Path | None,
-        typer.Option(metavar="PEM", help="Key of that certificate.", show_default=False, rich_help_panel="Live map"),
-    ] = None,
+    view_cert: Annotated[Path | None, MAP(metavar="PEM", help="Serve the live map by TLS.")] = None,
+    view_key: Annotated[Path | None, MAP(metavar="PEM", help="Key of that certificate.")] = None,
     map_file: MapOption = None,
     map_bounds: BoundsOption = None,
     cot: Annotated[
         str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Send target and aircraft as cursor on target: udp://, tcp:// or tls://HOST:PORT.",
-            show_default=False,
-            rich_help_panel="Other programs",
+        _PROGRAMS(
+            metavar="ADDRESS", help="Send target and aircraft as cursor on target: udp://, tcp:// or tls://HOST:PORT."
         ),
     ] = None,
     follow_target: Annotated[
         str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Send the target as FOLLOW_TARGET, for another autopilot: udp://HOST:PORT.",
-            show_default=False,
-            rich_help_panel="Other programs",
+        _PROGRAMS(
+            metavar="ADDRESS", help="Send the target as FOLLOW_TARGET, for another autopilot: udp://HOST:PORT."
         ),
     ] = None,
     nmea: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Send the target as NMEA sentences: udp://HOST:PORT.",
-            show_default=False,
-            rich_help_panel="Other programs",
-        ),
+        str | None, _PROGRAMS(metavar="ADDRESS", help="Send the target as NMEA sentences: udp://HOST:PORT.")
     ] = None,
     beacon: Annotated[
         str | None,
-        typer.Option(
+        _PAYLOAD(
             metavar="ADDRESS",
             help="The target's beacon: udp://0.0.0.0:PORT (FOLLOW_TARGET, cursor on target), adsb:ICAO, ais:MMSI.",
-            show_default=False,
-            rich_help_panel="Payload",
         ),
     ] = None,
     point_gimbal: Annotated[
-        bool,
-        typer.Option(
-            "--point-gimbal",
-            help="Point the gimbal at the target, by the vehicle or by --payload.",
-            rich_help_panel="Payload",
-        ),
+        bool, _PAYLOAD("--point-gimbal", help="Point the gimbal at the target, by the vehicle or by --payload.")
     ] = False,
-    report: Annotated[
-        bool, typer.Option("--report", help="Write report.html into the run folder.", rich_help_panel="Output")
-    ] = False,
+    report: Annotated[bool, OUTPUT("--report", help="Write report.html into the run folder.")] = False,
     guidance: Annotated[
-        str | None,
-        typer.Option(
-            help="Plans as mission items, or one command a circle: mission or command.",
-            show_default=False,
-            rich_help_panel="Mission",
-        ),
+        str | None, _MISSION(help="Plans as mission items, or one command a circle: mission or command.")
     ] = None,
     mcap: Annotated[
-        bool,
-        typer.Option(
-            "--mcap",
-            help="Also write flight.mcap, for Foxglove and PlotJuggler (package mcap).",
-            rich_help_panel="Output",
-        ),
+        bool, OUTPUT("--mcap", help="Also write flight.mcap, for Foxglove and PlotJuggler (package mcap).")
     ] = False,
     terrain: Annotated[
-        Path | None,
-        typer.Option(
-            help="Elevation data: a folder of SRTM .hgt tiles or GeoTIFF files.",
-            show_default=False,
-            rich_help_panel="Mission",
-        ),
+        Path | None, _MISSION(help="Elevation data: a folder of SRTM .hgt tiles or GeoTIFF files.")
     ] = None,
     home: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LAT,LON",
-            help="Home position of the simulated vehicle.",
-            show_default=False,
-            rich_help_panel="Simulation",
-        ),
+        str | None, _SIMULATION(metavar="LAT,LON", help="Home position of the simulated vehicle.")
     ] = None,
     set_parameters: Annotated[
         bool,
-        typer.Option(
-            "--set-parameters",
-            help="Change conflicting parameters for the flight; restore them at the end.",
-            rich_help_panel="Vehicle and link",
-        ),
+        _VEHICLE("--set-parameters", help="Change conflicting parameters for the flight; restore them at the end."),
     ] = False,
     take_over_from: Annotated[
         list[str] | None,
-        typer.Option(
+        _VEHICLE(
             metavar="MODE",
             help="Take a flying aircraft over out of RTL, LAND or failsafe (repeatable); else that is refused.",
-            show_default=False,
-            rich_help_panel="Vehicle and link",
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Where run folders are made.", rich_help_panel="Output")] = Path("runs"),
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.", rich_help_panel="Output")] = False,
+    out: Annotated[Path, OUTPUT(help="Where run folders are made.")] = Path("runs"),
+    quiet: Annotated[bool, OUTPUT("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
 ) -> None:
     """Fly: circle to one side of the target and relocate the circle as the target moves.

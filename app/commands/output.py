@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, TextIO, cast
 
-import typer
 from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
+from sidelong.app.commands.options import OUTPUT
 from sidelong.app.errors import InputError
 from sidelong.app.shutdown import abandon
 
@@ -95,10 +95,7 @@ def warn(text: str) -> None:
 
 
 JsonOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--json", help="Write the summary to this file as JSON; - is standard output.", rich_help_panel="Output"
-    ),
+    Path | None, OUTPUT("--json", help="Write the summary to this file as JSON; - is standard output.")
 ]
 
 

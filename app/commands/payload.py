@@ -35,12 +35,9 @@ def payload(
         typer.Argument(
             metavar="KIND://HOST[:PORT]",
             help=f"The payload, also KIND:///dev/NAME[:BAUD]; KIND: {', '.join(KIND_NAMES[1:])}.",
-            show_default=False,
         ),
     ] = None,
-    to: Annotated[
-        str | None, typer.Option(metavar="udpout:HOST:PORT", help="Publish as MAVLink there.", show_default=False)
-    ] = None,
+    to: Annotated[str | None, typer.Option(metavar="udpout:HOST:PORT", help="Publish as MAVLink there.")] = None,
     config: Annotated[Path | None, typer.Option(help="Configuration (TOML) with a [payload].")] = None,
     system_id: Annotated[int, typer.Option(min=1, max=255, help="MAVLink system id to publish as.")] = 1,
     duration: Annotated[

@@ -13,9 +13,7 @@ from sidelong.app.commands.progress import table_progress
 from sidelong.app.config import check_flyable, load_config
 
 
-def prepare(
-    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).", show_default=False)] = None,
-) -> None:
+def prepare(config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).")] = None) -> None:
     """Compile the inner loops and compute the planner's value tables, so that the next start takes seconds.
 
     Run it after each installation, as the user who flies. Machine code and tables are kept in the user's cache; set

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-import typer
-
+from sidelong.app.commands.options import AIRCRAFT
 from sidelong.app.commands.output import console
 from sidelong.app.config import Config, room_warning
 
@@ -20,12 +19,10 @@ def _parsed(words: str) -> float | str:
 # A float, or "auto".
 RadiusOption = Annotated[
     Any,
-    typer.Option(
+    AIRCRAFT(
         parser=_parsed,
         metavar="M|auto",
-        show_default=False,
         help="Radius of the circle, m; auto: 3.5 s of flight, with room in the range band.",
-        rich_help_panel="Aircraft and requirement",
     ),
 ]
 

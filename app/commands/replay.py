@@ -24,8 +24,8 @@ from sidelong.app.analysis.summary import Summary, SummaryCollector, describe_ca
 from sidelong.app.analysis.truth import Truth, read_truth
 from sidelong.app.assembly import controller_of, mission_controller_of, settle
 from sidelong.app.autopilots.registry import autopilot_by_name
+from sidelong.app.commands.options import MAP, OUTPUT, BoundsOption, MapOption, PortOption
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
-from sidelong.app.commands.page_options import BoundsOption, MapOption, PortOption
 from sidelong.app.commands.progress import progress_bar, table_progress
 from sidelong.app.config import Config, load_config, with_values
 from sidelong.app.errors import FlightError, InputError
@@ -47,10 +47,7 @@ from sidelong.mission.exchange.mission_controller import MissionController
 
 
 def replay(
-    log: Annotated[
-        Path,
-        typer.Argument(help="A run folder of ours, or a log: tlog, PX4 ULog, ArduPilot .bin.", show_default=False),
-    ],
+    log: Annotated[Path, typer.Argument(help="A run folder of ours, or a log: tlog, PX4 ULog, ArduPilot .bin.")],
     truth: Annotated[
         Path | None, typer.Option(help="CSV with the true track; a simulated run folder has its own.")
     ] = None,
@@ -62,19 +59,14 @@ def replay(
     verify: Annotated[
         bool, typer.Option("--verify", help="Compare every decision with the run's own; exit 1 at a difference.")
     ] = False,
-    view: Annotated[
-        bool, typer.Option("--view", help="Show the replay on a live map in the browser.", rich_help_panel="Live map")
-    ] = False,
+    view: Annotated[bool, MAP("--view", help="Show the replay on a live map in the browser.")] = False,
     view_port: PortOption = DEFAULT_PORT,
     view_speed: Annotated[
-        float,
-        typer.Option(
-            min=0.1, max=SPEED_MAX, help="Recorded time over wall time with --view.", rich_help_panel="Live map"
-        ),
+        float, MAP(min=0.1, max=SPEED_MAX, help="Recorded time over wall time with --view.")
     ] = 10.0,
     map_file: MapOption = None,
     map_bounds: BoundsOption = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print the summary only.", rich_help_panel="Output")] = False,
+    quiet: Annotated[bool, OUTPUT("--quiet", help="Print the summary only.")] = False,
     json: JsonOption = None,
 ) -> None:
     """Run the filter and the planner over a recorded flight: show its decisions and the error of the estimate.

@@ -16,14 +16,12 @@ from sidelong.app.records.run_folder import FleetFolder, require_recording
 
 
 def report(
-    run: Annotated[Path, typer.Argument(help="A run folder, or a recorded tlog.", show_default=False)],
+    run: Annotated[Path, typer.Argument(help="A run folder, or a recorded tlog.")],
     out: Annotated[
         Path | None,
         typer.Option("--out", help="The page; otherwise report.html in the run folder, or next to the log."),
     ] = None,
-    png: Annotated[
-        Path | None, typer.Option(help="Write each figure into this folder as PNG too.", show_default=False)
-    ] = None,
+    png: Annotated[Path | None, typer.Option(help="Write each figure into this folder as PNG too.")] = None,
     truth: Annotated[
         Path | None, typer.Option(help="CSV with the true track; a simulated run folder has its own.")
     ] = None,

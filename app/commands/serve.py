@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from sidelong.app.commands.options import MAP
 from sidelong.app.commands.output import JsonOption, checked_output, console, shielded_output, write_json
 from sidelong.app.config import check_flyable, load_config
 from sidelong.app.errors import FlightError, InputError
@@ -22,20 +23,13 @@ from sidelong.app.view.address import DEFAULT_PORT, LOOPBACK, page_address
 
 
 def serve(
-    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).", show_default=False)] = None,
-    connect: Annotated[
-        list[str] | None, typer.Option(help="MAVSDK URL of the vehicle, instead of link.url.", show_default=False)
-    ] = None,
-    view: Annotated[
-        bool, typer.Option("--view", help="Serve a live map while a watch lasts.", rich_help_panel="Live map")
-    ] = False,
-    view_host: Annotated[
-        str,
-        typer.Option(help="Address of the map; anything but loopback asks for a token.", rich_help_panel="Live map"),
-    ] = (LOOPBACK[0]),
-    view_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of the map.", rich_help_panel="Live map")
-    ] = DEFAULT_PORT,
+    config: Annotated[Path | None, typer.Argument(help="Configuration (TOML).")] = None,
+    connect: Annotated[list[str] | None, typer.Option(help="MAVSDK URL of the vehicle, instead of link.url.")] = None,
+    view: Annotated[bool, MAP("--view", help="Serve a live map while a watch lasts.")] = False,
+    view_host: Annotated[str, MAP(help="Address of the map; anything but loopback asks for a token.")] = (
+        LOOPBACK[0]
+    ),
+    view_port: Annotated[int, MAP(min=0, max=65535, help="Port of the map.")] = DEFAULT_PORT,
     point_gimbal: Annotated[bool, typer.Option("--point-gimbal", help="Point the gimbal at the target.")] = False,
     out: Annotated[Path, typer.Option(help="Where run folders are made.")] = Path("runs"),
 ) -> None:

@@ -16,10 +16,8 @@ from sidelong.app.link.signing import signing_time
 
 
 def sign(
-    key: Annotated[Path, typer.Argument(help="The key's file; made if it is not there.", show_default=False)],
-    connect: Annotated[
-        str | None, typer.Option(help="URL of the vehicle that is to have it, by cable.", show_default=False)
-    ] = None,
+    key: Annotated[Path, typer.Argument(help="The key's file; made if it is not there.")],
+    connect: Annotated[str | None, typer.Option(help="URL of the vehicle that is to have it, by cable.")] = None,
     remove: Annotated[bool, typer.Option("--remove", help="Take the key back from the vehicle.")] = False,
     timeout: Annotated[float, typer.Option(min=1.0, help="Wait this long for a heartbeat, s.")] = 10.0,
 ) -> None:

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
+from sidelong.app.commands.options import AIRCRAFT, OUTPUT, panel
 from sidelong.app.commands.output import (
     JsonOption,
     checked_file,
@@ -51,6 +52,10 @@ from sidelong.estimators.compiled import is_cached
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.requirement import Requirement
 
+_TARGETS = panel("Targets")
+_COMPARISON = panel("Comparison")
+_COMPUTATION = panel("Computation")
+
 _LEGS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
 _BATCH_MAX = 50  # runs that go to a process or worker at once
 _BATCHES_EACH = 16  # for each process at least, so that little is lost when a study ends early
@@ -58,155 +63,77 @@ _BATCHES_EACH = 16  # for each process at least, so that little is lost when a s
 
 def study(
     config: Annotated[
-        Path | None, typer.Argument(help="Aircraft, requirement and sensors of a mission (TOML).", show_default=False)
+        Path | None, typer.Argument(help="Aircraft, requirement and sensors of a mission (TOML).")
     ] = None,
     targets: Annotated[
         list[Path] | None,
-        typer.Option(
-            help="A folder of recorded targets (.csv with t_s,east_m,north_m or time,lat,lon; .gpx).",
-            rich_help_panel="Targets",
-        ),
+        _TARGETS(help="A folder of recorded targets (.csv with t_s,east_m,north_m or time,lat,lon; .gpx)."),
     ] = None,
     routes: Annotated[
         bool,
-        typer.Option(
-            help="Let the predictive planner know NAME.route.csv (.gpx, .geojson, .kml) next to each track.",
-            rich_help_panel="Targets",
-        ),
+        _TARGETS(help="Let the predictive planner know NAME.route.csv (.gpx, .geojson, .kml) next to each track."),
     ] = False,
     runs: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="Number of targets; default 20 random ones, or all recorded.", rich_help_panel="Targets"
-        ),
+        int | None, _TARGETS(min=1, help="Number of targets; default 20 random ones, or all recorded.")
     ] = None,
-    noise_draws: Annotated[
-        int, typer.Option(min=1, help="Runs per target, each with different noise.", rich_help_panel="Targets")
-    ] = 1,
-    run: Annotated[
-        list[int] | None,
-        typer.Option(min=0, help="Fly only the run of this number (repeatable).", rich_help_panel="Targets"),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all targets and noise.", rich_help_panel="Targets")] = 1,
-    planner: Annotated[
-        list[PlannerName] | None,
-        typer.Option(help="Compare only this planner (repeatable).", rich_help_panel="Comparison"),
-    ] = None,
-    airspeed: Annotated[
-        float | None,
-        typer.Option(help="Airspeed, m/s; 10 by default.", rich_help_panel="Aircraft and requirement"),
-    ] = None,
+    noise_draws: Annotated[int, _TARGETS(min=1, help="Runs per target, each with different noise.")] = 1,
+    run: Annotated[list[int] | None, _TARGETS(min=0, help="Fly only the run of this number (repeatable).")] = None,
+    seed: Annotated[int, _TARGETS(min=0, help="Seed of all targets and noise.")] = 1,
+    planner: Annotated[list[PlannerName] | None, _COMPARISON(help="Compare only this planner (repeatable).")] = None,
+    airspeed: Annotated[float | None, AIRCRAFT(help="Airspeed, m/s; 10 by default.")] = None,
     radius: RadiusOption = None,
     target_speed_max: Annotated[
         float | None,
-        typer.Option(
+        AIRCRAFT(
             help="Highest speed of the target, m/s, half the airspeed by default; "
-            "recorded ones whose 95th percentile is above are skipped.",
-            rich_help_panel="Aircraft and requirement",
+            "recorded ones whose 95th percentile is above are skipped."
         ),
     ] = None,
-    wind: Annotated[
-        float | None, typer.Option(help="Steady wind, m/s.", rich_help_panel="Aircraft and requirement")
-    ] = None,
+    wind: Annotated[float | None, AIRCRAFT(help="Steady wind, m/s.")] = None,
     autopilot: Annotated[
         str | None,
-        typer.Option(
-            help="Latency and lag measured for this autopilot; closed loop: the simulated one. arduplane or px4.",
-            rich_help_panel="Aircraft and requirement",
+        AIRCRAFT(
+            help="Latency and lag measured for this autopilot; closed loop: the simulated one. arduplane or px4."
         ),
     ] = None,
     latency: Annotated[
-        float | None,
-        typer.Option(
-            help="Time from a decision to the earliest departure, s; 0.2 by default.",
-            rich_help_panel="Aircraft and requirement",
-        ),
+        float | None, AIRCRAFT(help="Time from a decision to the earliest departure, s; 0.2 by default.")
     ] = None,
-    lag: Annotated[
-        float | None,
-        typer.Option(
-            help="Time constant of the aircraft's bank, s; 0 by default.", rich_help_panel="Aircraft and requirement"
-        ),
-    ] = None,
+    lag: Annotated[float | None, AIRCRAFT(help="Time constant of the aircraft's bank, s; 0 by default.")] = None,
     sweep: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Fly every value of a parameter: KEY=V1,V2 or KEY=FROM:TO:STEP (repeatable).",
-            rich_help_panel="Comparison",
-        ),
+        _COMPARISON(help="Fly every value of a parameter: KEY=V1,V2 or KEY=FROM:TO:STEP (repeatable)."),
     ] = None,
-    legs: Annotated[
-        str, typer.Option(help="How long a random target keeps its course and speed, s.", rich_help_panel="Targets")
-    ] = "40-200",
+    legs: Annotated[str, _TARGETS(help="How long a random target keeps its course and speed, s.")] = "40-200",
     duration: Annotated[
-        float | None,
-        typer.Option(
-            help="Longest run, s; default 1200, or a recorded target's whole track.", rich_help_panel="Targets"
-        ),
+        float | None, _TARGETS(help="Longest run, s; default 1200, or a recorded target's whole track.")
     ] = None,
     fidelity: Annotated[
         Fidelity,
-        typer.Option(
-            help="kinematic: filter and planner, fast; closed-loop: the whole product and a vehicle.",
-            rich_help_panel="Comparison",
-        ),
+        _COMPARISON(help="kinematic: filter and planner, fast; closed-loop: the whole product and a vehicle."),
     ] = Fidelity.KINEMATIC,
     perfect_sensors: Annotated[
-        bool,
-        typer.Option(
-            "--perfect-sensors", help="Give the planners the true state of the target.", rich_help_panel="Comparison"
-        ),
+        bool, _COMPARISON("--perfect-sensors", help="Give the planners the true state of the target.")
     ] = False,
     fleet: Annotated[
         int,
-        typer.Option(
-            min=1,
-            max=6,
-            help="Number of aircraft on each target, with joint decisions and phased guidance laws.",
-            rich_help_panel="Aircraft and requirement",
+        AIRCRAFT(
+            min=1, max=6, help="Number of aircraft on each target, with joint decisions and phased guidance laws."
         ),
     ] = 1,
     terrain: Annotated[
-        Path | None,
-        typer.Option(
-            help="Compare the default planner with and without this elevation data (folder).",
-            show_default=False,
-            rich_help_panel="Aircraft and requirement",
-        ),
+        Path | None, AIRCRAFT(help="Compare the default planner with and without this elevation data (folder).")
     ] = None,
-    home: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LAT,LON",
-            help="Position of the study on the terrain.",
-            show_default=False,
-            rich_help_panel="Aircraft and requirement",
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(min=1, help="Processes; by default one for each core.", rich_help_panel="Computation"),
-    ] = None,
+    home: Annotated[str | None, AIRCRAFT(metavar="LAT,LON", help="Position of the study on the terrain.")] = None,
+    jobs: Annotated[int | None, _COMPUTATION(min=1, help="Processes; by default one for each core.")] = None,
     scheduler: Annotated[
-        str | None,
-        typer.Option(
-            help="Fly on the workers of this Dask scheduler: tcp://HOST:PORT.", rich_help_panel="Computation"
-        ),
+        str | None, _COMPUTATION(help="Fly on the workers of this Dask scheduler: tcp://HOST:PORT.")
     ] = None,
     store: Annotated[
-        Path | None,
-        typer.Option(
-            help="Store each result in this SQLite file; stored runs are not flown again.",
-            rich_help_panel="Computation",
-        ),
+        Path | None, _COMPUTATION(help="Store each result in this SQLite file; stored runs are not flown again.")
     ] = None,
-    export: Annotated[
-        Path | None,
-        typer.Option(help="Write a row for each run to this .csv or .parquet file.", rich_help_panel="Output"),
-    ] = None,
-    report: Annotated[
-        Path | None, typer.Option(help="Write a page with all figures to this .html file.", rich_help_panel="Output")
-    ] = None,
+    export: Annotated[Path | None, OUTPUT(help="Write a row for each run to this .csv or .parquet file.")] = None,
+    report: Annotated[Path | None, OUTPUT(help="Write a page with all figures to this .html file.")] = None,
     json: JsonOption = None,
 ) -> None:
     """Compare planners against many targets, random or recorded, without an autopilot.
@@ -345,11 +272,7 @@ def _hills(terrain: Path, home: str | None, planners: list[PlannerName] | None, 
 
 
 def _fly_fleet(
-    settings: StudySettings,
-    designs: int,
-    planners: list[PlannerName] | None,
-    jobs: int | None,
-    json: Path | None,
+    settings: StudySettings, designs: int, planners: list[PlannerName] | None, jobs: int | None, json: Path | None
 ) -> None:
     if planners:
         names = ", ".join(FleetPlannerName)

@@ -17,8 +17,7 @@ from sidelong.app.terrain.tile import Bounds
 def terrain(
     folder: Annotated[Path, typer.Argument(help="Folder of SRTM .hgt tiles or GeoTIFF files, or one of them.")],
     bounds: Annotated[
-        str | None,
-        typer.Option(metavar="S,W,N,E", help="Degrees; without it the outline of all tiles.", show_default=False),
+        str | None, typer.Option(metavar="S,W,N,E", help="Degrees; without it the outline of all tiles.")
     ] = None,
     json: JsonOption = None,
 ) -> None:
