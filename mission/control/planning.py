@@ -107,7 +107,9 @@ class Planning:
     @property
     def route_progress(self) -> RouteProgress | None:
         """The target's progress along its route; None without a route."""
-        return self.planner.route_progress if isinstance(self.planner, RoutePlanner) else None
+        if self._route is None or not isinstance(self.planner, RoutePlanner):  # the order matters: the latter is slow
+            return None
+        return self.planner.route_progress
 
     def route_news(self) -> str:
         """Return in words whether the target has joined or left its route since the last call; '' if neither."""
