@@ -41,7 +41,7 @@ from sidelong.mission.fleet.cover_kernel import (
 from sidelong.mission.predictive.cost_kernel import IntArray, cost_rate, least, table_value
 from sidelong.mission.predictive.decision_kernel import Looker, add_prices, alternatives, commitment, look_deeper
 from sidelong.mission.predictive.foresight_kernel import along_route, foresee
-from sidelong.mission.predictive.future_kernel import likeliest_alone, winding
+from sidelong.mission.predictive.future_kernel import first_of, winding
 from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
 from sidelong.mission.predictive.rollout_kernel import (
     Futures,
@@ -278,7 +278,7 @@ def role_values(now: Situation, looker: Looker, team: Team) -> tuple[float, floa
 def _value_at(now: Situation, looker: Looker) -> float:
     scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
     every = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
-    f = likeliest_alone(along_route(scene, looker, every))
+    f = first_of(along_route(scene, looker, every)[0], 1)
     x_m, y_m = in_frame(scene, scene.start.east_m, scene.start.north_m)
     heading_rad = scene.mirror * (scene.start.course_rad - scene.course_rad)
     return _role_value(f, looker, x_m, y_m, heading_rad, 0.0)
@@ -301,8 +301,8 @@ def team_decide(
     """
     sure, foreseen, judged_by = foresee(scene, now, looker)
     every = winding(scene, looker.motions, looker.wish, looker.memory, looker.turns)
-    every = along_route(scene, looker, every)
-    f = likeliest_alone(every) if team.futures < 2 else every
+    every, _ = along_route(scene, looker, every)
+    f = first_of(every, 1) if team.futures < 2 else every
     cover = cover_of(scene, f, others, first_s, looker, team)
     stay_cost = team_look_ahead(scene, now, f, cover, looker, team, costs)
     if scene.mirror == team.wanted:

@@ -12,7 +12,7 @@ from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import ARC, Craft, line_at, sharpness_per_m2, turn_radius_m
 from sidelong.mission.predictive.cost_kernel import CostTerms, Table, fading_per_s, least
-from sidelong.mission.predictive.future_kernel import Motions, Turns, likeliest_alone
+from sidelong.mission.predictive.future_kernel import Motions, Turns, first_of
 from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S, Kept, lines_from, move_line, ramp_on
 from sidelong.mission.predictive.programme_kernel import Foresight
 from sidelong.mission.predictive.rollout_kernel import Futures, Lines, Pose, lines_costs, single_line, times_s
@@ -214,8 +214,10 @@ def look_deeper(
     if moves were free, and where the ground hides something: second moves know nothing of it. What gains less than
     min_gain may be given any cost above that.
     """
-    # The turns that the target may begin only matter with a second move.
-    stay_cost = look_ahead(scene, now, likeliest_alone(futures), looker, sight, costs)
+    # Turns that the target may begin only matter with a second move; a likely repetition of its trail does at once.
+    repeats = len(futures.weight) > 1 and futures.weight[1] > futures.weight[0]
+    likely = first_of(futures, 2 if repeats else 1)
+    stay_cost = look_ahead(scene, now, likely, looker, sight, costs)
     depth, prices, air = looker.depth, looker.prices, scene.air
     if depth.beam == 0 or len(sight.needed_m) > 0 or doubtful(scene, looker.motions):
         return stay_cost

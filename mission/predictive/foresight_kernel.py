@@ -52,21 +52,24 @@ _SETTLES_S = 8.0
 
 
 @compiled
-def along_route(scene: Scene, looker: Looker, every: Futures) -> Futures:
-    """Return futures of which the first follows the route, where the target is on it; else the same futures."""
+def along_route(scene: Scene, looker: Looker, every: Futures) -> tuple[Futures, bool]:
+    """Return futures of which the first follows the route, and True, if the target is on it; else the same and False.
+
+    The route replaces the future along the target's own trail.
+    """
     way, progress = looker.foresight.way, looker.foresight.progress
     if len(way.points) == 0 or progress[ON_ROUTE] == 0.0:
-        return every
+        return every, False
     best = likeliest(progress)
     if best < 0:
-        return every
+        return every, False
     one = hypotheses(progress)[best]
     chance, turns, k = _TRUST * one[CHANCE], len(looker.turns.rate_rad_s), every.place.shape[1]
     if chance < _LEAST_TRUST:
-        return every
+        return every, False
     weight, place = np.full(turns + 1, (1.0 - chance) / turns), np.empty((turns + 1, k, 4))
     weight[_ROUTE] = chance
-    place[1:] = every.place
+    place[1], place[2:] = every.place[0], every.place[len(every.weight) - turns + 1 :]
     points = np.empty((k + 1, 2))
     forecast(way, progress, one, scene.departure_s, _SETTLES_S, points)
     off_e, off_n = scene.frame_east_m - points[0, 0], scene.frame_north_m - points[0, 1]
@@ -76,7 +79,7 @@ def along_route(scene: Scene, looker: Looker, every: Futures) -> Futures:
         place[_ROUTE, i, 0], place[_ROUTE, i, 1] = points[i, 0], points[i, 1]
         place[_ROUTE, i, 2], place[_ROUTE, i, 3] = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
     moving = looker.memory[STANDING] == 0.0
-    return watched(scene, looker.motions, looker.wish, looker.memory, moving, weight, place)
+    return watched(scene, looker.motions, looker.wish, looker.memory, moving, weight, place), True
 
 
 @compiled
@@ -122,9 +125,9 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Future
     if len(s.way.points) == 0:
         return scene, every, looker
     update_progress(s.way, now.target, s.progress)
-    f = along_route(scene, looker, every)
+    f, on_route = along_route(scene, looker, every)
     best, state = likeliest(s.progress), s.state
-    if len(f.weight) == len(every.weight):
+    if not on_route:
         state[COMPUTED_S] = -np.inf
         return scene, f, looker
     # The route tells where the target goes: the uncertainty of its velocity does not grow into one of its position.

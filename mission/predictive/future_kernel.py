@@ -1,4 +1,4 @@
-"""The predicted motion of the target, straight on or turning, and the course that is watched from then."""
+"""Predicted motion of the target: straight on, turning, or along its own trail; and the course watched then."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from sidelong.mission.predictive.cost_kernel import IntArray
 from sidelong.mission.predictive.moves_kernel import STEP_S
 from sidelong.mission.predictive.rollout_kernel import Futures
 from sidelong.mission.predictive.scene_kernel import Scene, in_frame
+from sidelong.mission.viewpoint.trail_kernel import no_part, predict_along, repeated_part
 from sidelong.mission.viewpoint.viewpoint_kernel import (
     MIN_WAY_M,
     STANDING,
+    TRAIL,
     Wish,
     made_good_sigma_rad,
     place_at,
@@ -92,20 +94,31 @@ def fill_classes(
 def winding(scene: Scene, motions: Motions, wish: Wish, memory: FloatArray, turns: Turns) -> Futures:
     """Return futures in which the target keeps its speed and turns, and the course that is watched turns after it.
 
-    There is one for each turn, the first straight on. The running cost is that of the course made good, of the
-    present one, or of a fixed one; the table is asked in the frame of the velocity, in which it was computed, or of
-    the fixed course.
+    There is one for each turn, the first straight on. If the target repeats a part of its trail, the second follows
+    the trail. The running cost is that of the course made good, of the present one, or of a fixed one; the table is
+    asked in the frame of the velocity, in which it was computed, or of the fixed course.
     """
     k = min(FORETOLD_S, math.ceil(8.0 * scene.radius_m / scene.air.airspeed_m_s) + 25)
     speed_m_s = math.hypot(scene.velocity_x_m_s, scene.velocity_y_m_s)
     moving = memory[STANDING] == 0.0 and speed_m_s > _SLOW_M_S
-    f = len(turns.rate_rad_s)
-    place, weight = np.zeros((f, k, 4)), np.full(f, 1.0 / f)
+    part, trail = no_part(), memory[TRAIL:]
+    if moving and len(turns.rate_rad_s) > 1:
+        part = repeated_part(trail, scene.frame_east_m, scene.frame_north_m, speed_m_s)
+    more = 1 if part.chance > 0.0 else 0
+    f = len(turns.rate_rad_s) + more
+    place, weight = np.zeros((f, k, 4)), np.full(f, (1.0 - part.chance) / (f - more))
     faded_s = np.empty(k)
     for i in range(k):
         faded_s[i] = turns.fades_s * (1.0 - math.exp(-(i + 0.5) * STEP_S / turns.fades_s))
     for one in range(f):
-        _turning(scene, turns.rate_rad_s[one], faded_s, place[one])
+        _turning(scene, turns.rate_rad_s[max(one - more, 0)], faded_s, place[one])
+    if more > 0:
+        weight[1], x_m, y_m = part.chance, np.empty(k + 1), np.empty(k + 1)
+        predict_along(trail, part, scene.frame_east_m, scene.frame_north_m, speed_m_s * STEP_S, x_m, y_m)
+        for i in range(k + 1):
+            x_m[i], y_m[i] = in_frame(scene, x_m[i], y_m[i])
+        place[1, :, 0], place[1, :, 1] = x_m[:k], y_m[:k]
+        place[1, :, 2], place[1, :, 3] = (x_m[1:] - x_m[:k]) / STEP_S, (y_m[1:] - y_m[:k]) / STEP_S
     return watched(scene, motions, wish, memory, moving, weight, place)
 
 
@@ -219,8 +232,14 @@ def _watch(
 
 
 @compiled
-def likeliest_alone(f: Futures) -> Futures:
-    """Return the first future alone, in which the target keeps its course or follows its route."""
+def first_of(f: Futures, n: int) -> Futures:
+    """Return the first n futures alone; the probability of the removed ones is added to the first."""
+    weight = np.ones(n)
+    weight[1:] = f.weight[1:n]
+    others = 0.0
+    for one in range(1, n):
+        others += weight[one]
+    weight[0] -= others
     return Futures(
-        np.ones(1), f.step_s, f.place[:1], f.facing[:1], f.course[:1], f.classes[:1], f.share[:1], f.turn_share[:1]
+        weight, f.step_s, f.place[:n], f.facing[:n], f.course[:n], f.classes[:n], f.share[:n], f.turn_share[:n]
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
+from sidelong.mission.viewpoint.trail_kernel import TRAIL_SIZE, remember
 
 _STOPPED_BELOW_M_S = 0.9
 _MOVING_ABOVE_M_S = 1.0
@@ -22,13 +23,14 @@ _JUMP_M = 5.0
 
 # The memory, an array: what it holds, the aircraft's own airspeed as a share of the wanted one, and when that was
 # looked at, then the times and courses of the last seconds of motion, oldest first, then times and places of the last
-# minute, and the last estimate: time, place and velocity.
+# minute, the last estimate (time, place and velocity), and the trail.
 STANDING, COURSE, PRESUMED, SIDE, MADE_GOOD, AIRSPEED_SHARE, AIRSPEED_S, RECENT = range(8)
 _RECENT_MAX = 200  # of them: more than at any rate that decisions are made at
 _PLACES = RECENT + 1 + 2 * _RECENT_MAX
 _PLACES_MAX, _PLACE_EVERY_S = 72, 0.95
 _LAST = _PLACES + 1 + 3 * _PLACES_MAX
-MEMORY_SIZE = _LAST + 5
+TRAIL = _LAST + 5
+MEMORY_SIZE = TRAIL + TRAIL_SIZE
 
 
 class Known(NamedTuple):
@@ -127,7 +129,7 @@ def _follow_jump(target: Known, memory: FloatArray, places: FloatArray, count: i
 
 @compiled
 def remember_place(target: Known, memory: FloatArray) -> None:
-    """Keep a place for the course made good, about one each second.
+    """Keep a place for the course made good, about one each second, and for the trail.
 
     If the estimate has jumped, the kept places jump along: the jump corrects the estimate, the target did not move.
     """
@@ -145,6 +147,7 @@ def remember_place(target: Known, memory: FloatArray) -> None:
         count -= 1
     places[3 * count], places[3 * count + 1], places[3 * count + 2] = target.time_s, target.east_m, target.north_m
     memory[_PLACES] = count + 1
+    remember(memory[TRAIL:], target.east_m, target.north_m)
 
 
 @inlined

@@ -15,7 +15,7 @@ from sidelong.mission.geometry.trapezoid import sharpness_per_m2, sharpnesses_pe
 from sidelong.mission.geometry.wind import ground_speeds_m_s, min_radius_m
 from sidelong.mission.predictive import decision_kernel as kernel
 from sidelong.mission.predictive.foresight import no_route
-from sidelong.mission.predictive.future_kernel import Turns, likeliest_alone, winding
+from sidelong.mission.predictive.future_kernel import Turns, first_of, winding
 from sidelong.mission.predictive.moves_kernel import MOVES, move_line, nothing_kept
 from sidelong.mission.predictive.planner import table_configuration
 from sidelong.mission.predictive.rollout_kernel import Air, Futures, Pose, lines_costs, single_line, times_s
@@ -270,9 +270,35 @@ def test_a_turn_is_predicted_with_the_straight_way_first(paper_aircraft, paper_r
     np.testing.assert_allclose(futures.weight, 1.0 / 3.0)
     course = np.unwrap(np.arctan2(futures.place[:, :, 2], futures.place[:, :, 3]), axis=1)
     np.testing.assert_allclose(np.degrees(course[:, -1] - course[:, 0]), [0.0, -30.0, 30.0], atol=2.0)
-    straight = likeliest_alone(futures)
+    straight = first_of(futures, 1)
     assert straight.weight == [1.0]
     np.testing.assert_array_equal(straight.place[0], futures.place[0])
+
+
+def test_a_target_that_paces_is_expected_to_turn_where_it_turned(paper_aircraft, paper_requirement):
+    """It goes 200 m to and fro at 4 m/s; 48 m before it turns for the fourth time it is expected to."""
+    motions, turns = a_table(paper_aircraft, paper_requirement).motions, Turns(np.radians([0.0, -3.0, 3.0]), 10.0)
+    for side in (1.0, -1.0):
+        memory, wish = fresh_memory(side), Wish(False, 50.0, math.nan, 20.0)
+        present = Plan(Circle(-220.0 * side, 90.0, 60.0, clockwise=side > 0.0))
+        for time_s in range(189):
+            turned, past_m = divmod(4.0 * time_s, 200.0)
+            north_m, speed_m_s = (past_m, 4.0) if turned % 2 == 0 else (200.0 - past_m, -4.0)
+            target = Known(float(time_s), 0.0, north_m, 0.0, speed_m_s, np.diag([0.25, 0.09, 0.04, 0.04]))
+            place = float(time_s), -280.0 * side, 90.0, 0.0, 10.0, side / 60.0
+            now = Situation(*place, target, *line_of(present), 0.0, 0.0, 0.0, 0.0)
+            scene = scene_of(now, 5.0, craft_of(paper_aircraft), wish, memory)
+        futures = winding(scene, motions, wish, memory, turns)
+        straight, again = futures.place[0], futures.place[1]
+        assert futures.weight.sum() == pytest.approx(1.0)
+        assert futures.weight[1] >= 0.7
+        np.testing.assert_allclose(straight[:20, 1], 4.0 * np.arange(20), atol=1e-6)
+        np.testing.assert_allclose(again[:10, 1], 4.0 * np.arange(10), atol=1e-6)
+        assert again[30, 1] == pytest.approx(48.0 - (120.0 - 48.0), abs=8.0)
+        watched = np.arctan2(futures.facing[1, :, 0], futures.facing[1, :, 1])
+        assert abs(watched[10]) < 0.2
+        assert abs(watched[35]) > 2.9
+        assert first_of(futures, 2).weight == pytest.approx([1.0 - futures.weight[1], futures.weight[1]])
 
 
 @pytest.mark.parametrize(("side", "under_way"), [(1.0, False), (-1.0, True)])
