@@ -371,6 +371,8 @@ class MissionItemBackend:
         self._waits = self._waits or (frozen and not self._ownership.frozen)
 
     def _on_current(self, report: MissionCurrentReported) -> None:
+        if self._ownership.is_late(report):
+            return
         previous, self._current = self._current, report
         change = self._change
         self._look_for_skipped(previous, report)

@@ -21,6 +21,7 @@ from sidelong.mission.exchange.reports import (
 
 _AUDIT_S, _AUDIT_AGAIN_S = 3.0, 0.6  # between two looks at the item that is flown
 _READ_S = 30.0
+_LATE_S = 10.0  # a mission of ours that is reported after that was written again by another station
 _WRITTEN_MAX = 4
 _READS = 2  # an item of the mission before may come late, once
 _CHANGED = "another station has changed the mission"
@@ -46,6 +47,7 @@ class MissionOwnership:
         self._begun = False
         self._audit_s = math.inf
         self._identified = False  # the autopilot reports how long its mission is, or names it
+        self._latest_id, self._latest_s = 0, -math.inf  # of the last accepted upload, on the link's clock; 0: unknown
         self._flown = -1  # the farthest item of the present line that was reported since the latest upload
 
     @property
@@ -115,6 +117,7 @@ class MissionOwnership:
         self._flown = -1  # a list that is taken whole begins at the item that was marked
         self._in_doubt = self._begun and not accepted and not self._quirks.stores_items_one_by_one
         self._written.append((items, accepted))
+        self._latest_id, self._latest_s = mission_id if accepted else 0, self._outbox.link_s
         self._identity.written(len(items) - self._quirks.home_at_zero, mission_id, accepted)
         if self.doubtful:
             self._identity.doubtful = {len(one) - self._quirks.home_at_zero for one, _ in self._written}
@@ -123,6 +126,17 @@ class MissionOwnership:
         """Have switched to another line: what comes late belongs to the one before."""
         self._reports.forget()
         self._flown = -1
+
+    def is_late(self, report: MissionCurrentReported) -> bool:
+        """Return whether a report is about a mission that the last upload replaced: its numbers mean other items.
+
+        Args:
+            report: What the autopilot reports.
+
+        """
+        replaced = report.mission_id != self._latest_id and report.mission_id in self.mission_ids
+        recent = report.link_s - self._latest_s < _LATE_S
+        return replaced and recent and 0 not in (report.mission_id, self._latest_id)
 
     def current(
         self, report: MissionCurrentReported, present: MissionLayout | None, left: MissionLayout | None

@@ -129,6 +129,19 @@ def test_late_reports_of_the_line_before_are_no_other_station(in_the_air):
     assert not flight.found((Yield, ExternalControl))
 
 
+def test_late_reports_of_a_mission_that_was_replaced_are_no_other_station(in_the_air):
+    flight = in_the_air("px4")
+    before = flight.core._backend._current
+    assert flight.run(60.0, lambda: bool(statuses(flight, "departed")))
+    # The highest number of the plan's own, of the mission before it: the plan's first numbers come after it.
+    late = replace(before, seq=flight.core._backend._layout.end - 1)
+    for _ in range(4):
+        flight.put(replace(late, time_s=flight.telemetry.now_s, link_s=flight.link_s))
+        flight.run(0.5)
+    flight.run(20.0)
+    assert not flight.found((Yield, ExternalControl))
+
+
 def yielded(flight, within_s):
     """Return the reason of a yield that comes in time, and after which nothing more is sent."""
     assert flight.run(within_s, lambda: bool(flight.found(Yield)))
