@@ -53,7 +53,8 @@ def upload_s(journal: Path) -> float:
 
 def flight_row(name: str, side: float, band: float, moves_per_hour: float, uploads_s: float) -> dict[str, Any]:
     """Return one flight's cells, which a test records by ``record_property("flight", ...)``."""
-    cells = f"{100 * side:.1f} %", f"{100 * band:.1f} %", f"{moves_per_hour:.0f}", f"{uploads_s:.2f} s"
+    upload = f"{uploads_s:.2f} s" if 0.0 < uploads_s < float("inf") else "-"  # a command is no upload
+    cells = f"{100 * side:.1f} %", f"{100 * band:.1f} %", f"{moves_per_hour:.0f}", upload
     return {"name": name, "cells": cells}
 
 

@@ -19,11 +19,13 @@ def test_each_program_has_its_version_tests_flights_and_failures():
     reports = [
         ("passed", [("version", "ArduPlane 4.6.3 (3fc7011a)"), flown, ("program", "a"), ("test", "test_a_flight")]),
         ("passed", [("program", "a"), ("test", "test_of_faults")]),
+        ("passed", [("program", "a"), ("flight", flight_row("command, 5 minutes", 1.0, 1.0, 12.0, 0.0))]),
         ("failed", [("program", "b"), ("test", "test_of_faults[b]")]),
         ("passed", []),  # of a simulated vehicle
     ]
     assert list(rows(reports)) == [
-        "| ArduPlane 4.6.3 (3fc7011a) | 2 of 2 | mission, 5 minutes | 91.2 % | 100.0 % | 62 | 0.18 s |  |",
+        "| ArduPlane 4.6.3 (3fc7011a) | 3 of 3 | mission, 5 minutes | 91.2 % | 100.0 % | 62 | 0.18 s |  |",
+        "|  |  | command, 5 minutes | 100.0 % | 100.0 % | 12 | - |  |",
         "| b | 0 of 1 | - | - | - | - | - | failed: test_of_faults[b] |",
     ]
 
