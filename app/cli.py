@@ -48,6 +48,9 @@ COMMANDS = {
 }
 
 
+_EXTRAS = {"matplotlib": "report", "scipy": "study"}  # a flight needs neither
+
+
 class _Commands(TyperGroup):
     """The commands, each loaded when it is called."""
 
@@ -105,6 +108,15 @@ class _Command(TyperCommand):
         except typer.BadParameter as error:
             error.message = error.message.removeprefix("Value error, ")
             raise
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except ModuleNotFoundError as error:
+            extra = _EXTRAS.get((error.name or "").split(".")[0])
+            if extra is None:
+                raise
+            raise InputError(f"this needs {error.name}; install it with: pip install 'sidelong[{extra}]'.") from error
 
 
 def load_command(name: str) -> Any:

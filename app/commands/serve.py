@@ -52,7 +52,6 @@ def serve(
     check_flyable(settings)
     address = page_address(view, view_host, view_port, None, None, None, None)
     # The flight modules take a second to load; report a wrong option first.
-    from sidelong.app.assembly import controller_of  # noqa: PLC0415
     from sidelong.app.event_loop import run  # noqa: PLC0415
     from sidelong.app.flight.display import FlightDisplay  # noqa: PLC0415
     from sidelong.app.flight.flight import Sharing  # noqa: PLC0415
@@ -81,7 +80,6 @@ def serve(
         log("sidelong serve has ended; an aircraft in flight goes on with what it flies")
 
     with shielded_output():
-        controller_of(settings, tell=log)  # compiled and computed before the first watch
         run(live())
 
 

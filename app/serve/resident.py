@@ -35,6 +35,7 @@ from sidelong.app.link.message import Message
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.serve.control_socket import serving
 from sidelong.app.serve.display import ServiceDisplay
+from sidelong.app.serve.memory import release_unused_code
 from sidelong.app.serve.rotation import rotate
 from sidelong.app.serve.service_manager import feed_watchdog, notify
 from sidelong.app.serve.standby import Standby, VehicleGoneError
@@ -64,7 +65,7 @@ class Resident:
     Args:
         config: The configuration, which has a link.
         out: Where run folders are made.
-        log: Receives a line for people.
+        log: Receives a line for people, from any thread.
         sharing: Outputs to the vehicle.
         decorate: Shows each watch somewhere else, too.
 
@@ -105,21 +106,26 @@ class Resident:
         )
 
     async def run(self, stopped: asyncio.Event, socket_path: Path) -> None:
-        """Serve until ``stopped``. Raises InputError where the control socket cannot be made."""
+        """Serve until ``stopped``.
+
+        Raises InputError where the control socket cannot be made, or the configuration cannot be flown.
+        """
         async with serving(socket_path, self._answer):
             notify("READY=1")
-            tasks = [asyncio.create_task(one) for one in (self._live(), feed_watchdog(), self._keep_budget())]
-            ending = asyncio.create_task(stopped.wait())
+            living, ending = asyncio.create_task(self._live()), asyncio.create_task(stopped.wait())
+            others = [ending, asyncio.create_task(feed_watchdog()), asyncio.create_task(self._keep_budget())]
             try:
-                await asyncio.wait((tasks[0], ending), return_when=asyncio.FIRST_COMPLETED)
+                await asyncio.wait((living, ending), return_when=asyncio.FIRST_COMPLETED)
+                if living.done():
+                    living.result()  # it has no regular end
             finally:
                 notify("STOPPING=1")
                 if self._life is not None:
                     self._life.stopped.set()
-                    await asyncio.wait(tasks[:1], timeout=30.0)  # the flight winds up
-                for task in (*tasks, ending):
+                    await asyncio.wait((living,), timeout=30.0)  # the flight winds up
+                for task in (living, *others):
                     task.cancel()
-                await asyncio.gather(*tasks, ending, return_exceptions=True)
+                await asyncio.gather(living, *others, return_exceptions=True)
 
     # -- requests ------------------------------------------------------------------------------------------
 
@@ -169,26 +175,39 @@ class Resident:
     # -- life ----------------------------------------------------------------------------------------------
 
     async def _live(self) -> None:
+        await self._prepare()
         while True:
-            try:
-                await self._stand_by()
-            except InputError as error:  # no vehicle, or not one that can be used
-                self._become(State.WAITING, str(error))
-                await asyncio.sleep(_AGAIN_S)
-                continue
-            except VehicleGoneError:
-                self._become(State.WAITING, "the vehicle is silent, or has started again")
-                continue
-            except (LinkError, OSError) as error:
-                self._become(State.WAITING, f"the link has failed: {error}")
-                await asyncio.sleep(_AGAIN_S)
-                continue
-            except Exception as error:  # a fault of the program: nothing is commanded, and the service goes on
-                self._become(State.WAITING, f"a fault of the program: {error!r}")
+            obstacle = await self._stood_by()
+            if obstacle:
+                self._become(State.WAITING, obstacle)
                 await asyncio.sleep(_AGAIN_S)
                 continue
             self._wanted.clear()
             await self._watch_once()
+
+    async def _prepare(self) -> None:
+        """Compile and compute what a watch needs, before the first one."""
+        loop = asyncio.get_running_loop()
+
+        def tell(text: str) -> None:
+            loop.call_soon_threadsafe(self._become, State.WAITING, text)
+
+        await asyncio.to_thread(lambda: controller_of(self._config, tell=tell))
+        release_unused_code()
+
+    async def _stood_by(self) -> str:
+        """Stand by until a watch is wanted of a vehicle that is ready; return what ended it before, '' if nothing."""
+        try:
+            await self._stand_by()
+        except InputError as error:  # no vehicle, or not one that can be used
+            return str(error)
+        except VehicleGoneError:
+            return "the vehicle is silent, or has started again"
+        except (LinkError, OSError) as error:
+            return f"the link has failed: {error}"
+        except Exception as error:  # a fault of the program: nothing is commanded, and the service goes on
+            return f"a fault of the program: {error!r}"
+        return ""
 
     async def _stand_by(self) -> None:
         """Stay connected until a watch is wanted of a vehicle that is ready."""
@@ -199,7 +218,7 @@ class Resident:
                 link.heartbeat_timeout_s,
                 None,
                 link.signing_key_file,
-                self._log_safely,
+                self._log,
                 link.system_id,
             ) as session,
             payload_input(self._config, session.vehicle, self._log),
@@ -267,7 +286,7 @@ class Resident:
     async def _flown(self, display: ServiceDisplay) -> FlightEnded:
         folder = self._run_folder()
         self._folder, self._run, self._records = folder.path, str(folder.path), ""
-        recording = Recording(folder, self._config, self._log_safely, required=False)
+        recording = Recording(folder, self._config, self._log, required=False)
         life = self._life = Life(lambda: recording.begun, self._log)
         async with self._decorate(display) as shown:
             with contextlib.closing(recording):
@@ -279,7 +298,7 @@ class Resident:
                     shown,
                     self._sharing,
                     life,
-                    self._log_safely,
+                    self._log,
                     lambda: controller_of(self._config, tell=self._log),
                     self._join,
                 )
@@ -350,10 +369,6 @@ class Resident:
         task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
-
-    def _log_safely(self, text: str) -> None:
-        """Log from any thread."""
-        self._log(text)
 
     # -- the disk ------------------------------------------------------------------------------------------
 

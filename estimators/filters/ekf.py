@@ -1,4 +1,4 @@
-"""Extended Kalman filter of a target that holds its velocity; the update is filterpy's."""
+"""Extended Kalman filter of a target that holds its velocity."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import math
 from typing import ClassVar
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
+import numpy.typing as npt
 
 from sidelong.estimators.filters import imm_kernel as kernel
 from sidelong.estimators.filters.imm import TargetImm, seen
 from sidelong.estimators.filters.imm_kernel import EAST, HEIGHT, NORTH, Densities, errors_of
 from sidelong.estimators.sensing.sighting import AnySighting
 from sidelong.estimators.settings import TrackerSettings
+
+FloatArray = npt.NDArray[np.float64]
 
 
 class TargetEkf(TargetImm):
@@ -31,18 +33,20 @@ class TargetEkf(TargetImm):
         n, first = len(mean), errors_of(0, len(mean))[0]
         jacobian = np.zeros((3, n))
         jacobian[:, [EAST, NORTH, HEIGHT, first, first + 1, first + 2]] = by_columns[:, :6]
-        kf, noise = ExtendedKalmanFilter(dim_x=n, dim_z=3), np.diag(sighting.variances)
+        before, noise = self.state[0, 1 + n :].reshape(n, n), np.diag(sighting.variances)
+        across = before @ jacobian.T
 
-        def take_in(inflation: float) -> None:
-            kf.x, kf.P = mean, self.state[0, 1 + n :].reshape(n, n)
-            # The residual is taken where bearings wrap; filterpy gets it as the measurement, with zero expected.
-            kf.update(residual, lambda _: jacobian, lambda _: 0.0, R=inflation * noise)
+        def weighted(noise: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+            inverse = np.linalg.inv(jacobian @ across + noise)
+            gain = across @ inverse
+            kept = np.eye(n) - gain @ jacobian  # Joseph's form stays symmetric
+            nis = float(residual @ inverse @ residual)
+            return mean + gain @ residual, kept @ before @ kept.T + gain @ noise @ gain.T, nis
 
-        take_in(1.0)
-        nis = float(kf.y @ kf.SI @ kf.y)
+        updated, covariance, nis = weighted(noise)
         if nis > gate_nis:
             return nis
         if nis > self._soft_nis:  # Huber: the pull on the estimate no longer grows with the distance
-            take_in(math.sqrt(nis / self._soft_nis))
-        self.state = np.concatenate(([1.0], kf.x, kf.P.ravel()))[None]
+            updated, covariance, _ = weighted(math.sqrt(nis / self._soft_nis) * noise)
+        self.state = np.concatenate(([1.0], updated, covariance.ravel()))[None]
         return nis

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solveh_banded
+
+from sidelong.estimators.tracking.band_kernel import solve_banded
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -111,8 +112,8 @@ class _Normal:
     def solved(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the steps of the knots (n, 2) and of the shared numbers (4,), and the covariance (4, 4) of these."""
         self.band[4] += 1e-9
-        found = solveh_banded(self.band, np.column_stack([self.right, self.border]), check_finite=False)
-        covariance = np.linalg.inv(self.corner - self.border.T @ found[:, 1:])
+        found = solve_banded(self.band, np.column_stack([self.right, self.border]))
+        covariance = np.linalg.inv(self.corner - self.border.T @ found[:, 1:]).astype(np.float64, copy=False)
         step = covariance @ (self.right_shared - self.border.T @ found[:, 0])
         return (found[:, 0] - found[:, 1:] @ step).reshape(-1, 2), step, covariance
 

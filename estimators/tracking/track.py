@@ -30,7 +30,7 @@ FilterStart = Callable[..., "TargetImm"]
 
 
 def _filter_start(name: str) -> FilterStart:
-    # Compiled code and filterpy take a second to load: only a program that tracks waits for it.
+    # Compiled code takes a second to load: only a program that tracks waits for it.
     if name == "ekf":
         from sidelong.estimators.filters.ekf import TargetEkf  # noqa: PLC0415
 

@@ -62,7 +62,6 @@ class Tracker:
         self._track = Track(settings)
         self._delay_fit: DelayFit | None = None
         if settings.latency_sigma_s > 0.0:
-            # It loads scipy.linalg, which takes a fifth of a second.
             from sidelong.estimators.tracking.delays import DelayFit  # noqa: PLC0415
 
             self._delay_fit = DelayFit(settings, self._pairing.parent_from_mount)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
+from numpy.lib.stride_tricks import sliding_window_view
 
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.terrain.ground_kernel import height_and_slope
@@ -232,5 +232,7 @@ def _highest_about(ground: Ground, margin_m: float) -> Raster:
     np.maximum(cells, posts[1:, 1:], out=cells)
     for axis, step_m in ((0, ground.step_north_m), (1, ground.step_east_m)):
         reach = math.ceil(margin_m / step_m)
-        cells = maximum_filter1d(cells, 2 * reach + 1, axis=axis, mode="constant", cval=np.inf)
+        beyond = [(reach, reach) if one == axis else (0, 0) for one in (0, 1)]
+        padded = np.pad(cells, beyond, constant_values=np.inf)
+        cells = sliding_window_view(padded, 2 * reach + 1, axis=axis).max(axis=-1)
     return cells
