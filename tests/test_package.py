@@ -89,6 +89,25 @@ def test_a_flight_with_a_live_map_starts_in_a_folder_with_files_of_our_names(
     assert "completed" in done.stdout
 
 
+@pytest.mark.udp
+def test_a_flight_needs_no_library_of_the_extras(installed, tmp_path):
+    script = (
+        "import sys; sys.modules.update(dict.fromkeys(('scipy', 'matplotlib', 'filterpy', 'rasterio'))); "
+        "from sidelong.app.__main__ import main; main()"
+    )
+
+    def run(*arguments):
+        command = [installed, "-P", "-c", script, *arguments]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=240.0, check=False)
+
+    flown = run("launch", "--duration", "5", "--speed", "20")
+    assert (flown.returncode, "completed" in flown.stdout) == (0, True), flown.stdout + flown.stderr
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert run("replay", str(folder), "--verify").returncode == 0
+    refused = run("report", str(folder))
+    assert "pip install 'sidelong[report]'" in refused.stderr
+
+
 def test_a_helper_finds_installed_packages_before_those_of_the_user(installed, workspace):
     script = (
         "from sidelong.app.interpreter import *; import subprocess, sys; prefer_installed_packages();"

@@ -25,6 +25,8 @@ class Paper:
         return True
 
     def factory(self, needs: PlannerNeeds) -> PlannerFactory:
+        import scipy.special  # noqa: F401, PLC0415  # where it is not installed, refuse before the flight
+
         from sidelong.mission.paper.planner import PaperPlanner  # noqa: PLC0415  # see PlannerKind
 
         return lambda aircraft, wanted: PaperPlanner(aircraft, wanted, largest_psi_c_rad(aircraft, wanted))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
+from scipy.special import stdtrit
 from typer.testing import CliRunner
 
 from sidelong.app.cli import app
@@ -87,3 +89,8 @@ def test_the_side_alone_can_be_the_shortcoming():
 
 def test_the_best_numbers_are_of_the_paper_only():
     assert "--planner paper" in str(CliRunner().invoke(app, ["check", "--optimise"]).exception)
+
+
+def test_the_table_of_student_is_scipys():
+    freedoms = np.arange(1, prediction.FLIGHTS)
+    assert np.allclose(prediction.T_95, stdtrit(freedoms, 0.975), rtol=0.0, atol=1e-4)
