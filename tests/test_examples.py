@@ -23,7 +23,7 @@ RUNS = {
 
 def test_each_example_is_tested_and_has_at_most_60_lines():
     scripts = {path.stem: path for path in (ROOT / "examples").glob("*.py")}
-    assert scripts.keys() == RUNS.keys()
+    assert scripts.keys() == {*RUNS, "controller"}  # that one is flown in tests/app/test_study_benchmark.py
     assert all(len(path.read_text().splitlines()) <= 60 for path in scripts.values())
 
 

@@ -28,6 +28,7 @@ from sidelong.app.commands.radius import RadiusOption
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError
 from sidelong.app.study import export as exporting
+from sidelong.app.study.benchmark import Benchmark, benchmark_table
 from sidelong.app.study.design import Design, Overrides, configured, designs, parsed_sweep
 from sidelong.app.study.fleet import FleetPlannerName
 from sidelong.app.study.fleet_study import fleet_json, fleet_table, fly_fleets
@@ -44,7 +45,15 @@ from sidelong.app.study.report import (
     sweep_table,
 )
 from sidelong.app.study.routes import route_beside
-from sidelong.app.study.settings import AUTOPILOTS, MISSION_PLANNERS, Fidelity, Hills, PlannerName, StudySettings
+from sidelong.app.study.settings import (
+    AUTOPILOTS,
+    MISSION_PLANNERS,
+    OWN_PLANNERS,
+    Fidelity,
+    Hills,
+    PlannerName,
+    StudySettings,
+)
 from sidelong.app.study.store import ResultStore
 from sidelong.app.study.study import Study, table_of
 from sidelong.app.terrain.elevation_data import elevation_data
@@ -80,6 +89,13 @@ def study(
     run: Annotated[list[int] | None, _TARGETS(min=0, help="Fly only the run of this number (repeatable).")] = None,
     seed: Annotated[int, _TARGETS(min=0, help="Seed of all targets and noise.")] = 1,
     planner: Annotated[list[PlannerName] | None, _COMPARISON(help="Compare only this planner (repeatable).")] = None,
+    controller: Annotated[
+        str | None,
+        _COMPARISON(help="Command of your own controller: states as CSV rows in, a turn rate out for each."),
+    ] = None,
+    benchmark: Annotated[
+        bool, _COMPARISON("--benchmark", help="Fly the fixed targets, aircraft and noise of the benchmark.")
+    ] = False,
     airspeed: Annotated[float | None, AIRCRAFT(help="Airspeed, m/s; 10 by default.")] = None,
     radius: RadiusOption = None,
     target_speed_max: Annotated[
@@ -153,13 +169,33 @@ def study(
       sidelong study --fidelity closed-loop --runs 50 --jobs 2
       sidelong study --fleet 2 --runs 50
       sidelong study --terrain dem --home 36.59,-84.24 --runs 50
+      sidelong study --benchmark --json benchmark.json
+      sidelong study --benchmark --planner controller --controller "python examples/controller.py"
       sidelong study --runs 10000 --scheduler tcp://HOST:8786 --store study.db
     """
     checked_output(json)
+    _checked_controller(planner, controller, store)
+    if benchmark:
+        _benchmark(
+            Benchmark(targets, planner, controller or "", runs),
+            {
+                **{"CONFIG.toml": config, "--noise-draws": noise_draws > 1, "--run": run, "--airspeed": airspeed},
+                **{"--radius": radius, "--target-speed-max": target_speed_max, "--wind": wind, "--home": home},
+                **{"--autopilot": autopilot, "--latency": latency, "--lag": lag, "--sweep": sweep},
+                **{"--fidelity closed-loop": fidelity is Fidelity.CLOSED_LOOP, "--perfect-sensors": perfect_sensors},
+                **{"--fleet": fleet > 1, "--terrain": terrain, "--scheduler": scheduler, "--store": store},
+                **{"--duration": duration, "--export": export, "--report": report, "--routes": routes},
+                "--seed": seed != 1,
+            },
+            jobs,
+            json,
+        )
+        return
     flown_kinematically = {
         "--perfect-sensors": perfect_sensors,
         "--terrain": terrain is not None,
         "--fleet": fleet > 1,
+        "--controller": controller is not None,
     }
     planners = _planners(fidelity, planner, latency, flown_kinematically)
     latency, lag = _answer(autopilot, latency, lag)
@@ -193,6 +229,7 @@ def study(
         noise_draws=noise_draws,
         fidelity=fidelity,
         autopilot=autopilot or "arduplane",
+        controller=controller or "",
     )
     if terrain is not None:
         base = replace(base, planners=(PlannerName.PREDICTIVE,), hills=_hills(terrain, home, planner, fleet))
@@ -213,6 +250,7 @@ def study(
         runs=runs,
         noise_draws=noise_draws if noise_draws > 1 else None,
         seed=seed,
+        controller=controller,
         airspeed=airspeed,
         radius=radius,
         target_speed_max=target_speed_max,
@@ -248,7 +286,8 @@ def _planners(
 ) -> tuple[PlannerName, ...]:
     """Return the planners to compare. Raises InputError for what a closed loop cannot fly, ``options`` among it."""
     if fidelity is Fidelity.KINEMATIC:
-        return tuple(dict.fromkeys(chosen or PlannerName))
+        own = (PlannerName.CONTROLLER,) if options["--controller"] else ()
+        return tuple(dict.fromkeys(chosen or (*OWN_PLANNERS, *own)))
     laws = [one for one in chosen or () if one not in MISSION_PLANNERS]
     if laws:
         raise InputError(f"--planner: {laws[0]} has no plans to upload; with --fidelity closed-loop leave it out.")
@@ -292,6 +331,30 @@ def _fly_fleet(
         console.print(study_fidelity(settings))
         print_whole(fleet_table(flown))
     write_json(json, fleet_json(flown))
+
+
+def _checked_controller(planners: list[PlannerName] | None, controller: str | None, store: Path | None) -> None:
+    if planners and PlannerName.CONTROLLER in planners and not controller:
+        raise InputError("--planner controller flies your own program; give its command by --controller.")
+    if controller is not None and store is not None:
+        raise InputError("--store: results of a program that may change are not stored; leave out --controller.")
+
+
+def _benchmark(benchmark: Benchmark, others: dict[str, Any], jobs: int | None, json: Path | None) -> None:
+    """Fly the benchmark. Raises InputError for options that it fixes."""
+    given = next((option for option, value in others.items() if value), None)
+    if given is not None:
+        raise InputError(f"--benchmark: fixes targets, aircraft and noise; leave out {given}.")
+    if not is_cached(advance_flight):
+        console.print("compiling the flights, once for this version of the program: some minutes")
+    with runs_progress(benchmark.total) as (advance, computing):
+        rows = benchmark.fly(jobs, advance, computing)
+    if str(json) != "-":
+        print_whole(benchmark_table(rows))
+        console.print(
+            f"shares of time: mean / worst run; {benchmark.total} runs in {benchmark.wall_s / 60.0:.1f} min"
+        )
+    write_json(json, benchmark.json(rows))
 
 
 def _from_anywhere(requirement: Requirement) -> bool:

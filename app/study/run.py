@@ -8,6 +8,7 @@ from dataclasses import replace
 from sidelong.app.assembly import tracker_settings
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.payload import PayloadErrors
+from sidelong.app.study.controller import ExternalController
 from sidelong.app.study.flight import CompiledFlight, Flown, Sensed
 from sidelong.app.study.judging import RunResult, judged
 from sidelong.app.study.pilots import GuidanceLaw
@@ -101,6 +102,11 @@ def _steered(
             return flight.with_predictive(planner_with, settings.latency_s)
         case PlannerName.PAPER:
             return flight.with_planner(PaperPlanner(aircraft, requirement), settings.latency_s)
+        case PlannerName.CONTROLLER:
+            limit_per_m = _BANK_RESERVE / settings.still_air_radius_m
+            band_m = requirement.range_min_m, requirement.range_max_m
+            with ExternalController(settings.controller, limit_per_m, band_m, settings.side) as controller:
+                return flight.with_law(controller)
         case _:
             return flight.with_law(_law(planner, requirement.side.clockwise))
 

@@ -18,12 +18,13 @@ if TYPE_CHECKING:
 
 
 class PlannerName(StrEnum):
-    """What can be compared: this project's planners, and two laws of the literature."""
+    """What can be compared: this project's planners, two laws of the literature, and a program of the user."""
 
     PREDICTIVE = "predictive"
     PAPER = "paper"
     LVFG = "lvfg"
     PARK = "park"
+    CONTROLLER = "controller"
 
 
 class Fidelity(StrEnum):
@@ -41,6 +42,9 @@ PARTS = {
 }
 """What a study consists of."""
 
+
+OWN_PLANNERS = tuple(one for one in PlannerName if one is not PlannerName.CONTROLLER)
+"""Everything that can be compared without a program of the user."""
 
 MISSION_PLANNERS = (PlannerName.PREDICTIVE, PlannerName.PAPER)
 """The planners that a closed loop flies; guidance laws have no plans to upload."""
@@ -80,13 +84,14 @@ class StudySettings:
     duration_s; skipped: (file, reason) of others. only: numbers of the runs to be flown, not all. fleet: aircraft on
     each target, each layer_m above the one before.
 
-    fidelity: what is flown; autopilot: whose vehicle, in a closed loop.
+    fidelity: what is flown; autopilot: whose vehicle, in a closed loop. controller: the command of the planner
+    "controller", see :mod:`sidelong.app.study.controller`.
 
     hills: what targets and aircraft move over, None: flat ground. terrain: whether planner and filter know it.
     clearance_m, climb_m_s and descent_m_s are as a mission's.
     """
 
-    planners: tuple[PlannerName, ...] = tuple(PlannerName)
+    planners: tuple[PlannerName, ...] = OWN_PLANNERS
     runs: int = 20
     seed: int = 1
     target_speed_max_m_s: float = 5.0
@@ -122,6 +127,7 @@ class StudySettings:
     sensors: SensorsSection = STUDIED_SENSORS
     fidelity: Fidelity = Fidelity.KINEMATIC
     autopilot: str = "arduplane"
+    controller: str = ""
 
     @property
     def numbers(self) -> Sequence[int]:

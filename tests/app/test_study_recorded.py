@@ -16,7 +16,7 @@ from sidelong.app.study.scene import scene
 from sidelong.app.study.settings import PlannerName, StudySettings
 from sidelong.sitl.world.track import Track, read_track
 
-TARGETS = Path(__file__).parents[1] / "data" / "targets"
+TARGETS = Path(__file__).parents[2] / "app" / "study" / "tracks"
 MEASURES = (
     *("time_in_band", "time_on_side", "time_on_side_now", "min_range_m", "moves_per_hour"),
     "reversals_per_hour",

@@ -33,7 +33,7 @@ from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSet
 from sidelong.mission.predictive.rollout_kernel import Futures
 from sidelong.mission.predictive.scene_kernel import Scene, Situation
 
-OWN = Path(__file__).parents[1] / "data" / "targets"
+OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"
 STEP_S, PER_S, LOOKED_S, HORIZON_S = 0.1, 10, 30.0, 20.0
 
 

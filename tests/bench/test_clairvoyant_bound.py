@@ -24,7 +24,7 @@ from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.estimators.compiled import compiled
 
 FloatArray = npt.NDArray[np.float64]
-OWN = Path(__file__).parents[1] / "data" / "targets"
+OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"
 STEP_S, CELL_M, HALF_CELLS, HEADINGS = 2.0, 20.0, 28, 36
 NEAR_M, FAR_M, MARGIN_M = 100.0, 500.0, 5.0
 START_M, HORIZON_S = 300.0, 20.0

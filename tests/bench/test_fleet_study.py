@@ -45,7 +45,7 @@ from sidelong.mission.predictive.value_table import ValueTable
 from tests.bench.size import size
 
 RUNS = size(20, 1, "RUNS")
-TARGETS = Path(os.environ.get("TARGETS", Path(__file__).parents[1] / "data" / "targets"))
+TARGETS = Path(os.environ.get("TARGETS", Path(__file__).parents[2] / "app" / "study" / "tracks"))
 DRAWS = int(os.environ.get("DRAWS", "1"))
 # Airspeed, radius and the fastest targets of each class.
 CLASSES = ((12.0, 40.0, 5.0), (20.0, 70.0, 9.0), (30.0, 105.0, 14.0))[: size(3, 1)]

@@ -27,7 +27,7 @@ from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.estimators.tracking.track import Track
 
-OWN = Path(__file__).parents[1] / "data" / "targets"
+OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"
 STEP_S, SKIPPED_S, HEIGHT_M = 0.1, 5.0, 100.0
 CIRCLE_M, ASIDE_M, AIRSPEED_M_S, FOLLOWED_S = 80.0, 300.0, 15.0, 15.0
 SIGMAS = np.array([0.8, math.radians(0.35), math.radians(0.35)])

@@ -1,0 +1,249 @@
+"""The benchmark of one-sided observation: fixed targets, aircraft and noise for all planners and controllers."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.table import Table
+
+from sidelong.app.study.design import Design
+from sidelong.app.study.fleet import FleetPlannerName, FleetResult
+from sidelong.app.study.fleet_study import fly_fleets
+from sidelong.app.study.processes import on_processes
+from sidelong.app.study.recorded import RecordedTarget, recorded_targets
+from sidelong.app.study.report import spread
+from sidelong.app.study.routes import own_route, route_beside
+from sidelong.app.study.settings import OWN_PLANNERS, PlannerName, StudySettings
+from sidelong.app.study.store import ResultStore, code_version
+from sidelong.app.study.study import PlannerResult, Study, table_of
+
+VERSION = 1
+"""Of the scenarios; results of different versions are not comparable."""
+
+TRACKS = Path(__file__).with_name("tracks")
+WITH_ROUTE, PAIR, PHASED_PAIR = "predictive, route", "pair, joint", "pair, phased"
+_DRAWS, _SEED = 3, 1
+
+
+@dataclass(frozen=True, slots=True)
+class AircraftClass:
+    """An aircraft of the benchmark, and the fastest target it watches."""
+
+    airspeed_m_s: float
+    radius_m: float
+    target_speed_max_m_s: float
+
+    def __str__(self) -> str:
+        return f"{self.airspeed_m_s:g} m/s"
+
+
+CLASSES = (AircraftClass(12.0, 40.0, 5.0), AircraftClass(20.0, 70.0, 9.0), AircraftClass(30.0, 105.0, 14.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """Results of one planner with one aircraft: arrays (runs,).
+
+    Attributes:
+        aircraft: The aircraft.
+        planner: Name of the planner.
+        measures: Array of each run's values, by the name of the measure.
+        decision_p99_ms: 99th percentile of the processor time of a decision.
+
+    """
+
+    aircraft: AircraftClass
+    planner: str
+    measures: dict[str, np.ndarray]
+    decision_p99_ms: float
+
+
+_TAILS = {"time_in_band": 5, "time_on_side": 5, "min_range_m": 5, "moves_per_hour": 95, "reversals_per_hour": 95}
+Computing = Callable[[float], None]
+
+
+class Benchmark:
+    """What is to be flown, and the results."""
+
+    def __init__(
+        self,
+        places: list[Path] | None,
+        planners: Sequence[PlannerName] | None,
+        controller: str,
+        runs: int | None,
+    ) -> None:
+        """Read the targets.
+
+        Args:
+            places: Folders of recorded targets in place of the own ones; None: the own ones.
+            planners: Fly only these, and neither pairs nor routes; None: all.
+            controller: Command of the user's controller; empty without one.
+            runs: Targets of each class, the first ones; None: all.
+
+        Raises:
+            InputError: There is no target that the aircraft can watch.
+
+        """
+        self.targets = [
+            recorded_targets(places or [TRACKS], one.target_speed_max_m_s, route_beside) for one in CLASSES
+        ]
+        own = *OWN_PLANNERS, *((PlannerName.CONTROLLER,) if controller else ())
+        self._all = planners is None
+        self._planners = own if planners is None else tuple(dict.fromkeys(planners))
+        self._settings = [self._of(CLASSES[k], read.flown[:runs], controller) for k, read in enumerate(self.targets)]
+        self.wall_s = 0.0
+
+    def _of(self, one: AircraftClass, tracks: tuple[RecordedTarget, ...], controller: str) -> StudySettings:
+        return StudySettings(
+            planners=self._planners,
+            runs=len(tracks),
+            seed=_SEED,
+            noise_draws=_DRAWS,
+            target_speed_max_m_s=one.target_speed_max_m_s,
+            airspeed_m_s=one.airspeed_m_s,
+            still_air_radius_m=one.radius_m,
+            duration_s=float("inf"),
+            tracks=tuple(replace(track, route=None) for track in tracks),
+            controller=controller,
+        )
+
+    @property
+    def total(self) -> int:
+        """Number of runs."""
+        each = len(self._planners) + (3 if self._all else 0)
+        return sum(each * len(settings.numbers) for settings in self._settings)
+
+    def fly(self, jobs: int | None, advance: Callable[[int], None], computing: Computing) -> list[Row]:
+        """Fly everything.
+
+        Args:
+            jobs: Processes; None: one for each core.
+            advance: Called with the number of runs just flown.
+            computing: Called with the share of a value table that is computed.
+
+        Returns:
+            The rows, by aircraft.
+
+        """
+        begun_s = time.perf_counter()
+        rows = [row for k in range(len(CLASSES)) for row in self._fly_class(k, jobs, advance, computing)]
+        self.wall_s = time.perf_counter() - begun_s
+        return rows
+
+    def _fly_class(
+        self, k: int, jobs: int | None, advance: Callable[[int], None], computing: Computing
+    ) -> Iterator[Row]:
+        settings, one = self._settings[k], CLASSES[k]
+        found = [Design(settings)]
+        if self._all:
+            routed = tuple(_with_route(track) for track in self.targets[k].flown[: settings.runs])
+            found.append(Design(replace(settings, tracks=routed, planners=(PlannerName.PREDICTIVE,))))
+        store = ResultStore(None)
+        try:
+            study = Study(found, store)
+            study.fly(on_processes(jobs), lambda of: table_of(of, computing), 1, advance)
+            for design, suffix in zip(study.designs, ("", WITH_ROUTE), strict=False):
+                for planner, result in study.result(design).planners.items():
+                    yield _row(one, suffix or str(planner), result)
+        finally:
+            store.close()
+        if not self._all:
+            return
+        pairs = replace(settings, fleet=2)
+        planners = FleetPlannerName.JOINT, FleetPlannerName.FIELD
+        flown = fly_fleets(pairs, table_of(pairs, computing), jobs, advance, planners)
+        for steered, name in zip(planners, (PAIR, PHASED_PAIR), strict=True):
+            yield _pair_row(one, name, flown.runs[steered])
+
+    def json(self, rows: Sequence[Row]) -> dict[str, Any]:
+        """Return the results with everything needed to compare them.
+
+        Args:
+            rows: Results of :meth:`fly`.
+
+        """
+        return {
+            "benchmark": VERSION,
+            "sidelong": code_version(),
+            "python": platform.python_version(),
+            "packages": {name: version(name) for name in ("numpy", "numba")},
+            "machine": platform.machine(),
+            "seed": _SEED,
+            "noise_draws": _DRAWS,
+            "controller": self._settings[0].controller or None,
+            "tracks": {f"{t.key:016x}": t.name for of in self.targets for t in of.flown},
+            "rows": [
+                {
+                    "airspeed_m_s": row.aircraft.airspeed_m_s,
+                    "radius_m": row.aircraft.radius_m,
+                    "target_speed_max_m_s": row.aircraft.target_speed_max_m_s,
+                    "planner": row.planner,
+                    "runs": len(row.measures["time_in_band"]),
+                    **{name: spread(row.measures[name], tail) for name, tail in _TAILS.items()},
+                    "decision_p99_ms": row.decision_p99_ms,
+                }
+                for row in rows
+            ],
+            "wall_s": self.wall_s,
+        }
+
+
+def benchmark_table(rows: Sequence[Row]) -> Table:
+    """Return the table for people: means and worst runs.
+
+    Args:
+        rows: Results of :meth:`Benchmark.fly`.
+
+    """
+    headings = "in band, %", "on side, %", "least, m", "moves/h", "reversals/h", "decision, ms"
+    table = Table("aircraft", "planner", *headings, box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1))
+    for column in table.columns[2:]:
+        column.justify, column.no_wrap = "right", True
+    before = None
+    for row in rows:
+        band, side, least_m, moves, reversals = (row.measures[name] for name in _TAILS)
+        table.add_row(
+            str(row.aircraft) if row.aircraft is not before else "",
+            row.planner,
+            f"{100.0 * np.nanmean(band):.2f}/{100.0 * np.nanmin(band):.1f}",
+            f"{100.0 * np.nanmean(side):.1f}/{100.0 * np.nanmin(side):.1f}",
+            f"{np.nanmin(least_m):.0f}",
+            f"{np.mean(moves):.0f}",
+            f"{np.mean(reversals):.1f}",
+            f"{row.decision_p99_ms:.2f}",
+        )
+        before = row.aircraft
+    return table
+
+
+def _with_route(track: RecordedTarget) -> RecordedTarget:
+    """Return a track with the route next to its file, or with its own path as the route."""
+    if track.route is not None:
+        return track
+    return replace(track, route=own_route(track, np.random.default_rng((_SEED, track.key))))
+
+
+def _row(aircraft: AircraftClass, name: str, result: PlannerResult) -> Row:
+    measures = {measure: getattr(result, measure) for measure in _TAILS}
+    return Row(aircraft, name, measures, 1e3 * float(np.percentile(result.decision_s, 99)))
+
+
+def _pair_row(aircraft: AircraftClass, name: str, runs: Sequence[FleetResult]) -> Row:
+    """Return the results of two aircraft: a share of time counts if one of them achieves it, moves count of both."""
+    measures = {
+        "time_in_band": np.array([run.time_in_band_any for run in runs]),
+        "time_on_side": np.array([run.time_on_side_any for run in runs]),
+        "min_range_m": np.array([run.min_range_m for run in runs]),
+        "moves_per_hour": np.array([sum(one.moves_per_hour for one in run.aircraft) for run in runs]),
+        "reversals_per_hour": np.array([sum(one.reversals_per_hour for one in run.aircraft) for run in runs]),
+    }
+    decision_s = np.concatenate([run.decision_s for run in runs])
+    return Row(aircraft, name, measures, 1e3 * float(np.percentile(decision_s, 99)))
