@@ -19,7 +19,8 @@ from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.app.link.vehicle import Vehicle
 
 _ANSWER_S = 0.8  # timeout since the last answer, after which missing parameters are requested again
-_IDLE_S, _IDLE_ROUNDS = 1.6, 2  # timeout, and number of timeouts, before a parameter is treated as absent
+_IDLE_S, _IDLE_ROUNDS = 1.6, 2  # without the answer, though the autopilot answers: the parameter is absent
+_SILENT_S = 6.0  # in which the autopilot answers nothing, before it is no longer asked
 _REAL32 = 9  # MAV_PARAM_TYPE
 
 
@@ -40,27 +41,34 @@ async def read_table(vehicle: Vehicle, autopilot: Autopilot, release: Release | 
 async def read_parameters(vehicle: Vehicle, names: Iterable[str]) -> dict[str, float]:
     """Return the values of the parameters that exist. All are requested at once; missing answers are requested again.
 
-    An autopilot does not answer a request for an unknown name. On a lossy link this cannot be distinguished from
-    an answer that was lost in each round.
+    An autopilot does not answer a request for an unknown name. So a parameter is absent if its answer is missing in
+    rounds in which the answer to a known parameter, requested after it, arrives.
     """
     wanted = list(names)
     values: dict[str, float | None] = {}
     autopilot = autopilot_by_mav_autopilot(int(vehicle.latest["HEARTBEAT"].fields["autopilot"]))
     bytewise = autopilot is not None and autopilot.packs_integers_bytewise
     with vehicle.hearing("PARAM_VALUE") as answers:
-        idle_s, idle_rounds = 0.0, 0
+        idle_s, idle_rounds, silent_s = 0.0, 0, 0.0
         while missing := [name for name in wanted if name not in values]:
-            before, answer_s = len(values), _ANSWER_S
-            for name in missing:
+            before, answered, answer_s, witness = len(values), False, _ANSWER_S, list(values)[:1]
+            for name in (*missing, *witness):
                 await vehicle.tell("PARAM_REQUEST_READ", {"param_id": name, "param_index": -1})
             with contextlib.suppress(TimeoutError):
                 while len(values) < len(wanted):
                     answer_s = vehicle.answer_s(_ANSWER_S)
                     answer = await asyncio.wait_for(answers.get(), answer_s)
-                    if answer.fields["param_id"] in wanted:
-                        values[answer.fields["param_id"]] = _value(answer.fields, bytewise)
-            idle_s, idle_rounds = (idle_s + answer_s, idle_rounds + 1) if len(values) == before else (0.0, 0)
-            if idle_s >= _IDLE_S and idle_rounds >= _IDLE_ROUNDS:
+                    name = answer.fields["param_id"]
+                    answered = answered or name in witness
+                    if name in wanted:
+                        values[name] = _value(answer.fields, bytewise)
+            if len(values) > before:
+                idle_s, idle_rounds, silent_s = 0.0, 0, 0.0
+            elif answered:
+                idle_s, idle_rounds = idle_s + answer_s, idle_rounds + 1
+            else:
+                silent_s += answer_s
+            if (idle_s >= _IDLE_S and idle_rounds >= _IDLE_ROUNDS) or silent_s >= _SILENT_S:
                 break
     # Some of PX4's integers are NaN in the float field; they are read one by one through MAVSDK.
     found = {name: await vehicle.link.parameter(name) if value is None else value for name, value in values.items()}

@@ -36,6 +36,7 @@ class LossyLink:
         self._mav, self._parser = mavlink.MAVLink(None, *OURS), mavlink.MAVLink(None)
         self.sent: Counter[str] = Counter()
         self.slow_reads = 0
+        self.pause = range(0)  # numbers of messages of one name that are lost
         simulation.connect("ground")
         self.queue: asyncio.Queue = asyncio.Queue()
 
@@ -48,7 +49,7 @@ class LossyLink:
         definition = getattr(mavlink, f"MAVLink_{name.lower()}_message")
         text = {key: value.encode() if isinstance(value, str) else value for key, value in fields.items()}
         frame = definition(**text).pack(self._mav)
-        if self._rng.random() >= self._loss:
+        if self._rng.random() >= self._loss and self.sent[name] not in self.pause:
             self._simulation.receive("ground", frame)
         self.run(0.02)
 
@@ -97,7 +98,21 @@ def test_all_parameters_are_read_at_once_and_those_that_are_lost_again(flavour, 
     values, simulation, link = asked(flavour, loss, lambda vehicle: read_parameters(vehicle, [*names, "NO_SUCH"]))
     assert values == {name: simulation.vehicle.parameters[name] for name in names}
     if not loss:
-        assert link.sent["PARAM_REQUEST_READ"] <= len(names) + 21
+        assert link.sent["PARAM_REQUEST_READ"] <= len(names) + 41
+
+
+def test_parameters_of_a_vehicle_that_pauses_are_not_reported_as_absent(monkeypatch):
+    monkeypatch.setattr("sidelong.app.link.parameters._ANSWER_S", 0.01)
+    monkeypatch.setattr("sidelong.app.link.parameters._IDLE_S", 0.05)
+    names = NAMES[Flavour.ARDUPLANE]
+
+    async def ask(vehicle):
+        link = vehicle.link
+        link.pause = range(10, 10 + 20 * len(names))  # requests: about 20 rounds of them
+        return await read_parameters(vehicle, names)
+
+    values, *_ = asked(Flavour.ARDUPLANE, 0.0, ask)
+    assert set(values) == set(names)
 
 
 def test_a_whole_number_that_looks_like_no_number_is_read_another_way(monkeypatch):
