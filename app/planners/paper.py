@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
 
 from sidelong.app.planners.planner_kind import PlannerNeeds
 from sidelong.mission.core.feasibility import Change
@@ -25,7 +26,7 @@ class Paper:
         return True
 
     def factory(self, needs: PlannerNeeds) -> PlannerFactory:
-        import scipy.special  # noqa: F401, PLC0415  # where it is not installed, refuse before the flight
+        import_module("scipy.special")  # where it is not installed, refuse before the flight
 
         from sidelong.mission.paper.planner import PaperPlanner  # noqa: PLC0415  # see PlannerKind
 

@@ -20,8 +20,12 @@ from sidelong.mission.core.feasibility import in_words
 FLIGHTS, FLIGHT_S = 20, 600.0
 LEAST_IN_BAND, LEAST_ON_SIDE = 0.9, 0.6  # a configuration that stays below these is refused
 # Student's t for 95 % (two-sided) with 1, 2, ... degrees of freedom: a flight does without scipy.
-T_95 = (12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622, 2.2281)
-T_95 += (2.2010, 2.1788, 2.1604, 2.1448, 2.1314, 2.1199, 2.1098, 2.1009, 2.0930)
+T_95 = np.array(
+    [
+        [12.7062, 4.3027, 3.1824, 2.7764, 2.5706, 2.4469, 2.3646, 2.3060, 2.2622, 2.2281],
+        [2.2010, 2.1788, 2.1604, 2.1448, 2.1314, 2.1199, 2.1098, 2.1009, 2.0930, 2.0860],
+    ]
+).ravel()
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +52,7 @@ class Share:
         if len(known) < 2:
             return None
         mean, worst = float(known.mean()), float(known.min())
-        half = T_95[len(known) - 2] * float(known.std(ddof=1)) / math.sqrt(len(known))
+        half = float(T_95[len(known) - 2] * known.std(ddof=1) / math.sqrt(len(known)))
         return Share(mean, max(mean - half, 0.0), min(mean + half, 1.0), worst)
 
     def __str__(self) -> str:
