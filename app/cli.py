@@ -43,6 +43,7 @@ COMMANDS = {
     "sign": ("sidelong.app.commands.sign", "Make a key for signed links, give it to a vehicle."),
     "init": ("sidelong.app.commands.init", "Write a configuration file with every key explained."),
     "study": ("sidelong.app.commands.study", "Compare planners over many targets."),
+    "route": ("sidelong.app.commands.route", "Check a route of the target, or make one of a flight."),
     "terrain": ("sidelong.app.commands.terrain", "Print what elevation data covers and where it is void."),
     "sitl": ("sidelong.sitl.cli", "Fly a simulated vehicle that speaks MAVLink."),
 }
