@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
-from pymavlink.dialects.v20 import common as _mav
+from pymavlink.dialects.v20 import all as _mav
 
 from sidelong.app.autopilots.autopilot import Limits, SupportedReleases
 from sidelong.app.autopilots.parameter import Parameter, Purpose, RequiredParameter, required_airspeed

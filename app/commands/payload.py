@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
 from sidelong.app.commands.payload_status import payload_lines, payload_values

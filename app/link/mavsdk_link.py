@@ -26,7 +26,7 @@ from mavsdk.asyncio import Configuration, Mavsdk
 from mavsdk.asyncio.enums import ForwardingOption
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkDirectError, MavlinkMessage
 from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.errors import InputError
 from sidelong.app.link import mavsdk_log

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pymavlink.dialects.v20 import common as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 from sidelong.app.autopilots.registry import autopilot_by_mav_autopilot
 

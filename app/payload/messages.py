@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.payload.driver import AnglesMeasured, Frame, Measured
 

@@ -19,7 +19,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.assembly import controller_of
 from sidelong.app.config import Config
@@ -35,12 +35,13 @@ from sidelong.app.link.message import Message
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.serve.control_socket import serving
 from sidelong.app.serve.display import ServiceDisplay
-from sidelong.app.serve.memory import release_unused_code
+from sidelong.app.serve.memory import release_unused
 from sidelong.app.serve.rotation import rotate
 from sidelong.app.serve.service_manager import feed_watchdog, notify
 from sidelong.app.serve.standby import Standby, VehicleGoneError
 from sidelong.app.serve.state import State, Status
 from sidelong.app.serve.triggers import Request, Triggers
+from sidelong.mission.control.controller import StandoffController
 from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.events import OperatorRequest
 
@@ -193,7 +194,7 @@ class Resident:
             loop.call_soon_threadsafe(self._become, State.WAITING, text)
 
         await asyncio.to_thread(lambda: controller_of(self._config, tell=tell))
-        release_unused_code()
+        await asyncio.to_thread(release_unused)
 
     async def _stood_by(self) -> str:
         """Stand by until a watch is wanted of a vehicle that is ready; return what ended it before, '' if nothing."""
@@ -299,11 +300,16 @@ class Resident:
                     self._sharing,
                     life,
                     self._log,
-                    lambda: controller_of(self._config, tell=self._log),
+                    self._controller,
                     self._join,
                 )
             self._records = recording.lost
         return ended
+
+    def _controller(self) -> StandoffController:
+        controller = controller_of(self._config, tell=self._log)
+        release_unused()
+        return controller
 
     def _run_folder(self) -> RunFolder:
         """Return a new run folder, elsewhere where the configured place takes none: a watch needs no disk."""

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from functools import reduce
 from operator import xor
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.sharing.senders import Sender
 from sidelong.estimators.ellipse import confidence_ellipse
