@@ -61,7 +61,10 @@ class Endurance:
             return None
         time_s, percent = np.array(self._steps).T
         since_s = time_s - time_s.mean()
-        falling = -float((since_s * percent).sum() / (since_s**2).sum())
+        spread_s2 = float((since_s**2).sum())
+        if spread_s2 == 0.0:  # all reported at one time, as by a clock that stands still
+            return None
+        falling = -float((since_s * percent).sum()) / spread_s2
         return falling if falling > 0.0 else None
 
     def left_s(self, time_s: float) -> float | None:

@@ -51,6 +51,14 @@ def test_a_battery_that_does_not_fall_has_no_end():
     assert endurance.left_s(1000.0) is None
 
 
+@pytest.mark.filterwarnings("error")
+def test_falls_reported_at_one_time_predict_nothing():
+    endurance = Endurance(20.0)
+    for percent in range(100, 40, -1):
+        endurance.take(5.0, float(percent))
+    assert endurance.left_s(5.0) is None
+
+
 @pytest.mark.parametrize(
     ("wind", "expected_s"),
     [
