@@ -33,19 +33,28 @@ def hills() -> tuple[np.ndarray, int, int]:
         return data["elevation"].astype(np.int16), round(row), round(column)
 
 
-@pytest.fixture(scope="session")
-def tile_heights() -> np.ndarray:
-    """A whole tile, void but for the hills."""
+def tile_of_hills() -> np.ndarray:
+    """Return a whole tile, void but for the hills."""
     heights, row, column = hills()
     tile = np.full((SIDE, SIDE), VOID, np.int16)
     tile[row : row + heights.shape[0], column : column + heights.shape[1]] = heights
     return tile
 
 
+def write_hills(folder: Path) -> None:
+    """Write the hills as elevation data into a folder."""
+    tile_of_hills().astype(">i2").tofile(folder / "N36W085.hgt")
+
+
 @pytest.fixture(scope="session")
-def hills_folder(tile_heights: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tile_heights() -> np.ndarray:
+    return tile_of_hills()
+
+
+@pytest.fixture(scope="session")
+def hills_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("dem")
-    tile_heights.astype(">i2").tofile(folder / "N36W085.hgt")
+    write_hills(folder)
     return folder
 
 
