@@ -166,4 +166,5 @@ def _flight(flown: Flown, context: LogContext) -> Flight:
         context.booted,
         context.home_altitude_m,
         targets=history.targets,
+        route=history.route,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,13 @@ from xml.etree import ElementTree as Xml
 
 from sidelong.app.errors import InputError
 from sidelong.app.records.animation import animated_svg
-from sidelong.app.records.track import Flight, ring, sigma_m
+from sidelong.app.records.track import ROUTE_POINTS, Flight, ring, sigma_m
 from sidelong.mission.upload.items import FRAME_GLOBAL, NAV_WAYPOINT, Item
 from sidelong.mission.upload.plan_file import plan_file
 
 _GPX = "http://www.topografix.com/GPX/1/1"
 _KML = "http://www.opengis.net/kml/2.2"
+_KML_COLOURS = {"aircraft": "ff0080ff", "target": "ff0000ff", "circle": "ffffaa00", "route": "8000d7ff"}
 _KML_EXTENSION = "http://www.google.com/kml/ext/2.2"
 
 
@@ -192,6 +193,9 @@ def _features(flight: Flight) -> list[dict[str, Any]]:
     )
     aircraft["properties"]["height_above"] = "home" if base_m is None else "sea level"
     features = [aircraft]
+    if flight.route is not None:
+        route_m = flight.route.outline_m(ROUTE_POINTS).tolist()
+        features.append(feature("route", "LineString", [place(*point) for point in route_m]))
     for name, estimates in flight.of_targets().items():
         if len(estimates) > 1:
             features.append(line(name, [(e.time_s, place(e.east_m, e.north_m)) for e in estimates]))
@@ -249,7 +253,7 @@ def _kml(flights: Sequence[Flight]) -> str:
     root = Xml.Element("kml", {"xmlns": _KML, "xmlns:gx": _KML_EXTENSION})
     document = Xml.SubElement(root, "Document")
     Xml.SubElement(document, "name").text = flights[0].name
-    for name, colour in (("aircraft", "ff0080ff"), ("target", "ff0000ff"), ("circle", "ffffaa00")):
+    for name, colour in _KML_COLOURS.items():
         style = Xml.SubElement(Xml.SubElement(document, "Style", {"id": name}), "LineStyle")
         Xml.SubElement(style, "color").text = colour
         Xml.SubElement(style, "width").text = "2"
@@ -272,13 +276,20 @@ def _kml_flight(document: Xml.Element, flight: Flight) -> None:
     for name, estimates in flight.of_targets().items():
         places_m = [(e.time_s, e.east_m, e.north_m, 0.0) for e in estimates]
         _kml_track(document, flight, "target", name, "clampToGround", places_m)
+    if flight.route is not None:
+        name = f"{flight.named('route')}, {flight.route.length_m:.0f} m"
+        _kml_line(document, flight, "route", name, flight.route.outline_m(ROUTE_POINTS).tolist())
     for since_s, circle in flight.circles:
-        mark = _kml_mark(
-            document, "circle", f"{flight.named('circle')} from {since_s:.1f} s, radius {circle.radius_m:.0f} m"
-        )
-        line = Xml.SubElement(mark, "LineString")
-        places = (flight.degrees(*corner) for corner in ring(circle))
-        Xml.SubElement(line, "coordinates").text = " ".join(f"{lon:.8f},{lat:.8f}" for lat, lon in places)
+        name = f"{flight.named('circle')} from {since_s:.1f} s, radius {circle.radius_m:.0f} m"
+        _kml_line(document, flight, "circle", name, ring(circle))
+
+
+def _kml_line(
+    document: Xml.Element, flight: Flight, style: str, name: str, points_m: Iterable[tuple[float, float]]
+) -> None:
+    line = Xml.SubElement(_kml_mark(document, style, name), "LineString")
+    places = (flight.degrees(*point) for point in points_m)
+    Xml.SubElement(line, "coordinates").text = " ".join(f"{lon:.8f},{lat:.8f}" for lat, lon in places)
 
 
 def _kml_mark(document: Xml.Element, style: str, name: str) -> Xml.Element:

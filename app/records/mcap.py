@@ -15,7 +15,7 @@ from pathlib import Path
 from sidelong.app.records.mcap_scene import Place, ball, line, scene
 from sidelong.app.records.mcap_writer import McapWriter
 from sidelong.app.records.sensing import Sensing
-from sidelong.app.records.track import ring
+from sidelong.app.records.track import ROUTE_POINTS, ring
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.frames import LocalPlane, wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw
@@ -30,9 +30,11 @@ from sidelong.mission.core.events import (
     Event,
     HealthChanged,
     PlanStatus,
+    RouteGiven,
     UploadPlan,
 )
 from sidelong.mission.core.plan import Plan
+from sidelong.mission.route.progress import RouteFollower, follower_of
 
 LAYOUT = Path(__file__).parent / "foxglove_layout.json"
 
@@ -65,6 +67,7 @@ class McapLog:
         self._aircraft: Place = (0.0, 0.0, 0.0)
         self._target_height_m = 0.0
         self._plans: dict[int, Plan] = {}
+        self._follower: RouteFollower | None = None
 
     def event(self, event: Event) -> None:
         """Take an event."""
@@ -76,6 +79,11 @@ class McapLog:
                 estimate = self._sensing.estimate(admitted.time_s)
                 if estimate is not None:
                     self._target(estimate)
+            case RouteGiven():
+                self._follower = follower_of(admitted)
+                if self._follower is not None:
+                    outline = self._follower.route.outline_m(ROUTE_POINTS).tolist()
+                    self._line("route", admitted.time_s, outline, height_m=0.0)
             case ControlAcquired():
                 self._circle(admitted.time_s, admitted.circle)
             case PlanStatus(stage="departed") if admitted.number in self._plans:
@@ -140,6 +148,7 @@ class McapLog:
             self._out.write("/sighting", "sidelong.Sighting", seen.time_s, numbers)
 
     def _target(self, estimate: TargetEstimate) -> None:
+        self._progress(estimate)
         covariance = estimate.covariance.tolist()
         numbers = {
             "east_m": estimate.east_m,
@@ -165,6 +174,20 @@ class McapLog:
             "bearing_from_course_deg": math.degrees(wrap_rad(math.atan2(east_m, north_m) - estimate.course_rad)),
         }
         self._out.write("/watch", "sidelong.Watch", estimate.time_s, watch)
+
+    def _progress(self, estimate: TargetEstimate) -> None:
+        progress = None if self._follower is None else self._follower.update(estimate)
+        if progress is None:
+            return
+        numbers = {
+            "on_route": progress.on_route,
+            "length_m": progress.route.length_m,
+            "probability": progress.probability,
+            "along_m": progress.along_m,
+            "speed_m_s": progress.speed_m_s,
+            "to_end_s": progress.to_end_s,
+        }
+        self._out.write("/route", "sidelong.Route", estimate.time_s, numbers)
 
     def _fix(self, topic: str, time_s: float, place: Place, covariance: list[float] | None) -> None:
         latitude_deg, longitude_deg = self._plane.latitude_longitude_deg(*place[:2])
@@ -195,16 +218,18 @@ class McapLog:
         way = list(zip(plan.transition.east_m, plan.transition.north_m, strict=True)) if plan.transition else []
         self._line("plan", prepared.time_s, [*way, *ring(plan.circle)])
 
-    def _line(self, name: str, time_s: float, corners: list[tuple[float, float]]) -> None:
-        """Draw a line on the map, and in the scene at the aircraft's present height."""
+    def _line(
+        self, name: str, time_s: float, corners: list[tuple[float, float]], height_m: float | None = None
+    ) -> None:
+        """Draw a line on the map, and in the scene at a height; by default at the aircraft's present one."""
         places = [
             self._plane.latitude_longitude_deg(float(east_m), float(north_m))[::-1] for east_m, north_m in corners
         ]
         feature = {"type": "Feature", "properties": {}, "geometry": {"type": "LineString", "coordinates": places}}
         geojson = {"geojson": json.dumps({"type": "FeatureCollection", "features": [feature]})}
         self._out.write(f"/{name}/map", "foxglove.GeoJSON", time_s, geojson)
-        height_m = self._aircraft[2]
-        self._scene(time_s, line(name, self._out.stamp(time_s), ((*corner, height_m) for corner in corners)))
+        up_m = self._aircraft[2] if height_m is None else height_m
+        self._scene(time_s, line(name, self._out.stamp(time_s), ((*corner, up_m) for corner in corners)))
 
     def _scene(self, time_s: float, *entities: dict[str, object]) -> None:
         self._out.write("/scene", "foxglove.SceneUpdate", time_s, scene(list(entities)))

@@ -11,10 +11,12 @@ from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import PositionReading
 from sidelong.mission.core.circle import Circle
+from sidelong.mission.route.route import Route
 from sidelong.mission.upload.fences import Outline
 from sidelong.mission.upload.items import Item
 
 _RING_CORNERS = 72
+ROUTE_POINTS = 2000  # of a route in a file
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +36,7 @@ class Flight:
 
     circles: (since, circle) as they were flown. booted is when the vehicle's clock was zero, home_altitude_m is
     above sea level; None where unknown. label: the aircraft's name, where there are several; targets: of each one
-    the target's name, where there are several of these.
+    the target's name, where there are several of these. route: expected of the target.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Flight:
     home_altitude_m: float | None = None
     label: str = ""
     targets: Sequence[str] = ()
+    route: Route | None = None
 
     def named(self, what: str) -> str:
         """Return the name of one of its tracks."""

@@ -36,6 +36,7 @@ def drawings(history: History) -> Iterator[Drawing]:
         _curvature,
         _course,
         _target_speed,
+        _route,
         _errors,
         _consistency,
         _uploads,
@@ -187,6 +188,26 @@ def _target_speed(history: History) -> Drawing:
     axes.set_ylim(0.0, None)
     _over_time(axes, history, "target's speed, m/s")
     return Drawing("target-speed", "Speed of the target", "Over the ground.", made)
+
+
+def _route(history: History) -> Drawing | None:
+    progress = [(time_s, one) for time_s, one in history.progress if time_s >= history.start_s]
+    if not progress:
+        return None
+    made, (axes,) = figure(2.7)
+    time_s = np.array([at_s for at_s, _ in progress]) - history.start_s
+    along_m = np.array([one.along_m for _, one in progress])
+    off, length_m = ~np.isfinite(along_m), progress[-1][1].route.length_m
+    axes.fill_between(time_s, 0.0, length_m, where=off.tolist(), color=FAINT, alpha=0.25, lw=0, label="off route")
+    axes.plot(*_unjoined(time_s, along_m, 0.5 * length_m), color=TARGET, linewidth=1.2, label="target (estimate)")
+    axes.set_ylim(0.0, length_m)
+    _over_time(axes, history, "along the route, m")
+    return Drawing(
+        "route",
+        "Progress along the route",
+        f"On the route {100.0 * float(np.mean(~off)):.1f} % of the time; its length is {length_m:.0f} m.",
+        made,
+    )
 
 
 # -- how good the estimate was -------------------------------------------------------------------------------

@@ -39,12 +39,15 @@ from sidelong.mission.core.events import (
     MissionChange,
     OperatorRequest,
     PlanStatus,
+    RouteGiven,
     UploadPlan,
     Yield,
 )
 from sidelong.mission.core.fleet import FleetAdvice
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
+from sidelong.mission.route.progress import RouteFollower, RouteProgress, follower_of
+from sidelong.mission.route.route import Route
 
 FloatArray = npt.NDArray[np.float64]
 Outline = tuple[tuple[float, float], ...]
@@ -96,7 +99,7 @@ class History:
 
     moments: aircraft and target together, by the truth where there is one, by the estimates else.
     requirements: (since, requirement), from -inf on: a person may change it. targets: of each estimate its target's
-    name, '' where there is no fleet.
+    name, '' where there is no fleet. route: expected of the target; progress: (time, progress along it), each second.
     """
 
     asked: FlightRequirements
@@ -114,6 +117,8 @@ class History:
     plan_changes: tuple[PlanChange, ...]
     requirements: tuple[tuple[float, Requirement], ...]
     said: tuple[Announce, ...]
+    route: Route | None = None
+    progress: tuple[tuple[float, RouteProgress], ...] = ()
 
     @property
     def requirement(self) -> Requirement:
@@ -145,6 +150,8 @@ class HistoryBuilder:
         self._said: list[Announce] = []
         self._start_s: float | None = None
         self._in_hand = False
+        self._follower: RouteFollower | None = None
+        self._progress: list[tuple[float, RouteProgress]] = []
 
     @property
     def sightings(self) -> int:
@@ -168,6 +175,8 @@ class HistoryBuilder:
                 self._in_hand = True
             case PlanStatus():
                 self._plan_status(admitted)
+            case RouteGiven():
+                self._follower, self._progress = follower_of(admitted), []
             case FleetAdvice(turn_payload=False):
                 self._target = admitted.target
             case OperatorRequest(action="side", side=Side()) | MissionChange() if self._in_hand:
@@ -200,6 +209,9 @@ class HistoryBuilder:
             if estimate is not None:
                 self._estimates.append(estimate)
                 self._targets.append(self._target)
+                progress = None if self._follower is None else self._follower.update(estimate)
+                if progress is not None:
+                    self._progress.append((estimate.time_s, progress))
 
     def _plan_status(self, event: PlanStatus) -> None:
         change = self._changes.get(event.number)
@@ -240,6 +252,8 @@ class HistoryBuilder:
             tuple(self._changes.values()),
             tuple(self._requirements(asked.requirement)),
             tuple(self._said),
+            None if self._follower is None else self._follower.route,
+            tuple(self._progress),
         )
 
     def _requirements(self, requirement: Requirement) -> Iterator[tuple[float, Requirement]]:

@@ -10,14 +10,24 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from sidelong.app.report.history import FloatArray, History
-from sidelong.app.report.plot_style import AIRCRAFT, BAD, CIRCLE, ESTIMATE, FAINT, TARGET, WIDTH_IN, legend_above
+from sidelong.app.report.plot_style import (
+    AIRCRAFT,
+    BAD,
+    CIRCLE,
+    ESTIMATE,
+    FAINT,
+    ROUTE,
+    TARGET,
+    WIDTH_IN,
+    legend_above,
+)
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.core.circle import Circle
 
 TICK_S = 50.0
 _LABELS_MAX = 60
 _STAY_SHARE = 0.04  # of the map's extent: labels that near one another would overlap
-_SAMPLES_MAX = 6000
+_SAMPLES_MAX, _ROUTE_POINTS = 6000, 2000
 _CONTOUR_POSTS, _CONTOURS_MAX = 200, 25
 _CONTOUR_STEPS_M = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
 
@@ -45,6 +55,9 @@ def flown_path_figure(history: History, *, width_in: float = WIDTH_IN, title: st
         axes.add_patch(Polygon(outline, fill=False, edgecolor=BAD, linewidth=1.2, linestyle="--"))
     for outline in history.asked.keep_out:
         axes.add_patch(Polygon(outline, facecolor=BAD, alpha=0.12, edgecolor=BAD, linewidth=1.0))
+    if history.route is not None:
+        drawn = history.route.outline_m(_ROUTE_POINTS)
+        axes.plot(*drawn.T, color=ROUTE, linewidth=6.0, zorder=0, label="route")
     axes.plot(*path.T, color=AIRCRAFT, linewidth=1.0, label="aircraft")
     what = "target" if history.judged_by_truth else "target (estimate)"
     axes.plot(*target.T, color=TARGET, linewidth=3.0, alpha=0.5, label=what)

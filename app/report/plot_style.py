@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 AIRCRAFT, TARGET, ESTIMATE = "#1f5f9e", "#c2541b", "#8a5fa8"
-BAND, CIRCLE, BAD, FAINT = "#cfe6d3", "#9fb4c8", "#c0262d", "#8c8c8c"
+BAND, CIRCLE, BAD, FAINT, ROUTE = "#cfe6d3", "#9fb4c8", "#c0262d", "#8c8c8c", "#f0dca8"
 
 WIDTH_IN = 9.0
 

@@ -21,13 +21,17 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.events import Announce
 from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.route.progress import RouteProgress, describe
+from sidelong.mission.route.route import Route
 
 _MACHINE_FUSED, _MACHINE_GPS = "m-f", "m-g"
 _UNKNOWN = "9999999.0"
 _ONE_SIGMA = 1.0 - math.exp(-0.5)  # the share of a two-dimensional Gaussian within one sigma
 _SEND_EVERY_S = 1.0
 PLAIN_CALLSIGN = "target"
-_STALE_AFTER = timedelta(seconds=10.0)
+_STALE_AFTER, _ROUTE_STALE_AFTER = timedelta(seconds=10.0), timedelta(seconds=180.0)
+_DRAWN_LINE = "u-d-f"
+_ROUTE_EVERY_S, _ROUTE_POINTS = 60.0, 40
 _UID = f"sidelong-{uuid4().hex[:8]}"  # a target is the same for all aircraft of this program
 
 
@@ -46,7 +50,13 @@ class CotNames:
 
 
 def target_event(
-    estimate: TargetEstimate, plane: LocalPlane, time_s: float, now: datetime, uid: str, names: CotNames = CotNames()
+    estimate: TargetEstimate,
+    plane: LocalPlane,
+    time_s: float,
+    now: datetime,
+    uid: str,
+    names: CotNames = CotNames(),
+    route: RouteProgress | None = None,
 ) -> bytes:
     """Return the event for the target at ``time_s`` of the vehicle's clock, which is ``now`` by the wall's."""
     position = estimate.covariance[:2, :2]
@@ -57,6 +67,8 @@ def target_event(
     remarks = ElementTree.SubElement(detail, "remarks")
     within_m = confidence_ellipse(position).semi_major_m
     remarks.text = f"sidelong: track {estimate.quality}, within {within_m:.1f} m with 95 %"
+    if route is not None:
+        remarks.text += f"; {describe(route)}"
     return _encoded(event)
 
 
@@ -77,8 +89,21 @@ def aircraft_event(
     return _encoded(event)
 
 
-def _event(uid: str, kind: str, how: str, now: datetime) -> ElementTree.Element:
-    at, stale = _utc(now), _utc(now + _STALE_AFTER)
+def route_event(route: Route, plane: LocalPlane, now: datetime, uid: str, callsign: str) -> bytes:
+    """Return the route of the target as a drawn line."""
+    outline = route.outline_m(_ROUTE_POINTS)
+    event = _event(uid, _DRAWN_LINE, _MACHINE_FUSED, now, _ROUTE_STALE_AFTER)
+    _point(event, plane, (float(outline[0, 0]), float(outline[0, 1])))
+    detail = ElementTree.SubElement(event, "detail")
+    for place in outline.tolist():
+        latitude_deg, longitude_deg = plane.latitude_longitude_deg(*place)
+        ElementTree.SubElement(detail, "link", point=f"{latitude_deg:.6f},{longitude_deg:.6f}")
+    ElementTree.SubElement(detail, "contact", callsign=callsign)
+    return _encoded(event)
+
+
+def _event(uid: str, kind: str, how: str, now: datetime, lasts: timedelta = _STALE_AFTER) -> ElementTree.Element:
+    at, stale = _utc(now), _utc(now + lasts)
     return ElementTree.Element("event", version="2.0", uid=uid, type=kind, how=how, time=at, start=at, stale=stale)
 
 
@@ -124,7 +149,7 @@ class CotOutput:
     ) -> None:
         self._sender, self._plane, self._names, self._height_m, self._now = sender, plane, names, height_m, now
         self._own_uid = f"{_UID}-{names.own_callsign}"
-        self._next_s = -math.inf
+        self._next_s = self._route_s = -math.inf
 
     def say(self, announcement: Announce) -> None:
         pass
@@ -143,7 +168,12 @@ class CotOutput:
             if snapshot.target and names.callsign == PLAIN_CALLSIGN:
                 names = replace(names, callsign=snapshot.target)
             uid = f"{_UID}-target-{snapshot.target}" if snapshot.target else _UID
-            self._sender.send(target_event(estimate, self._plane, snapshot.time_s, now, uid, names))
+            route = snapshot.route
+            self._sender.send(target_event(estimate, self._plane, snapshot.time_s, now, uid, names, route))
+            if route is not None and now_s >= self._route_s + _ROUTE_EVERY_S:
+                self._route_s = now_s
+                name = f"route of {names.callsign}"
+                self._sender.send(route_event(route.route, self._plane, now, f"{uid}-route", name))
 
     def stop(self) -> None:
         self._sender.stop()

@@ -25,6 +25,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.events import AlarmReported, Announce, MissionChange, OperatorRequest
 from sidelong.mission.core.requirement import Side
+from sidelong.mission.route.route import Route
 
 _SEND_EVERY_S = 0.125
 _STATUS_EVERY_S = 1.0
@@ -66,6 +67,7 @@ class ViewDisplay:
         self._said: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         self._setting: Json | None = None
         self._requirement = config.requirement.requirement()
+        self._route: Route | None = None
         self._shading: Shading | None = None
         self._trail_s = -math.inf
         self._sent_at_s = -math.inf
@@ -151,8 +153,9 @@ class ViewDisplay:
         if self._snapshot is None or snapshot.time_s != self._snapshot.time_s:
             self._heard_at_s = time.monotonic()
         self._snapshot = snapshot
-        if snapshot.requirement != self._requirement:
-            self._requirement = snapshot.requirement
+        route = None if snapshot.route is None else snapshot.route.route
+        if snapshot.requirement != self._requirement or route is not self._route:
+            self._requirement, self._route = snapshot.requirement, route
             self._setting = self._set()
         aircraft = snapshot.aircraft
         if aircraft is not None and aircraft.time_s >= self._trail_s + _TRAIL_STEP_S:
@@ -198,7 +201,7 @@ class ViewDisplay:
                 self._inner.note(f"{fault}; the flight continues")
 
     def _set(self) -> Json:
-        base = setting(self._config, self._encoder.plane, self._name, self._requirement)
+        base = setting(self._config, self._encoder.plane, self._name, self._requirement, self._route)
         return base | under_flight(self._address, self._shading)
 
     def _told(self) -> Json:

@@ -12,6 +12,7 @@ from sidelong.app.analysis.replay import Replayed, announcements
 from sidelong.app.view.state import Json, StateEncoder
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import ControlAcquired, DecisionRecord
+from sidelong.mission.route.route import Route
 
 _STEP_S, _ROUNDING_S, _SAME_S = 0.2, 0.01, 3.0
 _FRAMES_MAX = 50_000  # beyond, only every other one is kept
@@ -23,6 +24,7 @@ class Frames:
     """Frames of a replay: times_s and states (JSON); said: (time_s, kind, text); decided_s: times of decided moves.
 
     start_s: when tracking began, else time of the first estimate; None if there was neither.
+    route: the last one given.
     """
 
     times_s: list[float] = field(default_factory=list)
@@ -31,6 +33,7 @@ class Frames:
     decided_s: list[float] = field(default_factory=list)
     start_s: float | None = None
     plane: LocalPlane | None = None
+    route: Route | None = None
 
     def noted(self, steps: Iterable[Replayed], encoder: StateEncoder, proposals: bool = False) -> Iterator[Replayed]:
         """Yield the steps, storing what the page needs. proposals: moves repeat each second; store each one once."""
@@ -47,6 +50,8 @@ class Frames:
             self.decided_s += [] if again else moves
             said = announcements(step.commands)
             self.said += [(one.time_s, one.kind, one.text) for one in said if not (again and one.kind == "decision")]
+            if snapshot.route is not None:
+                self.route = snapshot.route.route
             if snapshot.aircraft is not None and snapshot.time_s >= last_s + step_s - _ROUNDING_S:
                 last_s = snapshot.time_s
                 self.times_s.append(last_s)

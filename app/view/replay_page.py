@@ -43,7 +43,7 @@ def serve_replay(
                     told = player.told()
                     new_shade = shading is not None and shading.is_new()
                     if not setting_told or new_shade:
-                        base = setting(config, frames.plane, name) | {"replay": player.setting}
+                        base = setting(config, frames.plane, name, route=frames.route) | {"replay": player.setting}
                         told["setting"] = base | under_flight(address, shading)
                         setting_told = True
                     if new_shade and shading is not None:

@@ -9,6 +9,7 @@ import math
 from dataclasses import asdict, fields
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel
 
 from sidelong.app.analysis.present import PresentWatch, Watch
@@ -20,6 +21,8 @@ from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.core.requirement import Requirement
+from sidelong.mission.route.progress import RouteProgress
+from sidelong.mission.route.route import Route
 from sidelong.mission.viewpoint.side_policy import side_words
 
 Json = dict[str, Any]
@@ -35,15 +38,23 @@ _LIMITS = {name: _limits(AircraftSection, name) for name in ("radius_m", "height
     name: _limits(RequirementSection, name) for name in ("range_min_m", "range_max_m")
 }
 
-_LINE_POINTS = 60
+_LINE_POINTS, _ROUTE_POINTS = 60, 500
+_AHEAD_S = np.linspace(0.0, 60.0, 13)  # how far the page draws the expected path of the target
 _SHARE_GAP_S = 5.0  # a longer time between two states counts as unknown
 _ON_TRANSITION = 1.2  # a transition is shown for this share of the time it takes
 
 
-def setting(config: Config, plane: LocalPlane | None, name: str, requirement: Requirement | None = None) -> Json:
+def setting(
+    config: Config,
+    plane: LocalPlane | None,
+    name: str,
+    requirement: Requirement | None = None,
+    route: Route | None = None,
+) -> Json:
     """Return the settings, which change only on request. name: title of the page.
 
     The fences are included once the plane is known. requirement: the current one; by default the configured one.
+    route: expected of the target.
     """
     requirement = requirement or config.requirement.requirement()
 
@@ -62,6 +73,7 @@ def setting(config: Config, plane: LocalPlane | None, name: str, requirement: Re
         "keep_in": outlines(config.fences.keep_in),
         "keep_out": outlines(config.fences.keep_out),
         "name": name,
+        "route": [] if route is None else [_rounded(*point) for point in route.outline_m(_ROUTE_POINTS).tolist()],
         "origin": None if plane is None else _origin(plane),
     }
 
@@ -167,6 +179,7 @@ class StateEncoder:
             "alarms": [] if vehicle is None else alarms_of("", vehicle),
             "over": snapshot.over,
             "unknown": snapshot.unknown,
+            "route": None if snapshot.route is None else _route(snapshot.route),
             "share_in_band": self._in_band.share(time_s, watch.in_band),
             "share_on_side": self._on_side.share(time_s, watch.on_side),
         }
@@ -255,6 +268,17 @@ class StateEncoder:
             del self._thinned[next(iter(self._thinned))]
         self._thinned[id(path)] = (path, line)  # keeps the path, so that its id stays its own
         return line
+
+
+def _route(progress: RouteProgress) -> Json:
+    ahead = progress.places_m(_AHEAD_S).tolist() if progress.on_route else []
+    return {
+        "on": progress.on_route,
+        "along_m": _number(progress.along_m, 0),
+        "length_m": _number(progress.route.length_m, 0),
+        "to_end_s": _number(progress.to_end_s, 0),
+        "ahead": [_rounded(*point) for point in ahead],
+    }
 
 
 def _number(value: float | None, digits: int) -> float | None:

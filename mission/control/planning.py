@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
-
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.fleet import CooperativePlanner, FleetAdvice, NeighbourPlanned
@@ -15,7 +13,7 @@ from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import approach
 from sidelong.mission.geometry.progress import dead_reckoned
 from sidelong.mission.route.progress import RoutePlanner, RouteProgress, describe
-from sidelong.mission.route.route import Direction, Route, route_of
+from sidelong.mission.route.route import Route, route_from
 
 # Fleet advice expires after this time.
 _ADVICE_S = 5.0
@@ -90,14 +88,7 @@ class Planning:
         if not isinstance(self.planner, RoutePlanner):
             return "this planner does not use a route"
         try:
-            self._route = route_of(
-                np.array(given.east_m),
-                np.array(given.north_m),
-                lap=given.lap,
-                tolerance_m=given.tolerance_m,
-                speed_m_s=math.nan if given.speed_m_s is None else given.speed_m_s,
-                direction=Direction(given.direction),
-            )
+            self._route = route_from(given)
         except ValueError as error:
             return f"the route is not used: {error}"
         self._on_route = False

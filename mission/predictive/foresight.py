@@ -20,10 +20,10 @@ from sidelong.mission.predictive.programme_kernel import (
     resample,
 )
 from sidelong.mission.predictive.value_table import TableConfiguration
+from sidelong.mission.route.progress import way_of
 from sidelong.mission.route.progress_kernel import Way, fresh_progress
-from sidelong.mission.route.route import Direction, Route
+from sidelong.mission.route.route import Route
 
-_DIRECTIONS = {Direction.FORWARD: 1.0, Direction.BACKWARD: -1.0, Direction.EITHER: 0.0}
 _NOTHING = np.zeros((1, 1, 1, 1), np.float32)
 
 
@@ -31,13 +31,6 @@ def no_route() -> Foresight:
     """Return what a planner without a route looks ahead with."""
     way = Way(np.zeros((0, 2)), 1.0, False, 1.0, math.nan, 0.0)
     return Foresight(way, fresh_progress(), _NOTHING, _NOTHING, 1.0, np.zeros(1), np.zeros(KNOWN + HEADINGS))
-
-
-def way_of(route: Route) -> Way:
-    """Return a route as the loops see it."""
-    points = np.ascontiguousarray(np.stack([route.east_m, route.north_m], axis=1))
-    direction = _DIRECTIONS[route.direction]
-    return Way(points, route.spacing_m, route.lap, route.tolerance_m, route.speed_m_s, direction)
 
 
 def foresight_along(route: Route, own: Table, c: TableConfiguration, progress: FloatArray) -> Foresight:

@@ -6,19 +6,29 @@ import math
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+
+from sidelong.estimators.estimate import TargetEstimate
+from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.plan import Planner
 from sidelong.mission.route.progress_kernel import (
     ALONG_M,
     DIRECTION,
-    LAST_S,
     OFF_CHANCE,
     ON_ROUTE,
     SPEED_M_S,
+    Way,
+    fresh_progress,
     hypotheses,
     likeliest,
+    update_progress,
 )
-from sidelong.mission.route.route import Route
+from sidelong.mission.route.route import Direction, Route, route_from
+from sidelong.mission.viewpoint.course_hold import known
+
+_DIRECTIONS = {Direction.FORWARD: 1.0, Direction.BACKWARD: -1.0, Direction.EITHER: 0.0}
+_UPDATE_S = 0.9  # the planner processes one estimate each second
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,21 +36,25 @@ class RouteProgress:
     """The target's progress along its route.
 
     Attributes:
+        route: The route.
         on_route: Whether the target follows the route.
         along_m: Position along the route, m; NaN where it is unknown.
-        length_m: Length of the route, m.
         speed_m_s: Speed along the route, negative against its direction, m/s; NaN where it is unknown.
         probability: Probability that the target follows the route, 0..1.
         to_end_s: Time to the end of the route at this speed, s; NaN for a lap, and where it is unknown.
 
     """
 
+    route: Route
     on_route: bool
     along_m: float
-    length_m: float
     speed_m_s: float
     probability: float
     to_end_s: float
+
+    def places_m(self, in_s: FloatArray) -> FloatArray:
+        """Return where (n, 2) the target is expected after times (n,) at its present speed; NaN where unknown."""
+        return self.route.points_m(self.along_m + self.speed_m_s * in_s)
 
 
 @runtime_checkable
@@ -58,23 +72,60 @@ class RoutePlanner(Planner, Protocol):
 
     @property
     def route_progress(self) -> RouteProgress | None:
-        """The target's progress; None without a route, and before the first estimate."""
+        """The target's progress; None without a route."""
         ...
 
 
-def progress_of(route: Route, memory: FloatArray) -> RouteProgress | None:
-    """Return what the filter's memory says; None before its first update.
+def way_of(route: Route) -> Way:
+    """Return a route as the loops see it."""
+    points = np.ascontiguousarray(np.stack([route.east_m, route.north_m], axis=1))
+    direction = _DIRECTIONS[route.direction]
+    return Way(points, route.spacing_m, route.lap, route.tolerance_m, route.speed_m_s, direction)
+
+
+class RouteFollower:
+    """Estimates a target's progress along a route from its estimates, for reports and exports of a flight."""
+
+    def __init__(self, route: Route) -> None:
+        self.route = route
+        self._way, self._memory, self._at_s = way_of(route), fresh_progress(), -math.inf
+
+    def update(self, target: TargetEstimate) -> RouteProgress | None:
+        """Process an estimate, in order of time.
+
+        Args:
+            target: Estimate of the target.
+
+        Returns:
+            The progress; None if less than a second has passed since the last one.
+
+        """
+        if target.time_s < self._at_s + _UPDATE_S:
+            return None
+        self._at_s = target.time_s
+        update_progress(self._way, known(target), self._memory)
+        return progress_of(self.route, self._memory)
+
+
+def follower_of(given: RouteGiven) -> RouteFollower | None:
+    """Return the follower of a flight's route; None where the flight could not use it."""
+    try:
+        return RouteFollower(route_from(given))
+    except ValueError:
+        return None
+
+
+def progress_of(route: Route, memory: FloatArray) -> RouteProgress:
+    """Return the progress in the filter's memory.
 
     Args:
         route: The route.
         memory: Memory of the filter.
 
     Returns:
-        The progress; None before the filter's first update.
+        The progress; off route before the filter's first update.
 
     """
-    if math.isnan(memory[LAST_S]):
-        return None
     best, on_route = likeliest(memory), bool(memory[ON_ROUTE] > 0.0)
     along_m = speed_m_s = to_end_s = math.nan
     if best >= 0 and on_route:
@@ -82,7 +133,7 @@ def progress_of(route: Route, memory: FloatArray) -> RouteProgress | None:
         along_m, speed_m_s = float(one[ALONG_M]), float(one[SPEED_M_S])
         if not route.lap and abs(speed_m_s) > 0.1:
             to_end_s = (route.length_m - along_m if one[DIRECTION] > 0.0 else along_m) / abs(speed_m_s)
-    return RouteProgress(on_route, along_m, route.length_m, speed_m_s, 1.0 - float(memory[OFF_CHANCE]), to_end_s)
+    return RouteProgress(route, on_route, along_m, speed_m_s, 1.0 - float(memory[OFF_CHANCE]), to_end_s)
 
 
 def describe(progress: RouteProgress) -> str:
@@ -94,4 +145,5 @@ def describe(progress: RouteProgress) -> str:
     """
     if not progress.on_route:
         return "off route"
-    return f"{progress.along_m:.0f} of {progress.length_m:.0f} m along the route"
+    to_end = f", {progress.to_end_s:.0f} s to its end" if math.isfinite(progress.to_end_s) else ""
+    return f"{progress.along_m:.0f} of {progress.route.length_m:.0f} m along the route{to_end}"

@@ -8,6 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.path import FloatArray
 
 POINT_EVERY_M = 4.0
@@ -51,6 +52,19 @@ class Route:
         """Length of the route, of one lap if it is one."""
         return self.spacing_m * (self.east_m.size - (0 if self.lap else 1))
 
+    def points_m(self, along_m: FloatArray) -> FloatArray:
+        """Return the points (n, 2), east and north, at positions along the route (n,); clipped to its ends."""
+        count = self.east_m.size + (1 if self.lap else 0)
+        at_m = np.mod(along_m, self.length_m) if self.lap else along_m
+        arc_m = self.spacing_m * np.arange(count)
+        rows = (np.append(row, row[0]) if self.lap else row for row in (self.east_m, self.north_m))
+        return np.stack([np.interp(at_m, arc_m, row) for row in rows], axis=1)
+
+    def outline_m(self, points_max: int) -> FloatArray:
+        """Return points (n, 2) of the route for a drawing, n <= points_max; the first one is repeated for a lap."""
+        drawn = self.points_m(np.linspace(0.0, self.length_m, min(points_max, self.east_m.size + 1)))
+        return np.concatenate([drawn[:-1], drawn[:1]]) if self.lap else drawn
+
 
 def route_of(
     east_m: FloatArray,
@@ -93,3 +107,15 @@ def route_of(
     at_m = at_m[:-1] if lap else at_m
     east, north = (np.interp(at_m, arc_m, row) for row in points_m)
     return Route(east, north, float(arc_m[-1] / count), lap, tolerance_m, speed_m_s, direction)
+
+
+def route_from(given: RouteGiven) -> Route:
+    """Return the route of an event. Raises ValueError as :func:`route_of`."""
+    return route_of(
+        np.array(given.east_m),
+        np.array(given.north_m),
+        lap=given.lap,
+        tolerance_m=given.tolerance_m,
+        speed_m_s=math.nan if given.speed_m_s is None else given.speed_m_s,
+        direction=Direction(given.direction),
+    )

@@ -11,6 +11,7 @@ import subprocess
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ from sidelong.app.sharing.cot import CotNames, CotOutput, aircraft_event, target
 from sidelong.app.sharing.senders import DatagramSender, StreamSender, tls_context
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
+from sidelong.mission.route.progress import RouteProgress
+from sidelong.mission.route.route import route_of
 
 takproto = pytest.importorskip("takproto", reason="takproto is not installed (the dev extra has it)")
 
@@ -94,6 +97,21 @@ def test_nobody_listening_does_no_harm(receiver, snapshot):
     output = output_to(receiver)
     receiver.close()
     output.show(snapshot)
+    output.stop()
+
+
+def test_the_route_is_sent_as_a_line_and_the_progress_with_the_target(receiver, snapshot):
+    route = route_of(np.array([0.0, 0.0, 400.0]), np.array([0.0, 300.0, 300.0]))
+    progress = RouteProgress(route, True, 120.0, 4.0, 0.9, 145.0)
+    output = output_to(receiver)
+    output.show(replace(snapshot, route=progress))
+    _, target, line = waiting(receiver)
+    assert "120 of 700 m along the route, 145 s to its end" in parsed(target).detail.xmlDetail
+    drawn = ElementTree.fromstring(line)
+    corners = [tuple(map(float, one.attrib["point"].split(","))) for one in drawn.iter("link")]
+    assert parsed(line).type == "u-d-f"
+    assert PLANE.east_north_m(*corners[0]) == pytest.approx((0.0, 0.0), abs=0.2)
+    assert PLANE.east_north_m(*corners[-1]) == pytest.approx((400.0, 300.0), abs=0.2)
     output.stop()
 
 

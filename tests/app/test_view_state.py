@@ -15,6 +15,8 @@ from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Phase
 from sidelong.mission.core.requirement import Requirement, Sector, Side
+from sidelong.mission.route.progress import RouteProgress
+from sidelong.mission.route.route import route_of
 
 LEFT = Requirement(100.0, 500.0, Side.LEFT, 3.0)
 
@@ -51,6 +53,17 @@ def test_what_is_not_known_is_null(snapshots):
     assert first["target"] is None
     assert first["nis"] is None
     assert first["range_age_s"] is None
+
+
+def test_the_route_and_the_expected_path_along_it_are_sent(watching):
+    route = route_of(np.array([0.0, 0.0, 400.0]), np.array([0.0, 300.0, 300.0]), lap=True)
+    on = state_of(replace(watching, route=RouteProgress(route, True, 290.0, 4.0, 0.9, math.nan)))["route"]
+    assert (on["on"], on["along_m"], on["length_m"], on["to_end_s"]) == (True, 290.0, 1200.0, None)
+    assert on["ahead"][2] == pytest.approx([30.0, 300.0], abs=3.0)  # 10 s later, around the corner
+    off = state_of(replace(watching, route=RouteProgress(route, False, math.nan, math.nan, 0.1, math.nan)))["route"]
+    assert (off["on"], off["along_m"], off["ahead"]) == (False, None, [])
+    drawn = setting(Config(), None, "", route=route)["route"]
+    assert drawn[0] == drawn[-1] == [0.0, 0.0]
 
 
 def test_the_target_is_carried_on_from_its_estimate(watching):

@@ -5,19 +5,20 @@ from __future__ import annotations
 import json
 
 import pytest
+from mcap.reader import make_reader
 
 from sidelong.estimators.frames import LocalPlane
 from tests.end_to_end.test_flights import sidelong
 
 pytestmark = pytest.mark.udp
 HOME = LocalPlane(-35.363262, 149.165237)
-CORNERS_M = (250.0, 100.0), (250.0, 700.0), (1250.0, 700.0)  # east, north
+CORNERS_M = (250.0, 300.0), (250.0, 900.0), (1250.0, 900.0)  # east, north; simulated targets begin at the first one
 
 
 @pytest.fixture
 def files(tmp_path):
     """Return a track at 4 m/s around a corner, and its way points."""
-    places = [(250.0, 100.0 + 4.0 * s) for s in range(150)] + [(250.0 + 4.0 * s, 700.0) for s in range(150)]
+    places = [(250.0, 300.0 + 4.0 * s) for s in range(150)] + [(250.0 + 4.0 * s, 900.0) for s in range(150)]
     track, route = tmp_path / "track.csv", tmp_path / "route.csv"
     for file, head, rows in ((track, "time,lat,lon", places), (route, "lat,lon", CORNERS_M)):
         degrees = [",".join(f"{angle:.8f}" for angle in HOME.latitude_longitude_deg(*row)) for row in rows]
@@ -38,6 +39,18 @@ def test_a_flight_along_a_route_reports_it_and_replays_the_same(files, tmp_path)
     assert "the target is expected on a route of 1600 m" in journal
     assert "on route: the target is" in journal
     assert json.loads((tmp_path / "summary.json").read_text())["time_in_band"] >= 0.9
+    for kind in ("kml", "geojson", "mcap"):
+        assert sidelong("export", run, "--format", kind, "--out", tmp_path / f"out.{kind}").returncode == 0
+    assert "route, 1600 m" in (tmp_path / "out.kml").read_text()
+    features = json.loads((tmp_path / "out.geojson").read_text())["features"]
+    assert sum(one["properties"]["name"] == "route" for one in features) == 1
+    with (tmp_path / "out.mcap").open("rb") as file:
+        progress = [json.loads(one.data) for *_, one in make_reader(file).iter_messages(["/route"])]
+    assert len(progress) > 100
+    assert progress[-1]["on_route"]
+    assert progress[-1]["along_m"] > progress[60]["along_m"] + 100.0
+    assert sidelong("report", run, "--out", tmp_path / "report.html").returncode == 0
+    assert "Progress along the route" in (tmp_path / "report.html").read_text()
     replayed = sidelong("replay", run, "--verify", "--quiet")
     assert replayed.returncode == 0, replayed.stdout + replayed.stderr
 

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sidelong.mission.predictive.foresight import way_of
-from sidelong.mission.route.progress import RouteProgress, describe, progress_of
+from sidelong.mission.route.progress import RouteProgress, describe, progress_of, way_of
 from sidelong.mission.route.progress_kernel import fresh_progress, update_progress
 from sidelong.mission.route.route import Direction, Route, route_of
 from sidelong.mission.viewpoint.viewpoint_kernel import Known

@@ -19,7 +19,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.tracking.tracker import Tracker, TrackerSettings
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.events import Announce, ControlAcquired, HealthChanged, PlanStatus, UploadPlan
+from sidelong.mission.core.events import Announce, ControlAcquired, HealthChanged, PlanStatus, RouteGiven, UploadPlan
 from sidelong.mission.core.inputs import Input, InputState
 from sidelong.mission.core.path import Path as Line
 from sidelong.mission.core.plan import Plan
@@ -40,6 +40,7 @@ def flight(log: McapLog) -> None:
     laser, gimbal = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
     down_rad = math.atan2(120.0, 200.0)
     sight = (math.cos(down_rad / 2), 0.0, -math.sin(down_rad / 2), 0.0)
+    log.event(RouteGiven(10.0, (200.0, 200.0), (0.0, 500.0), False, 12.0, None, "either"))
     log.event(ControlAcquired(10.0, CIRCLE, "AUTO"))
     for i in range(101):
         time_s = 10.0 + 0.1 * i
@@ -78,9 +79,10 @@ def messages(tmp_path) -> dict[str, list]:
 
 def test_every_kind_of_thing_has_its_topic(messages):
     counted = {topic: len(several) for topic, several in messages.items()}
-    assert counted.pop("/scene") == counted["/sighting"] + counted["/target"] + 3
+    assert counted.pop("/scene") == counted["/sighting"] + counted["/target"] + 4
     assert counted.pop("/target") == counted.pop("/watch") == counted.pop("/target/fix") > 90
     assert counted.pop("/sighting") > 90
+    assert counted.pop("/route") == 11  # once a second
     assert counted == {
         "/tf": 101,
         "/aircraft": 101,
@@ -92,6 +94,7 @@ def test_every_kind_of_thing_has_its_topic(messages):
         "/plan/map": 1,
         "/said": 1,
         "/health": 1,
+        "/route/map": 1,
     }
 
 

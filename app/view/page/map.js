@@ -56,6 +56,7 @@ export class FlightMap {
     const shape = (name, kind) => svg(name, { class: kind }, this.ground);
     this.about = svg("g", {}, this.ground); // moves with the target
     this.fences = svg("g", {}, this.ground);
+    this.route = shape("polyline", "route");
     this.side = svg("path", { class: "side" }, this.about);
     this.rings = [0, 1].map(() => svg("circle", { class: "ring" }, this.about));
     this.trailLine = shape("polyline", "trail");
@@ -314,7 +315,8 @@ export class FlightMap {
     const [major, minor, bearing] = target.ellipse;
     this.about.setAttribute("transform", `translate(${east} ${north})`);
     const ahead = target.velocity_m_s.map((v, k) => target.at_m[k] + v * PREDICTED_S);
-    this.predicted.setAttribute("points", target.course_rad === null ? "" : points([target.at_m, ahead]));
+    const line = state.route?.on ? [target.at_m, ...state.route.ahead.slice(1)] : [target.at_m, ahead];
+    this.predicted.setAttribute("points", target.course_rad === null ? "" : points(line));
     this.sight.setAttribute("points", state.aircraft ? points([target.at_m, state.aircraft.at_m]) : "");
     this.ellipse.setAttribute("rx", minor);
     this.ellipse.setAttribute("ry", major);
@@ -343,7 +345,8 @@ export class FlightMap {
     this.side.setAttribute("d", ringSector(band[0], band[1], from, to));
   }
 
-  drawFences() {
+  drawFixed() {
+    this.route.setAttribute("points", points(this.setting.route ?? []));
     const outlines = (kind) => (this.setting[kind.replace("-", "_")] ?? [])
       .map((outline) => svg("polygon", { class: kind, points: points(outline) }));
     this.fences.replaceChildren(...outlines("keep-in"), ...outlines("keep-out"));

@@ -63,7 +63,8 @@ function hear(update) {
 
 function set(setting) {
   map.setting = plots.setting = setting;
-  map.drawFences();
+  map.drawFixed();
+  byId("legend").querySelector(".route").hidden = !setting.route?.length;
   byId("legend").querySelector(".fence").hidden = !(setting.keep_in.length + setting.keep_out.length);
   byId("name").textContent = byId("name").title = setting.name;
   byId("buttons").hidden = byId("mute").hidden = Boolean(setting.replay);
@@ -153,14 +154,24 @@ function keyTiles() {
     ["time in band", share(state.share_in_band), ""],
     ["battery", known(vehicle?.battery_percent, (v) => `${v} %`), vehicle?.battery_percent < 25 ? "bad" : ""],
     ["must leave in", leaves(vehicle), leaves(vehicle) === "now" ? "bad" : ""],
+    ...progress(state),
   ];
 }
+
+// The target's progress along its route, if it has one.
+function progress({ route }) {
+  if (!route) return [];
+  const end = route.on && route.to_end_s !== null ? `, ${duration(route.to_end_s)} to go` : "";
+  return [["route", route.on ? `${route.along_m} of ${route.length_m} m${end}` : "off route", route.on ? "" : "warn"]];
+}
+
+const duration = (s) => (s < 90 ? `${s} s` : s < 3600 ? `${Math.round(s / 60)} min` : `${(s / 3600).toFixed(1)} h`);
 
 // Time until 120 % of the energy for the flight home is left.
 function leaves(vehicle) {
   if (!vehicle || vehicle.endurance_s === null || vehicle.home_s === null) return "–";
   const left = vehicle.endurance_s - 1.2 * vehicle.home_s;
-  return left <= 0 ? "now" : left < 3600 ? `${Math.round(left / 60)} min` : `${(left / 3600).toFixed(1)} h`;
+  return left <= 0 ? "now" : duration(left);
 }
 
 // The other readings.
