@@ -16,7 +16,7 @@ pytestmark = pytest.mark.udp
 SIDELONG = Path(sys.executable).parent / "sidelong"
 FLEET = """
 [simulation]
-speed = 8.0
+speed = 14.0
 target = "straight"
 [[aircraft]]
 name = "plane"
