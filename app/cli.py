@@ -160,36 +160,49 @@ def _options(
 
 
 def main() -> NoReturn:
-    """Run the command line. Exit codes: 0 done, 1 the flight failed, 2 wrong input, 130 interrupted."""
+    """Run the command line and end the process with the exit code of :func:`run`."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
             signal.signal(number, signal.default_int_handler)
     sys.unraisablehook = heed_again
-    code = 0
+    exit_process(run())
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run one command and print an error as one sentence.
+
+    Args:
+        arguments: The command and its arguments; None for those of the process.
+
+    Returns:
+        The exit code: 0 done, 1 the flight failed, 2 wrong input, 130 interrupted.
+
+    """
     try:
         try:
-            app()
+            app(arguments)
         except SystemExit as end:
             code = int(end.code or 0)
             if code == INTERRUPTED:  # typer's word for an interrupt
                 raise KeyboardInterrupt from end
+            return code
     except InputError as error:
-        code = _complain(error, 2)
+        return _complain(error, 2)
     except FlightError as error:
-        code = _complain(error, 1)
+        return _complain(error, 1)
     except Interrupted as interrupted:
-        code = _complain(interrupted, INTERRUPTED)
+        return _complain(interrupted, INTERRUPTED)
     except KeyboardInterrupt:
-        code = _complain("interrupted.", INTERRUPTED)
+        return _complain("interrupted.", INTERRUPTED)
     except BrokenPipeError:
-        code = 0
+        return 0
     except Exception:
         if interrupt_dropped():
-            exit_process(_complain("interrupted.", INTERRUPTED))
+            return _complain("interrupted.", INTERRUPTED)
         with contextlib.suppress(OSError):
             traceback.print_exc()
-        code = 1
-    exit_process(code)
+        return 1
+    return 0
 
 
 def _complain(said: Exception | str, code: int) -> int:

@@ -528,8 +528,10 @@ class Flight:
             if not missing:
                 assert home is not None
                 return home, required_parameters
-            if self._telemetry.now_s > deadline_s and time.monotonic() > wall_s:
-                raise InputError("not ready, " + "; ".join(map(str, missing)) + ".")
+            over = self._telemetry.now_s > deadline_s and time.monotonic() > wall_s
+            reported = missing if over else [check for check in missing if check.lasts]
+            if reported:
+                raise InputError("not ready, " + "; ".join(map(str, reported)) + ".")
 
     async def _until_over(self, ended: asyncio.Event | None) -> None:
         if ended is not None:

@@ -44,7 +44,8 @@ _SENSORS = {
 class Check:
     """One requirement: ready or not, what was found, and the way out when it is not.
 
-    An aircraft that flies already is taken over without those that are only ``before_take_off``.
+    An aircraft that flies already is taken over without those that are only ``before_take_off``. Waiting does not
+    change one that ``lasts``: parameters are read once.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Check:
     found: str
     remedy: str = ""
     before_take_off: bool = False
+    lasts: bool = False
 
     def __str__(self) -> str:
         return f"{self.name}: {self.found}" + (f"; {self.remedy}" if self.remedy and not self.ready else "")
@@ -141,7 +143,13 @@ def checks(
         *_limit_checks(config, aircraft, autopilot.limits(parameters.values), parameters),
         *(Check(purpose, True, parameters.found_for(purpose)) for purpose in _NAMED),
         *(
-            Check(need.name, False, f"{need.present:g}: {need.why}", f"set {need.value:g}, or give --set-parameters")
+            Check(
+                need.name,
+                False,
+                f"{need.present:g}: {need.why}",
+                f"set {need.value:g}, or give --set-parameters",
+                lasts=True,
+            )
             for need in required_parameters
         ),
         *_source_checks(config, rates),
@@ -208,6 +216,7 @@ def _limit_checks(
         bank_deg is None or bank_deg >= config.aircraft.bank_max_deg - 0.5,
         found,
         f"set aircraft.bank_max_deg to at most {found} or raise the autopilot's limit",
+        lasts=True,
     )
     least, most = limits.airspeed_min_m_s, limits.airspeed_max_m_s
     speed_ok = (least is None or aircraft.airspeed_m_s >= least) and (most is None or aircraft.airspeed_m_s <= most)
@@ -218,6 +227,7 @@ def _limit_checks(
         if None not in (least, most, limits.airspeed_cruise_m_s)
         else parameters.found_for(Purpose.AIRSPEED),
         "set aircraft.airspeed_m_s within the autopilot's limits",
+        lasts=True,
     )
     return (bank, speed)
 
