@@ -90,14 +90,14 @@ def test_a_flight_with_a_live_map_starts_in_a_folder_with_files_of_our_names(
 
 
 @pytest.mark.udp
-def test_a_flight_needs_no_library_of_the_extras(installed, tmp_path):
+def test_a_flight_needs_no_library_of_the_extras(tmp_path):
     script = (
         "import sys; sys.modules.update(dict.fromkeys(('scipy', 'matplotlib', 'filterpy', 'rasterio'))); "
         "from sidelong.app.__main__ import main; main()"
     )
 
     def run(*arguments):
-        command = [installed, "-P", "-c", script, *arguments]
+        command = [sys.executable, "-P", "-c", script, *arguments]  # the checkout, whose kernels are compiled
         return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=240.0, check=False)
 
     flown = run("launch", "--duration", "5", "--speed", "20")

@@ -26,7 +26,7 @@ from sidelong.sitl.settings import Flavour, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
 
 SIDELONG = Path(sys.executable).with_name("sidelong")
-SPEED = 10.0
+SPEED = 20.0
 RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 LIFE_S = int(os.environ.get("LIFE_S", "600"))  # of the application, at most
 PATIENCE_S = 0.3 * LIFE_S

@@ -41,13 +41,13 @@ def assert_yielded(vehicle, application, act, words, seed=1):
     ],
 )
 def test_another_station_changes_the_mode(vehicle_of, launch, flavour, guidance, mode, name, seed):
-    vehicle = vehicle_of(flavour, seed)
+    vehicle = vehicle_of(flavour, seed, speed=10.0)
     application = launch(vehicle.url, "--guidance", guidance)
     assert_yielded(vehicle, application, lambda: vehicle.autopilot.set_mode(mode), f"changed to {name}", seed)
 
 
 def test_the_pilot_takes_over_and_gives_back_and_is_left_alone(vehicle_of, launch):
-    vehicle = vehicle_of("arduplane")
+    vehicle = vehicle_of("arduplane", speed=10.0)
     application = launch(vehicle.url)
     application.wait_for(WATCHED)
     vehicle.do(vehicle.simulation.pilot_takes_over)

@@ -6,14 +6,13 @@ import json
 import re
 import signal
 import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
+from tests.command_line import SIDELONG, new_process, sidelong
+
 pytestmark = pytest.mark.udp
-SIDELONG = Path(sys.executable).parent / "sidelong"
 FLEET = """
 [simulation]
 speed = 14.0
@@ -26,17 +25,12 @@ autopilot = "px4"
 """
 
 
-def sidelong(*arguments: object, timeout_s: float = 280.0) -> subprocess.CompletedProcess[str]:
-    command = [str(SIDELONG), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)
-
-
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     """Return the run folder and the summary of a short flight."""
     folder = tmp_path_factory.mktemp("fleet")
     (folder / "fleet.toml").write_text(FLEET, encoding="utf-8")
-    done = sidelong(
+    done = new_process(
         *("launch", folder / "fleet.toml", "--duration", 60, "--out", folder / "runs"),
         *("--json", folder / "summary.json"),
     )

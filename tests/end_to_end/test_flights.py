@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests.command_line import new_process, sidelong
+
 pytestmark = pytest.mark.udp
-SIDELONG = Path(sys.executable).parent / "sidelong"
-
-
-def sidelong(*arguments: object, timeout_s: float = 280.0) -> subprocess.CompletedProcess[str]:
-    command = [str(SIDELONG), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)
 
 
 @pytest.fixture(scope="module", params=["arduplane", "px4"])
@@ -23,8 +17,8 @@ def flown(request, tmp_path_factory) -> tuple[Path, dict]:
     """A run folder and the summary of a short flight."""
     folder = tmp_path_factory.mktemp(request.param)
     summary = folder / "summary.json"
-    done = sidelong(
-        *("launch", "--autopilot", request.param, "--duration", 240, "--speed", 30, "--seed", 3),
+    done = new_process(
+        *("launch", "--autopilot", request.param, "--duration", 150, "--speed", 30, "--seed", 3),
         *("--target", "walk"),
         *("--planner", "paper", "--out", folder / "runs", "--json", summary),
     )
@@ -37,7 +31,7 @@ def test_a_flight_watches_the_target(flown):
     _, summary = flown
     assert summary["outcome"] == "completed"
     assert summary["source"] == "truth"
-    assert summary["duration_s"] > 200.0
+    assert summary["duration_s"] > 140.0
     assert summary["time_in_band"] >= 0.9
     assert summary["moves"] >= 1
     assert summary["upload_failures"] == 0

@@ -8,7 +8,7 @@ import pytest
 from mcap.reader import make_reader
 
 from sidelong.estimators.frames import LocalPlane
-from tests.end_to_end.test_flights import sidelong
+from tests.command_line import new_process, sidelong
 
 pytestmark = pytest.mark.udp
 HOME = LocalPlane(-35.363262, 149.165237)
@@ -29,8 +29,8 @@ def files(tmp_path):
 
 def test_a_flight_along_a_route_reports_it_and_replays_the_same(files, tmp_path):
     track, route = files
-    done = sidelong(
-        *("launch", "--target", track, "--target-speed", 6, "--route", route, "--duration", 150, "--speed", 10),
+    done = new_process(
+        *("launch", "--target", track, "--target-speed", 6, "--route", route, "--duration", 150, "--speed", 14),
         *("--no-view", "--out", tmp_path / "runs", "--json", tmp_path / "summary.json"),
     )
     assert done.returncode == 0, done.stdout + done.stderr

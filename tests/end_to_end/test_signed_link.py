@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -16,15 +13,14 @@ from sidelong.app.errors import InputError
 from sidelong.sitl.server import serve
 from sidelong.sitl.settings import Settings
 from sidelong.sitl.simulation import Simulation
+from tests import command_line
+from tests.command_line import new_process
 
 pytestmark = pytest.mark.udp
-SIDELONG = Path(sys.executable).parent / "sidelong"
 
 
 def sidelong(*arguments: object, code: int = 0) -> str:
-    done = subprocess.run(
-        [str(SIDELONG), *map(str, arguments)], capture_output=True, text=True, timeout=280.0, check=False
-    )
+    done = (new_process if arguments[0] == "launch" else command_line.sidelong)(*arguments)
     said = " ".join((done.stdout + done.stderr).split())
     assert done.returncode == code, said
     return said

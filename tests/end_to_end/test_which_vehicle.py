@@ -7,12 +7,12 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 
 import pytest
 
+from tests.command_line import sidelong
+
 pytestmark = pytest.mark.udp
-SIDELONG = Path(sys.executable).parent / "sidelong"
 
 
 @contextmanager
@@ -32,11 +32,6 @@ def vehicles(port: int, *options: tuple[object, ...]) -> Iterator[None]:
             process = stack.enter_context(subprocess.Popen([*command, "--while-input"], stdin=subprocess.PIPE))
             stack.callback(process.terminate)
         yield
-
-
-def sidelong(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [str(SIDELONG), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=280.0, check=False)
 
 
 def test_of_two_vehicles_one_has_to_be_named(free_port, tmp_path):

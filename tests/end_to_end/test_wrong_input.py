@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,14 +12,17 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-SIDELONG = Path(sys.executable).parent / "sidelong"
+from tests.command_line import SIDELONG, new_process, sidelong
+
 DATA = Path(__file__).resolve().parent.parent / "data"
 
 
 def refused(*arguments: object) -> str:
     """Run the command, and return its one sentence."""
-    command = [str(SIDELONG), *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return sentence_of(sidelong(*arguments))
+
+
+def sentence_of(done: subprocess.CompletedProcess[str]) -> str:
     assert done.returncode == 2, done.stdout + done.stderr
     lines = done.stderr.strip().splitlines()
     assert len(lines) == 1, done.stderr
@@ -54,6 +56,10 @@ def heartbeats(port: int, kind: int, autopilot: int, text: bytes | None = None) 
 @pytest.mark.parametrize("url", ["udp:14540", "http://127.0.0.1:80", "udpin://:14540", "udpin://127.0.0.1:99999"])
 def test_a_wrong_url(url):
     assert url in refused("connect", url)
+
+
+def test_a_process_ends_with_the_exit_code():
+    assert "'udp:14540'" in sentence_of(new_process("connect", "udp:14540"))
 
 
 def test_a_busy_port():
