@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from math import radians
 from pathlib import Path
@@ -43,6 +43,7 @@ from sidelong.mission.route.route import route_of
 from sidelong.mission.upload.fences import FenceError, Fences, Outline
 
 if TYPE_CHECKING:
+    from sidelong.app.link.other_mission import OtherMission
     from sidelong.estimators.terrain.ground import Ground
     from sidelong.mission.core.sight import Sight, SightAt
 
@@ -132,7 +133,7 @@ def controller_of(
         make_planner,
     )
     track = Track(tracker_settings(config.sensors, lost_after_s))
-    with_route = config.route.file is not None
+    with_route = config.route.is_known
     _warm_up(make_planner(aircraft, requirement), track, requirement.range_max_m - 190.0, with_route)
     return controller
 
@@ -142,12 +143,23 @@ def route_given(config: Config, plane: LocalPlane, time_s: float) -> RouteGiven 
 
     Raises InputError if the route file cannot be read.
     """
-    route = config.route
-    if route.file is None:
+    if config.route.file is None:
         return None
-    east_m, north_m = read_route(route.file).in_plane(plane)
-    way = tuple(east_m.tolist()), tuple(north_m.tolist())
-    return RouteGiven(time_s, *way, route.lap, route.tolerance_m, route.speed_m_s, route.direction)
+    east_m, north_m = read_route(config.route.file).in_plane(plane)
+    return _route_event(config, time_s, east_m.tolist(), north_m.tolist())
+
+
+def route_of_mission(config: Config, mission: OtherMission, plane: LocalPlane, time_s: float) -> RouteGiven:
+    """Return the target's own mission as the route, an event of the vehicle's time."""
+    east_m, north_m = zip(*(plane.east_north_m(*point) for point in mission.points_deg), strict=True)
+    return _route_event(config, time_s, east_m, north_m, lap=mission.lap)
+
+
+def _route_event(
+    config: Config, time_s: float, east_m: Iterable[float], north_m: Iterable[float], lap: bool = False
+) -> RouteGiven:
+    own, way = config.route, (tuple(east_m), tuple(north_m))
+    return RouteGiven(time_s, *way, own.lap or lap, own.tolerance_m, own.speed_m_s, own.direction)
 
 
 def winds_m_s(config: Config) -> list[float]:

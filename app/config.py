@@ -306,7 +306,9 @@ class RouteSection(Section):
     """The route that the target is expected to follow. Off the route, sidelong plans as without one."""
 
     file: Path | None = None
-    """Route file: .gpx, .geojson, .kml, or .csv with lat,lon."""
+    """Route file: .gpx, .geojson, .kml, .cot, or .csv with lat,lon."""
+    system_id: int | None = Field(None, ge=1, le=255)
+    """MAVLink system id of the target: its mission, once read, takes the place of the file; left out: none."""
     lap: bool = False
     """Whether the last way point connects to the first one."""
     tolerance_m: float = Field(12.0, ge=1, le=200)
@@ -315,6 +317,11 @@ class RouteSection(Section):
     """Expected speed along the route, m/s; left out: unknown."""
     direction: Literal["forward", "backward", "either"] = "either"
     """Direction in which the target follows the way points."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there is a route."""
+        return self.file is not None or self.system_id is not None
 
 
 class SharingSection(Section):

@@ -1,4 +1,4 @@
-"""Read the way points of a route: GPX, GeoJSON, KML or CSV."""
+"""Read the way points of a route: GPX, GeoJSON, KML, cursor on target (CoT) or CSV."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.path import FloatArray
 
 _FILE_MAX_BYTES = 8 << 20
-_REMEDY = "give a route as .gpx, .geojson, .kml, or .csv with east_m,north_m or lat,lon"
+_REMEDY = "give a route as .gpx, .geojson, .kml, .cot, or .csv with east_m,north_m or lat,lon"
 _CSV_COLUMNS = ((("east_m",), ("north_m",)), (("lat", "latitude", "lat_deg"), ("lon", "longitude", "lon_deg")))
 _Points = list[tuple[float, float]]
 
@@ -144,6 +144,16 @@ def _kml(text: str) -> tuple[_Points, bool]:
     return placemarks, True
 
 
+def _cot(text: str) -> tuple[_Points, bool]:
+    """Return the points of a route or drawn line: the links in the details of a cursor-on-target event."""
+    links = [
+        link.attrib["point"].split(",")
+        for link in ElementTree.fromstring(text).iter("link")
+        if "point" in link.attrib
+    ]
+    return [(float(words[0]), float(words[1])) for words in links], True
+
+
 def _name(element: ElementTree.Element) -> str:
     return element.tag.rpartition("}")[2]
 
@@ -173,6 +183,7 @@ _READERS: dict[str, Callable[[str], tuple[_Points, bool]]] = {
     ".geojson": _geojson,
     ".json": _geojson,
     ".kml": _kml,
+    ".cot": _cot,
     ".csv": _csv,
 }
 ROUTE_SUFFIXES = tuple(_READERS)

@@ -43,6 +43,7 @@ _EXAMPLES = {
     "fences.ceiling_m": "150.0",
     "terrain.folder": '"dem"',
     "route.file": '"ferry.gpx"',
+    "route.system_id": "7",
     "route.speed_m_s": "5.0",
     "sharing.cot": '"tls://tak.example.org:8089"',
     "sharing.cot_certificate_file": '"client.pem"',

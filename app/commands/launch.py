@@ -72,10 +72,11 @@ def launch(
         ),
     ] = None,
     route: Annotated[
-        Path | None,
+        str | None,
         _MISSION(
-            metavar="FILE",
-            help="Route that the target is expected to follow: .gpx, .geojson, .kml, or .csv with lat,lon.",
+            metavar="FILE|mavlink:ID",
+            help="Route that the target is expected to follow: .gpx, .geojson, .kml, .cot, or .csv with lat,lon; "
+            "or the mission of the MAVLink system ID, which is the target.",
         ),
     ] = None,
     target: Annotated[
@@ -192,7 +193,7 @@ def launch(
         "requirement": {"side": side, "target_speed_max_m_s": target_speed},
         "terrain": {"folder": None if terrain is None else str(terrain)},
         "planner": {"name": planner, "guidance": guidance},
-        "route": {"file": route},
+        "route": _route_keys(route),
         "sharing": {"cot": cot, "follow_target": follow_target, "nmea": nmea, "beacon": beacon},
     }
     if mcap:
@@ -282,6 +283,11 @@ def _with_simulated_payload(settings: Config, speed: float | None, url: str | No
     return with_values(settings, {"simulation": slower}, "command line")
 
 
+def _route_keys(route: str | None) -> dict[str, Any]:
+    kind, _, system_id = (route or "").partition(":")
+    return {"system_id": system_id} if kind == "mavlink" else {"file": route}
+
+
 def _check_input(settings: Config, point_gimbal: bool) -> None:
     """Raise InputError for missing files and impossible options, before any connection or computation."""
     check_sharing(settings.sharing)
@@ -324,8 +330,8 @@ def _check_fleet(fleet: FleetFile, point_gimbal: bool, system_id: int | None) ->
                 "a fleet reads its payloads by MAVLink; run one `sidelong payload` for each aircraft, "
                 'and leave payload.kind = "mavlink".'
             )
-        if member.config.route.file is not None:
-            raise InputError("route.file: only an aircraft that flies alone uses a route; leave it out.")
+        if member.config.route.is_known:
+            raise InputError("route: only an aircraft that flies alone uses a route; leave it out.")
     if system_id is not None:
         raise InputError("--system-id names one vehicle; give each aircraft of the fleet file its system_id.")
 

@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.analysis.score import Moment
 from sidelong.app.analysis.summary import Summary, SummaryCollector, summarise
 from sidelong.app.analysis.truth import Truth
-from sidelong.app.assembly import mission_controller_of, route_given, settle, winds_m_s
+from sidelong.app.assembly import mission_controller_of, route_given, route_of_mission, settle, winds_m_s
 from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.autopilots.parameter import ParameterTable, RequiredParameter
 from sidelong.app.autopilots.release import Release
@@ -44,6 +44,7 @@ from sidelong.app.link.discovery import SETTLING_S
 from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.link import LinkError
 from sidelong.app.link.mavsdk_link import FrameListener, MavsdkLink
+from sidelong.app.link.other_mission import read_mission
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
 from sidelong.app.link.queries import home_of, is_flying, mode_of, release_of
 from sidelong.app.link.senders import SenderCheck
@@ -341,9 +342,7 @@ class Flight:
         interrupt = asyncio.create_task(stopped.wait())
         delay = asyncio.create_task(self._tell_delay(loop))
         listening = asyncio.create_task(alarms.run())
-        route = route_given(self._config, plane, self._telemetry.now_s)
-        if route is not None:
-            loop.put(route)
+        self._give_route(plane, loop)
         loop.put(self._takeover(loop.link_s))
         try:
             await asyncio.wait((running, over, interrupt), return_when=asyncio.FIRST_COMPLETED)
@@ -355,6 +354,22 @@ class Flight:
         if loop.failed is not None:
             raise self._failure(loop.failed)
         return loop.outcome or ("interrupted" if stopped.is_set() else "completed")
+
+    def _give_route(self, plane: LocalPlane, loop: ControlLoop) -> None:
+        route, system_id = route_given(self._config, plane, self._telemetry.now_s), self._config.route.system_id
+        if route is not None:
+            loop.put(route)
+        if system_id is not None:
+            self._beside.add(asyncio.create_task(self._read_route(system_id, plane, loop)))
+
+    async def _read_route(self, system_id: int, plane: LocalPlane, loop: ControlLoop) -> None:
+        """Read the target's mission as its route; the flight goes on without one if that fails."""
+        try:
+            mission = await read_mission(self._vehicle, system_id)
+        except (LookupError, LinkError) as error:
+            self._display.note(f"no route: {error}; the flight continues without it")
+            return
+        loop.put(route_of_mission(self._config, mission, plane, self._telemetry.now_s))
 
     def _takeover(self, link_s: float) -> TakeoverRequested:
         """Return the request to take over, and show the autopilot's warnings from now on."""

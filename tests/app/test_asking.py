@@ -13,8 +13,10 @@ from pymavlink.dialects.v20 import all as mavlink
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.flight.streams import ask_for_streams, is_slow
 from sidelong.app.link.message import Message
+from sidelong.app.link.other_mission import mission_of, read_mission
 from sidelong.app.link.parameters import read_parameters
 from sidelong.app.link.vehicle import Vehicle
+from sidelong.sitl.protocol.items import Item
 from sidelong.sitl.settings import Flavour, Settings
 from sidelong.sitl.simulation import Simulation
 
@@ -60,7 +62,9 @@ class LossyLink:
                 if self._rng.random() >= self._loss:
                     fields = json.loads(json.dumps(message.to_dict()).replace("NaN", "null"))  # as MAVSDK has it
                     fields.pop("mavpackettype")
-                    self.queue.put_nowait(Message(message.get_type(), 1, message.get_srcComponent(), fields, 0.0))
+                    self.queue.put_nowait(
+                        Message(message.get_type(), message.get_srcSystem(), message.get_srcComponent(), fields, 0.0)
+                    )
 
     def recent(self):
         return ()
@@ -125,6 +129,52 @@ def test_a_whole_number_that_looks_like_no_number_is_read_another_way(monkeypatc
     values, _, link = asked(Flavour.PX4, 0.0, ask)
     assert values == {"NAV_DLL_ACT": -1.0, "FW_R_LIM": 50.0}
     assert link.slow_reads == 1
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.2])
+@pytest.mark.parametrize("flavour", list(Flavour))
+def test_mission_of_another_vehicle_is_read(flavour, loss):
+    corners = [(-353632620, 1491652370), (-353632620, 1491672370), (-353612620, 1491672370)]
+    flown = [Item(mavlink.MAV_CMD_NAV_WAYPOINT, 6, (0.0,) * 4, *corner, 0.0) for corner in corners]
+    home = [Item(mavlink.MAV_CMD_NAV_WAYPOINT, 0, (0.0,) * 4, -353600000, 1491600000, 500.0)]
+    home = home if flavour is Flavour.ARDUPLANE else []
+
+    async def main():
+        simulation = Simulation(Settings(flavour=flavour, system_id=7, payload=None))
+        simulation.advance(25.0)
+        store = simulation.vehicle.transfers[mavlink.MAV_MISSION_TYPE_MISSION].store
+        items = [*home, *flown]
+        store.begin(len(items))
+        for index, item in enumerate(items):
+            store.put(index, item, index == 0)
+        store.finish()
+        link = LossyLink(simulation, loss)
+        vehicle = Vehicle(link)
+        pump = asyncio.create_task(vehicle.run())
+        link.run(3.0)
+        try:
+            return await read_mission(vehicle, 7, answer_s=0.01)
+        finally:
+            pump.cancel()
+
+    found = asyncio.run(main())
+    assert found.points_deg == [pytest.approx((lat * 1e-7, lon * 1e-7)) for lat, lon in corners]
+    assert not found.lap
+
+
+def test_mission_that_jumps_back_for_ever_is_a_lap():
+    way = {"command": mavlink.MAV_CMD_NAV_WAYPOINT, "x": 1, "y": 2, "param1": 0.0, "param2": 0.0}
+    ways = [{**way, "seq": seq} for seq in (1, 2, 3)]
+    jump = {**way, "command": mavlink.MAV_CMD_DO_JUMP, "x": 0, "y": 0, "seq": 4, "param1": 1.0, "param2": -1.0}
+    assert mission_of([*ways, jump]).lap
+    assert not mission_of([*ways, {**jump, "param2": 3.0}]).lap
+    assert not mission_of([*ways, {**jump, "param1": 2.0}]).lap
+
+
+def test_another_vehicle_that_is_not_received_has_no_mission(monkeypatch):
+    monkeypatch.setattr("sidelong.app.link.other_mission._HEARTBEAT_S", 0.05)
+    with pytest.raises(LookupError, match="system 9 is not received"):
+        asked(Flavour.PX4, 0.0, lambda vehicle: read_mission(vehicle, 9, answer_s=0.01))
 
 
 @pytest.mark.parametrize("flavour", list(Flavour))

@@ -27,6 +27,9 @@ _FILES = {
     "a.kml": '<kml xmlns="http://www.opengis.net/kml/2.2"><Placemark><LineString><coordinates>'
     + " ".join(f"{lon},{lat},0" for lat, lon in _PLACES)
     + "</coordinates></LineString></Placemark></kml>",
+    "a.cot": '<event version="2.0" uid="r" type="b-m-r"><detail>'
+    + "".join(f'<link uid="{lat}" point="{lat},{lon},500" type="b-m-p-w"/>' for lat, lon in _PLACES)
+    + '<link relation="p-p" uid="pilot"/></detail></event>',
     "a.csv": "lat,lon\n" + "\n".join(f"{lat},{lon}" for lat, lon in _PLACES),
 }
 
