@@ -42,6 +42,9 @@ from sidelong.app.link.transport import Transport
 from sidelong.app.link.url import checked_url
 
 _ASK_DELAY_S = 1.0
+_LOOK_FOR_OTHERS_S = 2.0
+# What other systems on the links are received for: their traffic, requests of a station, and an ally's mission.
+_OF_OTHERS = ("HEARTBEAT", "GLOBAL_POSITION_INT", "COMMAND_LONG", "COMMAND_INT", "MISSION_COUNT", "MISSION_ITEM_INT")
 _PENDING_AT_CLOSE_S, _STEP_OF_CLOSE_S = 8.0, 5.0
 _WRONG_TYPE = {"WRONG_TYPE", "TYPE_MISMATCH"}  # by what MAVSDK knows, and by what PX4 answers
 
@@ -71,13 +74,15 @@ class MavsdkLink:
         self._closed = False
         self._pending: set[asyncio.Future[Any]] = set()
         self._queue: asyncio.Queue[MavlinkMessage | None] = asyncio.Queue()
-        self._asking: asyncio.Task[None] | None = None
+        self._beside: tuple[asyncio.Task[None], ...] = ()
+        self._others: dict[int, MavlinkDirectAsync] = {}  # of other systems: kept, as they hold their subscriptions
         loop = asyncio.get_running_loop()
 
         def heard(raw: MavlinkMessage, _nothing: object) -> None:
             with contextlib.suppress(RuntimeError):  # the loop has ended: there is no receiver
                 loop.call_soon_threadsafe(self._queue.put_nowait, raw)
 
+        self._heard = heard
         self._direct._plugin.subscribe_message("", heard)
 
     @classmethod
@@ -150,7 +155,7 @@ class MavsdkLink:
             instance._mavsdk.pass_received_raw_bytes(heard)
         if meter.vehicle_signs:
             on_trouble("the vehicle signs what it says: without --signing-key it may not hear us")
-        link._asking = asyncio.create_task(link._ask_delay())
+        link._beside = asyncio.create_task(link._ask_delay()), asyncio.create_task(link._hear_others())
         return link
 
     def reports(self) -> tuple[LinkReport, ...]:
@@ -166,6 +171,17 @@ class MavsdkLink:
             with contextlib.suppress(LinkError):
                 await self.send(*self._measured.question())
             await asyncio.sleep(_ASK_DELAY_S)
+
+    async def _hear_others(self) -> None:
+        """Subscribe to other systems as they appear: a subscription of MAVSDK is for one system."""
+        while not self._closed:
+            systems = [(await one.get_system_id(), one) for one in await self._instance.get_systems()]
+            for system_id, system in systems:
+                if system_id != self.system_id and system_id not in self._others:
+                    self._others[system_id] = direct = MavlinkDirectAsync(system)
+                    for name in _OF_OTHERS:
+                        direct._plugin.subscribe_message(name, self._heard)
+            await asyncio.sleep(_LOOK_FOR_OTHERS_S)
 
     # -- messages ------------------------------------------------------------------------------------------
 
@@ -241,8 +257,8 @@ class MavsdkLink:
             return
         self._closed = True
         self._queue.put_nowait(None)
-        if self._asking is not None:
-            self._asking.cancel()
+        for task in self._beside:
+            task.cancel()
         if self._pending:
             await asyncio.wait(self._pending, timeout=_PENDING_AT_CLOSE_S)
         if not self._pending:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import pytest
 from mcap.reader import make_reader
@@ -61,3 +63,20 @@ def test_an_unreadable_route_ends_the_launch_before_anything_flies(tmp_path):
     done = sidelong("launch", "--route", route)
     assert done.returncode == 2
     assert "route.gpx: is not a readable route" in " ".join(done.stderr.split())
+
+
+def test_the_mission_of_another_vehicle_on_the_link_is_asked_for(free_port, tmp_path):
+    port = free_port()
+    command = [sys.executable, "-m", "sidelong.sitl", "--vehicles", "2", "--to", f"127.0.0.1:{port}", "--speed", "10"]
+    vehicles = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert vehicles.stdout.readline().startswith("ready system 1")
+        done = sidelong(
+            *("launch", "--connect", f"udpin://127.0.0.1:{port}", "--system-id", 1, "--route", "mavlink:2"),
+            *("--duration", 20, "--no-view", "--out", tmp_path / "runs"),
+        )
+    finally:
+        vehicles.kill()
+        vehicles.wait(10)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "no route: the mission of system 2 contains 0 way points" in " ".join(done.stdout.split())
