@@ -39,6 +39,7 @@ from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.mission.geometry.trapezoid import Trapezoids
 from sidelong.mission.geometry.wind import ground_speeds_m_s
 from sidelong.mission.route.progress import RoutePlanner
+from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.route.route import route_of
 from sidelong.mission.upload.fences import FenceError, Fences, Outline
 
@@ -202,7 +203,7 @@ def _warm_up(planner: Planner, track: Track, beyond_m: float, with_route: bool) 
     circle as well. A test flies and fails if a kernel is called in flight with arguments that this has not run.
     """
     if with_route and isinstance(planner, RoutePlanner):
-        planner.follow(route_of(np.array([-300.0, 300.0]), np.zeros(2)))
+        planner.follow(route_of(np.array([-300.0, 300.0]), np.zeros(2)), fresh_progress())
     circle = Circle(-250.0, 0.0, 60.0, clockwise=True)
     plan = Plan(circle)
     path = Trapezoids.between(circle.curvature_per_m, [0.0], [300.0], [circle.curvature_per_m], 1e-3)

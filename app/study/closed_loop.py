@@ -29,7 +29,6 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.plan import AircraftState, Decision, Plan, Planner
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.exchange.dialect import Home
@@ -37,6 +36,7 @@ from sidelong.mission.geometry.wind import ground_speed_m_s
 from sidelong.mission.paper.planner import PaperPlanner
 from sidelong.mission.predictive.planner import PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
+from sidelong.mission.route.route import event_of
 
 _HOME = Home(47.4, 8.5, 400.0)
 _RATES = Rates(attitude_hz=1)
@@ -109,10 +109,7 @@ def run_closed_loop(
     vehicle.flown = states.append
     loop.start(lambda plane: mission_controller_of(config, controller, autopilot, plane, _HOME), vehicle.mode)
     if flown.route is not None:
-        route = flown.route
-        points = tuple(route.east_m.tolist()), tuple(route.north_m.tolist())
-        speed_m_s = None if math.isnan(route.speed_m_s) else route.speed_m_s
-        loop.put(RouteGiven(vehicle.time_s, *points, route.lap, route.tolerance_m, speed_m_s, route.direction.value))
+        loop.put(event_of(flown.route, vehicle.time_s))
     loop.run(flown.duration_s - vehicle.time_s)
     rows = np.array([(state.time_s, state.east_m, state.north_m) for state in states])
     log = np.hstack([rows, flown.target.sampled(rows[:, 0])])

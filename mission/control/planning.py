@@ -12,7 +12,8 @@ from sidelong.mission.core.plan import AircraftState, Decision, Plan, Planner, P
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.geometry.approach import approach
 from sidelong.mission.geometry.progress import dead_reckoned
-from sidelong.mission.route.progress import RoutePlanner, RouteProgress, describe
+from sidelong.mission.route.progress import RoutePlanner, RouteProgress, describe, progress_of
+from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.route.route import Route, route_from
 
 # Fleet advice expires after this time.
@@ -35,6 +36,7 @@ class Planning:
         self._advice: FleetAdvice | None = None
         self._neighbours: dict[str, NeighbourPlanned] = {}
         self._route: Route | None = None
+        self._progress = fresh_progress()  # along the route: a new planner continues with it
         self._on_route = False  # as it was last reported
         self.planner: Planner = make_planner(aircraft, requirement)
 
@@ -52,7 +54,7 @@ class Planning:
             for speed_m_s in self.prepared_winds_m_s:
                 self.planner.prepare(speed_m_s)
         if self._route is not None and isinstance(self.planner, RoutePlanner):
-            self.planner.follow(self._route)
+            self.planner.follow(self._route, self._progress)
         if isinstance(self.planner, CooperativePlanner):
             for told in (*self._neighbours.values(), *(() if self._advice is None else (self._advice,))):
                 self.planner.advise(told)
@@ -91,16 +93,14 @@ class Planning:
             self._route = route_from(given)
         except ValueError as error:
             return f"the route is not used: {error}"
-        self._on_route = False
-        self.planner.follow(self._route)
+        self._on_route, self._progress = False, fresh_progress()
+        self.planner.follow(self._route, self._progress)
         return f"the target is expected on a route of {self._route.length_m:.0f} m"
 
     @property
     def route_progress(self) -> RouteProgress | None:
         """The target's progress along its route; None without a route."""
-        if self._route is None or not isinstance(self.planner, RoutePlanner):  # the order matters: the latter is slow
-            return None
-        return self.planner.route_progress
+        return None if self._route is None else progress_of(self._route, self._progress)
 
     def route_news(self) -> str:
         """Return in words whether the target has joined or left its route since the last call; '' if neither."""
@@ -127,6 +127,7 @@ class Planning:
         else:
             self._advice = told
             if before not in ("", told.target):  # the planner's memory belongs to another target
+                self._progress[:] = fresh_progress()
                 self.renew(self._aircraft, self._requirement)
         if isinstance(self.planner, CooperativePlanner):
             self.planner.advise(told)

@@ -27,7 +27,6 @@ from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
 from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings, cheapest_allowed
 from sidelong.mission.predictive.situation import situation
 from sidelong.mission.predictive.value_table import ValueTable
-from sidelong.mission.route.progress import RouteProgress
 from sidelong.mission.route.route import Route
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
 from sidelong.mission.viewpoint.viewpoint_kernel import PRESUMED, SIDE
@@ -90,14 +89,9 @@ class TeamPlanner:
         if self._table_at is not None and len(self._alone.lookers) > len(self._teams):
             self._teams.append(self._team_with(self._table_at(wind_speed_m_s)))
 
-    def follow(self, route: Route) -> None:
+    def follow(self, route: Route, progress: FloatArray) -> None:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
-        self._alone.follow(route)
-
-    @property
-    def route_progress(self) -> RouteProgress | None:
-        """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
-        return self._alone.route_progress
+        self._alone.follow(route, progress)
 
     def role_costs(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float

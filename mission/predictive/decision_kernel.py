@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sidelong.estimators.compiled import compiled
+from sidelong.estimators.compiled import compiled, inlined
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.geometry.line_kernel import ARC, Craft, line_at, sharpness_per_m2, turn_radius_m
@@ -80,6 +80,26 @@ class Looker(NamedTuple):
     depth: Depth
     seconds: Seconds
     foresight: Foresight
+
+
+@inlined
+def with_table(one: Looker, table: Table, depth: Depth) -> Looker:
+    """Return the same with another table, and the depth that goes with it."""
+    return Looker(
+        one.craft,
+        one.target_speed_max_m_s,
+        one.wish,
+        one.terms,
+        table,
+        one.motions,
+        one.prices,
+        one.memory,
+        one.kept,
+        one.turns,
+        depth,
+        one.seconds,
+        one.foresight,
+    )
 
 
 class Alternatives(NamedTuple):

@@ -15,7 +15,7 @@ from sidelong.estimators.compiled import compiled
 from sidelong.mission.core.path import FloatArray
 from sidelong.mission.core.sight import Sight
 from sidelong.mission.predictive.cost_kernel import Table
-from sidelong.mission.predictive.decision_kernel import Depth, Looker, best_line, commitment, look_deeper
+from sidelong.mission.predictive.decision_kernel import Depth, Looker, best_line, commitment, look_deeper, with_table
 from sidelong.mission.predictive.future_kernel import fill_classes, watched, winding
 from sidelong.mission.predictive.moves_kernel import MOVES
 from sidelong.mission.predictive.programme_kernel import (
@@ -32,7 +32,7 @@ from sidelong.mission.predictive.programme_kernel import (
     resample,
 )
 from sidelong.mission.predictive.rollout_kernel import Doubt, Futures
-from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame, scene_of
+from sidelong.mission.predictive.scene_kernel import Scene, Situation, in_frame, scene_of, with_doubt
 from sidelong.mission.route.progress_kernel import (
     CHANCE,
     ON_ROUTE,
@@ -167,37 +167,7 @@ def foresee(scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Future
         f.course[_ROUTE, k, 0], f.course[_ROUTE, k, 1], f.course[_ROUTE, k, 2] = sin_t, cos_t, turn_rad
     timed = Table(s.values, s.after_turn, s.cell_m, table.discount_per_s, table.mean_leg_s)
     depth = Depth(looker.depth.beam, looker.depth.horizon_s, s.least, looker.depth.min_after_turn)
-    scene = Scene(
-        scene.departure_s,
-        scene.arc_m,
-        scene.start,
-        scene.frame_east_m,
-        scene.frame_north_m,
-        scene.course_rad,
-        scene.mirror,
-        scene.velocity_x_m_s,
-        scene.velocity_y_m_s,
-        scene.air,
-        sure,
-        scene.radius_m,
-        scene.turn_radius_m,
-    )
-    timed_looker = Looker(
-        looker.craft,
-        looker.target_speed_max_m_s,
-        looker.wish,
-        looker.terms,
-        timed,
-        looker.motions,
-        looker.prices,
-        looker.memory,
-        looker.kept,
-        looker.turns,
-        depth,
-        looker.seconds,
-        s,
-    )
-    return scene, f, timed_looker
+    return with_doubt(scene, sure), f, with_table(looker, timed, depth)
 
 
 @compiled

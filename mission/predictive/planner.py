@@ -42,7 +42,6 @@ from sidelong.mission.predictive.scene_kernel import Scene, Situation, scene_of
 from sidelong.mission.predictive.second_moves_kernel import no_seconds
 from sidelong.mission.predictive.situation import situation
 from sidelong.mission.predictive.value_table import TableConfiguration, ValueTable
-from sidelong.mission.route.progress import RouteProgress, progress_of
 from sidelong.mission.route.progress_kernel import fresh_progress
 from sidelong.mission.route.route import Route
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
@@ -191,16 +190,11 @@ class PredictivePlanner:
         if self._table_at is not None and self._requirement.sector is None and not known:
             self.lookers.append(self._looker(self._table_at(wind_speed_m_s)))
 
-    def follow(self, route: Route) -> None:
+    def follow(self, route: Route, progress: FloatArray) -> None:
         """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
-        self._route, self._progress = route, fresh_progress()
+        self._route, self._progress = route, progress
         for k, looker in enumerate(self.lookers):
             self.lookers[k] = looker._replace(foresight=self._foresight(looker.table, self._tables[0].configuration))
-
-    @property
-    def route_progress(self) -> RouteProgress | None:
-        """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
-        return None if self._route is None else progress_of(self._route, self._progress)
 
     @classmethod
     def for_(cls, aircraft: Aircraft, requirement: Requirement) -> PredictivePlanner:

@@ -234,9 +234,11 @@ def fill_layers(
     """
     layers, n = len(found), SIZE + 2 * _PAD
     dt_s, turn_step_rad = layer_s(air.airspeed_m_s, radius_m), 2.0 * math.pi / HEADINGS
-    rate, paid = np.empty((SIZE, SIZE), np.float32), np.empty((HEADINGS, SIZE, SIZE), np.float32)
-    values = np.empty((_MODES, HEADINGS, SIZE, SIZE), np.float32)
-    best = np.empty((_MODES, HEADINGS, n, n), np.float32)
+    rate, table_values = np.empty((SIZE, SIZE), np.float32), np.empty((HEADINGS, SIZE, SIZE), np.float32)
+    # Planes of the padded grid. Their rows are processed as one long row, in which the padding is computed in vain.
+    paid, here = np.zeros((HEADINGS, n, n), np.float32), np.empty(n * n, np.float32)
+    values, best = np.zeros((_MODES, HEADINGS, n * n), np.float32), np.zeros((_MODES, HEADINGS, n * n), np.float32)
+    first, count = _PAD * n, SIZE * n
     hazard_per_s = 1.0 / table.mean_leg_s
     fading, half = math.exp(-(table.discount_per_s + hazard_per_s) * dt_s), np.float32(0.5 * dt_s)
     sin_p, cos_p, last_k = math.sin(turn_rad), math.cos(turn_rad), f.place.shape[1] - 1
@@ -251,11 +253,15 @@ def fill_layers(
         course = course_index(f, one, k, turn_rad)
         for h in range(HEADINGS):
             for i in range(SIZE):
-                _add_row(rate[i], after_turn[course, h, i], np.float32(hazard_per_s), paid[h, i])
+                _add_row(
+                    rate[i], after_turn[course, h, i], np.float32(hazard_per_s), paid[h, i + _PAD, _PAD : _PAD + SIZE]
+                )
         if layer == layers - 1:
             table_rad = f.course[one, k, 2] - turn_rad
-            resample(table.values, table.cell_m, f.classes, f.share, one, k, cell_m, table_rad, values[0])
-            values[1], values[2] = values[0], values[0]
+            resample(table.values, table.cell_m, f.classes, f.share, one, k, cell_m, table_rad, table_values)
+            for mode in range(_MODES):
+                for h in range(HEADINGS):
+                    values[mode, h].reshape(n, n)[_PAD : _PAD + SIZE, _PAD : _PAD + SIZE] = table_values[h]
         else:
             k, m = min(int(time_s / f.step_s), last_k), min(int((time_s + dt_s) / f.step_s), last_k)
             from_s, to_s = time_s - k * f.step_s, time_s + dt_s - m * f.step_s
@@ -279,36 +285,49 @@ def fill_layers(
                     a, b = x - i, y - j
                     one_a, one_b = np.float32(fading * (1.0 - a) * (1.0 - b)), np.float32(fading * (1.0 - a) * b)
                     one_c, one_d = np.float32(fading * a * (1.0 - b)), np.float32(fading * a * b)
-                    after = best[mode, (h + turn) % HEADINGS]
-                    for p in range(SIZE):
-                        first = j + _PAD
-                        low = after[p + i + _PAD, first : first + SIZE + 1]
-                        high = after[p + i + 1 + _PAD, first : first + SIZE + 1]
-                        _blend_row(low, high, paid[h, p], one_a, one_b, one_c, one_d, half, values[mode, h, p])
+                    after, at = best[mode, (h + turn) % HEADINGS], first + i * n + j
+                    _blend_row(
+                        after[at : at + count + 1],
+                        after[at + n : at + n + count + 1],
+                        paid[h].ravel()[first : first + count],
+                        one_a,
+                        one_b,
+                        one_c,
+                        one_d,
+                        half,
+                        values[mode, h, first : first + count],
+                    )
         for h in range(HEADINGS):
-            for i in range(SIZE):
-                _choose_row(
-                    values[0, h, i],
-                    values[1, h, i],
-                    values[2, h, i],
-                    paid[h, i],
-                    np.float32(leave),
-                    np.float32(change),
-                    half,
-                    found[layer, h, i],
-                    best[0, h, i + _PAD, _PAD : _PAD + SIZE],
-                    best[1, h, i + _PAD, _PAD : _PAD + SIZE],
-                    best[2, h, i + _PAD, _PAD : _PAD + SIZE],
-                )
+            _choose_row(
+                values[0, h, first : first + count],
+                values[1, h, first : first + count],
+                values[2, h, first : first + count],
+                paid[h].ravel()[first : first + count],
+                np.float32(leave),
+                np.float32(change),
+                half,
+                here[first : first + count],
+                best[0, h, first : first + count],
+                best[1, h, first : first + count],
+                best[2, h, first : first + count],
+            )
+            found[layer, h] = here.reshape(n, n)[_PAD : _PAD + SIZE, _PAD : _PAD + SIZE]
             for mode in range(_MODES):
-                _extend_edges(best[mode, h])
+                _extend_edges(best[mode, h].reshape(n, n))
+
+
+@compiled
+def _keep_less(values: FloatRow, least: FloatRow) -> None:
+    for q in range(len(least)):
+        least[q] = values[q] if values[q] < least[q] else least[q]
 
 
 @compiled
 def least_of(values: Float32, found: FloatArray) -> None:
     """Fill in the least value of each class (classes,)."""
+    least = np.empty(SIZE * SIZE, np.float32)
     for v in range(len(values)):
-        flat, smallest = values[v].ravel(), values[v, 0, 0, 0]
-        for q in range(len(flat)):
-            smallest = flat[q] if flat[q] < smallest else smallest
-        found[v] = smallest
+        least[:] = values[v, 0].ravel()
+        for h in range(1, HEADINGS):
+            _keep_less(values[v, h].ravel(), least)
+        found[v] = least.min()

@@ -61,18 +61,14 @@ class RouteProgress:
 class RoutePlanner(Planner, Protocol):
     """A planner that plans along a known route."""
 
-    def follow(self, route: Route) -> None:
+    def follow(self, route: Route, progress: FloatArray) -> None:
         """Expect the target on this route from the next decision on.
 
         Args:
             route: The route.
+            progress: Memory of the progress filter, of :func:`fresh_progress`; decisions update it.
 
         """
-        ...
-
-    @property
-    def route_progress(self) -> RouteProgress | None:
-        """The target's progress; None without a route."""
         ...
 
 

@@ -21,20 +21,20 @@ from sidelong.mission.viewpoint.viewpoint_kernel import Known
 HYPOTHESES = 8
 # Columns of a hypothesis: position and speed along the route, their covariance, direction (1, -1) and probability.
 ALONG_M, SPEED_M_S, VARIANCE_M2, COVARIANCE, VARIANCE_SPEED, DIRECTION, CHANCE = range(7)
-# The memory: time of the last update, probability of "off", usual speed, whether reported as on the route, distance
-# that the target has moved since it was last off, then the hypotheses.
-LAST_S, OFF_CHANCE, USUAL_M_S, ON_ROUTE, FOLLOWED_S = range(5)
-_FIRST = 5
+# The memory: time of the last update, probability of "off", usual speed, whether reported as on the route, then the
+# hypotheses.
+LAST_S, OFF_CHANCE, USUAL_M_S, ON_ROUTE = range(4)
+_FIRST = 4
 PROGRESS_SIZE = _FIRST + 7 * HYPOTHESES
 
 _ACCELERATION_M_S2 = 0.5
-_LEAVES_AFTER_S = 300.0
+_LEAVES_AFTER_S = 150.0
 # Share of the probability that new hypotheses receive each second: from "off", and from all others.
 _JOINS_PER_S, _JUMPS_PER_S, _BACKWARD = 0.02, 0.002, 0.15
 # A target may cut a corner, or turn before the end of a row: the next part of the route starts with more.
 _SHORT_CUT_M, _SHORT_CUT = 60.0, 10.0
 # Errors of lateral offset and course are correlated from second to second: their likelihoods count in part.
-_SHARE_PER_S = 0.35
+_SHARE_PER_S = 0.45
 _OFF_WIDTH_M = 160.0  # lateral offsets of a target off the route are spread over this width
 _COURSE_SIGMA_RAD, _ANY_COURSE = 0.45, 0.1
 _SLOW_M_S = 0.7  # the course of a slower target is not compared
@@ -43,7 +43,7 @@ _TANGENT_M = 8.0  # the route's course is that of a chord this far to both sides
 _NEAR_M = 25.0  # hypotheses this near, in the same direction, are one
 _GATE = 3.0
 _MIN_CHANCE = 1e-4
-_ON_ABOVE, _OFF_BELOW = 0.7, 0.35
+_ON_ABOVE, _OFF_BELOW = 0.7, 0.5
 _USUAL_S = 40.0
 
 
@@ -203,7 +203,6 @@ def update_progress(way: Way, target: Known, memory: FloatArray) -> None:
     velocity2 = max(0.5 * (p[2, 2] + p[3, 3]), 0.0)
     sigma_m, exponent = math.sqrt(way.tolerance_m**2 + position2), _SHARE_PER_S * dt_s
     leaves = 1.0 - math.exp(-dt_s / _LEAVES_AFTER_S)
-    total = 0.0
     for h in range(HYPOTHESES):
         one = held[h]
         if one[CHANCE] <= 0.0:
@@ -220,7 +219,6 @@ def update_progress(way: Way, target: Known, memory: FloatArray) -> None:
         agreement = one[DIRECTION] * along_speed / max(speed_m_s, 1e-6)
         memory[OFF_CHANCE] += leaves * one[CHANCE]
         one[CHANCE] *= (1.0 - leaves) * math.exp(exponent * _evidence(lateral_m, sigma_m, agreement, speed_m_s))
-        total += one[CHANCE]
     _start(way, target, speed_m_s, sigma_m, 1.0 if first else dt_s, first, held, memory)
     _settle(way, held, memory)
 

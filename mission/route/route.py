@@ -109,6 +109,13 @@ def route_of(
     return Route(east, north, float(arc_m[-1] / count), lap, tolerance_m, speed_m_s, direction)
 
 
+def event_of(route: Route, time_s: float) -> RouteGiven:
+    """Return a route as the event that :func:`route_from` reads."""
+    way = tuple(route.east_m.tolist()), tuple(route.north_m.tolist())
+    speed_m_s = None if math.isnan(route.speed_m_s) else route.speed_m_s
+    return RouteGiven(time_s, *way, route.lap, route.tolerance_m, speed_m_s, route.direction.value)
+
+
 def route_from(given: RouteGiven) -> Route:
     """Return the route of an event. Raises ValueError as :func:`route_of`."""
     return route_of(

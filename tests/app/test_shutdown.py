@@ -68,7 +68,7 @@ from sidelong.app import cli
 class Deaf:
     def __del__(self):
         signal.raise_signal(signal.SIGINT)  # where Python drops exceptions, as in a callback of a library
-def work():
+def work(_arguments):
     Deaf()
     {}
 cli.app = work

@@ -11,8 +11,12 @@ import pytest
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.mission.control.planning import Planning
 from sidelong.mission.core.circle import Circle
+from sidelong.mission.core.events import RouteGiven
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
+from sidelong.mission.route.progress import way_of
+from sidelong.mission.route.progress_kernel import update_progress
+from sidelong.mission.viewpoint.viewpoint_kernel import Known
 
 AIRCRAFT = Aircraft(22.0, 80.0, math.radians(60.0), math.radians(30.0))
 REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 9.0)
@@ -41,3 +45,29 @@ def test_an_approach_that_no_longer_leads_to_the_target_is_given_up():
     later = replace(START, time_s=first.departure_s + 1.0)
     far_m = first.circle.east_m + math.copysign(600.0, first.circle.east_m)
     assert planning.decide(later, target_at(later.time_s, far_m, (5.0, 0.0)), first, Wind(), 0.5).plan is not None
+
+
+class _Following:
+    """A planner that updates the progress along the route as its decisions would."""
+
+    def decide(self, *_: object) -> None: ...
+
+    def follow(self, route, progress) -> None:
+        self.route, self.progress = route, progress
+
+    def see(self, time_s: float) -> None:
+        target = Known(time_s, 0.0, 4.0 * time_s, 0.0, 4.0, np.diag([4.0, 4.0, 0.1, 0.1]))
+        update_progress(way_of(self.route), target, self.progress)
+
+
+def test_a_new_planner_continues_with_the_progress_along_the_route():
+    planning = Planning(lambda *_: _Following(), AIRCRAFT, REQUIREMENT)
+    planning.follow(RouteGiven(0.0, (0.0, 0.0), (0.0, 900.0), False, 12.0, None, "either"))
+    for k in range(30):
+        planning.planner.see(float(k))
+    before = planning.route_progress
+    planning.renew(AIRCRAFT, replace(REQUIREMENT, side=Side.RIGHT))
+    assert before.on_route
+    assert planning.route_progress == before
+    planning.planner.see(30.0)
+    assert planning.route_progress.along_m == pytest.approx(120.0, abs=5.0)
