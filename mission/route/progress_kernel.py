@@ -35,7 +35,7 @@ _JOINS_PER_S, _JUMPS_PER_S, _BACKWARD = 0.02, 0.002, 0.15
 _SHORT_CUT_M, _SHORT_CUT = 60.0, 10.0
 # Errors of lateral offset and course are correlated from second to second: their likelihoods count in part.
 _SHARE_PER_S = 0.45
-_OFF_WIDTH_M = 160.0  # lateral offsets of a target off the route are spread over this width
+_OFF_WIDTH_M = 100.0  # lateral offsets of a target off the route are spread over this width
 _COURSE_SIGMA_RAD, _ANY_COURSE = 0.45, 0.1
 _SLOW_M_S = 0.7  # the course of a slower target is not compared
 _ALONG_SIGMA_M, _SPEED_SIGMA_M_S = 4.0, 0.4  # errors of the projection to the route, beyond the estimate's
