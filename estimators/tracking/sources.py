@@ -9,7 +9,7 @@ more as the autopilot forwards it. Of each kind exactly one source is listened t
 - a camera's tracker comes before the gimbal that it looks from;
 - a gimbal comes before the quaternion that a range sensor may carry;
 - if the source in use is silent for ``silent_after_s``, the next one that agrees with the track takes its place
-  until the first returns; one that contradicts the track is refused.
+  until the first returns; one that contradicts the track is refused until it has agreed for ``PROVEN_S`` on end.
 
 An explicit choice replaces all of these but the last.
 """
@@ -27,6 +27,7 @@ _AUTOPILOT_COMPONENT = 1
 LOOKS_DOWN = 25
 _CUSTOM_ORIENTATION = 100
 _REFUSED_MAX = 8
+PROVEN_S = 8.0  # the aircraft turns by about half a lap meanwhile
 
 Rank = Callable[[Source], int | None]
 
@@ -74,6 +75,7 @@ class SourceSelector:
     refused: list[Source] = field(default_factory=list)
     heard_s: float = -math.inf  # when the chosen one last spoke
     _ranks: dict[Source, int | None] = field(default_factory=dict)
+    _agrees_since_s: dict[Source, float] = field(default_factory=dict)  # of refused sources
 
     def accepts(self, source: Source, time_s: float, agrees: Callable[[], bool] = lambda: True) -> bool:
         """Return whether to use a reading of this source.
@@ -92,15 +94,21 @@ class SourceSelector:
             better = present is None or rank < present
             if not better and time_s - self.heard_s < self.silent_after_s:
                 return False
-            if self.chosen is not None and not agrees():
-                if source not in self.refused and len(self.refused) < _REFUSED_MAX:
-                    self.refused.append(source)
+            if self.chosen is not None and not self._may_replace(source, time_s, agrees=agrees()):
                 return False
             self.chosen = source
             if source in self.refused:
                 self.refused.remove(source)
         self.heard_s = max(self.heard_s, time_s)
         return True
+
+    def _may_replace(self, source: Source, time_s: float, *, agrees: bool) -> bool:
+        if not agrees:
+            self._agrees_since_s.pop(source, None)
+            if source not in self.refused and len(self.refused) < _REFUSED_MAX:
+                self.refused.append(source)
+            return False
+        return source not in self.refused or time_s - self._agrees_since_s.setdefault(source, time_s) >= PROVEN_S
 
     def _rank_of(self, source: Source) -> int | None:
         if source not in self._ranks:

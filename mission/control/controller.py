@@ -361,6 +361,15 @@ class StandoffController:
         if unseen_s > self.settings.lost_after_s or target.quality is TrackQuality.LOST:
             self.decision = Decision(self.time_s, None, f"holding the circle: target unseen for {unseen_s:.0f} s")
             return self._circle_as_changed(aircraft, present)
+        return self._planned(aircraft, target, present, reach)
+
+    def _planned(
+        self, aircraft: AircraftState, target: TargetEstimate, present: Plan, reach: Reach | None
+    ) -> tuple[Command, ...]:
+        """Ask the planner, unless the payload is suspect."""
+        if self.health.payload.is_suspect(self.time_s):
+            self.decision = Decision(self.time_s, None, "holding the circle: the target's position has jumped")
+            return ()
         decision = self.planning.decide(aircraft, target, present, self._wind, self.latency.expected_s)
         news = self.planning.route_news()
         told: tuple[Command, ...] = (Announce(self.time_s, "route", news),) if news else ()
@@ -558,6 +567,7 @@ class StandoffController:
             self._news = TargetNews()
         if advice.turn_payload:
             self.tracker.restart_delays()
+            self.health.payload.expect_another_target()
         if self.phase not in _FLYING:
             return ()
         if advice.role is Role.LEAVE:

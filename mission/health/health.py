@@ -93,7 +93,7 @@ class Health:
 
         """
         one = self._by_kind.get(type(event))
-        if one is not None:
+        if one is not None and now_s > -math.inf:
             one.last_s, one.tick = now_s, self._ticks
             one.count += 1
         elif isinstance(event, ClockTick):

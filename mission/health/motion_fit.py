@@ -5,6 +5,8 @@ well. Each hypothesis (a frame of the line of sight, a factor of the range) give
 positions. A target that moves at constant velocity for some seconds leaves small residuals about a straight line; a
 wrong hypothesis leaves residuals of the size of the aircraft's own circle.
 
+If the apparent target jumps, the hypotheses are compared with its motion until then: by the right one it goes on.
+
 The height over the ground is a second, independent witness of the range's unit: slant range and line of sight put
 the target at a height. If a unit puts it on the ground, and the reported range far above or below, the unit is found
 even where noise at long range hides the difference in motion. The ground is flat at the height of home, or the
@@ -17,7 +19,7 @@ import math
 import operator
 import statistics
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -47,7 +49,10 @@ _SAMPLES, _SAMPLES_MIN, _SPAN_MIN_S = 24, 12, 6.0
 _TURNED_MIN_RAD = 0.8
 _WRONG_M, _BETTER_SHARE, _AS_GOOD_SHARE = 8.0, 0.5, 0.7
 _OWN_SHARE = 0.3
-_JUMP_M = 40.0
+_JUMP_M, _DRIVES_M_S = 40.0, 15.0
+_LATELY_S, _LATELY_MIN, _CONTINUED_MIN = 6.0, 6, 5  # samples before and after a change
+_CONTINUED_M, _DRIFTS_M_S, _DISCONTINUED = 15.0, 1.5, 2.0
+_TRIM_SHARE = 0.8  # of the samples: a line is fitted to those, without outliers
 _LEVEL_SHARE, _OFF_LEVEL_SHARE = 0.3, 0.5  # of the aircraft's height over the ground
 _HEIGHT_MIN_M = 25.0
 _FIT_M, _FIT_SHARE = 8.0, 0.01  # residual of a target that turns, and of noise as a share of the range
@@ -87,20 +92,31 @@ class _Sample(NamedTuple):
     off_level: float  # how far the target is off the ground, as a share of the own height over it; NaN: unknown
 
 
+class _Motion(NamedTuple):
+    """A target's position at a time, and its velocity."""
+
+    time_s: float
+    position_m: FloatArray
+    velocity_m_s: FloatArray
+
+
 class MotionFit:
     """Collects two samples a second and compares the hypotheses.
 
     Attributes:
         ground: The elevation data; None: the ground is flat at the height of home.
+        changed_s: When the apparent target jumped, last.
+        jumped_s: When it jumped farther than a target can drive, last.
 
     """
 
     def __init__(self, parent_from_mount: Quaternion) -> None:
         self.ground: GroundHeight | None = None
+        self.changed_s = self.jumped_s = -math.inf
         self._parent_from_mount = parent_from_mount
         self._samples: deque[_Sample] = deque(maxlen=_SAMPLES)
         self._jumped: _Sample | None = None
-        self._cleared_s = -math.inf
+        self._before: _Motion | None = None  # until the latest change
         self._flagged = ""
         self._level_s = -math.inf  # when the target was on the ground, last
 
@@ -126,24 +142,37 @@ class MotionFit:
             turned_rad: how far the aircraft has turned since the flight began, either way.
 
         """
-        if gimbal.frame != self._flagged:
-            self._flagged = gimbal.frame
-            self._samples.clear()
         own_m = position.east_m, position.north_m, position.height_m
         sighted_m = _apparent_m(own_m, slant_range_m, self._direction(attitude, gimbal, gimbal.frame))
         off_level = self._off_level(own_m, sighted_m)
         sample = _Sample(position.time_s, turned_rad, own_m, sighted_m, attitude, gimbal, slant_range_m, off_level)
-        samples, jumped = self._samples, self._jumped
+        samples, jumped, now_s = self._samples, self._jumped, position.time_s
         self._jumped = None
-        settled = abs(position.time_s - self._cleared_s) > WINDOW_S  # a wrong frame lets the target jump on and on
-        if samples and settled and math.dist(sighted_m, samples[-1].sighted_m) > _JUMP_M:
+        jump_m = math.dist(sighted_m, samples[-1].sighted_m) if samples else 0.0
+        if gimbal.frame != self._flagged:
+            self._flagged = gimbal.frame
+            if jump_m > _JUMP_M:
+                self._change(now_s, jump_m)
+            samples.clear()
+        elif jump_m > _JUMP_M and abs(now_s - self.changed_s) > WINDOW_S:  # a wrong frame lets it jump on and on
             if jumped is None:
                 self._jumped = sample  # an outlier, unless the next one is far away, too
                 return
-            self._cleared_s = position.time_s
-            samples.clear()  # something has changed: what was before would hide it
+            self._change(jumped.time_s, jump_m)
+            samples.clear()  # what was before would hide the change
             samples.append(jumped)
         samples.append(sample)
+
+    def _change(self, now_s: float, jump_m: float) -> None:
+        """Remember the target's motion until it jumped."""
+        since_s = now_s - self._samples[-1].time_s
+        self.changed_s = now_s
+        if jump_m > _JUMP_M + _DRIVES_M_S * since_s:
+            self.jumped_s = now_s
+        lately = [one for one in self._samples if now_s - one.time_s < _LATELY_S]
+        self._before = None
+        if len(lately) >= _LATELY_MIN:
+            self._before = _motion(lately)
 
     @property
     def level_direction(self) -> tuple[float, float] | None:
@@ -164,9 +193,11 @@ class MotionFit:
 
         """
         samples = self._samples
-        if len(samples) < _SAMPLES_MIN or samples[-1].turned_rad - samples[0].turned_rad < _TURNED_MIN_RAD:
-            return None
-        if samples[-1].time_s - samples[0].time_s < _SPAN_MIN_S:
+        if established == SOUND and samples and samples[-1].time_s - self.changed_s < WINDOW_S:
+            found = self._continued()
+            if found is not None:
+                return found
+        if not self._is_enough():
             return None
         shares = sorted(one.off_level for one in samples)
         off_level = math.nan if math.isnan(sum(shares)) else shares[len(shares) // 2]
@@ -195,6 +226,35 @@ class MotionFit:
         if residual_m[best] > _AS_GOOD_SHARE * as_reported_m:
             return SOUND
         return None if residual_m[best] > _BETTER_SHARE * as_reported_m else best
+
+    def _is_enough(self) -> bool:
+        """Return whether there are enough samples, and the aircraft has turned meanwhile."""
+        samples = self._samples
+        if len(samples) < _SAMPLES_MIN or samples[-1].turned_rad - samples[0].turned_rad < _TURNED_MIN_RAD:
+            return False
+        return samples[-1].time_s - samples[0].time_s >= _SPAN_MIN_S
+
+    def _continued(self) -> Verdict | None:
+        """Return the reading of the payload by which the target goes on as before the change; None: it is none."""
+        before = self._before
+        if before is None or len(self._samples) < _CONTINUED_MIN:
+            return None
+        times_s = np.array([one.time_s for one in self._samples])
+        sighted_m = np.array([one.sighted_m for one in self._samples])
+        verdicts, positions_m = self._hypotheses(sighted_m)
+        since_s = times_s - before.time_s
+        expected_m = before.position_m + since_s[:, None] * before.velocity_m_s
+        off_m = np.median(np.linalg.norm(positions_m - expected_m[:, None, :], axis=2), axis=0)
+        reported_off_m = np.linalg.norm(sighted_m - expected_m, axis=1)
+        reported_m = float(np.median(reported_off_m))
+        best = int(off_m.argmin())
+        near_m = _CONTINUED_M + _DRIFTS_M_S * float(np.median(since_s))
+        if reported_m < near_m:  # outliers, no change
+            self.changed_s = self.jumped_s = -math.inf
+            kept = [one for one, off in zip(self._samples, reported_off_m, strict=True) if off < _JUMP_M]
+            self._samples = deque(kept, maxlen=_SAMPLES)
+            return None
+        return verdicts[best] if off_m[best] < near_m and reported_m > _DISCONTINUED * near_m else None
 
     def _residual_as_reported_m(self) -> float:
         """Return the same as ``_residuals_m`` of what was reported, in a third of the time for so few numbers."""
@@ -247,6 +307,20 @@ class MotionFit:
         self, times_s: FloatArray, sighted_m: FloatArray
     ) -> tuple[dict[Verdict, float], float]:
         """Return the residual of every other reading of the payload, and that of the aircraft's own motion."""
+        own_m = np.array([one.own_m for one in self._samples])
+        verdicts, positions_m = self._hypotheses(sighted_m)
+        *residuals_m, straight_m = _residuals_m(
+            times_s, np.concatenate((positions_m, own_m[:, None, :]), axis=1)
+        ).tolist()
+        # Any range that is divided by enough puts the target at the aircraft, which flies straight at times, too.
+        residual_m = {
+            verdict: math.inf if verdict.factor < 1.0 and one_m > _OWN_SHARE * straight_m else one_m
+            for verdict, one_m in zip(verdicts, residuals_m, strict=True)
+        }
+        return residual_m, straight_m
+
+    def _hypotheses(self, sighted_m: FloatArray) -> tuple[list[Verdict], FloatArray]:
+        """Return every other reading of the payload, and the targets (n, k, 3) that the samples then show."""
         samples = self._samples
         own_m = np.array([one.own_m for one in samples])
         verdicts = [Verdict(frame, 1.0) for frame in FRAMES if frame != self._flagged]
@@ -261,13 +335,7 @@ class MotionFit:
         ]
         verdicts += [Verdict(None, factor) for factor in FACTORS]
         positions_m += [own_m + factor * (sighted_m - own_m) for factor in FACTORS]
-        *residuals_m, straight_m = _residuals_m(times_s, np.stack((*positions_m, own_m), axis=1)).tolist()
-        # Any range that is divided by enough puts the target at the aircraft, which flies straight at times, too.
-        residual_m = {
-            verdict: math.inf if verdict.factor < 1.0 and one_m > _OWN_SHARE * straight_m else one_m
-            for verdict, one_m in zip(verdicts, residuals_m, strict=True)
-        }
-        return residual_m, straight_m
+        return verdicts, np.stack(positions_m, axis=1)
 
     def _direction(
         self, attitude: AttitudeReading, gimbal: GimbalReading, frame: str | None
@@ -291,11 +359,29 @@ def _apparent_m(
     return own_m[0] + range_m * east, own_m[1] + range_m * north, own_m[2] + range_m * up
 
 
+def _motion(samples: Sequence[_Sample]) -> _Motion:
+    """Return the motion between the medians of both halves, so that one outlier in each does no harm."""
+    half = len(samples) // 2
+    first, last = (
+        np.array([(one.time_s, *one.sighted_m) for one in some]) for some in (samples[:half], samples[half:])
+    )
+    (first_s, *first_m), (last_s, *last_m) = np.median(first, axis=0), np.median(last, axis=0)
+    return _Motion(last_s, np.array(last_m), (np.array(last_m) - np.array(first_m)) / max(last_s - first_s, 1.0))
+
+
 def _residuals_m(times_s: FloatArray, positions_m: FloatArray) -> FloatArray:
-    """Return the median distance of positions (n, k, 3) from a straight line in time, for each k."""
-    from_middle_s = times_s - times_s.mean()
-    centred_m = positions_m - positions_m.mean(axis=0)
-    velocity_m_s = np.tensordot(from_middle_s, centred_m, axes=1) / (from_middle_s @ from_middle_s)
-    off_m = centred_m - from_middle_s[:, None, None] * velocity_m_s
-    distance_m: FloatArray = np.sqrt(np.median((off_m**2).sum(axis=2), axis=0))
+    """Return the median distance of positions (n, k, 3) from a straight line in time, for each k.
+
+    The line is fitted twice, the second time without the farthest positions: an outlier at either end tilts it.
+    """
+    weights = np.ones(positions_m.shape[:2])
+    for _ in range(2):
+        total = weights.sum(axis=0)
+        middle_s, middle_m = times_s @ weights / total, np.einsum("nk,nki->ki", weights, positions_m) / total[:, None]
+        since_s, centred_m = times_s[:, None] - middle_s, positions_m - middle_m
+        weighted_s = weights * since_s
+        velocity_m_s = np.einsum("nk,nki->ki", weighted_s, centred_m) / (weighted_s * since_s).sum(axis=0)[:, None]
+        off_m2 = ((centred_m - since_s[:, :, None] * velocity_m_s) ** 2).sum(axis=2)
+        weights = (off_m2 <= np.quantile(off_m2, _TRIM_SHARE, axis=0)).astype(float)
+    distance_m: FloatArray = np.sqrt(np.median(off_m2, axis=0))
     return distance_m

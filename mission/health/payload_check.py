@@ -3,14 +3,16 @@
 Rules
 -----
 1. A laser whose range stays the same to ``_SAME_RANGE_M`` while the aircraft turns by ``_TURNED_RAD``, or comes
-   ``_CLOSED_M`` nearer along the line of sight, is stuck.
+   ``_CLOSED_M`` nearer along the line of sight, is stuck. So is one whose range stays the same to ``_EXACT_M`` while
+   the line of sight turns by ``_SWEPT_RAD``: going past a target changes the distance to it.
 2. A gimbal whose orientation stays the same to ``_SAME_SIGHT`` during that turn is frozen: a line of sight to
    a target turns relative to north as well as to the aircraft.
 3. Of the ways to read the gimbal's frame and the laser's unit, the right one makes the target move straight
    (:mod:`sidelong.mission.health.motion_fit`), and puts it on the ground.
 4. If more than ``_REJECTED_SHARE`` of the sightings of 30 s are rejected, laser and line of sight do not agree.
 
-While rules 1 to 3 find a fault, the device's readings are not used.
+While rules 1 to 3 find a fault, the device's readings are not used. An apparent target that jumps farther than it can
+drive makes the payload suspect for ``SUSPECT_S``, in which rules 1 to 3 come to a result.
 """
 
 from __future__ import annotations
@@ -28,12 +30,14 @@ from sidelong.mission.health.motion_fit import FACTORS, SOUND, WINDOW_S, GroundH
 
 _SAME_RANGE_M, _SAME_SIGHT = 0.5, 5e-4
 _SAME_S, _TURNED_RAD, _SAME_COUNT = 5.0, 0.8, 5
+_EXACT_M, _SWEPT_RAD = 0.1, 0.3  # an eighth of the angle's square, times the range: 3 m at 300 m
 _MOVES_AGAIN = 3
 _CLOSED_M, _PASSED_RAD = 40.0, 0.25
 _SAMPLE_EVERY_S, _JUDGE_EVERY_S, _FRESH_S = 0.45, 1.0, 0.6
 _MARGIN_S = 1.0
 _FOUND_AFTER, _CLEARED_AFTER = 3, 6  # judgements in a row
 _FLYING_M_S = 5.0
+SUSPECT_S, _CHANGED_S = 15.0, 30.0
 _REJECTED_SHARE, _ACCEPTED_AGAIN, _WINDOW_S, _SIGHTINGS_MIN = 0.25, 0.15, 30.0, 40
 
 
@@ -46,11 +50,19 @@ class _Repeats:
 
     def __init__(self) -> None:
         self._anchor: tuple[float, ...] = (math.inf,)
-        self.since_s = self._turned_rad = self._moved_by = 0.0
+        self.since_s = self._turned_rad = self._moved_by = self._swept_rad = self._off = 0.0
         self._count = self._moved = 0
         self.found = False
 
-    def note(self, values: tuple[float, ...], same: float, time_s: float, turned_rad: float, moved: float) -> None:
+    def note(
+        self,
+        values: tuple[float, ...],
+        same: float,
+        time_s: float,
+        turned_rad: float,
+        moved: float,
+        swept_rad: float = 0.0,
+    ) -> None:
         """Take a value.
 
         Args:
@@ -59,24 +71,28 @@ class _Repeats:
             time_s: of the reading.
             turned_rad: how far the aircraft has turned since the flight began, either way.
             moved: how much the aircraft's own motion has changed the value since then, 1 for what is unmistakable.
+            swept_rad: how far the line of sight has turned, positive clockwise.
 
         """
+        off = 0.0
         for before, now in zip(self._anchor, values, strict=False):
-            if abs(before - now) > same:
-                break
-        else:
+            off = max(off, abs(before - now))
+        if off <= same:
             self._count += 1
             self._moved = 0
+            self._off = max(self._off, off)
             lasts = self._count >= _SAME_COUNT and time_s - self.since_s >= _SAME_S
             self.found |= lasts and (
-                turned_rad - self._turned_rad >= _TURNED_RAD or abs(moved - self._moved_by) >= 1.0
+                turned_rad - self._turned_rad >= _TURNED_RAD
+                or abs(moved - self._moved_by) >= 1.0
+                or (self._off <= _EXACT_M and abs(swept_rad - self._swept_rad) >= _SWEPT_RAD)
             )
             return
         self._moved += 1
         if not self.found or self._moved >= _MOVES_AGAIN:
             self.found = False
             self._anchor, self.since_s, self._turned_rad, self._count = values, time_s, turned_rad, 0
-            self._moved_by = moved
+            self._moved_by, self._swept_rad, self._off = moved, swept_rad, 0.0
 
 
 class PayloadCheck:
@@ -102,7 +118,7 @@ class PayloadCheck:
         self._range: RangeReading | None = None
         self._gimbal_source: Source | None = None
         self._course_rad: float | None = None
-        self._turned_rad = self._closed = self._passed = 0.0
+        self._turned_rad = self._closed = self._passed = self._swept_rad = 0.0
         self._sight: tuple[float, float] | None = None
         self._sampled_s = self._judged_s = -math.inf
         self._agreeing = 0
@@ -155,6 +171,26 @@ class PayloadCheck:
         self._closed += (east_m * east + north_m * north) / _CLOSED_M
         self._passed += (north_m * east - east_m * north) / max(self._range.slant_range_m, 50.0) / _PASSED_RAD
 
+    def _sweep(self, sight: tuple[float, float] | None) -> None:
+        """Take the newest line of sight, and add up by what angle it has turned."""
+        before, self._sight = self._sight, sight
+        if before is not None and sight is not None:
+            across, along = before[1] * sight[0] - before[0] * sight[1], before[0] * sight[0] + before[1] * sight[1]
+            self._swept_rad += math.atan2(across, along)
+
+    def is_suspect(self, time_s: float) -> bool:
+        """Return whether the apparent target has jumped lately, and it is not known yet whether there is a fault.
+
+        Args:
+            time_s: The vehicle's clock.
+
+        """
+        return 0.0 <= time_s - self._fit.jumped_s < SUSPECT_S
+
+    def expect_another_target(self) -> None:
+        """Begin again with another target: the payload is being turned to it."""
+        self._fit.clear()
+
     def range(self, reading: RangeReading) -> None:
         """Process a range of the laser in use.
 
@@ -168,7 +204,8 @@ class PayloadCheck:
         self._range = reading
         repeats = self._range_repeats
         found = repeats.found
-        repeats.note((reading.slant_range_m,), _SAME_RANGE_M, reading.time_s, self._turned_rad, self._closed)
+        travelled = self._turned_rad, self._closed, self._swept_rad
+        repeats.note((reading.slant_range_m,), _SAME_RANGE_M, reading.time_s, *travelled)
         if repeats.found is not found:
             self._settle()
 
@@ -205,7 +242,7 @@ class PayloadCheck:
             self._fit.clear()
         else:
             self._fit.add(position, attitude, reading, slant.slant_range_m, self._turned_rad)
-            self._sight = self._fit.level_direction
+            self._sweep(self._fit.level_direction)
         if reading.time_s - self._judged_s >= _JUDGE_EVERY_S:
             self._judged_s = reading.time_s
             self._judge(reading.frame)
@@ -273,6 +310,8 @@ class PayloadCheck:
             since_s = [one.since_s for one in (self._range_repeats, self._sight_repeats) if one.found]
             if self._frame_fault or self._unit_fault:
                 since_s.append(self._judged_s - WINDOW_S)
+                if self._judged_s - self._fit.changed_s < _CHANGED_S:
+                    since_s.append(self._fit.changed_s)
             self.wrong_since_s = min(since_s) - _MARGIN_S
 
     def faults(self) -> dict[Input, str]:

@@ -2,7 +2,7 @@ import pytest
 
 from sidelong.estimators.sensing.readings import Source
 from sidelong.estimators.settings import SourceChoice
-from sidelong.estimators.tracking.sources import SourceSelector, range_rank, sight_rank
+from sidelong.estimators.tracking.sources import PROVEN_S, SourceSelector, range_rank, sight_rank
 
 PAYLOAD = Source("DISTANCE_SENSOR", 154, 1, 100)
 REPEATED = Source("DISTANCE_SENSOR", 1, 1, 100)
@@ -58,3 +58,15 @@ def test_a_gimbal_comes_before_a_range_sensors_own_quaternion():
     assert sights.accepts(PAYLOAD, 0.0)
     assert sights.accepts(gimbal, 0.1)
     assert not sights.accepts(PAYLOAD, 0.2)
+
+
+def test_a_source_that_contradicted_the_track_has_to_agree_for_some_time():
+    selector, first, second = SourceSelector(sight_rank), Source("A", 154), Source("A", 171)
+    assert selector.accepts(first, 0.0)
+    assert not selector.accepts(second, 11.0, lambda: False)
+    assert not selector.accepts(second, 12.0, lambda: True)
+    assert not selector.accepts(second, 13.0, lambda: False)
+    assert not selector.accepts(second, 14.0, lambda: True)
+    assert not selector.accepts(second, 21.0, lambda: True)
+    assert selector.accepts(second, 14.0 + PROVEN_S, lambda: True)
+    assert selector.refused == []

@@ -101,6 +101,14 @@ def test_a_gimbal_that_changes_its_frame_ends_no_flight():
     assert not verdict.broken, verdict.what
 
 
+@pytest.mark.parametrize(("seed", "flavour"), [(1207, "px4"), (1360, "arduplane")])
+def test_wrong_flags_and_units_are_found_before_the_aircraft_follows_them(seed, flavour):
+    # A plan was made by the wrong target; and the unit was found too late, as the aircraft flew straight.
+    verdict = flight(seed, flavour)
+    assert {"wrong flags", "wrong unit"} & set(verdict.names)
+    assert not verdict.broken, verdict.what
+
+
 def test_the_same_flight_again_is_the_same_to_the_last_bit():
     scenario = Scenario(7, "px4", 60.0)
     faults = [replace(flight_faults.poor_link(np.random.default_rng(3), 10.0)), MISLEADING[3]]

@@ -52,6 +52,37 @@ def test_aircraft_keeps_away_from_a_target_that_walks_towards_it_unseen(name, se
     assert any(text.startswith("moving away: the target is not seen") for _, text in flown.told)
 
 
+@pytest.mark.parametrize("name", ["range in a tenth", "flags of the vehicle frame", "flags of the body frame"])
+def test_no_plan_is_made_by_a_target_that_jumped(name):
+    change = PAYLOAD_FAULTS[name][0]
+    flown = FaultedFlight(Scenario(110, "px4", 100.0), [Fault(name, BEGIN_S, math.inf, change)]).fly()
+    found_s = next(at_s for at_s, one in flown.health if one.state is InputState.INCONSISTENT)
+    assert found_s <= BEGIN_S + 8.0
+    assert not any(one.moved for one in flown.decided if BEGIN_S + 1.0 < one.time_s < found_s)
+
+
+def test_stuck_laser_is_found_while_the_aircraft_flies_straight_past_the_target():
+    payload, laser, gimbal = Health().payload, Source("DISTANCE_SENSOR", 154), Source("GIMBAL", 154)
+    found_s = []
+    for k in range(150):
+        time_s = 0.1 * k
+        north_m = 15.0 * time_s - 112.0
+        half_rad = 0.5 * math.atan2(300.0, -north_m)
+        payload.attitude(AttitudeReading(time_s, 0.0, 0.0, 0.0))
+        payload.position(PositionReading(time_s, 0.0, north_m, 0.0, 0.0, 15.0, 0.0))
+        payload.range(RangeReading(time_s, 320.0 + 0.02 * (k % 2), laser))
+        payload.gimbal(GimbalReading(time_s, (math.cos(half_rad), 0.0, 0.0, math.sin(half_rad)), "earth", gimbal))
+        found_s += [time_s] if payload.laser_fault else []
+    assert found_s
+    assert found_s[0] <= 9.0
+
+
+def test_reading_before_the_clock_is_known_is_not_silent_for_ever():
+    health = Health()
+    health.received(RangeReading(1.0, 200.0, Source("DISTANCE_SENSOR", 154)), -math.inf)
+    assert health.changes(30.0, None, None) == ()
+
+
 def test_gimbal_that_takes_the_place_of_a_silent_one_has_to_agree_with_the_track():
     change = other_device(GIMBAL, q=[1.0, 0.0, 0.0, 0.0])
     flown = FaultedFlight(Scenario(1, "px4", 100.0), [Fault("other", BEGIN_S, math.inf, change)]).fly()
