@@ -90,13 +90,7 @@ class Payload:
         pitch_rad = math.atan2(up_m, level_m) + errors.angle_sigma_rad * pitch_noise
         if errors.view_deg:
             return self._tracked(time_s, boot_ms, yaw_rad, pitch_rad)
-        gimbal = self._message(
-            "GIMBAL_DEVICE_ATTITUDE_STATUS",
-            time_boot_ms=boot_ms,
-            q=list(sight_quaternion(yaw_rad, pitch_rad)),
-            flags=_LOCKED_IN_EARTH_FRAME,
-            gimbal_device_id=0,
-        )
+        gimbal = self._gimbal(boot_ms, yaw_rad, pitch_rad)
         range_m = math.hypot(*self._line_at(time_s - errors.range_delay_s)) + errors.range_sigma_m * range_noise
         if errors.outliers and self._rng.random() < errors.outliers:
             range_m += self._rng.uniform(-errors.outlier_max_m, errors.outlier_max_m)
@@ -131,13 +125,6 @@ class Payload:
         own_pitch_rad = math.atan(below) + math.asin(max(-1.0, min(1.0, sine)))
         ahead = math.cos(own_pitch_rad) + below * math.sin(own_pitch_rad)
         own_yaw_rad = yaw_rad - math.atan2(across, ahead)
-        gimbal = self._message(
-            "GIMBAL_DEVICE_ATTITUDE_STATUS",
-            time_boot_ms=boot_ms,
-            q=list(sight_quaternion(own_yaw_rad, own_pitch_rad)),
-            flags=_LOCKED_IN_EARTH_FRAME,
-            gimbal_device_id=0,
-        )
         view = self._message("CAMERA_FOV_STATUS", time_boot_ms=boot_ms, hfov=view_deg, vfov=view_deg)
         target = self._message(
             "CAMERA_TRACKING_IMAGE_STATUS",
@@ -146,7 +133,16 @@ class Payload:
             point_x=0.5 + 0.5 * right,
             point_y=0.5 + 0.5 * down,
         )
-        return [gimbal, view, target]
+        return [self._gimbal(boot_ms, own_yaw_rad, own_pitch_rad), view, target]
+
+    def _gimbal(self, boot_ms: int, yaw_rad: float, pitch_rad: float) -> Message:
+        return self._message(
+            "GIMBAL_DEVICE_ATTITUDE_STATUS",
+            time_boot_ms=boot_ms,
+            q=list(sight_quaternion(yaw_rad, pitch_rad)),
+            flags=_LOCKED_IN_EARTH_FRAME,
+            gimbal_device_id=0,
+        )
 
     def _line_at(self, time_s: float) -> tuple[float, float, float]:
         """Return the way to the target (east, north, up) at a time of the last seconds."""

@@ -33,12 +33,26 @@ from tests.bench.size import size
 
 FLIGHTS = size(4, 1, "ALARM_FLIGHTS")
 FLIGHT_S = float(size(600, 150, "ALARM_FLIGHT_S"))
-STEP_S = 0.5
+STEP_S, UNSEEN_S = 0.5, 9.0  # s without a range: an alarm at 10 s, less the time to the next look
 HOME = Home(47.4, 8.5, 400.0)
 PLANE = LocalPlane(HOME.latitude_deg, HOME.longitude_deg)
 CIRCLE = Circle(-300.0, 0.0, 50.0, True)
 ERRORS = PayloadErrors(outliers=0.02, dropouts_per_s=0.03, dropout_s=5.0)
 STATUS = VehicleStatus(80, 12.0, "3D, 11 satellites", True, 99, 0.05)
+
+
+class _Recorded(Payload):
+    """Records when the laser last sent a range that was not an outlier by more than the filter accepts."""
+
+    ranged_s = -math.inf
+
+    def measure(self, time_s, boot_ms, east_m, north_m, up_m, *, with_range=True):
+        sent = super().measure(time_s, boot_ms, east_m, north_m, up_m, with_range=with_range)
+        true_m = math.hypot(east_m, north_m, up_m)
+        ranges_m = [0.01 * one.fields["current_distance"] for one in sent if one.name == "DISTANCE_SENSOR"]
+        if any(abs(range_m - true_m) < 5.0 * ERRORS.range_sigma_m for range_m in ranges_m):
+            self.ranged_s = time_s
+        return sent
 
 
 @dataclass
@@ -60,7 +74,8 @@ def flown(seed: int) -> Flown:
     aircraft = KinematicAircraft(state, 15.0, math.radians(45.0), math.radians(60.0), Wind(), 0.45)
     target = RandomTarget(target_rng, FLIGHT_S + 100.0, 3.0, (20.0, 120.0))
     start = Start(PLANE, HOME, CIRCLE, 100.0)
-    vehicle = KinematicVehicle(autopilot, aircraft, Wind(), start, Payload(ERRORS, noise_rng), target, LIVE_RATES)
+    payload = _Recorded(ERRORS, noise_rng)
+    vehicle = KinematicVehicle(autopilot, aircraft, Wind(), start, payload, target, LIVE_RATES)
     controller, loop, result = controller_of(config), ClosedLoop(vehicle), Flown()
     loop.telemetry.plane = PLANE
     loop.start(lambda plane: mission_controller_of(config, controller, autopilot, plane, HOME), vehicle.mode)
@@ -80,7 +95,11 @@ def flown(seed: int) -> Flown:
         on_side = (
             None if middle_rad is None else abs(wrap_rad(math.atan2(east_m, north_m) - middle_rad)) <= math.pi / 2
         )
-        supports = {"band": in_band is False, "side": on_side is False}
+        supports = {
+            "band": in_band is False,
+            "side": on_side is False,
+            "target": vehicle.time_s - payload.ranged_s >= UNSEEN_S,
+        }
         result.alarms += [
             (one.key, supports.get(one.key, False))
             for one in events
