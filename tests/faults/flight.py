@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sidelong.app.analysis.present import PresentWatch
 from sidelong.app.analysis.score import Samples, judge
 from sidelong.app.assembly import controller_of, mission_controller_of, settle
 from sidelong.app.autopilots.registry import AUTOPILOTS
@@ -84,6 +85,7 @@ class Flown:
     health: list[tuple[float, HealthChanged]] = field(default_factory=list)
     unknown_s: float = 0.0
     wrongly_in_band_s: float = 0.0
+    wrongly_on_side_s: float = 0.0
     yielded: tuple[float, str] | None = None
     ended: str | None = None
     slowest_step_s: float = 0.0
@@ -127,6 +129,8 @@ class FaultedFlight(ClosedLoop[Message]):
         self.pilot_takes_over_s = math.inf
         self._acquired_s = math.inf
         self.flown = Flown(scenario)
+        self._page = PresentWatch()
+        self._shown_on_side: list[tuple[float, bool | None]] = []  # what a display claims
         self.start(
             lambda plane: mission_controller_of(config, self.controller, autopilot, plane, _HOME), vehicle.mode
         )
@@ -198,6 +202,7 @@ class FaultedFlight(ClosedLoop[Message]):
             return
         snapshot, requirement = self.controller.snapshot(), self.controller.settings.requirement
         estimate, truth = snapshot.estimate, self._target.at(now_s)
+        self._shown_on_side.append((now_s, self._page.of(snapshot).on_side))
         if snapshot.unknown or estimate is None:
             self.flown.unknown_s += 1.0
             return
@@ -218,6 +223,10 @@ class FaultedFlight(ClosedLoop[Message]):
         requirement = self.controller.settings.requirement
         judged = judge(Samples(time_s, aircraft_m, truth[:, :2], truth[:, 2:4]), ((-math.inf, requirement),))
         self.flown.range_m, self.flown.on_side = judged.range_m.tolist(), judged.on_side.tolist()
+        on_side = dict(zip(np.round(time_s, 1).tolist(), self.flown.on_side, strict=True))
+        self.flown.wrongly_on_side_s = float(
+            sum(claimed is True and on_side.get(round(at_s, 1)) is False for at_s, claimed in self._shown_on_side)
+        )
         self.flown.outside_fence_m = max(float(np.abs(aircraft_m).max()) - _FENCE_M, 0.0)
 
 

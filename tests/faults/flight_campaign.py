@@ -26,7 +26,7 @@ MISLED_RANGE_MIN_M, REPORTED_WITHIN_S, WRONG_SHARE_MAX = 80.0, 15.0, 0.02
 YIELD_WITHIN_S = 8.0
 STEP_MAX_S = 0.05
 _PAYLOAD_INPUTS = (Input.LASER, Input.GIMBAL, Input.SIGHTINGS)
-_SCENARIOS = 12  # a fault meets one of so many; each is flown once without faults to compare
+_TARGETS, _CAMPAIGN_TARGETS = 12, 96  # a fault meets one of so many; each is flown once without faults to compare
 
 
 @dataclass(slots=True)
@@ -40,6 +40,27 @@ class Verdict:
     broken: list[str] = field(default_factory=list)
     lost_on_side: float = 0.0
     slowest_step_s: float = 0.0
+    misled: Misled | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Misled:
+    """How a flight was misled by its payload.
+
+    Attributes:
+        alone: Whether there was no other fault.
+        reported_s: Seconds until an input of the payload was reported; infinite if never.
+        in_band_share: Share of the flight with a wrong claim to be in the band.
+        on_side_share: The same of the side.
+        nearest_m: Least true distance to the target.
+
+    """
+
+    alone: bool
+    reported_s: float
+    in_band_share: float
+    on_side_share: float
+    nearest_m: float
 
 
 def judged(flown: Flown, faults: Sequence[Fault], ending: str | None, ending_s: float) -> list[str]:
@@ -48,7 +69,7 @@ def judged(flown: Flown, faults: Sequence[Fault], ending: str | None, ending_s: 
     misled = [one for one in faults if one.name in MISLEADING]
     broken = []
     if misled:  # it follows a wrong target until the fault is found, and then none
-        broken = _judged_misled(flown, misled[0], alone=len(faults) == 1)
+        broken = _judged_misled(misled[0].name, misled_by(flown, misled[0], alone=len(faults) == 1))
     for decided in flown.decided if not misled else ():
         if not decided.own_error_m <= OWN_ERROR_MAX_M:
             broken.append(f"decided at {decided.time_s:.1f} s on a place {decided.own_error_m:.0f} m off")
@@ -70,15 +91,27 @@ def judged(flown: Flown, faults: Sequence[Fault], ending: str | None, ending_s: 
     return broken[:4] + _judged_yield(flown, ending, ending_s)
 
 
-def _judged_misled(flown: Flown, fault: Fault, *, alone: bool) -> list[str]:
-    """Judge what a flight says of itself while the payload misleads it."""
-    broken = []
+def misled_by(flown: Flown, fault: Fault, *, alone: bool) -> Misled:
+    """Return how far a fault of the payload misled a flight."""
     reported_s = [at_s for at_s, one in flown.health if at_s > fault.begin_s and one.input in _PAYLOAD_INPUTS]
-    within_s = reported_s[0] - fault.begin_s if reported_s else math.inf
-    if alone and within_s > REPORTED_WITHIN_S:
-        broken.append(f"{fault.name} reported after {within_s:.1f} s")
-    if alone and flown.wrongly_in_band_s > WRONG_SHARE_MAX * flown.scenario.duration_s:
-        broken.append(f"wrongly in band for {flown.wrongly_in_band_s:.0f} s")
+    return Misled(
+        alone,
+        reported_s[0] - fault.begin_s if reported_s else math.inf,
+        flown.wrongly_in_band_s / flown.scenario.duration_s,
+        flown.wrongly_on_side_s / flown.scenario.duration_s,
+        min(flown.range_m),
+    )
+
+
+def _judged_misled(name: str, misled: Misled) -> list[str]:
+    """Judge what a flight says of itself; ``table`` counts those with other faults, too."""
+    broken = []
+    if misled.alone and misled.reported_s > REPORTED_WITHIN_S:
+        broken.append(f"{name} reported after {misled.reported_s:.1f} s")
+    if misled.alone and misled.in_band_share > WRONG_SHARE_MAX:
+        broken.append(f"wrongly in band for {misled.in_band_share:.1%}")
+    if misled.alone and misled.on_side_share > WRONG_SHARE_MAX:
+        broken.append(f"wrongly on side for {misled.on_side_share:.1%}")
     return broken
 
 
@@ -106,9 +139,10 @@ def flight(
     *,
     ending: tuple[str | None, float] = (None, math.inf),
     duration_s: float = 240.0,
+    targets: int = _TARGETS,
 ) -> Verdict:
     """Fly one faulted flight and judge it; faults and ending: these instead of drawn ones."""
-    scenario = Scenario(seed % _SCENARIOS, flavour, duration_s)
+    scenario = Scenario(seed % targets, flavour, duration_s)
     if faults is None:
         faults, ending = drawn(seed, duration_s)
     faults, (ending_by, ending_s) = [*faults, *yielding(*ending)], ending
@@ -125,6 +159,9 @@ def flight(
         verdict.broken.append(traceback.format_exc(limit=-3))
         return verdict
     verdict.broken = judged(flown, faults, ending_by, ending_s)
+    misleading = [one for one in faults if one.name in MISLEADING]
+    if misleading:
+        verdict.misled = misled_by(flown, misleading[0], alone=len(faults) == 1)
     both = min(len(flown.on_side), len(beside.on_side))
     verdict.lost_on_side = 100.0 * (statistics.mean(beside.on_side[:both]) - statistics.mean(flown.on_side[:both]))
     verdict.slowest_step_s = flown.slowest_step_s
@@ -132,11 +169,11 @@ def flight(
 
 
 def _flight(order: tuple[int, str]) -> Verdict:
-    return flight(*order)
+    return flight(*order, targets=_CAMPAIGN_TARGETS)
 
 
 def campaign(flights: int, first_seed: int, processes: int) -> Iterable[Verdict]:
-    """Yield the verdicts of so many flights, half of them of each flavour."""
+    """Yield the verdicts of so many flights, half of them of each flavour, on other targets than ``flight`` alone."""
     flavours = list(FLAVOURS)
     orders = [(first_seed + number, flavours[number % len(flavours)]) for number in range(flights)]
     if processes == 1:
@@ -144,6 +181,23 @@ def campaign(flights: int, first_seed: int, processes: int) -> Iterable[Verdict]
         return
     with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
         yield from pool.map(_flight, orders, chunksize=4)
+
+
+def _met(verdicts: list[Verdict], *, alone: bool) -> str:
+    """Return how many flights that the payload misled meet each bar."""
+    flown = [one.misled for one in verdicts if one.misled is not None and one.misled.alone is alone]
+    if not flown:
+        return ""
+    reported = sum(one.reported_s <= REPORTED_WITHIN_S for one in flown)
+    near = sum(one.nearest_m >= MISLED_RANGE_MIN_M for one in flown)
+    band, side = (
+        sum(getattr(one, share) <= WRONG_SHARE_MAX for one in flown) for share in ("in_band_share", "on_side_share")
+    )
+    return (
+        f"{len(flown)} flights misled by the payload {'alone' if alone else 'and other faults'}: reported within "
+        f"{REPORTED_WITHIN_S:.0f} s {reported}, no nearer than {MISLED_RANGE_MIN_M:.0f} m {near}, "
+        f"wrongly in band at most {WRONG_SHARE_MAX:.0%} {band}, wrongly on side at most that {side}"
+    )
 
 
 def table(verdicts: Iterable[Verdict]) -> str:
@@ -166,6 +220,7 @@ def table(verdicts: Iterable[Verdict]) -> str:
         for verdict in verdicts
         if verdict.broken
     ]
+    lines += [line for alone in (True, False) if (line := _met(verdicts, alone=alone))]
     slow = sum(verdict.slowest_step_s > STEP_MAX_S for verdict in verdicts)
     lines.append(f"{slow} flights with a step over {STEP_MAX_S * 1000.0:.0f} ms of processor time")
     return "\n".join(lines)
