@@ -6,21 +6,13 @@ import contextlib
 import json
 import socket
 import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from sidelong.sitl.payload.devices import DEVICES
-
-SIDELONG = Path(sys.executable).parent / "sidelong"
-
-
-def sidelong(*arguments: object, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
-    command = [str(SIDELONG), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s, check=False)
+from tests.command_line import SIDELONG, sidelong
 
 
 @contextlib.contextmanager
@@ -47,7 +39,7 @@ def test_driver_alone_publishes_mavlink_of_component_154(kind, free_port, tmp_pa
         udp.settimeout(5.0)
         to = f"udpout:127.0.0.1:{udp.getsockname()[1]}"
         done = sidelong(
-            "payload", f"{kind}://127.0.0.1:{port}", "--to", to, "--duration", 4, "--json", tmp_path / "payload.json"
+            "payload", f"{kind}://127.0.0.1:{port}", "--to", to, "--duration", 2, "--json", tmp_path / "payload.json"
         )
         assert done.returncode == 0, done.stderr
         parser, heard = mavlink.MAVLink(None), {}
