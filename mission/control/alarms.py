@@ -250,6 +250,9 @@ _INPUTS = {
     Input.LASER: "the track coasts without it",
     Input.GIMBAL: "the track coasts without it",
     Input.SIGHTINGS: "check the gimbal's mount and flags, and the units of the laser",
+    Input.CLOCK: "check the autopilot; be ready to take over",
+    Input.TERRAIN: "fly higher, or check the elevation data",
+    Input.NEIGHBOURS: "watch the separation from the other aircraft",
 }
 _RULES = (
     _Rule("yield", _yielded, "you, or another station, fly the aircraft; resume to let sidelong watch on"),

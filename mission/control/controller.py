@@ -183,7 +183,12 @@ class StandoffController:
             return ()
         had_fault = health.payload_fault
         changes = health.changes(
-            now_s, tracker.range_source, tracker.gimbal_source, tracker.refused_ranges, tracker.refused_gimbals
+            now_s,
+            tracker.range_source,
+            tracker.gimbal_source,
+            tracker.refused_ranges,
+            tracker.refused_gimbals,
+            self.door.clock_fault,
         )
         if had_fault and not health.payload_fault:
             tracker.begin_again()

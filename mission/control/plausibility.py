@@ -220,10 +220,14 @@ class Plausibility:
                 self.position = PositionCheck()
                 self._yield = YieldRequested(stamp_s, "the autopilot has restarted")
             return True
-        off_s = clock.in_question_s
-        if off_s is not None and clock.questioned_for_s > BRIDGED_S:
-            self._tell("clock", "position", f"the aircraft's clock is {_off(off_s)}: nothing is decided on it")
         return False
+
+    @property
+    def clock_fault(self) -> str:
+        """Why nothing is decided on the vehicle's clock; empty while it is trusted."""
+        off_s = self.clock.in_question_s
+        lasts = off_s is not None and self.clock.questioned_for_s > BRIDGED_S
+        return f"it is {_off(off_s)}, nothing is decided on it" if lasts and off_s is not None else ""
 
     def _yield_to_two(self, how: str) -> None:
         if self.two_vehicles is None:

@@ -16,7 +16,9 @@ class Input(StrEnum):
     GIMBAL = "gimbal"
     SIGHTINGS = "sightings"  # laser and gimbal together, against the track
     LINK = "link"
-    NEIGHBOURS = "neighbours"
+    CLOCK = "clock"  # the vehicle's, against its own earlier stamps
+    TERRAIN = "terrain"  # the elevation data, against laser and gimbal
+    NEIGHBOURS = "neighbours"  # what the coordinator of a fleet reports
 
 
 class InputState(StrEnum):

@@ -7,11 +7,12 @@ While the link is down nothing else is judged: the loss of the link is reported 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from sidelong.estimators.rotations import Quaternion
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.mission.core.events import ClockTick, Event, HealthChanged, LinkReported, ModeReported
+from sidelong.mission.core.fleet import FleetAdvice
 from sidelong.mission.core.inputs import Input, InputReport, InputState
 from sidelong.mission.health.payload_check import PayloadCheck
 
@@ -21,6 +22,7 @@ _AGE_MAX_S = {
     Input.HEARTBEAT: 5.0,
     Input.LASER: 20.0,
     Input.GIMBAL: 5.0,
+    Input.NEIGHBOURS: 5.0,
 }
 _TICKS_MARGIN = 1  # a tick may come right after a reading
 _EVALUATE_EVERY_S, _RATE_OVER_S = 1.0, 5.0
@@ -30,6 +32,7 @@ _KINDS: dict[type, Input] = {
     ModeReported: Input.HEARTBEAT,
     RangeReading: Input.LASER,
     GimbalReading: Input.GIMBAL,
+    FleetAdvice: Input.NEIGHBOURS,
 }
 _STALE = {
     Input.POSITION: "no position from the autopilot for {age:.0f} s: holding the circle and requesting it again",
@@ -37,7 +40,10 @@ _STALE = {
     Input.HEARTBEAT: "no heartbeat from the autopilot for {age:.0f} s: nothing new is commanded",
     Input.LASER: "no range from the laser for {age:.0f} s: check that it is on and looks at the target",
     Input.GIMBAL: "no orientation from the gimbal for {age:.0f} s: check its power and its connection",
+    Input.NEIGHBOURS: "no report of the fleet for {age:.0f} s: the other aircraft are assumed where they were",
 }
+_LINK_LOST = "nothing is received from the aircraft: it keeps circling"
+_OF_PAYLOAD = (Input.LASER, Input.GIMBAL)
 _WORDS = {
     Input.POSITION: "the aircraft's position",
     Input.ATTITUDE: "the aircraft's attitude",
@@ -45,6 +51,10 @@ _WORDS = {
     Input.LASER: "the laser",
     Input.GIMBAL: "the gimbal",
     Input.SIGHTINGS: "laser and line of sight",
+    Input.LINK: "the link",
+    Input.CLOCK: "the aircraft's clock",
+    Input.TERRAIN: "the elevation data",
+    Input.NEIGHBOURS: "the fleet's report",
 }
 
 
@@ -103,6 +113,9 @@ class Health:
             self._moved_tick, self._now_s = self._ticks, now_s
         elif isinstance(event, LinkReported):
             self._connected = event.connected
+            state = InputState.OK if event.connected else InputState.STALE
+            self._set(Input.LINK, state, now_s, "" if event.connected else _LINK_LOST)  # announced by its own event
+            self.reports = self._made_reports()
             if event.connected:  # ages begin again
                 for each in self._inputs.values():
                     if each.count:
@@ -133,7 +146,7 @@ class Health:
         return ""
 
     def _made_unknown(self) -> str:
-        for one in (Input.POSITION, Input.LASER, Input.GIMBAL, Input.SIGHTINGS):
+        for one in (Input.POSITION, Input.CLOCK, Input.LASER, Input.GIMBAL, Input.SIGHTINGS):
             state = self._inputs[one].state
             if state is InputState.INCONSISTENT or (one is Input.POSITION and state is InputState.STALE):
                 return self._inputs[one].text
@@ -146,6 +159,7 @@ class Health:
         gimbal: Source | None,
         refused_lasers: Sequence[Source] = (),
         refused_gimbals: Sequence[Source] = (),
+        clock_fault: str = "",
     ) -> tuple[HealthChanged, ...]:
         """Judge all inputs and return what has changed since the last call.
 
@@ -155,18 +169,35 @@ class Health:
             gimbal: the same of the line of sight.
             refused_lasers: those that spoke in place of a silent one and contradict the track.
             refused_gimbals: the same of gimbals.
+            clock_fault: why the vehicle's clock is not trusted; empty while it is.
 
         """
         self._evaluate_s = now_s + _EVALUATE_EVERY_S
         if not self._connected:
             return ()
-        changed = self._changes(now_s, laser, gimbal, refused_lasers, refused_gimbals)
+        changed = self._changes(now_s, {**self.payload.faults(), Input.CLOCK: clock_fault})
+        changed += self._source_changes(now_s, laser, gimbal, refused_lasers, refused_gimbals)
         if self._is_news:  # displays ask at every event
             self.reports, self.unknown = self._made_reports(), self._made_unknown()
             self._is_news = False
         return changed
 
-    def _changes(
+    def _changes(self, now_s: float, faults: Mapping[Input, str]) -> tuple[HealthChanged, ...]:
+        changed: list[HealthChanged] = []
+        for kind in _KINDS.values():
+            self._rate(self._inputs[kind], now_s)
+            self._judge_age(kind, now_s, changed)
+        for kind, fault in faults.items():
+            one = self._inputs[kind]
+            if kind in _OF_PAYLOAD and one.state in (InputState.STALE, InputState.MISSING):
+                continue
+            if fault and one.state is not InputState.INCONSISTENT:
+                changed.append(self._set(kind, InputState.INCONSISTENT, now_s, f"{_WORDS[kind]}: {fault}"))
+            elif not fault and one.state is InputState.INCONSISTENT:
+                changed.append(self._set(kind, InputState.OK, now_s, f"{_WORDS[kind]} agree{_s(kind)} again"))
+        return tuple(changed)
+
+    def _source_changes(
         self,
         now_s: float,
         laser: Source | None,
@@ -175,17 +206,6 @@ class Health:
         refused_gimbals: Sequence[Source],
     ) -> tuple[HealthChanged, ...]:
         changed: list[HealthChanged] = []
-        for kind in _KINDS.values():
-            self._rate(self._inputs[kind], now_s)
-            self._judge_age(kind, now_s, changed)
-        for kind, fault in self.payload.faults().items():
-            one = self._inputs[kind]
-            if one.state in (InputState.STALE, InputState.MISSING) and kind is not Input.SIGHTINGS:
-                continue
-            if fault and one.state is not InputState.INCONSISTENT:
-                changed.append(self._set(kind, InputState.INCONSISTENT, now_s, f"{_WORDS[kind]}: {fault}"))
-            elif not fault and one.state is InputState.INCONSISTENT:
-                changed.append(self._set(kind, InputState.OK, now_s, f"{_WORDS[kind]} agree{_s(kind)} again"))
         for kind, source in ((Input.LASER, laser), (Input.GIMBAL, gimbal)):
             self._judge_source(kind, source, now_s, changed)
         for kind, refused in ((Input.LASER, refused_lasers), (Input.GIMBAL, refused_gimbals)):

@@ -53,7 +53,7 @@ _JUMP_M, _DRIVES_M_S = 40.0, 15.0
 _LATELY_S, _LATELY_MIN, _CONTINUED_MIN = 6.0, 6, 5  # samples before and after a change
 _CONTINUED_M, _DRIFTS_M_S, _DISCONTINUED = 15.0, 1.5, 2.0
 _TRIM_SHARE = 0.8  # of the samples: a line is fitted to those, without outliers
-_LEVEL_SHARE, _OFF_LEVEL_SHARE = 0.3, 0.5  # of the aircraft's height over the ground
+_LEVEL_SHARE, OFF_LEVEL_SHARE = 0.3, 0.5  # of the aircraft's height over the ground
 _HEIGHT_MIN_M = 25.0
 _FIT_M, _FIT_SHARE = 8.0, 0.01  # residual of a target that turns, and of noise as a share of the range
 _DISCRIMINATES, _LEVEL_LATELY_S = 2.0, 25.0
@@ -107,12 +107,14 @@ class MotionFit:
         ground: The elevation data; None: the ground is flat at the height of home.
         changed_s: When the apparent target jumped, last.
         jumped_s: When it jumped farther than a target can drive, last.
+        off_level: How far the target is off the ground, as a share of the aircraft's height over it; NaN: unknown.
 
     """
 
     def __init__(self, parent_from_mount: Quaternion) -> None:
         self.ground: GroundHeight | None = None
         self.changed_s = self.jumped_s = -math.inf
+        self.off_level = math.nan
         self._parent_from_mount = parent_from_mount
         self._samples: deque[_Sample] = deque(maxlen=_SAMPLES)
         self._jumped: _Sample | None = None
@@ -201,7 +203,8 @@ class MotionFit:
             return None
         shares = sorted(one.off_level for one in samples)
         off_level = math.nan if math.isnan(sum(shares)) else shares[len(shares) // 2]
-        unit_is_right, unit_is_wrong = off_level < _LEVEL_SHARE, off_level > _OFF_LEVEL_SHARE
+        self.off_level = off_level
+        unit_is_right, unit_is_wrong = off_level < _LEVEL_SHARE, off_level > OFF_LEVEL_SHARE
         if unit_is_right:
             self._level_s = samples[-1].time_s
         as_reported_m = self._residual_as_reported_m()

@@ -26,7 +26,7 @@ from sidelong.estimators.rotations import Quaternion
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.mission.core.inputs import Input
-from sidelong.mission.health.motion_fit import FACTORS, SOUND, WINDOW_S, GroundHeight, MotionFit
+from sidelong.mission.health.motion_fit import FACTORS, OFF_LEVEL_SHARE, SOUND, WINDOW_S, GroundHeight, MotionFit
 
 _SAME_RANGE_M, _SAME_SIGHT = 0.5, 5e-4
 _SAME_S, _TURNED_RAD, _SAME_COUNT = 5.0, 0.8, 5
@@ -43,6 +43,10 @@ _REJECTED_SHARE, _ACCEPTED_AGAIN, _WINDOW_S, _SIGHTINGS_MIN = 0.25, 0.15, 30.0, 
 
 _STUCK = "it repeats the same range while the aircraft turns: check its power, its lens and its driver"
 _FROZEN = "its orientation is frozen while the aircraft turns: check its power, its mode and its driver"
+_OFF_GROUND = (
+    "by laser and gimbal the target is far above or below its ground; "
+    "check the tiles, home, and where the laser looks"
+)
 
 
 class _Repeats:
@@ -102,13 +106,15 @@ class PayloadCheck:
         laser_fault: what is wrong with the laser and what to do, in one sentence; empty while nothing is.
         gimbal_fault: the same of the gimbal.
         sightings_fault: the same of both together, against the track.
+        terrain_fault: how the elevation data contradicts laser and gimbal, while these agree with each other.
         is_news: whether a fault may have come or gone since ``faults`` was called last.
         wrong_since_s: since when the readings may have been wrong, while there is a fault of laser or gimbal.
 
     """
 
     def __init__(self, parent_from_mount: Quaternion = (1.0, 0.0, 0.0, 0.0)) -> None:
-        self.laser_fault = self.gimbal_fault = self.sightings_fault = ""
+        self.laser_fault = self.gimbal_fault = self.sightings_fault = self.terrain_fault = ""
+        self._off_ground = 0  # judgements in a row
         self.wrong_since_s = math.inf
         self.is_news = False
         self._fit = MotionFit(parent_from_mount)
@@ -286,6 +292,7 @@ class PayloadCheck:
         verdict = self._fit.verdict(self._established)
         if verdict is None:
             return
+        self._judge_terrain(sound=verdict == SOUND)
         # Just after a change half of the samples are older: several judgements have to agree.
         self._agreeing = self._agreeing + 1 if verdict == self._verdict else 1
         self._verdict = verdict
@@ -300,6 +307,16 @@ class PayloadCheck:
             )
         elif verdict != SOUND:
             self._unit_fault = f"it reports {FACTORS[verdict.factor]}; correct its unit"
+
+    def _judge_terrain(self, *, sound: bool) -> None:
+        off = self._fit.ground is not None and sound and self._fit.off_level > OFF_LEVEL_SHARE
+        self._off_ground = self._off_ground + 1 if off else 0
+        before = self.terrain_fault
+        if self._off_ground >= _CLEARED_AFTER:
+            self.terrain_fault = _OFF_GROUND
+        elif not off:
+            self.terrain_fault = ""
+        self.is_news |= before != self.terrain_fault
 
     def _settle(self) -> None:
         before = self.laser_fault, self.gimbal_fault
@@ -317,7 +334,12 @@ class PayloadCheck:
     def faults(self) -> dict[Input, str]:
         """Return the faults by input; empty text where there is none."""
         self.is_news = False
-        return {Input.LASER: self.laser_fault, Input.GIMBAL: self.gimbal_fault, Input.SIGHTINGS: self.sightings_fault}
+        return {
+            Input.LASER: self.laser_fault,
+            Input.GIMBAL: self.gimbal_fault,
+            Input.SIGHTINGS: self.sightings_fault,
+            Input.TERRAIN: self.terrain_fault,
+        }
 
 
 _FRAME_WORDS = {

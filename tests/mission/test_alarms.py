@@ -36,7 +36,7 @@ CAUSES = {
     "link": {"connected": False, "silent_s": 3.0},
     "battery": {"battery_percent": 30.0, "endurance_s": 70.0},
     "target": {"unseen_s": 12.0, "gives_up_in_s": 288.0},
-    **{one.value: {"health": faulty(one)} for one in Input if one not in (Input.LINK, Input.NEIGHBOURS)},
+    **{one.value: {"health": faulty(one)} for one in Input if one is not Input.LINK},
     "gps": {"gps": "2D", "good_gps": False},
     "band": {"in_band": False, "range_m": 80.0},
     "side": {"on_side": False},

@@ -7,10 +7,23 @@ import pytest
 
 from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading, Source
 from sidelong.mission.core.events import ClockTick, LinkReported, ModeReported
+from sidelong.mission.core.fleet import FleetAdvice, Role
 from sidelong.mission.core.inputs import Input, InputState
+from sidelong.mission.core.requirement import Side
 from sidelong.mission.health.health import Health
 from tests.faults.flight import FaultedFlight, Scenario
-from tests.faults.flight_faults import GIMBAL, LASER, Fault, flagged, other_device, repeated, scaled, silent
+from tests.faults.flight_faults import (
+    GIMBAL,
+    LASER,
+    Fault,
+    flagged,
+    later,
+    only,
+    other_device,
+    repeated,
+    scaled,
+    silent,
+)
 
 BEGIN_S, DURATION_S = 60.0, 150.0
 
@@ -154,6 +167,43 @@ def test_lost_link_is_not_reported_as_silent_inputs():
         assert health.changes(10.0, None, None) == ()
     health.received(LinkReported(30.0, connected=True), 30.0)
     assert health.changes(30.0, None, None) == ()
+
+
+def test_lost_link_is_a_state_and_ends_with_the_link():
+    health = Health()
+    health.received(LinkReported(10.0, connected=False), 10.0)
+    assert [(one.input, one.state) for one in health.reports] == [(Input.LINK, InputState.STALE)]
+    health.received(LinkReported(30.0, connected=True), 30.0)
+    assert [(one.input, one.state) for one in health.reports] == [(Input.LINK, InputState.OK)]
+
+
+def test_fleet_that_reports_no_more_is_reported_once():
+    health, texts = Health(), []
+    health.received(FleetAdvice(10.0, "boat", Role.WANTED, Side.LEFT, None, 100.0, ()), 10.0)
+    for second in range(10, 30):
+        health.received(ClockTick(float(second), float(second)), float(second))
+        texts += [one.text for one in health.changes(float(second), None, None)]
+    (text,) = texts
+    assert text.startswith("no report of the fleet for 6 s")
+
+
+def test_clock_of_the_aircraft_that_jumps_for_seconds_is_reported():
+    ahead = only(("GLOBAL_POSITION_INT", "ATTITUDE"), lambda message, _s, _r: later(message, 1800.0))
+    flown = FaultedFlight(Scenario(1, "px4", 100.0), [Fault("clock", BEGIN_S, BEGIN_S + 6.0, ahead)]).fly()
+    gone, back = [(at_s, one) for at_s, one in flown.health if one.input is Input.CLOCK]
+    assert gone[1].state is InputState.INCONSISTENT
+    assert "s ahead, nothing is decided on it" in gone[1].text
+    assert gone[0] <= BEGIN_S + 5.0
+    assert back[1].state is InputState.OK
+    assert back[0] <= BEGIN_S + 10.0
+
+
+@pytest.mark.parametrize(("ground_m", "is_wrong"), [(0.0, False), (-5.0, False), (-120.0, True)])
+def test_elevation_data_that_contradicts_laser_and_gimbal_is_reported(ground_m, is_wrong):
+    flight = FaultedFlight(Scenario(1, "px4", 90.0))
+    flight.controller.health.payload.stand_on(lambda _east_m, _north_m: ground_m)
+    reported = [one.input for _, one in flight.fly().health]
+    assert reported == ([Input.TERRAIN] if is_wrong else [])
 
 
 def test_rate_and_source_of_each_input_are_known():
