@@ -17,6 +17,7 @@ from sidelong.app.errors import InputError
 from sidelong.app.event_loop import run
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 from sidelong.app.flight.flight import connected
+from sidelong.app.flight.input_health import InputHealth
 from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.preflight import Check, checks
 from sidelong.app.flight.source_rates import SourceRates
@@ -111,8 +112,9 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
     ):
         vehicle, autopilot = session.vehicle, session.autopilot
         await ask_for_streams(vehicle)
-        sources, delays = SourceRates(vehicle), _Delays(config, vehicle)
+        sources, delays, inputs = SourceRates(vehicle), _Delays(config, vehicle), InputHealth(config, vehicle)
         rates = await sources.heard(listen_s, config.sharing)
+        inputs.close()
         sources.close()
         delays.close()
         home = await home_of(vehicle)
@@ -122,7 +124,11 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
             autopilot.required_parameters(values, config.aircraft.airspeed_m_s)
         )
         one = Check("one vehicle", session.senders.two is None, session.senders.two or "yes")
-        found = (one, *checks(config, vehicle, autopilot, parameters, home, rates, required_parameters))
+        found = (
+            one,
+            *checks(config, vehicle, autopilot, parameters, home, rates, required_parameters),
+            *inputs.checks(),
+        )
         firmware = f"{autopilot.name} {session.release or ''}".strip()
         console.print(f"{firmware}, system {vehicle.system_id}, mode {mode_of(vehicle)}")
         table = Table("requirement", "", "found", box=None, pad_edge=False)

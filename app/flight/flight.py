@@ -27,6 +27,7 @@ from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.alarm_watch import AlarmWatch
 from sidelong.app.flight.changes import MissionChanges
 from sidelong.app.flight.display import FlightDisplay, Wish
+from sidelong.app.flight.input_health import InputHealth
 from sidelong.app.flight.loop import ControlLoop, Display, Stepped
 from sidelong.app.flight.outputs import open_beacon, outputs
 from sidelong.app.flight.payload_input import PayloadRunner
@@ -215,14 +216,15 @@ class Flight:
         # In parallel: over a slow link each waits for its answers. Rates may be confirmed later.
         self._request_streams = partial(ask_for_streams, self._vehicle, few, self._terrain is not None)
         self._beside.add(asyncio.create_task(self._request_streams()))
-        sources = SourceRates(self._vehicle)
+        sources, inputs = SourceRates(self._vehicle), InputHealth(self._config, self._vehicle)
         parameters, _ = await asyncio.gather(
             read_table(self._vehicle, self._autopilot, self._release), home_of(self._vehicle)
         )
         for sentence in parameters.missing:
             self._display.note(sentence)
-        home, required_parameters = await self._check(parameters, sources)
+        home, required_parameters = await self._check(parameters, sources, inputs)
         check_takeover(self._vehicle, self._config.link.take_over_from)
+        inputs.close()
         sources.close()
         self._vehicle.listeners.remove(self._telemetry.event)
         self._vehicle.listeners.remove(self._senders.message)  # from here on the control step looks
@@ -524,7 +526,7 @@ class Flight:
         return 1.0 if self._config.link.connections else self._config.simulation.speed
 
     async def _check(
-        self, parameters: ParameterTable, sources: SourceRates
+        self, parameters: ParameterTable, sources: SourceRates, inputs: InputHealth
     ) -> tuple[Home, tuple[RequiredParameter, ...]]:
         self._display.note("checking the vehicle and its sensors")
         required_parameters = parameters.as_on_board(
@@ -538,6 +540,7 @@ class Flight:
             home = await home_of(self._vehicle)
             unmet = () if self._config.link.set_parameters else required_parameters
             found = checks(self._config, self._vehicle, self._autopilot, parameters, home, rates, unmet)
+            found += inputs.checks()
             flying = is_flying(self._vehicle)
             missing = [check for check in found if not (check.ready or (flying and check.before_take_off))]
             if not missing:

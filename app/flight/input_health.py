@@ -1,0 +1,82 @@
+"""Checks of all inputs by the health model of the flight, before it begins."""
+
+from __future__ import annotations
+
+import math
+
+from sidelong.app.assembly import tracker_of
+from sidelong.app.config import Config
+from sidelong.app.flight.preflight import Check
+from sidelong.app.link.message import Message
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.estimators.sensing.readings import AttitudeReading, GimbalReading, PositionReading, RangeReading
+from sidelong.mission.control.plausibility import Plausibility
+from sidelong.mission.core.events import ClockTick, Event
+from sidelong.mission.core.inputs import Input, InputState
+from sidelong.mission.health.health import Health
+
+_BAD = (InputState.STALE, InputState.INCONSISTENT)
+_OF_PAYLOAD = (Input.LASER, Input.GIMBAL)
+_TICK_S = 1.0
+
+
+class InputHealth:
+    """Listens to a vehicle until ``close`` and judges its inputs as the control step does in flight.
+
+    A fault that shows only while the aircraft turns (a frozen gimbal, a repeated range, a wrong frame or unit) is not
+    found on the ground.
+
+    Args:
+        config: The mission; it names the sensors.
+        vehicle: The vehicle.
+
+    """
+
+    def __init__(self, config: Config, vehicle: Vehicle) -> None:
+        self._vehicle, self._tracker = vehicle, tracker_of(config)
+        self._telemetry, self._door = Telemetry(vehicle.system_id), Plausibility()
+        self._health = Health(self._tracker.parent_from_mount)
+        self._tick_s = -math.inf
+        vehicle.listeners.append(self._hear)
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._vehicle.listeners.remove(self._hear)
+
+    def _hear(self, message: Message) -> None:
+        event = self._telemetry.event(message)
+        if event is not None:
+            self._take(event)
+        if message.received_s >= self._tick_s + _TICK_S or message.received_s < self._tick_s:
+            self._tick_s = message.received_s
+            self._take(ClockTick(self._telemetry.now_s, message.received_s))
+
+    def _take(self, event: Event) -> None:
+        admitted, _ = self._door.admit(event)
+        now_s, tracker, payload = self._door.clock.now_s, self._tracker, self._health.payload
+        due = self._health.received(event, now_s)
+        match admitted:
+            case PositionReading():
+                payload.position(admitted)
+            case AttitudeReading():
+                payload.attitude(admitted)
+            case GimbalReading() if tracker.gimbal_source in (None, admitted.source):
+                payload.gimbal(tracker.as_configured(admitted))
+            case RangeReading() if tracker.range_source in (None, admitted.source):
+                payload.range(admitted)
+        if isinstance(admitted, PositionReading | AttitudeReading | GimbalReading | RangeReading):
+            tracker.add(admitted)
+        if due and now_s > -math.inf:
+            self._health.changes(
+                now_s, tracker.range_source, tracker.gimbal_source, clock_fault=self._door.clock_fault
+            )
+
+    def checks(self) -> tuple[Check, ...]:
+        """Return what is wrong with an input, or that nothing is."""
+        wrong = [one for one in self._health.reports if one.state in _BAD]
+        if not wrong:
+            return (Check("inputs", True, "fresh, and without contradiction"),)
+        return tuple(
+            Check(f"input {one.input}", False, one.text, before_take_off=one.input in _OF_PAYLOAD) for one in wrong
+        )

@@ -1,0 +1,39 @@
+"""Inputs are judged by the flight's health model before it begins."""
+
+from __future__ import annotations
+
+import math
+
+from sidelong.app.config import Config
+from sidelong.app.flight.input_health import InputHealth
+from tests.exchange.conftest import Flight
+from tests.faults.flight import FaultedFlight, Scenario
+from tests.faults.flight_faults import GIMBAL, Fault, repeated
+
+
+def test_vehicle_on_the_ground_has_sound_inputs_until_its_gimbal_is_silent():
+    flight = Flight("px4", begin=False)
+    inputs = InputHealth(Config(), flight.vehicle)
+    flight.run(30.0)
+    (check,) = inputs.checks()
+    assert check.ready, check
+    flight.simulation.mute_payload("GIMBAL_DEVICE_ATTITUDE_STATUS")
+    flight.run(8.0)
+    (check,) = inputs.checks()
+    assert not check.ready
+    assert check.found.startswith("no orientation from the gimbal")
+    inputs.close()
+    flight.simulation.unmute_payload()
+    flight.run(3.0)
+    assert not inputs.checks()[0].ready
+
+
+def test_frozen_gimbal_of_a_flying_aircraft_is_found():
+    flight = FaultedFlight(Scenario(1, "px4", 60.0), [Fault("frozen", 30.0, math.inf, repeated(GIMBAL, "q"))])
+    inputs = InputHealth(Config(), flight.vehicle)
+    assert flight.run(25.0) is False
+    assert inputs.checks()[0].ready
+    flight.run(20.0)
+    (check,) = inputs.checks()
+    assert not check.ready
+    assert "frozen" in check.found
