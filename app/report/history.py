@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.app.analysis.score import Moment, asked_at
+from sidelong.app.analysis.score import Moment
 from sidelong.app.analysis.truth import Truth
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.frames import LocalPlane
@@ -127,10 +127,6 @@ class History:
     @property
     def end_s(self) -> float:
         return float(self.aircraft.time_s[-1])
-
-    def requirement_at(self, time_s: float) -> Requirement:
-        """Return what was asked for at a time."""
-        return asked_at(self.requirements, time_s)
 
 
 class HistoryBuilder:

@@ -154,7 +154,6 @@ class KinematicVehicle:
         )
         self._previous: Point | None = None  # where the leg begins
         self._goal: Point | Circle = start.circle
-        self._goal_height_m = start.height_m
         self._store_first_mission()
 
     # -- as the loop drives it -------------------------------------------------------------------------------
@@ -266,7 +265,6 @@ class KinematicVehicle:
         elif not isinstance(self._goal, Circle):
             self._previous = self._goal
         place = self._start.plane.east_north_m(item.latitude_deg, item.longitude_deg)
-        self._goal_height_m = item.altitude_m
         if item.command == mavlink.MAV_CMD_NAV_WAYPOINT:
             self._goal = place
         else:

@@ -64,8 +64,3 @@ def shifted(route: Route, by_m: float, towards_rad: float) -> Route:
     return replace(
         route, east_m=route.east_m + by_m * np.sin(towards_rad), north_m=route.north_m + by_m * np.cos(towards_rad)
     )
-
-
-def reversed_route(route: Route) -> Route:
-    """Return a route in the other direction."""
-    return replace(route, east_m=route.east_m[::-1].copy(), north_m=route.north_m[::-1].copy())

@@ -127,16 +127,6 @@ class FlightHeights:
             return _too_low("the transition", clear_m, rules.clearance_m, ", climbing as fast as it can")
         return self._at(plan, flown_m, to_m)
 
-    def height_at_m(self, arc_m: float, plan: Plan) -> float:
-        """Return the height at a point of a plan, above home, m.
-
-        Args:
-            arc_m: Arc length from the start of the plan, m.
-            plan: The plan.
-
-        """
-        return self._rules.height_m if plan.heights is None else plan.heights.at_m(arc_m)
-
     def expected_m(self, flown_m: float | None, target_m: tuple[float, float]) -> float:
         """Return the height at which the next circle around a target will be flown, apart from clearance, m.
 

@@ -15,7 +15,6 @@ from sidelong.app.simulation.kinematic import LIVE_RATES, KinematicVehicle, Rate
 from sidelong.app.simulation.link import Link, Silence
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.payload import Payload, PayloadErrors
-from sidelong.app.simulation.sitl_vehicle import SitlVehicle
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
@@ -28,6 +27,7 @@ from sidelong.mission.paper.planner import PaperPlanner
 from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
+from tests.sitl_vehicle import SitlVehicle
 
 HOME = Home(47.4, 8.5, 400.0)
 PLANE = LocalPlane(HOME.latitude_deg, HOME.longitude_deg)

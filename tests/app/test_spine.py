@@ -30,12 +30,12 @@ from sidelong.app.assembly import controller_of, mission_controller_of, settle
 from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.app.config import Config
 from sidelong.app.simulation.loop import ClosedLoop
-from sidelong.app.simulation.sitl_vehicle import SitlVehicle
 from sidelong.mission.core.events import ControlAcquired
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.outbox import SendMessage
 from sidelong.sitl.settings import Flavour, Settings
 from sidelong.sitl.simulation import Simulation
+from tests.sitl_vehicle import SitlVehicle
 
 ROOT = Path(__file__).resolve().parents[2]
 FORMS = (

@@ -20,7 +20,6 @@ from sidelong.app.link.quality import LinkQuality
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
 from sidelong.app.simulation.link import NO_FAULTS, Link
 from sidelong.app.simulation.loop import ClosedLoop
-from sidelong.app.simulation.sitl_vehicle import RATES_HZ, SitlVehicle
 from sidelong.app.simulation.wire import OWN_ID, Packer
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
 from sidelong.mission.core.circle import Circle
@@ -33,6 +32,7 @@ from sidelong.mission.geometry.progress import nearest_arc_m, point_at
 from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
+from tests.sitl_vehicle import RATES_HZ, SitlVehicle
 
 _ID_BYTES, _MISSION_CURRENT = slice(7, 10), (42).to_bytes(3, "little")
 _AHEAD_S = 1.5  # a plan departs so long after it could be on board

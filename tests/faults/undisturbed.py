@@ -22,7 +22,6 @@ from sidelong.app.fleet.coordination import Coordination, Participant
 from sidelong.app.fleet.fleet_file import FleetFile
 from sidelong.app.fleet.planner import planner_in_fleet
 from sidelong.app.simulation.loop import ClosedLoop
-from sidelong.app.simulation.sitl_vehicle import RATES_HZ, SitlVehicle
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.events import Announce, ControlAcquired, HealthChanged
 from sidelong.mission.core.inputs import Input, InputState
@@ -44,6 +43,7 @@ from sidelong.sitl.simulation import Simulation
 from sidelong.sitl.world.airframe import Wind
 from sidelong.sitl.world.motion import MOTIONS
 from sidelong.sitl.world.truth import TruthRow
+from tests.sitl_vehicle import RATES_HZ, SitlVehicle
 
 KINDS = ("flat", "flat", "hills", "flat", "flat", "hills", "fleet", "flat", "hills", "fleet")
 """What is flown, in turn."""
