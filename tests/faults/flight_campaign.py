@@ -51,7 +51,7 @@ class Misled:
         alone: Whether there was no other fault.
         reported_s: Seconds until an input of the payload was reported; infinite if never.
         in_band_share: Share of the flight with a wrong claim to be in the band.
-        on_side_share: The same of the side.
+        on_side_share: The same of the side, beyond that of the flight without faults.
         nearest_m: Least true distance to the target.
 
     """
@@ -63,13 +63,13 @@ class Misled:
     nearest_m: float
 
 
-def judged(flown: Flown, faults: Sequence[Fault], ending: str | None, ending_s: float) -> list[str]:
-    """Return what a flight broke, in words."""
+def judged(flown: Flown, beside: Flown, faults: Sequence[Fault], ending: str | None, ending_s: float) -> list[str]:
+    """Return what a flight broke, in words; ``beside``: the same flight without faults."""
     blind_s = sum(one.end_s - one.begin_s for one in faults if one.name in BLINDING)  # nothing could be decided
     misled = [one for one in faults if one.name in MISLEADING]
     broken = []
     if misled:  # it follows a wrong target until the fault is found, and then none
-        broken = _judged_misled(misled[0].name, misled_by(flown, misled[0], alone=len(faults) == 1))
+        broken = _judged_misled(misled[0].name, misled_by(flown, beside, misled[0], alone=len(faults) == 1))
     for decided in flown.decided if not misled else ():
         if not decided.own_error_m <= OWN_ERROR_MAX_M:
             broken.append(f"decided at {decided.time_s:.1f} s on a place {decided.own_error_m:.0f} m off")
@@ -91,14 +91,17 @@ def judged(flown: Flown, faults: Sequence[Fault], ending: str | None, ending_s: 
     return broken[:4] + _judged_yield(flown, ending, ending_s)
 
 
-def misled_by(flown: Flown, fault: Fault, *, alone: bool) -> Misled:
-    """Return how far a fault of the payload misled a flight."""
+def misled_by(flown: Flown, beside: Flown, fault: Fault, *, alone: bool) -> Misled:
+    """Return how far a fault of the payload misled a flight.
+
+    After a turn of the target the claimed side is wrong for some seconds without any fault: these are subtracted.
+    """
     reported_s = [at_s for at_s, one in flown.health if at_s > fault.begin_s and one.input in _PAYLOAD_INPUTS]
     return Misled(
         alone,
         reported_s[0] - fault.begin_s if reported_s else math.inf,
         flown.wrongly_in_band_s / flown.scenario.duration_s,
-        flown.wrongly_on_side_s / flown.scenario.duration_s,
+        max(flown.wrongly_on_side_s - beside.wrongly_on_side_s, 0.0) / flown.scenario.duration_s,
         min(flown.range_m),
     )
 
@@ -158,10 +161,10 @@ def flight(
     except Exception:  # whatever it is, it is what is looked for
         verdict.broken.append(traceback.format_exc(limit=-3))
         return verdict
-    verdict.broken = judged(flown, faults, ending_by, ending_s)
+    verdict.broken = judged(flown, beside, faults, ending_by, ending_s)
     misleading = [one for one in faults if one.name in MISLEADING]
     if misleading:
-        verdict.misled = misled_by(flown, misleading[0], alone=len(faults) == 1)
+        verdict.misled = misled_by(flown, beside, misleading[0], alone=len(faults) == 1)
     both = min(len(flown.on_side), len(beside.on_side))
     verdict.lost_on_side = 100.0 * (statistics.mean(beside.on_side[:both]) - statistics.mean(flown.on_side[:both]))
     verdict.slowest_step_s = flown.slowest_step_s
