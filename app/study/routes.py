@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,10 +56,3 @@ def route_beside(file: Path, track: Track) -> Route | None:
         return route_of(east_m - track.east_m[0], north_m - track.north_m[0])
     except ValueError as error:
         raise InputError(f"{found}: {error}; correct it.") from error
-
-
-def shifted(route: Route, by_m: float, towards_rad: float) -> Route:
-    """Return a route shifted in the plane."""
-    return replace(
-        route, east_m=route.east_m + by_m * np.sin(towards_rad), north_m=route.north_m + by_m * np.cos(towards_rad)
-    )

@@ -23,7 +23,7 @@ from sidelong.app.study.benchmark import CLASSES, AircraftClass
 from sidelong.app.study.flight import CompiledFlight
 from sidelong.app.study.judging import judged
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
-from sidelong.app.study.routes import own_route, reversed_route, route_beside, shifted
+from sidelong.app.study.routes import own_route, route_beside
 from sidelong.app.study.run import aircraft_on, first_circle, run, sensed_by
 from sidelong.app.study.scene import scene
 from sidelong.app.study.settings import PlannerName, StudySettings
@@ -61,6 +61,15 @@ def targets_in(folder: Path, one: AircraftClass, every: int = 1) -> tuple[Record
     return recorded_targets([folder], one.target_speed_max_m_s, route_beside).flown[::every]
 
 
+def _shifted(route: Route, by_m: float, towards_rad: float) -> Route:
+    east_m, north_m = by_m * np.sin(towards_rad), by_m * np.cos(towards_rad)
+    return replace(route, east_m=route.east_m + east_m, north_m=route.north_m + north_m)
+
+
+def _reversed(route: Route) -> Route:
+    return replace(route, east_m=route.east_m[::-1].copy(), north_m=route.north_m[::-1].copy())
+
+
 def _routed(target: RecordedTarget, tracks: tuple[RecordedTarget, ...], mode: str, draw: int) -> RecordedTarget:
     """Return a target with the route of a mode."""
     rng = np.random.default_rng((5, target.key % 2**32, draw))
@@ -71,9 +80,9 @@ def _routed(target: RecordedTarget, tracks: tuple[RecordedTarget, ...], mode: st
         case "own":
             route = own_route(target, rng)
         case "reversed":
-            route = reversed_route(own_route(target, rng))
+            route = _reversed(own_route(target, rng))
         case "shifted":
-            route = shifted(own_route(target, rng), SHIFT_M, rng.uniform(-np.pi, np.pi))
+            route = _shifted(own_route(target, rng), SHIFT_M, rng.uniform(-np.pi, np.pi))
         case "other":
             others = [one for one in tracks if one is not target] or [target]
             route = own_route(others[int(rng.integers(len(others)))], rng)
