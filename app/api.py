@@ -55,7 +55,7 @@ class Watch:
 
         Raises:
             InputError: The vehicle cannot be watched with; nothing was commanded.
-            FlightError: The flight failed; the text says what the aircraft does now.
+            FlightError: The flight failed; the text states what the aircraft does now.
 
         """
         while not self._over:
@@ -150,7 +150,7 @@ async def watch(
     def note_safely(text: str) -> None:
         loop.call_soon_threadsafe(watched.note, text)
 
-    controller = await asyncio.to_thread(lambda: controller_of(settings, tell=note_safely))
+    controller = await asyncio.to_thread(lambda: controller_of(settings, announce=note_safely))
     recording = Recording(folder, settings, note_safely)
     lives: list[Life] = []
 

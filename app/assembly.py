@@ -90,7 +90,7 @@ def tracker_settings(sensors: SensorsSection, lost_after_s: float) -> TrackerSet
 def controller_of(
     config: Config,
     progress: Callable[[float], None] = lambda _share: None,
-    tell: Callable[[str], None] = lambda _text: None,
+    announce: Callable[[str], None] = lambda _text: None,
     kind: PlannerKind | None = None,
 ) -> StandoffController:
     """Return the control step for a configuration, ready to run without a pause.
@@ -98,7 +98,7 @@ def controller_of(
     Args:
         config: The configuration of one aircraft.
         progress: Receives the share (0 to 1) of the value table's computation, which takes seconds.
-        tell: Receives a sentence before the compilation, which takes up to a minute, once for each version.
+        announce: Receives a sentence before the compilation, which takes up to a minute, once for each version.
         kind: The kind of planner; None for the configured one, for an aircraft that flies alone.
 
     """
@@ -106,7 +106,7 @@ def controller_of(
     requirement = config.requirement.requirement()
     kind = kind or planner_by_name(config.planner.name)
     if not (kind.is_compiled() and is_cached(update)):
-        tell("compiling the planner and the filter, once for this version of the program: up to a minute")
+        announce("compiling the planner and the filter, once for this version of the program: up to a minute")
 
     def check(plan: Plan) -> str | None:
         # Called each time: fences and ground are known only once the plane is.

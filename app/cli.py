@@ -16,7 +16,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from sidelong.app.errors import FlightError, InputError, Interrupted
 from sidelong.app.link.plain_text import plain
-from sidelong.app.shutdown import INTERRUPTED, exit_process, heed_again, interrupt_dropped
+from sidelong.app.shutdown import INTERRUPTED, exit_process, handle_next, interrupt_dropped
 
 _HELP = """Watch a moving ground target from one side with a fixed-wing UAV.
 
@@ -143,7 +143,7 @@ app = typer.Typer(
 )
 
 
-def _tell_version(wanted: bool) -> None:
+def _print_version(wanted: bool) -> None:
     if wanted:
         from importlib.metadata import version  # noqa: PLC0415  # it takes a while to load
 
@@ -154,7 +154,7 @@ def _tell_version(wanted: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version and exit.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None: ...
 
@@ -164,7 +164,7 @@ def main() -> NoReturn:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
             signal.signal(number, signal.default_int_handler)
-    sys.unraisablehook = heed_again
+    sys.unraisablehook = handle_next
     exit_process(run())
 
 
@@ -205,7 +205,7 @@ def run(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _complain(said: Exception | str, code: int) -> int:
+def _complain(complaint: Exception | str, code: int) -> int:
     with contextlib.suppress(OSError):
-        print(f"sidelong: {plain(str(said))}", file=sys.stderr)
+        print(f"sidelong: {plain(str(complaint))}", file=sys.stderr)
     return code

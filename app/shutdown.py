@@ -40,7 +40,7 @@ def ends_within(seconds: float, what: str) -> Iterator[None]:
         timer.cancel()
 
 
-def heed_again(unraisable: sys.UnraisableHookArgs) -> None:
+def handle_next(unraisable: sys.UnraisableHookArgs) -> None:
     """Serve as ``sys.unraisablehook``: an interrupt that came where Python drops exceptions comes again.
 
     So it does while a library calls back, as the compiler does for half a minute.

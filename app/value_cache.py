@@ -22,7 +22,7 @@ from sidelong.mission.predictive.value_iteration import compute
 from sidelong.mission.predictive.value_table import Float32, TableConfiguration, ValueTable, completed
 
 _REMEMBERED_MAX = 8
-_BESIDE_WITHIN_S, _NICER = 120.0, 10
+_IN_PARALLEL_WITHIN_S, _NICER = 120.0, 10
 _remembered: dict[TableConfiguration, ValueTable] = {}  # by this process
 _STORED = np.dtype("<f4")
 _DIGEST_BYTES = hashlib.sha256().digest_size
@@ -65,10 +65,10 @@ async def have_at_hand(configurations: Iterable[TableConfiguration]) -> None:
     """
     for configuration in configurations:
         if configuration not in _remembered:
-            _remember(await _made_beside(configuration))
+            _remember(await _made_in_parallel(configuration))
 
 
-async def _made_beside(configuration: TableConfiguration) -> ValueTable:
+async def _made_in_parallel(configuration: TableConfiguration) -> ValueTable:
     import asyncio  # noqa: PLC0415  # in a flight it is loaded already; reading a table does not need it
 
     process = await asyncio.create_subprocess_exec(
@@ -79,7 +79,7 @@ async def _made_beside(configuration: TableConfiguration) -> ValueTable:
         start_new_session=True,  # the terminal's Ctrl-C is not for it
     )
     try:
-        made, _ = await asyncio.wait_for(process.communicate(pickle.dumps(configuration)), _BESIDE_WITHIN_S)
+        made, _ = await asyncio.wait_for(process.communicate(pickle.dumps(configuration)), _IN_PARALLEL_WITHIN_S)
     finally:
         if process.returncode is None:
             with contextlib.suppress(ProcessLookupError):

@@ -10,9 +10,9 @@ for row in csv.DictReader(sys.stdin):  # a row every 0.2 s; the program ends wit
     state = {name: float(value) for name, value in row.items() if name != "side"}
     right = 1.0 if row["side"] == "right" else -1.0
     target_course = atan2(state["target_velocity_east_m_s"], state["target_velocity_north_m_s"])
-    beside_m = 0.5 * (state["range_min_m"] + state["range_max_m"])
-    east = state["aircraft_east_m"] - state["target_east_m"] - beside_m * sin(target_course + right * pi / 2)
-    north = state["aircraft_north_m"] - state["target_north_m"] - beside_m * cos(target_course + right * pi / 2)
+    offset_m = 0.5 * (state["range_min_m"] + state["range_max_m"])
+    east = state["aircraft_east_m"] - state["target_east_m"] - offset_m * sin(target_course + right * pi / 2)
+    north = state["aircraft_north_m"] - state["target_north_m"] - offset_m * cos(target_course + right * pi / 2)
     # Lyapunov vector field around that point, clockwise: inward when far, tangential on the orbit.
     distance = hypot(east, north)
     radial = -(distance**2 - ORBIT_M**2) / (distance**2 + ORBIT_M**2)

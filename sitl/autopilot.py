@@ -33,7 +33,7 @@ class Autopilot(ABC):
     first_mode: ClassVar[int]
     navigation_period_s: ClassVar[float]
     taken_over_mode: ClassVar[int]  # when the pilot moves the sticks
-    hears_once_a_loop: ClassVar[bool]  # or as soon as something comes
+    receives_once_a_loop: ClassVar[bool]  # or as soon as something comes
     home_known_s: ClassVar[float]  # after boot
     ready_s: ClassVar[float]  # after boot the vehicle can be armed
     unknown_interval_result: ClassVar[int]  # for an unknown message
@@ -65,7 +65,7 @@ class Autopilot(ABC):
         self.now_s = 0.0
         self.mode = int(self.first_mode)
         self.reboot_ordered = False
-        self._home_told = False
+        self._home_sent = False
         self._texts = 0  # that were too long for one message
         self.silenced: set[int] = set()  # messages withheld, as if the sender of them had died
         self.armed = False
@@ -73,7 +73,7 @@ class Autopilot(ABC):
         self.height_goal_m = 0.0
         self.roll_goal_rad = 0.0
         self.roi: Place | None = None  # where the payload has been turned to, until it has been
-        self.gcs_heard_s: float | None = None
+        self.gcs_received_s: float | None = None
         self.transfers: dict[int, Transfer] = {}
         self._navigate_s = 0.0
         self._builders: dict[int, Builder] = {}
@@ -169,8 +169,8 @@ class Autopilot(ABC):
         if now_s >= self._navigate_s:
             self._navigate_s += self.navigation_period_s
             self.watch_links()
-            if self.home_known and not self._home_told:
-                self._home_told = True
+            if self.home_known and not self._home_sent:
+                self._home_sent = True
                 self.broadcast_now(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
             lateral_m_s2 = self.navigate(self.navigation_period_s)
             limit_rad = self.roll_limit_rad
@@ -196,8 +196,8 @@ class Autopilot(ABC):
     def reboot(self) -> None:
         """Start again from the first mode, with missions, parameters and arming kept."""
         self.now_s = self._navigate_s = 0.0
-        self.reboot_ordered = self._home_told = False
-        self.gcs_heard_s = None
+        self.reboot_ordered = self._home_sent = False
+        self.gcs_received_s = None
         self.set_mode(self.first_mode)
         self.radio.restart(self.default_interval_s)
 
@@ -208,7 +208,7 @@ class Autopilot(ABC):
     @property
     def ground_silent_s(self) -> float:
         """Time since the last message of a ground station, on the station's clock, s; 0 before the first."""
-        return 0.0 if self.gcs_heard_s is None else (self.now_s - self.gcs_heard_s) / self.settings.link_rate
+        return 0.0 if self.gcs_received_s is None else (self.now_s - self.gcs_received_s) / self.settings.link_rate
 
     def landing_height_m(self, spot: Place) -> float:
         """Return where to be on a slope of 1 in 8 that ends below the ground, for a firm touch-down."""
@@ -265,7 +265,7 @@ class Autopilot(ABC):
         source = (message.get_srcSystem(), message.get_srcComponent())
         if kind == "BAD_DATA" or source == (self.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1):
             return
-        station.heard_s = self.now_s
+        station.received_s = self.now_s
         target = (getattr(message, "target_system", 0), getattr(message, "target_component", 0))
         if target != (self.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1) and kind != "RADIO_STATUS":
             self.radio.forward(message, station)
@@ -278,7 +278,7 @@ class Autopilot(ABC):
             self.on_command(station, Command.from_message(message))
         elif kind == "HEARTBEAT":
             if self.is_ground_station(message):
-                self.gcs_heard_s = self.now_s
+                self.gcs_received_s = self.now_s
         elif kind == "MISSION_SET_CURRENT":
             if self.transfers[mavlink.MAV_MISSION_TYPE_MISSION].is_busy_with(station):
                 self.say(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN WP CURR CMD: Busy\t")

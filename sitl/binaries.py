@@ -51,7 +51,7 @@ def run_binaries(
         running: list[Binary] = []
         for number, (path, own) in enumerate(zip(programs, settings, strict=True)):
             running.append(stack.enter_context(Binary(own.flavour, path, speed, own.home, own.wind, number, logs)))
-        _tell_how_to_fly(running, settings)
+        _print_how_to_fly(running, settings)
         if logs is not None:
             print("their own logs:", *(str(binary.folder) for binary in running), flush=True)
         failed: list[Exception] = []
@@ -87,7 +87,7 @@ def run_binaries(
             raise BinaryError(running[-1].last_words)
 
 
-def _tell_how_to_fly(running: Sequence[Binary], settings: Sequence[Settings]) -> None:
+def _print_how_to_fly(running: Sequence[Binary], settings: Sequence[Settings]) -> None:
     if len(running) == 1:
         run, urls = running[0].run, []
         if settings[0].signing_key is not None and run.signed_payload is not None:

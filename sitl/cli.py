@@ -272,7 +272,7 @@ def run(
             _accompany(companions, each, programs, payload_for, speed, logs)
             return
 
-        def tell_ready() -> None:
+        def report_ready() -> None:
             for simulation, addresses in zip(simulations, stations, strict=True):
                 where = ", ".join(f"{host}:{port}" for host, port in addresses)
                 own = simulation.settings
@@ -284,7 +284,7 @@ def run(
             speed=speed,
             duration_s=math.inf if duration is None else duration,
             faults=LinkFaults(loss, duplicate, delay_ms / 1000.0, baud=baud),
-            on_ready=tell_ready,
+            on_ready=report_ready,
             stopped=_stop_signal(pace),
             pace=pace,
             device_address=device_address,
@@ -342,8 +342,8 @@ def _stop_signal(pace: Pace | None = None) -> Callable[[], bool]:
 
         def wait_for_end() -> None:
             line = b""
-            while heard := os.read(0, 4096):  # not sys.stdin: its lock, held at the end, would be a fatal error
-                *whole, line = (line[-_LINE_MAX:] + heard).split(b"\n")
+            while data := os.read(0, 4096):  # not sys.stdin: its lock, held at the end, would be a fatal error
+                *whole, line = (line[-_LINE_MAX:] + data).split(b"\n")
                 with contextlib.suppress(ValueError, IndexError):
                     pace.follow(float(whole[-1]), time.monotonic())
             received.append(0)

@@ -18,15 +18,15 @@ class Pace:
 
     def __init__(self, speed: float) -> None:
         self._lead_s = min(_LEAD_S + _LEAD_WALL_S * speed, _LEAD_MAX_S)
-        self._told: tuple[float, float] | None = None
+        self._reported: tuple[float, float] | None = None
 
     def follow(self, time_s: float, now_s: float) -> None:
         """Store that the program has processed ``time_s`` of the simulation at wall time ``now_s``."""
-        self._told = time_s, now_s
+        self._reported = time_s, now_s
 
     def limit_s(self, now_s: float) -> float:
         """Return the time of the simulation that it may go to."""
-        told = self._told
-        if told is None or now_s - told[1] > _SILENT_MAX_S:
+        reported = self._reported
+        if reported is None or now_s - reported[1] > _SILENT_MAX_S:
             return math.inf
-        return told[0] + self._lead_s
+        return reported[0] + self._lead_s

@@ -65,7 +65,7 @@ class Simulation:
         self.on_truth: Callable[[TruthRow], None] = lambda _row: None
         self._latency_s = settings.payload.latency_s if settings.payload is not None else 0.0
         self._in_flight: deque[tuple[float, list[Any]]] = deque()
-        self._heard: list[tuple[Station, Any]] = []
+        self._received: list[tuple[Station, Any]] = []
         self._steps = 0
         self._boot_step = 0
 
@@ -82,8 +82,8 @@ class Simulation:
             return
         station = self.vehicle.radio.connect(address, self.vehicle.now_s)
         for message in station.parser.parse_buffer(data) or ():
-            if self.vehicle.hears_once_a_loop:
-                self._heard.append((station, message))
+            if self.vehicle.receives_once_a_loop:
+                self._received.append((station, message))
             else:
                 self.vehicle.handle(station, message)
 
@@ -143,9 +143,9 @@ class Simulation:
         if vehicle.reboot_ordered:
             self.reboot()
             return
-        if self._heard:
-            heard, self._heard = self._heard, []
-            for station, message in heard:
+        if self._received:
+            received, self._received = self._received, []
+            for station, message in received:
                 vehicle.handle(station, message)
         if self._steps % _OBSERVE_EVERY == 0:
             self._observe()
@@ -185,7 +185,7 @@ class Simulation:
             sight.bearing_rad,
             valid,
             outlier,
-            *self.hills.told(aircraft_m, in_sight),
+            *self.hills.reported(aircraft_m, in_sight),
             self.settings.targets[self.looks_at].name,
         )
         self.on_truth(row)

@@ -24,14 +24,14 @@ _FIRST, _COUNT = 12_000, 16_000
 _ports = itertools.count(101 * os.getpid())  # processes begun one after the other are a hundred ports apart
 
 
-# The planner and the filter, which every flight loads from disk once somebody has compiled them.
+# The planner and the filter, which every flight loads from disk once someone has compiled them.
 _COMPILED = (
     "from sidelong.app.assembly import controller_of; from sidelong.app.config import Config; controller_of(Config())"
 )
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile before several workers begin: each of them would do it anew, in a flight that is waited for."""
+    """Compile before several workers begin: each of them would do it again, in a flight that is waited for."""
     config = session.config
     if config.option.collectonly or not getattr(config.option, "numprocesses", None):
         return
@@ -56,7 +56,7 @@ def free_port() -> Callable[[], int]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with what waits for the clock: beside it another process computes, and both end at about the same time.
+    """Begin with what waits for the clock: next to it another process computes, and both end at about the same time.
 
     Of that, what shares a flight comes first: the last ones may be taken over one by one by whoever has time.
     """

@@ -13,7 +13,7 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 ENTRY = re.compile(r"(?P<name>[\w.-]+)==(?P<version>[\w.]+)(?P<hashes>( \\\n    --hash=sha256:[0-9a-f]{64})+)\n")
-REMEDY = "write it anew by pip-compile"
+REMEDY = "write it again by pip-compile"
 
 
 @pytest.fixture(scope="module")

@@ -116,8 +116,8 @@ def read_truth(path: Path) -> Truth:
             if missing:
                 raise InputError(f"{path} is no truth file: it lacks the column {missing[0]}.")
             places = [columns.index(name) for name in _COLUMNS]
-            told = all(name in columns for name in _GROUND_COLUMNS)
-            ground_places = [columns.index(name) for name in _GROUND_COLUMNS] if told else []
+            known = all(name in columns for name in _GROUND_COLUMNS)
+            ground_places = [columns.index(name) for name in _GROUND_COLUMNS] if known else []
             name_place = columns.index(_NAME_COLUMN) if _NAME_COLUMN in columns else None
             while line := file.readline(_LINE_MAX_CHARACTERS):
                 texts = line.split(",")
@@ -136,13 +136,13 @@ def read_truth(path: Path) -> Truth:
     return Truth(time_s, positions_deg, ground, np.array([names[time] for time in time_s]))
 
 
-def truth_if_whole(path: Path | None, until_s: float, tell: Callable[[str], object]) -> Truth | None:
+def truth_if_whole(path: Path | None, until_s: float, announce: Callable[[str], object]) -> Truth | None:
     """Return the truth of a run that has ended.
 
     Args:
         path: The truth file; None if there is none.
         until_s: When the run ended, by the vehicle's clock.
-        tell: Called with the reason if the truth cannot be used.
+        announce: Called with the reason if the truth cannot be used.
 
     Returns:
         The truth, None if there is none or it does not cover the run.
@@ -153,11 +153,11 @@ def truth_if_whole(path: Path | None, until_s: float, tell: Callable[[str], obje
     try:
         truth = read_truth(path)
     except InputError as unjudged:
-        tell(f"judged by the estimate: {unjudged}")
+        announce(f"judged by the estimate: {unjudged}")
         return None
     early_s = until_s - float(truth.time_s[-1])
     if early_s > _GAP_MAX_S:
-        tell(f"judged by the estimate: {path} ends {early_s:.0f} s before the flight")
+        announce(f"judged by the estimate: {path} ends {early_s:.0f} s before the flight")
         return None
     return truth
 

@@ -173,16 +173,16 @@ class _Delays:
     def __init__(self, config: Config, vehicle: Vehicle) -> None:
         self._vehicle, self._tracker = vehicle, tracker_of(config)
         self._telemetry, self._sensing = Telemetry(vehicle.system_id), Sensing(self._tracker)
-        vehicle.listeners.append(self._hear)
+        vehicle.listeners.append(self._on_message)
 
-    def _hear(self, message: Message) -> None:
+    def _on_message(self, message: Message) -> None:
         event = self._telemetry.event(message)
         if event is not None:
             self._sensing.take(event)
 
     def close(self) -> None:
         """Listen no more."""
-        self._vehicle.listeners.remove(self._hear)
+        self._vehicle.listeners.remove(self._on_message)
 
     @property
     def found(self) -> Delays | None:

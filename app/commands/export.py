@@ -96,8 +96,8 @@ def _write_fleet(folder: FleetFolder, wanted: Format, out: Path | None) -> None:
         if wanted is Format.MCAP:
             with contextlib.closing(McapWriter(partial, None)) as writer:
                 for name, source in sources.items():
-                    beside = writer.beside(f"/{name}", contexts[name].booted)
-                    _feed_mcap(source, flown[name], contexts[name], beside, name)
+                    prefixed = writer.prefixed(f"/{name}", contexts[name].booted)
+                    _feed_mcap(source, flown[name], contexts[name], prefixed, name)
         else:
             write([replace(_flight(one, contexts[name]), label=name) for name, one in flown.items()], wanted, partial)
     console.print(f"{wanted}: {out}", soft_wrap=True)

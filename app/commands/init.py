@@ -176,10 +176,10 @@ def _fleet_lines(values: dict[str, float], count: int) -> Iterator[str]:
 def _entry(path: str, key: str, field: FieldInfo, chosen: Any) -> Iterator[str]:
     default = field.get_default(call_default_factory=True, validated_data={})
     example = _EXAMPLES.get(path)
-    told = [field.description or "", limits_in_words(field)]
+    parts = [field.description or "", limits_in_words(field)]
     if chosen is not None and default not in (None, chosen):
-        told.append(f"Default {toml(default)}.")
-    yield from _comment(" ".join(filter(None, told)))
+        parts.append(f"Default {toml(default)}.")
+    yield from _comment(" ".join(filter(None, parts)))
     if chosen is None and default in (None, []):
         yield f"# {key} = {example}"
     else:

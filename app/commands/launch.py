@@ -211,7 +211,7 @@ def launch(
 
             with shielded_output():
                 flown = fly_fleet(several, duration, out, quiet, point_gimbal, address)
-                _tell(flown, json)
+                _announce(flown, json)
                 if flown.reason is not None:
                     raise flown.reason
                 if mcap:
@@ -236,7 +236,7 @@ def launch(
 
     with shielded_output():
         ended = fly_one(settings, duration, out, quiet, point_gimbal, address)
-        _tell(ended, json)
+        _announce(ended, json)
         if ended.reason is not None:
             raise ended.reason
         if mcap:
@@ -343,7 +343,7 @@ def _write_mcap(run: Path) -> None:
     write_export(run, Format.MCAP)
 
 
-def _tell(ended: FlightEnded | FleetEnded, json: Path | None) -> None:
+def _announce(ended: FlightEnded | FleetEnded, json: Path | None) -> None:
     console.print(ended.summary.table())
     console.print(f"run folder: {ended.folder.path}", soft_wrap=True)
     try:

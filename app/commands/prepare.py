@@ -30,9 +30,9 @@ def prepare(config: Annotated[Path | None, typer.Argument(help="Configuration (T
     from sidelong.app.value_cache import cache_directory  # noqa: PLC0415
     from sidelong.estimators.compiled import FOLDER  # noqa: PLC0415
 
-    def tell(text: str) -> None:
+    def announce(text: str) -> None:
         console.print(text, markup=False, highlight=False, soft_wrap=True)
 
-    controller_of(settings, table_progress(tell), tell)
+    controller_of(settings, table_progress(announce), announce)
     took_s = time.monotonic() - begun_s
-    tell(f"prepared in {took_s:.0f} s; machine code in {FOLDER}, value tables in {cache_directory()}")
+    announce(f"prepared in {took_s:.0f} s; machine code in {FOLDER}, value tables in {cache_directory()}")

@@ -22,7 +22,7 @@ from sidelong.app.commands.output import console, warn
 from sidelong.app.link.plain_text import plain
 
 _SHARE_EVERY_S = 10.0
-_TOLD_EVERY_S = 30.0  # where there is no terminal
+_PRINTED_EVERY_S = 30.0  # where there is no terminal
 
 
 def progress_bar(name: str) -> tuple[Progress, TaskID]:
@@ -35,28 +35,28 @@ def progress_bar(name: str) -> tuple[Progress, TaskID]:
 def share_progress(name: str, clock_s: Callable[[], float] = monotonic) -> Iterator[Callable[[float], None]]:
     """Yield a function that takes the share 0..1 done: a bar, or without a terminal a line every ten seconds."""
     bar, task = progress_bar(name)
-    told_s = clock_s()
+    announced_s = clock_s()
 
     def advance(share: float) -> None:
-        nonlocal told_s
+        nonlocal announced_s
         bar.update(task, completed=share)
-        if bar.disable and clock_s() - told_s >= _SHARE_EVERY_S:
-            told_s = clock_s()
+        if bar.disable and clock_s() - announced_s >= _SHARE_EVERY_S:
+            announced_s = clock_s()
             warn(f"{name}: {100.0 * share:.0f} %")
 
     with bar:
         yield advance
 
 
-def table_progress(tell: Callable[[str], None]) -> Callable[[float], None]:
+def table_progress(announce: Callable[[str], None]) -> Callable[[float], None]:
     """Return a callback that reports the progress of the value table's computation in steps of 25 %."""
-    told = -1.0
+    printed = -1.0
 
     def progress(share: float) -> None:
-        nonlocal told
-        if told < 0.0 or share - told >= 0.25:
-            told = share
-            tell(f"computing the planner's value table, once for this configuration: {100.0 * share:.0f} %")
+        nonlocal printed
+        if printed < 0.0 or share - printed >= 0.25:
+            printed = share
+            announce(f"computing the planner's value table, once for this configuration: {100.0 * share:.0f} %")
 
     return progress
 
@@ -80,15 +80,15 @@ def runs_progress(runs: int) -> Iterator[tuple[Callable[[int], None], Callable[[
 
 
 def _lines(terminal: Console, runs: int) -> Callable[[int], None]:
-    begun_s = told_s = monotonic()
+    begun_s = announced_s = monotonic()
     flown = 0
 
     def advance(done: int) -> None:
-        nonlocal flown, told_s
+        nonlocal flown, announced_s
         flown += done
         now_s = monotonic()
-        if now_s - told_s >= _TOLD_EVERY_S:
-            told_s = now_s
+        if now_s - announced_s >= _PRINTED_EVERY_S:
+            announced_s = now_s
             left_min = (now_s - begun_s) / flown * (runs - flown) / 60.0
             terminal.print(f"{flown} of {runs} runs, {left_min:.0f} min left", highlight=False)
 

@@ -320,8 +320,8 @@ class _Judged:
             if self.engaged_s is None and isinstance(step.event, ControlAcquired):
                 self.engaged_s = step.event.time_s
             if not self._quiet:
-                for said in announcements(step.commands):
-                    self._progress.console.print(Text(f"{self._since(said.time_s):>7}  {said.text}"))
+                for announced in announcements(step.commands):
+                    self._progress.console.print(Text(f"{self._since(announced.time_s):>7}  {announced.text}"))
 
     def _since(self, time_s: float) -> str:
         """Return the time as displayed in flight; for a log, the time of the vehicle's clock."""

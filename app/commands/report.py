@@ -84,8 +84,8 @@ def write_fleet_report(folder: FleetFolder, out: Path) -> None:
     pages = {one.name: folder.path / one.name / "report.html" for one in flown.aircraft}
     for one in flown.aircraft:
         _write(pages[one.name], report_page(one.flown))
-    beside = {name: os.path.relpath(page, out.parent) for name, page in pages.items()}
-    _write(out, fleet_page(flown, beside))
+    links = {name: os.path.relpath(page, out.parent) for name, page in pages.items()}
+    _write(out, fleet_page(flown, links))
 
 
 def _check_out(out: Path) -> None:

@@ -41,7 +41,7 @@ def route(
 ) -> None:
     """Check a route of the target before a flight, or make one of a recorded flight.
 
-    Prints length, legs and warnings: parts of the route that lie too close together to tell apart, a lap that is not
+    Prints length, legs and warnings: parts of the route that lie too close together to distinguish, a lap that is not
     configured as one, way points far apart. --from writes the estimated path of the target, simplified to 3 m.
 
     For example:

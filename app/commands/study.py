@@ -44,7 +44,7 @@ from sidelong.app.study.report import (
     sweep_json,
     sweep_table,
 )
-from sidelong.app.study.routes import route_beside
+from sidelong.app.study.routes import route_next_to
 from sidelong.app.study.settings import (
     AUTOPILOTS,
     MISSION_PLANNERS,
@@ -269,7 +269,7 @@ def study(
     try:
         whole = Study(found, kept)
         _fly(whole, jobs, scheduler)
-        _tell(whole, json)
+        _announce(whole, json)
         if export is not None:
             _written("--export", export, lambda: exporting.write_runs(whole, export))
         if report is not None:
@@ -391,7 +391,7 @@ def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:
             raise
 
 
-def _tell(study: Study, json: Path | None) -> None:
+def _announce(study: Study, json: Path | None) -> None:
     first = study.result(study.designs[0])
     for name, reason in first.settings.skipped:
         console.print(f"skipped {name}: {reason}")
@@ -414,7 +414,7 @@ def _recorded(
             raise InputError("--routes: routes are read next to recorded tracks; give --targets DIR.")
         return found
     slowest_m_s = min(design.settings.target_speed_max_m_s for design in found)
-    read = recorded_targets(targets, slowest_m_s, *((route_beside,) if routes else ()))
+    read = recorded_targets(targets, slowest_m_s, *((route_next_to,) if routes else ()))
     if routes and not any(track.route for track in read.flown):
         raise InputError("--routes: no track has a route next to it; put NAME.route.csv (east_m,north_m) there.")
     tracks = read.flown[:runs]

@@ -51,7 +51,7 @@ class FleetAircraft:
         self._event_loop.call_soon_threadsafe(self.display.note, text)
 
     @property
-    def is_heard(self) -> bool:
+    def is_received(self) -> bool:
         """Whether its link is not silent."""
         return self.controller.snapshot().sensor_status.connected
 

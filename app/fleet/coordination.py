@@ -52,7 +52,7 @@ class Participant:
     Args:
         name: Its name.
         controller: Its control step.
-        tell: Puts an event into its core.
+        put_event: Puts an event into its core.
         now_s: Returns the time of its clock, s.
         home_above_m: Height of its home above the common home, m.
         mission_s: Returns the mission time that the others have reached, s.
@@ -64,17 +64,17 @@ class Participant:
         self,
         name: str,
         controller: StandoffController,
-        tell: Callable[[Event], None],
+        put_event: Callable[[Event], None],
         now_s: Callable[[], float],
         home_above_m: float = 0.0,
         mission_s: Callable[[], float] = lambda: math.nan,
         to_mission_s: ToMissionTime = lambda _source, time_s: time_s,
     ) -> None:
-        self.name, self.controller, self.tell, self.now_s = name, controller, tell, now_s
+        self.name, self.controller, self.put_event, self.now_s = name, controller, put_event, now_s
         self.home_above_m = home_above_m
         self.reporter, self.clock = FleetReporter(name), VehicleClockReader(name, now_s, mission_s, to_mission_s)
         self.battery_percent: int | None = None
-        self.heard_s = -math.inf  # last, by this computer's clock
+        self.received_s = -math.inf  # last, by this computer's clock
 
 
 class Coordination:
@@ -96,7 +96,7 @@ class Coordination:
         self._journal, self._note, self._launch = journal, note, launch
         self._participants: dict[str, Participant] = {}
         self.scale = MissionScale(lambda: self.now_s)
-        self._utc_doubted = False
+        self._utc_rejected = False
         self._ticked_s = -math.inf
         self._moved_s = math.inf
 
@@ -111,7 +111,7 @@ class Coordination:
         """Mission time: the latest of any aircraft; -inf before the first whose clock is known."""
         return max(self._ticked_s, *(self._mission_s(one) for one in self._participants.values()))
 
-    def told_by_others_s(self, name: str) -> float:
+    def reported_by_others_s(self, name: str) -> float:
         """Return mission time by the clocks of the others, s; NaN where none of them advances.
 
         The clock of an aircraft that has landed or sends no messages has stopped and does not count.
@@ -120,7 +120,7 @@ class Coordination:
         known = [
             self._mission_s(participant)
             for other, participant in self._participants.items()
-            if other != name and participant.clock.tells_time and participant.heard_s >= since_s
+            if other != name and participant.clock.reports_time and participant.received_s >= since_s
         ]
         return max((one for one in known if math.isfinite(one)), default=math.nan)
 
@@ -156,21 +156,21 @@ class Coordination:
         """Return the callback for each step of that aircraft's core."""
         participant = self._participants[name]
 
-        def heard(event: InboundEvent, outputs: Sequence[Output]) -> None:
+        def received(event: InboundEvent, outputs: Sequence[Output]) -> None:
             for news in participant.reporter.after(participant.controller, event, outputs, self.now_s):
                 self._put(_common_heights(news, participant.home_above_m))
 
-        return heard
+        return received
 
     def message(self, name: str, message: Message) -> None:
         """Take a message of that aircraft: its clock, its battery."""
         participant = self._participants[name]
-        participant.heard_s = time.monotonic()
-        told = participant.clock.report(message)
+        participant.received_s = time.monotonic()
+        advised = participant.clock.report(message)
         if message.name == "TIMESYNC":
             self._compare_utc()
-        if told is not None:
-            self._put(told)
+        if advised is not None:
+            self._put(advised)
         if message.name in ("SYS_STATUS", "BATTERY_STATUS"):
             self._battery(participant, int(message.fields["battery_remaining"]))
 
@@ -178,12 +178,12 @@ class Coordination:
         """Stop using UTC where two vehicles disagree: by their answers to this computer all agree."""
         ahead_s = {name: one.clock.utc_ahead_s for name, one in self._participants.items()}
         known = [(*span, name) for name, span in ahead_s.items() if span is not None]
-        if self._utc_doubted or not known:
+        if self._utc_rejected or not known:
             return
         latest, earliest = max(known), min(known, key=lambda span: span[1])
         if latest[0] <= earliest[1]:
             return
-        self._utc_doubted = True
+        self._utc_rejected = True
         for participant in self._participants.values():
             participant.clock.doubt_utc()
         apart_s = (latest[0] + latest[1] - earliest[0] - earliest[1]) / 2.0
@@ -223,8 +223,8 @@ class Coordination:
             self._journal.write(command)
             match command:
                 case Tell():
-                    told = self._participants[command.name]
-                    told.tell(_own_heights(command.event, told.home_above_m))
+                    advised = self._participants[command.name]
+                    advised.put_event(_own_heights(command.event, advised.home_above_m))
                 case FleetAnnounce():
                     self._note(command.name, command.text)
                 case RequirementChanged():
@@ -244,14 +244,14 @@ def _common_heights(event: FleetEvent, by_m: float) -> FleetEvent:
     return event
 
 
-def _own_heights(told: FleetAdvice | NeighbourPlanned, by_m: float) -> FleetAdvice | NeighbourPlanned:
+def _own_heights(advised: FleetAdvice | NeighbourPlanned, by_m: float) -> FleetAdvice | NeighbourPlanned:
     """Return an event for an aircraft with heights above its own home."""
     if by_m == 0.0:
-        return told
-    if isinstance(told, NeighbourPlanned):
-        return replace(told, present=_raised(told.present, -by_m), coming=_raised(told.coming, -by_m))
-    neighbours = tuple(replace(one, height_m=one.height_m - by_m) for one in told.neighbours)
-    return replace(told, height_m=told.height_m - by_m, neighbours=neighbours)
+        return advised
+    if isinstance(advised, NeighbourPlanned):
+        return replace(advised, present=_raised(advised.present, -by_m), coming=_raised(advised.coming, -by_m))
+    neighbours = tuple(replace(one, height_m=one.height_m - by_m) for one in advised.neighbours)
+    return replace(advised, height_m=advised.height_m - by_m, neighbours=neighbours)
 
 
 def _raised(plan: Plan | None, by_m: float) -> Plan | None:

@@ -114,13 +114,13 @@ class FleetFile(Config):
         return self
 
     @model_validator(mode="after")
-    def _told_apart(self) -> Self:
-        for what, told in (
+    def _distinct(self) -> Self:
+        for what, entries in (
             ("name", [one.name for one in self.aircraft]),
             ("system_id", [one.system_id for one in self.aircraft if not _own_links(one)]),
             ("url", [url for one in self.aircraft for url in _own_links(one)]),
         ):
-            twice = next((one for k, one in enumerate(told) if one is not None and one in told[:k]), None)
+            twice = next((one for k, one in enumerate(entries) if one is not None and one in entries[:k]), None)
             if twice is not None:
                 raise ValueError(f"aircraft.{what} = {twice!r} is given twice; give each aircraft its own")
         return self
@@ -154,7 +154,7 @@ class FleetFile(Config):
         return self
 
     @model_validator(mode="after")
-    def _somebody_flies(self) -> Self:
+    def _another_flies(self) -> Self:
         if all(one.reserve for one in self.aircraft):
             raise ValueError("aircraft.reserve: all of them wait on the ground; let one fly")
         return self
@@ -225,11 +225,11 @@ class FleetFile(Config):
             if target.motion is not None:
                 simulated["target"] = target.motion
             # Each target once on others' displays, all aircraft by their names; follow modes listen to one sender.
-            told: dict[str, Any] = {"cot_own_callsign": one.name} if len(self.aircraft) > 1 else {}
+            entries: dict[str, Any] = {"cot_own_callsign": one.name} if len(self.aircraft) > 1 else {}
             if len(self.target) > 1:
-                told["cot_callsign"] = PLAIN_CALLSIGN  # each uses its own name
+                entries["cot_callsign"] = PLAIN_CALLSIGN  # each uses its own name
             if one is not next(other for other in self.aircraft if not other.reserve):
-                told |= {"follow_target": None, "nmea": None}
+                entries |= {"follow_target": None, "nmea": None}
             yield Member(
                 one.name,
                 Config(
@@ -240,7 +240,7 @@ class FleetFile(Config):
                     link=self.link.model_copy(update={**own, "system_id": one.system_id}),
                     fences=self.fences,
                     terrain=self.terrain,
-                    sharing=self.sharing.model_copy(update=told),
+                    sharing=self.sharing.model_copy(update=entries),
                     simulation=self.simulation.model_copy(update=simulated),
                 ),
                 target.name,

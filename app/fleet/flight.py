@@ -164,8 +164,8 @@ class FleetFlight:
 
     def _come_to_s(self) -> float:
         """Return the time of the simulation that all aircraft have reached that are received and still fly."""
-        heard = [one for one in self._aircraft if one.joined and not one.outcome and one.is_heard]
-        return min((one.flight.come_to_s for one in heard), default=math.inf)
+        received = [one for one in self._aircraft if one.joined and not one.outcome and one.is_received]
+        return min((one.flight.come_to_s for one in received), default=math.inf)
 
     async def _connect(
         self, stack: contextlib.AsyncExitStack, urls: Sequence[tuple[str, ...]], simulated: bool, life: Life
@@ -283,10 +283,10 @@ class FleetFlight:
                 Participant(
                     one.name,
                     one.controller,
-                    one.flight.tell,
+                    one.flight.put_event,
                     lambda own=telemetry: own.now_s,  # type: ignore[misc]
                     above_m,
-                    lambda name=one.name: coordination.told_by_others_s(name),  # type: ignore[misc]
+                    lambda name=one.name: coordination.reported_by_others_s(name),  # type: ignore[misc]
                     coordination.scale.mission_s,
                 )
             )
@@ -329,7 +329,7 @@ class FleetFlight:
             return
         stepped = coordination.stepped(one.name)
 
-        def heard(event: InboundEvent, outputs: Sequence[Output]) -> None:
+        def received(event: InboundEvent, outputs: Sequence[Output]) -> None:
             stepped(event, outputs)
             aircraft, height_m = one.controller.aircraft, one.controller.flown_height_m
             offset_s = coordination.offset_s(one.name)
@@ -337,8 +337,8 @@ class FleetFlight:
                 one.track.add(aircraft.time_s + offset_s, aircraft.east_m, aircraft.north_m, height_m)
 
         try:
-            one.outcome = await one.flight.watch(stopped, heard, self._over)
-            if not one.is_heard:
+            one.outcome = await one.flight.watch(stopped, received, self._over)
+            if not one.is_received:
                 one.outcome = "lost: its link is silent"
         except Exception as error:  # whatever befalls one, the others go on
             known = isinstance(error, FlightError | InputError)

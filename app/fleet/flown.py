@@ -51,7 +51,7 @@ class FleetFlown:
     program: str
     asked: dict[str, list[tuple[float, Requirement]]]
     aircraft: tuple[AircraftPart, ...]
-    said: tuple[FleetAnnounce, ...]
+    announced: tuple[FleetAnnounce, ...]
     summary: FleetSummary
 
 
@@ -61,7 +61,7 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
     fleet = validated(FleetFile, journal.header.config, f"{folder.journal}: its configuration cannot be used")
     offsets_s: dict[str, float] = {}
     tracks: dict[str, FlownTrack] = defaultdict(FlownTrack)
-    said: list[FleetAnnounce] = []
+    announced: list[FleetAnnounce] = []
     asked = {name: [(-math.inf, first)] for name, first in fleet.asked.items()}
     for record in journal:
         match record:
@@ -71,7 +71,7 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
                 at_s = record.state.time_s + offsets_s[record.name]
                 tracks[record.name].add(at_s, record.state.east_m, record.state.north_m, record.height_m)
             case FleetAnnounce():
-                said.append(record)
+                announced.append(record)
             case RequirementChanged():
                 asked[record.target].append((record.mission_time_s, record.requirement))
     names = [member.name for member in fleet.members if RunFolder(folder.path / member.name).journal.is_file()]
@@ -85,7 +85,7 @@ def read_fleet(folder: FleetFolder, progress: Progress = lambda _share: None) ->
     # The figures of a run that was cut off are worth having all the same.
     summary = _written(folder) if folder.summary.exists() else _summed(asked, aircraft)
     name = folder.path.resolve().name
-    return FleetFlown(name, journal.header.program, asked, tuple(aircraft), tuple(said), summary)
+    return FleetFlown(name, journal.header.program, asked, tuple(aircraft), tuple(announced), summary)
 
 
 def _written(folder: FleetFolder) -> FleetSummary:

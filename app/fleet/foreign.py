@@ -27,7 +27,7 @@ class ForeignAircraft:
     ) -> None:
         self._plane, self._home_altitude_m = plane, home_altitude_m
         self._own_ids, self._now_s = own_ids, now_s
-        self._told_s: dict[str, float] = {}
+        self._announced_s: dict[str, float] = {}
 
     def report(self, message: Message, member: str = "") -> ForeignAircraftReported | None:
         """Return the aircraft that a message reports, None where it reports none or did so within the last second.
@@ -55,12 +55,15 @@ class ForeignAircraft:
             speed_m_s = fields["hor_velocity"] * 1e-2 if knows_course and flags & _VELOCITY else 0.0
         else:
             return None
-        if not (has_fix(fields) and math.isfinite(now_s)) or now_s < self._told_s.get(identity, -math.inf) + _EVERY_S:
+        if (
+            not (has_fix(fields) and math.isfinite(now_s))
+            or now_s < self._announced_s.get(identity, -math.inf) + _EVERY_S
+        ):
             return None
         east_m, north_m = self._plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
         if math.hypot(east_m, north_m) > _FAR_M:
             return None
-        self._told_s[identity] = now_s
+        self._announced_s[identity] = now_s
         height_m = altitude_mm * 1e-3 - self._home_altitude_m
         flown = east_m, north_m, height_m, course_rad, speed_m_s
         return ForeignAircraftReported(identity, now_s, *flown, member=bool(member))

@@ -21,7 +21,7 @@ def fleet_page(flown: FleetFlown, pages: Mapping[str, str]) -> str:
 <p>Asked: watch {escape(wanted)}.
 Recorded by {escape(flown.program)}. Each aircraft: {links}.</p>
 {_figures(flown)}
-{_said(flown)}"""
+{_announced(flown)}"""
     return html.document(f"{flown.name}: flight report", body)
 
 
@@ -39,10 +39,10 @@ def _figures(flown: FleetFlown) -> str:
     return html.table((str(column.header) for column in table.columns), rows, "Summary")
 
 
-def _said(flown: FleetFlown) -> str:
-    if not flown.said:
+def _announced(flown: FleetFlown) -> str:
+    if not flown.announced:
         return ""
     start_s = min(one.flown.history.start_s + one.offset_s for one in flown.aircraft)
-    rows = ((f"{one.mission_time_s - start_s:.0f} s", one.name, one.text) for one in flown.said)
+    rows = ((f"{one.mission_time_s - start_s:.0f} s", one.name, one.text) for one in flown.announced)
     table = html.table(("time", "aircraft", "what"), rows, "Announcements of the coordinator")
-    return f"<details><summary>Announcements of the coordinator ({len(flown.said)})</summary>{table}</details>"
+    return f"<details><summary>Announcements of the coordinator ({len(flown.announced)})</summary>{table}</details>"

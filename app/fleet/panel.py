@@ -32,7 +32,7 @@ class AircraftDisplay:
         self.snapshot: Snapshot | None = None
         self._status: Callable[[], VehicleStatus] | None = None
         self._start_s: float | None = None
-        self._told_s = -math.inf
+        self._announced_s = -math.inf
         self._request: Callable[[Wish], None] | None = None
 
     def connected(self, status: Callable[[], VehicleStatus]) -> None:
@@ -67,8 +67,8 @@ class AircraftDisplay:
     def plain_line(self) -> None:
         """Print the state once a minute."""
         shown = self.snapshot
-        if shown is not None and shown.time_s - self._told_s >= _PLAIN_LINE_EVERY_S:
-            self._told_s = shown.time_s
+        if shown is not None and shown.time_s - self._announced_s >= _PLAIN_LINE_EVERY_S:
+            self._announced_s = shown.time_s
             self._line(Text(f"{self._since(shown.time_s):>7}  {self.name}: " + "  ".join(filter(None, self.cells()))))
 
     def cells(self) -> tuple[str, ...]:

@@ -118,7 +118,7 @@ class FleetSummary:
         table.add_row("watched", f"{self.duration_s:.0f} s", *(f"{one.duration_s:.0f} s" for one in each))
         table.add_row("time in band", _percent(self.time_in_band_any), *(_percent(one.time_in_band) for one in each))
         wanted = (_percent(one.time_on_wanted_side) for one in self.aircraft)
-        table.add_row("time on the wanted side", _percent(self.time_on_side_any), *wanted)
+        table.add_row("time on the required side", _percent(self.time_on_side_any), *wanted)
         table.add_row("time on the side it was to hold", "", *(_percent(one.time_on_side) for one in each))
         for target in self.targets if len(self.targets) > 1 else ():
             table.add_row(f"  {target.name}", _percent(target.time_on_side_any))

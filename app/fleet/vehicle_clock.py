@@ -82,17 +82,17 @@ class VehicleClockReader:
         to_mission_s: ToMissionTime = lambda _source, time_s: time_s,
     ) -> None:
         self._name, self._now_s, self._mission_s, self._to_mission_s = name, now_s, mission_s, to_mission_s
-        self._told_s = time.monotonic()
-        self._utc_heard_s = self._told_s + _UTC_AWAITED_S - _UTC_VALID_S
+        self._reported_s = time.monotonic()
+        self._utc_received_s = self._reported_s + _UTC_AWAITED_S - _UTC_VALID_S
         self._utc_rate, self._host_rate = _SameRate(unknown=True), _SameRate(unknown=False)
         self._utc_offset_s: float | None = None  # from its own clock
         self._host_offset_s: tuple[float, float] | None = None  # of this computer's clock, and half a round trip
-        self._utc_doubted, self._anew = False, False
-        self._told_offset_s: float | None = None  # of mission time from its own clock
+        self._utc_rejected, self._restarted = False, False
+        self._reported_offset_s: float | None = None  # of mission time from its own clock
         self._leads = False
 
     @property
-    def tells_time(self) -> bool:
+    def reports_time(self) -> bool:
         """Whether mission time may go by this clock: it does not hang on the others'."""
         return self._utc_rate.holds or self._leads
 
@@ -111,19 +111,19 @@ class VehicleClockReader:
 
     def doubt_utc(self) -> None:
         """Use the answers to TIMESYNC from now on, even where UTC is reported."""
-        self._utc_doubted = self._anew = True
+        self._utc_rejected = self._restarted = True
 
     def report(self, message: Message) -> ClockReported | None:
         """Return the clock that a message reports, or None."""
-        told = self._told(message)
-        if told is not None:
-            self._told_offset_s = told.mission_time_s - told.time_s
-        return told
+        reported = self._report(message)
+        if reported is not None:
+            self._reported_offset_s = reported.mission_time_s - reported.time_s
+        return reported
 
-    def _told(self, message: Message) -> ClockReported | None:
+    def _report(self, message: Message) -> ClockReported | None:
         if message.component_id != AUTOPILOT_COMPONENT:
             return None
-        fields, heard_s = message.fields, time.monotonic()
+        fields, received_s = message.fields, time.monotonic()
         if message.name == "SYSTEM_TIME":
             utc_s = fields["time_unix_usec"] * 1e-6
             if utc_s < _UTC_SINCE_S:
@@ -131,40 +131,40 @@ class VehicleClockReader:
             vehicle_s = self._unwrapped_s(fields["time_boot_ms"] * 1e-3)
             self._utc_rate.look(vehicle_s, utc_s)
             self._utc_offset_s = utc_s - vehicle_s
-            if self._utc_doubted or not self._utc_rate.holds:
+            if self._utc_rejected or not self._utc_rate.holds:
                 return None
-            self._utc_heard_s = self._told_s = heard_s
+            self._utc_received_s = self._reported_s = received_s
             return ClockReported(self._name, vehicle_s, self._to_mission_s("utc", utc_s), _UTC_SIGMA_S)
         if not self._utc_rate.holds:
-            return self._beside_the_others(fields) if message.name == "GLOBAL_POSITION_INT" else None
+            return self._by_other_clocks(fields) if message.name == "GLOBAL_POSITION_INT" else None
         if message.name == "TIMESYNC" and fields["tc1"]:
-            round_trip_s = heard_s - fields["ts1"] * 1e-9
+            round_trip_s = received_s - fields["ts1"] * 1e-9
             if not 0.0 <= round_trip_s < _ASKED_MAX_S:
                 return None  # the reply to another system's request
             half_s, vehicle_s = 0.5 * round_trip_s, self._unwrapped_s(math.fmod(fields["tc1"] * 1e-9, _WRAP_S))
             host_s = time.time() - half_s
             self._host_rate.look(vehicle_s, host_s)
             self._host_offset_s = host_s - vehicle_s, half_s
-            if heard_s - self._utc_heard_s <= _UTC_VALID_S and not self._utc_doubted:
+            if received_s - self._utc_received_s <= _UTC_VALID_S and not self._utc_rejected:
                 return None
-            self._told_s = heard_s
-            anew, self._anew = self._anew, False
+            self._reported_s = received_s
+            restarted, self._restarted = self._restarted, False
             mission_s, sigma_s = self._to_mission_s("host", host_s), math.hypot(half_s, _HOST_SIGMA_S)
-            return ClockReported(self._name, vehicle_s, mission_s, sigma_s, anew)
-        if message.name == "GLOBAL_POSITION_INT" and heard_s - self._told_s > _UTC_VALID_S:
+            return ClockReported(self._name, vehicle_s, mission_s, sigma_s, restarted)
+        if message.name == "GLOBAL_POSITION_INT" and received_s - self._reported_s > _UTC_VALID_S:
             vehicle_s = self._unwrapped_s(fields["time_boot_ms"] * 1e-3)
             return ClockReported(self._name, vehicle_s, self._to_mission_s("host", time.time()), _ARRIVAL_SIGMA_S)
         return None
 
-    def _beside_the_others(self, fields: Mapping[str, Any]) -> ClockReported:
+    def _by_other_clocks(self, fields: Mapping[str, Any]) -> ClockReported:
         vehicle_s = self._unwrapped_s(fields["time_boot_ms"] * 1e-3)
         # Two that went by each other would fall back by what each learns too late.
         mission_s = math.nan if self._leads else self._mission_s()
         if math.isnan(mission_s):
             self._leads = True
-            if self._told_offset_s is None:
-                self._told_offset_s = self._to_mission_s("host", time.time()) - vehicle_s
-            mission_s = vehicle_s + self._told_offset_s
+            if self._reported_offset_s is None:
+                self._reported_offset_s = self._to_mission_s("host", time.time()) - vehicle_s
+            mission_s = vehicle_s + self._reported_offset_s
         return ClockReported(self._name, vehicle_s, mission_s, _ARRIVAL_SIGMA_S)
 
     def _unwrapped_s(self, stamp_s: float) -> float:

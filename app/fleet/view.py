@@ -57,8 +57,8 @@ class FleetView(ViewDisplay):
         one: AircraftDisplay = self._aircraft[name]
         return self if one is self._first else one
 
-    def _heard(self, time_s: float | None, kind: str, text: str) -> None:
-        super()._heard(time_s, kind, f"{self._first.name}: {text}")
+    def _received(self, time_s: float | None, kind: str, text: str) -> None:
+        super()._received(time_s, kind, f"{self._first.name}: {text}")
 
     def begin(self, plane: LocalPlane, request: Callable[[Wish], None]) -> None:
         super().begin(plane, request)

@@ -56,7 +56,7 @@ class AlarmWatch:
         self._alarms, self._present = Alarms(), PresentWatch()
         self._endurance = Endurance(config.planner.battery_reserve_percent)
         self._snapshot: Snapshot | None = None
-        self._heard_at_s = clock_s()
+        self._received_at_s = clock_s()
         self._known: VehicleStatus | None = None
         self._known_at_s = -math.inf
         self._looked_at_s = clock_s()
@@ -91,7 +91,7 @@ class AlarmWatch:
     def show(self, snapshot: Snapshot) -> None:
         """Take what is flown; cheap but for once in half a second."""
         if self._snapshot is None or snapshot.time_s != self._snapshot.time_s:
-            self._heard_at_s = self._clock_s()
+            self._received_at_s = self._clock_s()
         connection = self._snapshot is None or snapshot.sensor_status.connected != self._connected
         self._snapshot = snapshot
         if connection or snapshot.time_s >= self._looked_s + _LOOK_EVERY_S:
@@ -142,7 +142,7 @@ class AlarmWatch:
             now_s,
             in_hand=snapshot.phase in _IN_HAND,
             connected=sensors.connected,
-            silent_s=self._clock_s() - self._heard_at_s,
+            silent_s=self._clock_s() - self._received_at_s,
             yielded=snapshot.over if snapshot.phase is Phase.YIELDED else "",
             separation=snapshot.separation,
             in_band=watch.in_band,

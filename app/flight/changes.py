@@ -36,12 +36,14 @@ class MissionChanges:
     def take(self, change: MissionChange) -> None:
         """Accept a requested change."""
         if self._under_way is not None and not self._under_way.done():
-            self._tell(f"{describe_change(change)} refused: the change before is still being made ready; ask again")
+            self._announce(
+                f"{describe_change(change)} refused: the change before is still being made ready; ask again"
+            )
             return
         try:
             changed = self._checked(change)
         except InputError as error:
-            self._tell(f"{describe_change(change)} refused: {error}")
+            self._announce(f"{describe_change(change)} refused: {error}")
             return
         self._under_way = asyncio.create_task(self._carry_out(change, changed))
 
@@ -76,10 +78,10 @@ class MissionChanges:
             winds = [*winds_m_s(changed), *self._controller.planning.prepared_winds_m_s]
             await kind.make_ready(aircraft, changed.requirement.requirement(), winds)
         except OSError as error:
-            self._tell(f"{describe_change(change)} refused: {error}")
+            self._announce(f"{describe_change(change)} refused: {error}")
             return
         self._config = changed
         self._put(replace(change, time_s=self._now_s()))
 
-    def _tell(self, text: str) -> None:
+    def _announce(self, text: str) -> None:
         self._say(Announce(self._now_s(), "operator", text))

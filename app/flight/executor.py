@@ -38,6 +38,6 @@ class CommandExecutor:
             message = await self._waiting.get()
             self._sending = True
             try:
-                await self._vehicle.tell(message.name, message.fields)
+                await self._vehicle.transmit(message.name, message.fields)
             except LinkError:
                 continue  # the core repeats unanswered messages

@@ -102,7 +102,7 @@ class Session:
     release: Release | None  # of its firmware; None: not reported
     telemetry: Telemetry
     senders: SenderCheck
-    beside: set[asyncio.Task[None]]  # background tasks that end with the connection
+    background: set[asyncio.Task[None]]  # background tasks that end with the connection
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,21 +153,21 @@ async def connected(
     senders.system_id = link.system_id
     vehicle = Vehicle(link)
     vehicle.listeners.append(senders.message)
-    beside = {asyncio.create_task(vehicle.run())}
+    background = {asyncio.create_task(vehicle.run())}
     try:
-        if await vehicle.heard("HEARTBEAT", timeout_s) is None:
+        if await vehicle.received("HEARTBEAT", timeout_s) is None:
             raise InputError(f"{' and '.join(urls)}: the autopilot stopped talking; check the link.")
         autopilot, release = autopilot_of(vehicle), await release_of(vehicle)
         remark = check_release(autopilot, release)
         if remark is not None:
             note(f"{remark}.")
-        yield Session(vehicle, autopilot, release, Telemetry(vehicle.system_id), senders, beside)
+        yield Session(vehicle, autopilot, release, Telemetry(vehicle.system_id), senders, background)
     finally:
         with ends_within(_CLOSE_S, "closing the link"):
             await link.close()
-        for task in beside:
+        for task in background:
             task.cancel()
-        await asyncio.gather(*beside, return_exceptions=True)
+        await asyncio.gather(*background, return_exceptions=True)
 
 
 class Flight:
@@ -190,7 +190,7 @@ class Flight:
         self._config, self._recording, self._display = config, recording, display
         self._duration_s, self._sharing = duration_s, sharing
         self._controller, self._senders = controller, session.senders
-        self._beside = session.beside
+        self._alongside = session.background
         self._collector = SummaryCollector(config.requirement.requirement())
         self._start_s, self._takeover_s = math.inf, math.inf
         self._battery_percent: int | None = None  # when watching began
@@ -271,10 +271,10 @@ class Flight:
         """
         if self._loop is not None and math.isfinite(self._controller.time_s):
             return -math.inf if self._loop.is_sending else self._controller.time_s
-        said = self._vehicle.latest.get("GLOBAL_POSITION_INT")
-        return math.inf if said is None else float(said.fields["time_boot_ms"]) * 1e-3
+        last = self._vehicle.latest.get("GLOBAL_POSITION_INT")
+        return math.inf if last is None else float(last.fields["time_boot_ms"]) * 1e-3
 
-    def tell(self, event: Event) -> None:
+    def put_event(self, event: Event) -> None:
         """Pass the core an event that does not come from the vehicle; ignored if the core does not run."""
         if self._loop is not None:
             self._loop.put(event)
@@ -342,7 +342,7 @@ class Flight:
         running = asyncio.create_task(loop.run())
         over = asyncio.create_task(self._until_over(ended))
         interrupt = asyncio.create_task(stopped.wait())
-        delay = asyncio.create_task(self._tell_delay(loop))
+        delay = asyncio.create_task(self._announce_delay(loop))
         listening = asyncio.create_task(alarms.run())
         self._give_route(plane, loop)
         loop.put(self._takeover(loop.link_s))
@@ -362,7 +362,7 @@ class Flight:
         if route is not None:
             loop.put(route)
         if system_id is not None:
-            self._beside.add(asyncio.create_task(self._read_route(system_id, plane, loop)))
+            self._alongside.add(asyncio.create_task(self._read_route(system_id, plane, loop)))
 
     async def _read_route(self, system_id: int, plane: LocalPlane, loop: ControlLoop) -> None:
         """Read the target's mission as its route; the flight goes on without one if that fails."""
@@ -400,7 +400,7 @@ class Flight:
         sources, until_s = SourceRates(self._vehicle), time.monotonic() + _RESUMED_WITHIN_S
         with contextlib.closing(sources):
             while True:
-                rates = await sources.heard(_LISTEN_S, self._config.sharing)
+                rates = await sources.received(_LISTEN_S, self._config.sharing)
                 home = await home_of(self._vehicle)
                 found = checks(self._config, self._vehicle, self._autopilot, ready.table, home, rates)
                 missing = [check for check in found if not check.ready and not check.before_take_off]
@@ -467,7 +467,7 @@ class Flight:
         self._alarms = AlarmWatch(self._config, home_m, self._vehicle_status, loop.put, begin)
         return self._alarms
 
-    async def _tell_delay(self, loop: ControlLoop) -> None:
+    async def _announce_delay(self, loop: ControlLoop) -> None:
         watch, rate = RoundTripWatch(), self._vehicle_rate
         while True:
             began_s, at_s = self._telemetry.now_s, loop.link_s
@@ -534,7 +534,7 @@ class Flight:
         )
         deadline_s, wall_s = self._telemetry.now_s + _READY_WITHIN_S, time.monotonic() + _READY_WALL_S
         while True:
-            rates = await sources.heard(_LISTEN_S, self._config.sharing)
+            rates = await sources.received(_LISTEN_S, self._config.sharing)
             if self._senders.two is not None:
                 raise InputError(f"{self._senders.two}.")
             home = await home_of(self._vehicle)
@@ -594,10 +594,10 @@ def _has_moved(home: Home, before: Home, plane: LocalPlane) -> bool:
     return moved_m > _SAME_HOME_M or abs(home.altitude_m - before.altitude_m) > _SAME_HOME_HEIGHT_M
 
 
-async def _all_ended(running: asyncio.Task[None], *beside: asyncio.Task[Any]) -> None:
-    for task in beside:
+async def _all_ended(running: asyncio.Task[None], *background: asyncio.Task[Any]) -> None:
+    for task in background:
         task.cancel()
-    await asyncio.gather(running, *beside, return_exceptions=True)
+    await asyncio.gather(running, *background, return_exceptions=True)
 
 
 def _without_garbage_searches() -> Callable[[], None]:

@@ -56,7 +56,7 @@ class Life:
         """
         loop = asyncio.get_running_loop()
 
-        def heed(number: int, _frame: object) -> None:
+        def handle(number: int, _frame: object) -> None:
             if self._at_once:
                 self._broken_off = True
                 raise KeyboardInterrupt
@@ -65,7 +65,7 @@ class Life:
         heeded = [number for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
         with self._winding_up:
             for number in heeded:
-                signal.signal(number, heed)
+                signal.signal(number, handle)
             try:
                 yield
             finally:
@@ -88,11 +88,11 @@ class Life:
     def watch(self, vehicle: Vehicle) -> None:
         """Note from now on whether the vehicle is armed."""
 
-        def hear(message: Message) -> None:
+        def on_message(message: Message) -> None:
             if message.name == "HEARTBEAT" and message.component_id == AUTOPILOT_COMPONENT:
                 self.was_armed |= self._begun() and bool(int(message.fields["base_mode"]) & ARMED_FLAG)
 
-        vehicle.listeners.append(hear)
+        vehicle.listeners.append(on_message)
 
     def fail(self, reason: str) -> None:
         """End the flight for a reason that leaves no way on."""
@@ -122,7 +122,7 @@ class Life:
 def describe_aircraft(vehicle: Vehicle, autopilot: Autopilot, snapshot: Snapshot, simulated: bool) -> str:
     """Return what the aircraft does now that this program leaves off, as the end of a sentence."""
     if snapshot.phase is Phase.YIELDED:
-        does = "somebody else flies the aircraft"
+        does = "a pilot or another station flies the aircraft"
     elif not int(vehicle.latest["HEARTBEAT"].fields["base_mode"]) & ARMED_FLAG:
         does = "the aircraft is not armed"
     elif mode_of(vehicle) not in (autopilot.mission_mode, autopilot.circle_mode):

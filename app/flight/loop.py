@@ -92,7 +92,7 @@ class ControlLoop:
         self._log, self._display = log, display
         self._acquired, self._stepped, self._health_changed = acquired, stepped, health_changed
         self._queue: asyncio.Queue[InboundEvent] = asyncio.Queue()
-        self._start_s = self._heard_s = time.monotonic()
+        self._start_s = self._received_s = time.monotonic()
         self._timer: asyncio.TimerHandle | None = None
         self._timer_s = float("inf")
         self._connected = True
@@ -118,7 +118,7 @@ class ControlLoop:
 
     def received(self, message: Message) -> None:
         """Take a message of the vehicle."""
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         event = self._telemetry.event(message)
         report = self._reports.report(message, self._telemetry.now_s, self.link_s) if event is None else event
         if report is not None:
@@ -206,7 +206,7 @@ class ControlLoop:
             await asyncio.sleep(_LINK_CHECK_S)
             if check % _TICK_CHECKS == 0:
                 self.put(ClockTick(self._telemetry.now_s, self.link_s))
-            connected = time.monotonic() - self._heard_s < _LINK_SILENCE_S
+            connected = time.monotonic() - self._received_s < _LINK_SILENCE_S
             if connected != self._connected:
                 self._connected = connected
                 self.put(LinkReported(self._telemetry.now_s, connected))

@@ -38,7 +38,11 @@ def check_sharing(sharing: SharingSection) -> None:
 
 
 def outputs(
-    sharing: SharingSection, plane: LocalPlane, home_altitude_m: float, latest: Latest, tell: Callable[[str], None]
+    sharing: SharingSection,
+    plane: LocalPlane,
+    home_altitude_m: float,
+    latest: Latest,
+    announce: Callable[[str], None],
 ) -> Iterator[Output]:
     """Yield the displays, each to be stopped at the end; to be called in the running event loop.
 
@@ -50,7 +54,7 @@ def outputs(
         if address.scheme == "udp":
             sender = DatagramSender(address, _COT)
         else:
-            sender = StreamSender(address, _tls(sharing), sharing.cot_server_name, tell)
+            sender = StreamSender(address, _tls(sharing), sharing.cot_server_name, announce)
         names = CotNames(
             sharing.cot_type,
             sharing.cot_callsign,
@@ -72,7 +76,7 @@ async def open_beacon(
     plane: LocalPlane,
     now_s: Callable[[], float],
     put: Callable[[TargetFixReading], object],
-    tell: Callable[[str], object] = lambda _text: None,
+    announce: Callable[[str], object] = lambda _text: None,
     listeners: list[Callable[[Message], object]] | None = None,
 ) -> BeaconInput | None:
     """Return the configured beacon's input, to be stopped at the end; None without one on a socket of its own.
@@ -85,10 +89,10 @@ async def open_beacon(
         return None
     if is_contact(sharing.beacon):
         if listeners is not None:
-            contact = ContactBeacon(sharing.beacon, plane, now_s, put, tell)
-            listeners.append(lambda message: contact.hear(message.name, message.fields))
+            contact = ContactBeacon(sharing.beacon, plane, now_s, put, announce)
+            listeners.append(lambda message: contact.on_message(message.name, message.fields))
         return None
-    beacon = BeaconInput(plane, sharing.beacon_name, sharing.beacon_sigma_m, now_s, put, tell)
+    beacon = BeaconInput(plane, sharing.beacon_name, sharing.beacon_sigma_m, now_s, put, announce)
     await beacon.listen(Address.read(sharing.beacon, ("udp",)))
     return beacon
 

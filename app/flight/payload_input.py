@@ -123,11 +123,11 @@ class PayloadInput:
         self._timeline = VehicleTimeline(rate)
         self._encoder = mavlink.MAVLink(None, vehicle.system_id, COMPONENT)
 
-    def hear(self, message: Message) -> AircraftPose | None:
+    def on_message(self, message: Message) -> AircraftPose | None:
         """Update the vehicle's time from a message; return the vehicle's position if it is known."""
         if message.component_id != AUTOPILOT_COMPONENT or message.name not in _STAMPED:
             return None
-        self._timeline.hear(message.fields["time_boot_ms"] * 1e-3, time.monotonic())
+        self._timeline.on_message(message.fields["time_boot_ms"] * 1e-3, time.monotonic())
         attitude, position = (self._vehicle.latest.get(name) for name in ("ATTITUDE", "GLOBAL_POSITION_INT"))
         return None if attitude is None or position is None else _pose(attitude.fields, position.fields)
 
@@ -209,12 +209,12 @@ async def payload_input(
     name, url, session = driver_of(config.payload, report, simulated_url)
     runner = PayloadRunner(url, session, rate, reader.measured, report)
 
-    def hear(message: Message) -> None:
-        pose = reader.hear(message)
+    def on_message(message: Message) -> None:
+        pose = reader.on_message(message)
         if pose is not None:
             runner.aircraft(pose)
 
-    vehicle.listeners.append(hear)
+    vehicle.listeners.append(on_message)
     running = asyncio.create_task(runner.run())
 
     def ended(task: asyncio.Task[None]) -> None:
@@ -225,6 +225,6 @@ async def payload_input(
     try:
         yield runner
     finally:
-        vehicle.listeners.remove(hear)
+        vehicle.listeners.remove(on_message)
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)

@@ -39,11 +39,11 @@ class GimbalPointer:
         vehicle: Vehicle,
         plane: LocalPlane,
         ground_altitude_m: float,
-        tell: Callable[[str], None],
+        announce: Callable[[str], None],
         always: bool = True,
     ) -> None:
         self._vehicle, self._plane, self._ground_altitude_m = vehicle, plane, ground_altitude_m
-        self._tell, self._always = tell, always
+        self._announce, self._always = announce, always
         self._next_s = -math.inf
         self._sending: asyncio.Task[None] | None = None
         self._points = True
@@ -90,7 +90,7 @@ class GimbalPointer:
             return  # the next one is due in a second
         if answer.result in (mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_DENIED):
             self._points = False
-            self._tell(f"the vehicle does not point its gimbal ({answer}); it is sent the target's place only")
+            self._announce(f"the vehicle does not point its gimbal ({answer}); it is sent the target's place only")
 
 
 def _geo_status(estimate: TargetEstimate, x: int, y: int, z: float, range_m: float) -> dict[str, Any]:

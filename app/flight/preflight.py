@@ -86,7 +86,7 @@ def check_takeover(vehicle: Vehicle, allowed: Sequence[str]) -> None:
 
 
 def autopilot_of(vehicle: Vehicle) -> Autopilot:
-    """Return the module for the vehicle's autopilot. Raises InputError if it is no fixed wing or unknown."""
+    """Return the module for the vehicle's autopilot. Raises InputError if it is unknown or not a fixed wing."""
     heartbeat = vehicle.latest["HEARTBEAT"].fields
     kind = int(heartbeat["type"])
     if kind != TYPE_FIXED_WING:
@@ -183,12 +183,12 @@ def _ground_check(config: Config, home: Home | None) -> Check:
         return Check("ground", True, "no elevation data: taken as flat, at the height of home")
     if home is None:
         return Check("ground", False, "home is not known", "wait for the GPS fix that sets it")
-    told_m = elevation_data(Path(config.terrain.folder)).height_above_sea_m(home.latitude_deg, home.longitude_deg)
-    if math.isnan(told_m):
+    reported_m = elevation_data(Path(config.terrain.folder)).height_above_sea_m(home.latitude_deg, home.longitude_deg)
+    if math.isnan(reported_m):
         return Check("ground", False, "the elevation data is void at home", "add tiles whose voids are filled")
-    found = f"{told_m:.0f} m above sea at home by the elevation data, {home.altitude_m:.0f} m by the autopilot"
+    found = f"{reported_m:.0f} m above sea at home by the elevation data, {home.altitude_m:.0f} m by the autopilot"
     remedy = "see which of the two is wrong: home, or the tiles"
-    return Check("ground", abs(told_m - home.altitude_m) <= _HOME_OFF_MAX_M, found, remedy)
+    return Check("ground", abs(reported_m - home.altitude_m) <= _HOME_OFF_MAX_M, found, remedy)
 
 
 def _terrain_checks(config: Config, vehicle: Vehicle) -> tuple[Check, ...]:
@@ -200,10 +200,10 @@ def _terrain_checks(config: Config, vehicle: Vehicle) -> tuple[Check, ...]:
     own_m = elevation_data(Path(config.terrain.folder)).height_above_sea_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
     if math.isnan(own_m):
         return ()  # reported by the home check, or outside the data: each plan checks the ground below it
-    told_m = fields["terrain_height"]
-    found = f"{own_m:.0f} m above sea below the aircraft, {told_m:.0f} m by the autopilot's own data"
+    reported_m = fields["terrain_height"]
+    found = f"{own_m:.0f} m above sea below the aircraft, {reported_m:.0f} m by the autopilot's own data"
     remedy = "see which of the two is wrong: the tiles, or the autopilot's terrain data (on its card)"
-    return (Check("terrain data", abs(own_m - told_m) <= _TERRAIN_OFF_MAX_M, found, remedy),)
+    return (Check("terrain data", abs(own_m - reported_m) <= _TERRAIN_OFF_MAX_M, found, remedy),)
 
 
 def _limit_checks(
@@ -234,22 +234,22 @@ def _limit_checks(
 
 def _source_checks(config: Config, rates: tuple[SourceRate, ...]) -> tuple[Check, ...]:
     """Require laser and gimbal messages, unless a beacon or the camera reports the target's position."""
-    heard = {kind: [rate for rate in rates if rate.kind == kind] for kind in ("range", "gimbal", "target")}
-    paired = all(any(rate.rate_hz >= _MIN_RATE_HZ for rate in heard[kind]) for kind in ("range", "gimbal"))
-    if heard["target"] and not paired:
-        return (Check("target source", True, "; ".join(map(str, heard["target"]))),)
+    received = {kind: [rate for rate in rates if rate.kind == kind] for kind in ("range", "gimbal", "target")}
+    paired = all(any(rate.rate_hz >= _MIN_RATE_HZ for rate in received[kind]) for kind in ("range", "gimbal"))
+    if received["target"] and not paired:
+        return (Check("target source", True, "; ".join(map(str, received["target"]))),)
     if config.sharing.beacon is not None and not paired:
         remedy = (
             f"let the beacon send to {config.sharing.beacon} (sharing.beacon_name names it), or start the payload"
         )
         return (Check("target source", False, "neither a beacon nor a laser with a gimbal", remedy, True),)
-    if config.terrain.is_known and config.sensors.angles_alone and not heard["range"]:
+    if config.terrain.is_known and config.sensors.angles_alone and not received["range"]:
         return (
             Check("range source", True, "none: the line of sight is cut with the ground"),
-            _rate_check("gimbal", heard["gimbal"], "send GIMBAL_DEVICE_ATTITUDE_STATUS from the gimbal"),
+            _rate_check("gimbal", received["gimbal"], "send GIMBAL_DEVICE_ATTITUDE_STATUS from the gimbal"),
         )
     return tuple(
-        _rate_check(kind, heard[kind], remedy)
+        _rate_check(kind, received[kind], remedy)
         for kind, remedy in (
             ("range", "send DISTANCE_SENSOR or RANGEFINDER from the laser"),
             ("gimbal", "send GIMBAL_DEVICE_ATTITUDE_STATUS from the gimbal"),
@@ -258,8 +258,8 @@ def _source_checks(config: Config, rates: tuple[SourceRate, ...]) -> tuple[Check
 
 
 def _rate_check(kind: str, rates: list[SourceRate], remedy: str) -> Check:
-    heard = [rate for rate in rates if rate.rate_hz >= _MIN_RATE_HZ]
-    return Check(f"{kind} source", bool(heard), "; ".join(map(str, heard)) or "none received", remedy, True)
+    received = [rate for rate in rates if rate.rate_hz >= _MIN_RATE_HZ]
+    return Check(f"{kind} source", bool(received), "; ".join(map(str, received)) or "none received", remedy, True)
 
 
 def _number(value: float | None) -> str:

@@ -111,13 +111,13 @@ class SimulatedVehicles:
         """
         assert self._process is not None
         assert self._process.stdin is not None
-        told_s = -math.inf
+        announced_s = -math.inf
         with contextlib.suppress(ConnectionError):
             while True:
                 await asyncio.sleep(_PACE_S)
                 now_s = time_s()
-                if told_s < now_s < math.inf:
-                    told_s = now_s
+                if announced_s < now_s < math.inf:
+                    announced_s = now_s
                     self._process.stdin.write(f"{now_s:.3f}\n".encode())
                     await self._process.stdin.drain()
 

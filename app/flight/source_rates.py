@@ -62,7 +62,7 @@ class SourceRates:
         """Listen no more."""
         self._vehicle.listeners.remove(self._count)
 
-    async def heard(self, wall_s: float, sharing: SharingSection) -> tuple[SourceRate, ...]:
+    async def received(self, wall_s: float, sharing: SharingSection) -> tuple[SourceRate, ...]:
         """Return the rates, on the vehicle's clock, after listening for ``wall_s`` in total; then restart the count.
 
         Raises InputError if the beacon's address is in use or not local.

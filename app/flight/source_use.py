@@ -12,7 +12,7 @@ from sidelong.estimators.tracking.sources import LOOKS_DOWN, Rank, range_rank, s
 _AUTOPILOT_COMPONENT = 1
 
 
-def describe_use(config: Config, kind: str, heard: Sequence[Source]) -> dict[Source, str]:
+def describe_use(config: Config, kind: str, received: Sequence[Source]) -> dict[Source, str]:
     """Return what becomes of each source of a kind: range, gimbal, or target (a camera's own tracker)."""
     settings = tracker_settings(config.sensors, config.planner.lost_after_s)
     if kind == "target":
@@ -20,7 +20,7 @@ def describe_use(config: Config, kind: str, heard: Sequence[Source]) -> dict[Sou
             source: "used: the target's own"
             if source.message in BEACON_MESSAGES
             else "used while no laser is received"
-            for source in heard
+            for source in received
         }
     rank: Rank = range_rank if kind == "range" else sight_rank
     choice = settings.range_source if kind == "range" else settings.gimbal_source
@@ -28,12 +28,12 @@ def describe_use(config: Config, kind: str, heard: Sequence[Source]) -> dict[Sou
     if choice is not None:
         return {
             source: f"used: {key} names it" if choice.matches(source) else f"not used: {key} names another"
-            for source in heard
+            for source in received
         }
-    ranks = {source: own for source in heard if (own := rank(source)) is not None}
+    ranks = {source: own for source in received if (own := rank(source)) is not None}
     best = min(ranks.values(), default=None)
     first = [source for source, own in ranks.items() if own == best]
-    return {source: _words(source, key, ranks, first) for source in heard}
+    return {source: _words(source, key, ranks, first) for source in received}
 
 
 def _words(source: Source, key: str, ranks: dict[Source, int], first: Sequence[Source]) -> str:

@@ -17,15 +17,15 @@ class TerrainServer:
     def __init__(self, vehicle: Vehicle, data: ElevationData) -> None:
         self._vehicle, self._data = vehicle, data
         self._answering: asyncio.Task[None] | None = None
-        vehicle.listeners.append(self._heard)
+        vehicle.listeners.append(self._received)
 
     def stop(self) -> None:
         """Answer no more."""
-        self._vehicle.listeners.remove(self._heard)
+        self._vehicle.listeners.remove(self._received)
         if self._answering is not None:
             self._answering.cancel()
 
-    def _heard(self, message: Message) -> None:
+    def _received(self, message: Message) -> None:
         if message.name == "TERRAIN_REQUEST" and (self._answering is None or self._answering.done()):
             self._answering = asyncio.create_task(self._answer(message))
 

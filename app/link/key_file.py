@@ -153,14 +153,14 @@ def kept_times(key_path: Path, now: int, on_trouble: Callable[[str], object]) ->
 
 
 def _keep_saving(kept: KeptTimes, ended: threading.Event, path: Path, on_trouble: Callable[[str], object]) -> None:
-    told = False
+    announced = False
     while not ended.wait(_SAVE_EVERY_S):
         try:
             kept.save()
         except OSError as error:
-            if not told:
+            if not announced:
                 on_trouble(f"{path} cannot be written ({error.strerror}): after a restart old frames may be accepted")
-            told = True
+            announced = True
 
 
 def _read(path: Path) -> SigningTimes:

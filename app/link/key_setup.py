@@ -79,7 +79,7 @@ class KeySetup:
         setup = dialect.MAVLink_setup_signing_message(
             system_id, _AUTOPILOT, self._key.for_setup(), signing_time(time.time())
         )
-        if not self._told(setup, system_id, signed=False, proves=self._fresh):
+        if not self._announced(setup, system_id, signed=False, proves=self._fresh):
             raise FlightError(f"{self._url}: the vehicle does not sign with the key; does its firmware know signing?")
         return not self._answers_unsigned(system_id)
 
@@ -87,27 +87,27 @@ class KeySetup:
         """End signing on the vehicle. Raises as ``give`` does."""
         system_id = self._checked(timeout_s)
         setup = dialect.MAVLink_setup_signing_message(system_id, _AUTOPILOT, [0] * KEY_BYTES, 0)
-        if not self._told(setup, system_id, signed=True, proves=lambda frame: not frame.signed):
+        if not self._announced(setup, system_id, signed=True, proves=lambda frame: not frame.signed):
             raise FlightError(f"{self._url}: the vehicle still signs; is this the key that it was given?")
 
     # -- steps ---------------------------------------------------------------------------------------------
 
     def _checked(self, timeout_s: float) -> int:
         """Return the vehicle's system id; refuse an armed vehicle, and one behind a radio."""
-        heartbeat = self._heard(timeout_s, _is_autopilot)
+        heartbeat = self._awaited(timeout_s, _is_autopilot)
         if heartbeat is None:
             raise InputError(f"{self._url!r}: no autopilot was received within {timeout_s:g} s; check the link.")
-        if self._heard(_LISTEN_S, lambda frame: frame.message_id == RADIO_STATUS_ID) is not None:
+        if self._awaited(_LISTEN_S, lambda frame: frame.message_id == RADIO_STATUS_ID) is not None:
             raise InputError(f"{self._url!r} goes over a radio: a key is sent in the clear; use a cable.")
         if heartbeat.payload.ljust(9, b"\0")[6] & ARMED_FLAG:
             raise InputError("the vehicle is armed; disarm it first: a key is set up on the ground only.")
         return heartbeat.system_id
 
-    def _told(self, setup: Any, system_id: int, *, signed: bool, proves: Callable[[Frame], bool]) -> bool:
+    def _announced(self, setup: Any, system_id: int, *, signed: bool, proves: Callable[[Frame], bool]) -> bool:
         """Send until an autopilot's heartbeat proves that it was taken: the message itself is never answered."""
         for _ in range(_TRIES):
             self._send(setup, signed)
-            proof = self._heard(
+            proof = self._awaited(
                 _TRY_S, lambda frame: _is_autopilot(frame) and frame.system_id == system_id and proves(frame)
             )
             if proof is not None:
@@ -121,7 +121,7 @@ class KeySetup:
         )
         self._send(asked, signed=False)
         answer = dialect.MAVLINK_MSG_ID_COMMAND_ACK
-        return self._heard(_ASKED_BACK_S, lambda frame: frame.message_id == answer) is not None
+        return self._awaited(_ASKED_BACK_S, lambda frame: frame.message_id == answer) is not None
 
     def _fresh(self, frame: Frame) -> bool:
         with self._times.locked:
@@ -136,7 +136,7 @@ class KeySetup:
                     data = self._signing.signed(data, signing_time(time.time()))
             self._transport.send(data)
 
-    def _heard(self, timeout_s: float, wanted: Callable[[Frame], bool]) -> Frame | None:
+    def _awaited(self, timeout_s: float, wanted: Callable[[Frame], bool]) -> Frame | None:
         end_s = time.monotonic() + timeout_s
         while (left_s := end_s - time.monotonic()) > 0.0:
             try:

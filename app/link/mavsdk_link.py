@@ -74,16 +74,16 @@ class MavsdkLink:
         self._closed = False
         self._pending: set[asyncio.Future[Any]] = set()
         self._queue: asyncio.Queue[MavlinkMessage | None] = asyncio.Queue()
-        self._beside: tuple[asyncio.Task[None], ...] = ()
+        self._alongside: tuple[asyncio.Task[None], ...] = ()
         self._others: dict[int, MavlinkDirectAsync] = {}  # of other systems: kept, as they hold their subscriptions
         loop = asyncio.get_running_loop()
 
-        def heard(raw: MavlinkMessage, _nothing: object) -> None:
+        def received(raw: MavlinkMessage, _nothing: object) -> None:
             with contextlib.suppress(RuntimeError):  # the loop has ended: there is no receiver
                 loop.call_soon_threadsafe(self._queue.put_nowait, raw)
 
-        self._heard = heard
-        self._direct._plugin.subscribe_message("", heard)
+        self._received = received
+        self._direct._plugin.subscribe_message("", received)
 
     @classmethod
     async def open(
@@ -138,12 +138,12 @@ class MavsdkLink:
             where = " and ".join(map(repr, urls))
             system = await unless_refused(the_vehicle(instance, where, timeout_s, system_id), urls)
             if system is None:
-                raise InputError(_unheard(urls, timeout_s, raw.reports() if raw is not None else ()))
+                raise InputError(_not_received(urls, timeout_s, raw.reports() if raw is not None else ()))
             found_id = await system.get_system_id()
             link = cls(instance, system, found_id, own, raw or meter, ours)
             if system_id is None:
-                heard_since_s = link._measured.heard_since_s
-                await check_alone(instance, where, (heard_since_s or time.monotonic()) + settling_s)
+                received_since_s = link._measured.received_since_s
+                await check_alone(instance, where, (received_since_s or time.monotonic()) + settling_s)
         except BaseException:
             await _ended(instance, ours)
             raise
@@ -151,11 +151,11 @@ class MavsdkLink:
             # MAVSDK sends a message to a system only on connections that received that system, so pass one frame to
             # the recording connection too. This ack of a command that was never sent is addressed to this end.
             answer = mavlink.MAVLink_command_ack_message(0, 0, 0, 0, *own)
-            heard = answer.pack(mavlink.MAVLink(None, srcSystem=found_id, srcComponent=1))
-            instance._mavsdk.pass_received_raw_bytes(heard)
+            received = answer.pack(mavlink.MAVLink(None, srcSystem=found_id, srcComponent=1))
+            instance._mavsdk.pass_received_raw_bytes(received)
         if meter.vehicle_signs:
-            on_trouble("the vehicle signs what it says: without --signing-key it may not hear us")
-        link._beside = asyncio.create_task(link._ask_delay()), asyncio.create_task(link._hear_others())
+            on_trouble("the vehicle signs its messages: without --signing-key it may reject ours")
+        link._alongside = asyncio.create_task(link._ask_delay()), asyncio.create_task(link._hear_others())
         return link
 
     def reports(self) -> tuple[LinkReport, ...]:
@@ -180,7 +180,7 @@ class MavsdkLink:
                 if system_id != self.system_id and system_id not in self._others:
                     self._others[system_id] = direct = MavlinkDirectAsync(system)
                     for name in _OF_OTHERS:
-                        direct._plugin.subscribe_message(name, self._heard)
+                        direct._plugin.subscribe_message(name, self._received)
             await asyncio.sleep(_LOOK_FOR_OTHERS_S)
 
     # -- messages ------------------------------------------------------------------------------------------
@@ -257,7 +257,7 @@ class MavsdkLink:
             return
         self._closed = True
         self._queue.put_nowait(None)
-        for task in self._beside:
+        for task in self._alongside:
             task.cancel()
         if self._pending:
             await asyncio.wait(self._pending, timeout=_PENDING_AT_CLOSE_S)
@@ -292,7 +292,7 @@ async def _connect(instance: Mavsdk, url: str, on_frame: FrameListener | None) -
         raise InputError(f"{url!r} could not be opened ({error}); check the address or device.") from error
 
 
-def _unheard(urls: Sequence[str], timeout_s: float, reports: Sequence[LinkReport]) -> str:
+def _not_received(urls: Sequence[str], timeout_s: float, reports: Sequence[LinkReport]) -> str:
     what, refused = " and ".join(map(repr, urls)), [report for report in reports if report.refused]
     if refused:
         found = ", ".join(report.refused_text() for report in refused)

@@ -61,9 +61,9 @@ class LinkMeter:
         return _TIMESYNC, {"tc1": 0, "ts1": stamp, "target_system": 0, "target_component": 0}
 
     @property
-    def heard_since_s(self) -> float | None:
+    def received_since_s(self) -> float | None:
         """When the first frame came, on the monotonic clock."""
-        return self._quality.heard_since_s
+        return self._quality.received_since_s
 
     def reports(self) -> tuple[LinkReport, ...]:
         """Return how the link has been since the beginning."""

@@ -51,20 +51,20 @@ async def read_mission(vehicle: Vehicle, system_id: int, answer_s: float = _ANSW
         LinkError: A message cannot be sent.
 
     """
-    heard: asyncio.Queue[Message] = asyncio.Queue()
+    received: asyncio.Queue[Message] = asyncio.Queue()
 
-    def hear(message: Message) -> None:
+    def on_message(message: Message) -> None:
         if (message.system_id, message.component_id) == (system_id, AUTOPILOT_COMPONENT) and message.name in _NAMES:
-            heard.put_nowait(message)
+            received.put_nowait(message)
 
-    vehicle.bystanders.append(hear)
+    vehicle.bystanders.append(on_message)
     try:
-        return await _read(vehicle, system_id, heard, answer_s)
+        return await _read(vehicle, system_id, received, answer_s)
     finally:
-        vehicle.bystanders.remove(hear)
+        vehicle.bystanders.remove(on_message)
 
 
-async def _read(vehicle: Vehicle, system_id: int, heard: asyncio.Queue[Message], answer_s: float) -> OtherMission:
+async def _read(vehicle: Vehicle, system_id: int, received: asyncio.Queue[Message], answer_s: float) -> OtherMission:
     address = {
         "target_system": system_id,
         "target_component": AUTOPILOT_COMPONENT,
@@ -80,12 +80,12 @@ async def _read(vehicle: Vehicle, system_id: int, heard: asyncio.Queue[Message],
 
         for _ in range(_TRIES):
             await vehicle.link.send(request, address | fields)
-            message = await _next(heard, answers, answer_s)
+            message = await _next(received, answers, answer_s)
             if message is not None:
                 return message
         raise LookupError(f"system {system_id} does not answer {request}")
 
-    heartbeat = await _next(heard, lambda message: message.name == "HEARTBEAT", max(_HEARTBEAT_S, answer_s))
+    heartbeat = await _next(received, lambda message: message.name == "HEARTBEAT", max(_HEARTBEAT_S, answer_s))
     if heartbeat is None:
         raise LookupError(f"system {system_id} is not received")
     count = min(int((await asked("MISSION_REQUEST_LIST", "MISSION_COUNT")).fields["count"]), _ITEMS_MAX)
@@ -109,11 +109,13 @@ def mission_of(items: Sequence[Mapping[str, Any]]) -> OtherMission:
     return OtherMission([(way["x"] * 1e-7, way["y"] * 1e-7) for way in ways], lap)
 
 
-async def _next(heard: asyncio.Queue[Message], wanted: Callable[[Message], bool], timeout_s: float) -> Message | None:
+async def _next(
+    received: asyncio.Queue[Message], wanted: Callable[[Message], bool], timeout_s: float
+) -> Message | None:
     try:
         async with asyncio.timeout(timeout_s):
             while True:
-                message = await heard.get()
+                message = await received.get()
                 if wanted(message):
                     return message
     except TimeoutError:

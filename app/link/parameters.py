@@ -53,7 +53,7 @@ async def read_parameters(vehicle: Vehicle, names: Iterable[str]) -> dict[str, f
         while missing := [name for name in wanted if name not in values]:
             before, answered, answer_s, witness = len(values), False, _ANSWER_S, list(values)[:1]
             for name in (*missing, *witness):
-                await vehicle.tell("PARAM_REQUEST_READ", {"param_id": name, "param_index": -1})
+                await vehicle.transmit("PARAM_REQUEST_READ", {"param_id": name, "param_index": -1})
             with contextlib.suppress(TimeoutError):
                 while len(values) < len(wanted):
                     answer_s = vehicle.answer_s(_ANSWER_S)

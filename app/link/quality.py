@@ -68,8 +68,8 @@ class LinkQuality:
     """Measures one link."""
 
     def __init__(self, now_s: float) -> None:
-        self.heard_s: float | None = None
-        self.heard_since_s: float | None = None
+        self.received_s: float | None = None
+        self.received_since_s: float | None = None
         self.received = self.missed = self.received_bytes = self.sent_bytes = 0
         self._begin_s = now_s
         self._seconds: deque[_Second] = deque([_Second(now_s)])
@@ -80,9 +80,9 @@ class LinkQuality:
     def frame(self, source: tuple[int, int], sequence: int, size: int, now_s: float) -> None:
         """Count a frame that came in: its system and component, sequence number and bytes."""
         second = self._second(now_s)
-        self.heard_s = now_s
-        if self.heard_since_s is None:
-            self.heard_since_s = now_s
+        self.received_s = now_s
+        if self.received_since_s is None:
+            self.received_since_s = now_s
         second.received_bytes += size
         self.received_bytes += size
         ahead = (sequence - self._next.get(source, sequence)) & 0xFF
@@ -124,7 +124,7 @@ class LinkQuality:
         missed = max(0, sum(second.missed for second in self._seconds))
         round_trips_s = sorted(self._round_trips_s)
         return Measured(
-            silent_s=now_s - (self.heard_s if self.heard_s is not None else self._begin_s),
+            silent_s=now_s - (self.received_s if self.received_s is not None else self._begin_s),
             loss=missed / (received + missed) if received else None,
             round_trip_s=round_trips_s[len(round_trips_s) // 2] if round_trips_s else None,
             received_bytes_s=sum(second.received_bytes for second in self._seconds) / span_s,

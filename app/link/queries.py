@@ -51,7 +51,7 @@ async def _requested(vehicle: Vehicle, name: str, message_id: int) -> Message | 
     for _ in range(_TRIES):
         if name in vehicle.latest:
             break
-        waiting = asyncio.ensure_future(vehicle.heard(name, vehicle.answer_s(_ANSWER_S)))
-        await vehicle.tell("COMMAND_LONG", request)
+        waiting = asyncio.ensure_future(vehicle.received(name, vehicle.answer_s(_ANSWER_S)))
+        await vehicle.transmit("COMMAND_LONG", request)
         await waiting
     return vehicle.latest.get(name)

@@ -106,10 +106,12 @@ class RawLinks:
             self._watcher.join(2.0)
 
     @property
-    def heard_since_s(self) -> float | None:
+    def received_since_s(self) -> float | None:
         """When the first frame came, on the monotonic clock."""
-        heard_s = [link.quality.heard_since_s for link in self._links if link.quality.heard_since_s is not None]
-        return min(heard_s, default=None)
+        received_s = [
+            link.quality.received_since_s for link in self._links if link.quality.received_since_s is not None
+        ]
+        return min(received_s, default=None)
 
     def reports(self) -> tuple[LinkReport, ...]:
         """Return how the links have been since the beginning."""
@@ -197,12 +199,12 @@ class RawLinks:
             if refusal is not None:
                 link.refused[refusal] += 1
                 count = link.refused[refusal]
-                told = count == 1 or (count >= 1000 and str(count).strip("0") == "1")
-                words = [f"{link.url}: {count} frame{'s' * (count > 1)} refused, {refusal}"] if told else []
+                announced = count == 1 or (count >= 1000 and str(count).strip("0") == "1")
+                words = [f"{link.url}: {count} frame{'s' * (count > 1)} refused, {refusal}"] if announced else []
                 genuine = link.signing is not None and not link.authentic and link.signing.genuine(frame)
                 return False, genuine and refusal is Refusal.OLD, words
             link.authentic = True
-            silent_s = now_s - link.quality.heard_s if link.quality.heard_s is not None else 0.0
+            silent_s = now_s - link.quality.received_s if link.quality.received_s is not None else 0.0
             link.quality.frame(frame.source, frame.sequence, len(frame.data), now_s)
             if frame.message_id == _TIMESYNC and self._is_answer(link, frame, now_s):
                 return index == self._merger.in_use, True, []  # it carries the vehicle's clock, too

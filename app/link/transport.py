@@ -116,10 +116,12 @@ class UdpTransport(_Threaded):
             except OSError:  # the other end is not there (yet)
                 continue
             if receive(data, peer) and self._listening:
-                self._heard(peer, time.monotonic())
+                self._received(peer, time.monotonic())
 
-    def _heard(self, peer: tuple[str, int], now_s: float) -> None:
-        peers = {one: heard_s for one, heard_s in self._peers.items() if now_s - heard_s < _SILENT_S} | {peer: now_s}
+    def _received(self, peer: tuple[str, int], now_s: float) -> None:
+        peers = {one: received_s for one, received_s in self._peers.items() if now_s - received_s < _SILENT_S} | {
+            peer: now_s
+        }
         while len(peers) > _PEERS_MAX:
             del peers[min(peers, key=lambda one: peers[one])]
         self._peers = peers

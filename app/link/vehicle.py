@@ -100,15 +100,15 @@ class Vehicle:
         """Collect the autopilot's messages of these names inside the context."""
         queue: asyncio.Queue[Message] = asyncio.Queue()
 
-        def hear(message: Message) -> None:
+        def on_message(message: Message) -> None:
             if message.name in names and message.component_id == AUTOPILOT_COMPONENT:
                 queue.put_nowait(message)
 
-        self.listeners.append(hear)
+        self.listeners.append(on_message)
         try:
             yield queue
         finally:
-            self.listeners.remove(hear)
+            self.listeners.remove(on_message)
 
     def is_for_us(self, message: Message) -> bool:
         """Return whether a message of the autopilot is addressed to this station; answers to others may arrive too.
@@ -122,7 +122,7 @@ class Vehicle:
         for_system, for_component = fields.get("target_system") or 0, fields.get("target_component") or 0
         return for_system in (0, system_id) and for_component in (0, component_id)
 
-    async def heard(self, name: str, timeout_s: float) -> Message | None:
+    async def received(self, name: str, timeout_s: float) -> Message | None:
         """Return the latest message of that name from the autopilot, waiting for the first one if need be."""
         if name in self.latest:
             return self.latest[name]
@@ -130,7 +130,7 @@ class Vehicle:
             lambda message: message.name == name and message.component_id == AUTOPILOT_COMPONENT, timeout_s
         )
 
-    async def tell(self, name: str, fields: Mapping[str, Any]) -> None:
+    async def transmit(self, name: str, fields: Mapping[str, Any]) -> None:
         """Send a message to the autopilot. Raises LinkError when it cannot be sent."""
         address = {"target_system": self.system_id, "target_component": AUTOPILOT_COMPONENT}
         await self.link.send(name, {**address, **fields})
@@ -164,7 +164,7 @@ class Vehicle:
                 body["confirmation"] = attempt
             waiting = asyncio.ensure_future(self.wait_for(answers, _ANSWER_S))
             await asyncio.sleep(0)  # listen before speaking
-            await self.tell(name, body)
+            await self.transmit(name, body)
             message = await waiting
             while message is not None and message.fields["result"] == _IN_PROGRESS:
                 message = await self.wait_for(answers, 10.0 * _ANSWER_S)
@@ -184,7 +184,7 @@ class Vehicle:
                     values = {"param1": float(message_id), "param2": 1e6 / rate_hz if rate_hz else -1.0}
                     rest = {f"param{i}": 0.0 for i in range(3, 8)}
                     body = {"command": _SET_MESSAGE_INTERVAL, "confirmation": 0} | values | rest
-                    await self.tell("COMMAND_LONG", body)
+                    await self.transmit("COMMAND_LONG", body)
                 missing = len(rates_hz) if round_ < rounds - 1 else 0
                 with contextlib.suppress(TimeoutError):
                     while missing:

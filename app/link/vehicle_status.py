@@ -11,7 +11,7 @@ from sidelong.mission.control.alarms import Alarm
 
 _FIXES = ("no GPS", "no fix", "2D", "3D", "DGPS", "RTK float", "RTK fixed", "static", "PPP")  # GPS_FIX_TYPE
 _GOOD_FROM, _MIN_SATELLITES = 3, 6
-_UNTOLD_SATELLITES, _UNTOLD_MV = 255, 65535
+_UNKNOWN_SATELLITES, _UNKNOWN_MV = 255, 65535
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,14 +45,14 @@ def vehicle_status(latest: Mapping[str, Message], links: Sequence[LinkReport]) -
         percent = int(battery.fields["battery_remaining"])
     if fix is not None:
         kind, satellites = int(fix.fields["fix_type"]), int(fix.fields["satellites_visible"])
-        told = satellites != _UNTOLD_SATELLITES
+        known = satellites != _UNKNOWN_SATELLITES
         gps = _FIXES[kind] if kind < len(_FIXES) else f"fix type {kind}"
-        gps += f", {satellites} satellites" if told else ""
-        good = kind >= _GOOD_FROM and (not told or satellites >= _MIN_SATELLITES)
+        gps += f", {satellites} satellites" if known else ""
+        good = kind >= _GOOD_FROM and (not known or satellites >= _MIN_SATELLITES)
     used = next((link.measured for link in links if link.in_use), None)
     return VehicleStatus(
         percent if percent is not None and percent >= 0 else None,
-        None if mv in (None, 0, _UNTOLD_MV) else mv * 1e-3,
+        None if mv in (None, 0, _UNKNOWN_MV) else mv * 1e-3,
         gps,
         good,
         None if used is None or used.loss is None else round(100.0 * (1.0 - used.loss)),

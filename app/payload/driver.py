@@ -56,7 +56,7 @@ class DriverSettings:
 
     Attributes:
         range_unit_m: unit of the range that the payload sends, m; None: the unit of its manual.
-        flip_yaw: whether the payload's yaw is positive in the other direction than its manual says.
+        flip_yaw: whether the payload's yaw is positive opposite to the direction in its manual.
         flip_pitch: the same of its pitch.
         relative_to: reference of the payload's angles; None: the reference of its manual or its mode.
         over_tcp: whether the bytes go over TCP, for which some protocols have another frame.

@@ -28,7 +28,7 @@ class VehicleTimeline:
         self._ahead_max_s = math.inf if real else _SIMULATED_AHEAD_MAX_S
         self._samples: deque[tuple[float, float]] = deque()  # (arrival, stamp)
 
-    def hear(self, stamp_s: float, arrived_s: float) -> None:
+    def on_message(self, stamp_s: float, arrived_s: float) -> None:
         """Take a message of the vehicle.
 
         Args:

@@ -84,7 +84,7 @@ def _plan(flight: Flight) -> str:
 
 def _waypoints(flight: Flight) -> str:
     assert flight.mission is not None  # export() looks
-    # Mission Planner takes the first line for home, whatever it says.
+    # Mission Planner treats the first line as home, whatever it contains.
     home = Item(NAV_WAYPOINT, FRAME_GLOBAL, *flight.degrees(0.0, 0.0), height_m=flight.home_altitude_m or 0.0)
     lines = ["QGC WPL 110"]
     for sequence, item in enumerate((home, *flight.mission.items)):
@@ -185,7 +185,7 @@ def _features(flight: Flight) -> list[dict[str, Any]]:
         latitude_deg, longitude_deg = flight.degrees(east_m, north_m)
         return [longitude_deg, latitude_deg, *(round(value, 3) for value in height_m)]
 
-    # Heights are above home where its altitude is not known; the property says so.
+    # Heights are above home where its altitude is not known; the property states it.
     base_m = flight.home_altitude_m
     aircraft = line(
         "aircraft",

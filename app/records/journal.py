@@ -105,16 +105,16 @@ def _decode(kind: type) -> Callable[[bytes], Any]:
     decode = msgspec.json.Decoder(msgspec.defstruct(kind.__name__, plain), dec_hook=_array).decode
 
     def read(line: bytes) -> Any:
-        told = msgspec.structs.asdict(decode(line))
-        return kind(**told | {name: _one_of(kinds, told[name]) for name, kinds in several.items()})
+        given = msgspec.structs.asdict(decode(line))
+        return kind(**given | {name: _one_of(kinds, given[name]) for name, kinds in several.items()})
 
     return read
 
 
-def _one_of(kinds: Iterable[type], told: dict[str, Any]) -> Any:
+def _one_of(kinds: Iterable[type], given: dict[str, Any]) -> Any:
     """Return an object of the kind that has these very fields."""
-    kind = next(kind for kind in kinds if [field.name for field in fields(kind)] == list(told))
-    return msgspec.convert(told, kind, dec_hook=_array)
+    kind = next(kind for kind in kinds if [field.name for field in fields(kind)] == list(given))
+    return msgspec.convert(given, kind, dec_hook=_array)
 
 
 _ENCODE = json.JSONEncoder(separators=(",", ":")).encode
@@ -157,7 +157,7 @@ class JournalReader:
         self.damaged_lines = 0
         first = next(self._records(_record), None)
         if first is None or first[0] != Header.__name__:
-            raise InputError(f"{path} has no journal header: it is no journal, or its beginning is damaged.")
+            raise InputError(f"{path} has no journal header: it is not a journal, or its beginning is damaged.")
         self._format: int = first[1].get("format", 0)
         if self._format not in range(OLDEST_FORMAT, FORMAT + 1):
             raise InputError(

@@ -30,7 +30,7 @@ _SEEN_FOR_S = 1.0  # how long a sighting is the sensor's present line of sight
 _VERSION = 19
 _LASER_ON, _SLANT_RANGE_MEASURED = 1, 16  # of Generic Flag Data
 _CE90 = 0.9
-# The standard's clock counts leap seconds; most readers take its stamps for UTC. Said to be none, both are right.
+# The standard's clock counts leap seconds; most readers take its stamps for UTC. With none declared, both are right.
 _LEAP_SECONDS = 0
 
 

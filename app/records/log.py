@@ -67,7 +67,7 @@ def open_log(path: Path) -> Log:
     """
     try:
         if path.exists() and not path.is_file():
-            raise InputError(f"{path} cannot be read: it is no file; give a tlog, a ULog or a DataFlash log.")
+            raise InputError(f"{path} cannot be read: it is not a file; give a tlog, a ULog or a DataFlash log.")
         with path.open("rb") as file:
             opening = file.read(len(ULOG_MAGIC))
         if not opening:

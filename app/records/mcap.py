@@ -96,8 +96,8 @@ class McapLog:
                 self._plans[command.number] = command.plan
                 self._plan(command)
             case Announce():
-                said = {"level": _LEVEL_INFO, "message": command.text, "name": command.kind, "file": "", "line": 0}
-                self._out.write("/said", "foxglove.Log", command.time_s, said)
+                logged = {"level": _LEVEL_INFO, "message": command.text, "name": command.kind, "file": "", "line": 0}
+                self._out.write("/announcements", "foxglove.Log", command.time_s, logged)
             case HealthChanged():
                 health = {"input": command.input, "state": command.state, "text": command.text}
                 self._out.write("/health", "sidelong.Health", command.time_s, health)

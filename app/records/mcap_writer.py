@@ -38,7 +38,7 @@ class McapWriter:
         self._writer.start()
         self._channels: dict[str, int] = {}
 
-    def beside(self, prefix: str, booted: datetime | None) -> McapWriter:
+    def prefixed(self, prefix: str, booted: datetime | None) -> McapWriter:
         """Return another one that writes the same file: a vehicle of its own clock, topics that begin with prefix."""
         other = copy(self)
         other._prefix, other._boot_ns = prefix, _boot_ns(booted)

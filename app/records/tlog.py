@@ -1,6 +1,6 @@
 """Telemetry logs (tlog): MAVLink 1 and 2 frames, each behind an 8-byte big-endian stamp of microseconds since 1970.
 
-A frame is taken for what its checksum says, wherever it stands: every place in the file that could begin a wanted
+A frame is accepted by its checksum, wherever it begins: every place in the file that could begin a wanted
 frame is checked, so garbage, cuts and damaged neighbours cost no whole frame, and there is no synchronisation to
 lose. A frame inside the payload of another whole frame (a log sent over the link, a tunnel) is that frame's
 content and left alone. Only wanted frames are decoded; others are looked at only where they reach over a wanted one.

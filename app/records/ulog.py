@@ -2,7 +2,7 @@
 
 pyulog goes from message to message and, behind damage, on to the next synchronisation mark, which may be many
 seconds away. So the file is searched for the wanted topics instead: a message is known by its type's letter and its
-size and, for data, by its topic's number. What is found is bounded, whatever a damaged definition says.
+size and, for data, by its topic's number. The result is bounded, whatever a damaged definition contains.
 """
 
 from __future__ import annotations

@@ -177,10 +177,10 @@ def _target_speed(history: History) -> Drawing:
         axes.plot(
             true.time_s - history.start_s, true.value, color=TARGET, linewidth=2.4, alpha=0.5, label="true target"
         )
-    told = [one for one in history.estimates if one.time_s >= history.start_s]
+    known = [one for one in history.estimates if one.time_s >= history.start_s]
     axes.plot(
-        [one.time_s - history.start_s for one in told],
-        [one.speed_m_s for one in told],
+        [one.time_s - history.start_s for one in known],
+        [one.speed_m_s for one in known],
         color=ESTIMATE,
         linewidth=0.9,
         label="estimate",

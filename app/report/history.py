@@ -1,7 +1,7 @@
 """A flight as arrays and lists: what the figures and tables of a report are made of.
 
-The journal holds what the vehicle said and what was commanded, not the estimates: the same readings go through the
-same tracker again and give the same estimates. A log of another system's flight has no commands.
+The journal holds what the vehicle reported and what was commanded, not the estimates: the same readings go through
+the same tracker again and give the same estimates. A log of another system's flight has no commands.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class History:
     circles: tuple[tuple[float, Circle], ...]
     plan_changes: tuple[PlanChange, ...]
     requirements: tuple[tuple[float, Requirement], ...]
-    said: tuple[Announce, ...]
+    announced: tuple[Announce, ...]
     route: Route | None = None
     progress: tuple[tuple[float, RouteProgress], ...] = ()
 
@@ -143,7 +143,7 @@ class HistoryBuilder:
         self._circles: list[tuple[float, Circle]] = []
         self._changes: dict[int, PlanChange] = {}
         self._wishes: list[OperatorRequest | MissionChange] = []
-        self._said: list[Announce] = []
+        self._announced: list[Announce] = []
         self._start_s: float | None = None
         self._in_hand = False
         self._follower: RouteFollower | None = None
@@ -186,12 +186,12 @@ class HistoryBuilder:
                     command.number, command.plan, command.reason, command.time_s
                 )
             case Announce():
-                self._said.append(command)
+                self._announced.append(command)
             case Yield() | End():
                 what = Announce(command.time_s, "yield", f"yielded: {command.reason}")
                 if isinstance(command, End):
                     what = Announce(command.time_s, "end", f"ended: {command.reason}")
-                self._said.append(what)
+                self._announced.append(what)
                 self._in_hand = False
 
     def _position(self, reading: PositionReading) -> None:
@@ -247,7 +247,7 @@ class HistoryBuilder:
             tuple(self._circles),
             tuple(self._changes.values()),
             tuple(self._requirements(asked.requirement)),
-            tuple(self._said),
+            tuple(self._announced),
             None if self._follower is None else self._follower.route,
             tuple(self._progress),
         )

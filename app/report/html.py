@@ -82,7 +82,7 @@ def tiles(results: Iterable[tuple[str, str]]) -> str:
 
 
 def table(headings: Iterable[str], rows: Iterable[Iterable[str]], about: str) -> str:
-    """Return a table of plain words, that scrolls if it is too wide; ``about`` says what is in it.
+    """Return a table of plain words, that scrolls if it is too wide; ``about`` states its content.
 
     Headings that are keys of a configuration may break at their dots.
     """

@@ -56,18 +56,20 @@ def _asked(flown: Flown) -> str:
 
 
 def _decisions(flown: Flown) -> str:
-    said = flown.history.said
-    if not said:
+    announced = flown.history.announced
+    if not announced:
         return ""
     rows = "".join(
         f"<tr><td>{_clock(one, flown.history.start_s)}</td><td>{one.kind}</td><td>{escape(one.text)}</td></tr>"
-        for one in said
+        for one in announced
     )
-    return f"<details><summary>What was decided and said ({len(said)})</summary><table>{rows}</table></details>"
+    return (
+        f"<details><summary>Decisions and announcements ({len(announced)})</summary><table>{rows}</table></details>"
+    )
 
 
-def _clock(said: Announce, start_s: float) -> str:
-    return f"{said.time_s - start_s:.0f} s"
+def _clock(announced: Announce, start_s: float) -> str:
+    return f"{announced.time_s - start_s:.0f} s"
 
 
 def _configuration(flown: Flown) -> str:

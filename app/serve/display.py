@@ -10,7 +10,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Snapshot
 from sidelong.mission.core.events import Announce
 
-_TOLD = frozenset({"yield", "operator", "end", "takeover", "alarm", "clear", "health", "link", "position"})
+_PRINTED = frozenset({"yield", "operator", "end", "takeover", "alarm", "clear", "health", "link", "position"})
 
 
 class ServiceDisplay:
@@ -40,7 +40,7 @@ class ServiceDisplay:
         self._changed()
 
     def say(self, announcement: Announce) -> None:
-        if announcement.kind in _TOLD:
+        if announcement.kind in _PRINTED:
             self._log(announcement.text)
 
     def show(self, snapshot: Snapshot) -> None:

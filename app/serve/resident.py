@@ -139,7 +139,7 @@ class Resident:
         accepted, text = self._watch(who) if request == "watch" else self._release(who)
         self._log(f"{request} by {who}: {text}")
         if not accepted:
-            self._tell_station(f"{request} refused: {text}")
+            self._inform_station(f"{request} refused: {text}")
         return accepted, text
 
     def _watch(self, who: str) -> tuple[bool, str]:
@@ -168,7 +168,7 @@ class Resident:
             life.stopped.set()
         return True, "the watch ends; the aircraft goes on with what it flies"
 
-    def _hear(self, message: Message) -> None:
+    def _on_message(self, message: Message) -> None:
         request = None if self._triggers is None else self._triggers.take(message)
         if request is not None:
             self.request(request, _WHO["vehicle"])
@@ -190,10 +190,10 @@ class Resident:
         """Compile and compute what a watch needs, before the first one."""
         loop = asyncio.get_running_loop()
 
-        def tell(text: str) -> None:
+        def announce(text: str) -> None:
             loop.call_soon_threadsafe(self._become, State.WAITING, text)
 
-        await asyncio.to_thread(lambda: controller_of(self._config, tell=tell))
+        await asyncio.to_thread(lambda: controller_of(self._config, announce=announce))
         await asyncio.to_thread(release_unused)
 
     async def _stood_by(self) -> str:
@@ -255,7 +255,7 @@ class Resident:
         own = session.autopilot.mission_mode, session.autopilot.circle_mode
         if self._triggers is None:  # one for all sessions: a switch that is up stays up
             self._triggers = Triggers(self._config.control, vehicle.system_id, own)
-        vehicle.bystanders.append(self._hear)
+        vehicle.bystanders.append(self._on_message)
         if self._config.control.rc_channel is not None:
             self._begin(self._ask_for_switch(session))
 
@@ -307,7 +307,7 @@ class Resident:
         return ended
 
     def _controller(self) -> StandoffController:
-        controller = controller_of(self._config, tell=self._log)
+        controller = controller_of(self._config, announce=self._log)
         release_unused()
         return controller
 
@@ -353,9 +353,9 @@ class Resident:
         self._log(str(self.status))
         notify(f"STATUS={self.status}")
         if changed:
-            self._tell_station(str(self.status))
+            self._inform_station(str(self.status))
 
-    def _tell_station(self, text: str) -> None:
+    def _inform_station(self, text: str) -> None:
         """Send a STATUSTEXT to the ground station, as far as there is a link."""
         session = self._session
         if session is None:

@@ -36,11 +36,11 @@ class Standby:
 
     def __init__(self, session: Session, config: Config) -> None:
         self._session, self._config = session, config
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         self._boot_ms = -1
         self._restarted = self._was_missing = False
         self.missing = "the vehicle is being checked"
-        session.vehicle.listeners.append(self._hear)
+        session.vehicle.listeners.append(self._on_message)
 
     async def run(self) -> None:
         """Judge until cancelled. Raises VehicleGoneError."""
@@ -53,8 +53,8 @@ class Standby:
             needed = table.as_on_board(autopilot.required_parameters(table.values, config.aircraft.airspeed_m_s))
             asked_s = time.monotonic()
             while True:
-                rates = await sources.heard(_LISTEN_S, config.sharing)
-                if self._restarted or time.monotonic() - self._heard_s > _SILENT_S:
+                rates = await sources.received(_LISTEN_S, config.sharing)
+                if self._restarted or time.monotonic() - self._received_s > _SILENT_S:
                     raise VehicleGoneError
                 home = await home_of(vehicle)
                 unmet = () if config.link.set_parameters else needed
@@ -68,7 +68,7 @@ class Standby:
         finally:
             sources.close()
             asking.cancel()
-            vehicle.listeners.remove(self._hear)
+            vehicle.listeners.remove(self._on_message)
 
     def _judge(self, missing: str) -> None:
         """Take what is missing; a source of few messages may be silent for once."""
@@ -83,10 +83,10 @@ class Standby:
             return str(refusal)
         return ""
 
-    def _hear(self, message: Message) -> None:
+    def _on_message(self, message: Message) -> None:
         if message.component_id != AUTOPILOT_COMPONENT:
             return
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         boot_ms = message.fields.get("time_boot_ms") if message.name == "GLOBAL_POSITION_INT" else None
         if boot_ms is not None:
             self._restarted |= int(boot_ms) < self._boot_ms - _RESTARTED_MS

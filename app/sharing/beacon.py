@@ -28,11 +28,11 @@ _UNKNOWN_ERROR_M = 9_999_999.0
 _AGE_MAX_S = 2.0
 _AGE_USED_S = 0.9  # the plausibility check treats stamps that are always older as a clock offset
 _DATAGRAM_MAX = 8192
-_POSITION_TOLD = 1
+_POSITION_VALID = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class BeaconReport:
     """One beacon's message.
 
     Attributes:
@@ -49,15 +49,15 @@ class Heard:
     age_s: float = 0.0
 
 
-def decode(data: bytes, now: datetime) -> list[Heard]:
+def decode(data: bytes, now: datetime) -> list[BeaconReport]:
     """Return the positions in a datagram; an empty list if it is damaged or of another kind."""
     if data.lstrip()[:1] == b"<":
-        heard = _cot(data, now)
-        return [heard] if heard is not None else []
+        received = _cot(data, now)
+        return [received] if received is not None else []
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
     return [
-        Heard(
+        BeaconReport(
             _FOLLOW_TARGET,
             (str(message.get_srcSystem()),),
             message.lat * 1e-7,
@@ -65,11 +65,11 @@ def decode(data: bytes, now: datetime) -> list[Heard]:
             message.position_cov[0] if math.isfinite(message.position_cov[0]) else 0.0,
         )
         for message in parser.parse_buffer(data) or ()
-        if message.get_type() == _FOLLOW_TARGET and message.est_capabilities & _POSITION_TOLD
+        if message.get_type() == _FOLLOW_TARGET and message.est_capabilities & _POSITION_VALID
     ]
 
 
-def _cot(data: bytes, now: datetime) -> Heard | None:
+def _cot(data: bytes, now: datetime) -> BeaconReport | None:
     if b"<!" in data:  # no valid event needs entities
         return None
     with suppress(ElementTree.ParseError, ValueError, KeyError, UnicodeError, LookupError):
@@ -77,15 +77,15 @@ def _cot(data: bytes, now: datetime) -> Heard | None:
         point, contact = event.find("point"), event.find("detail/contact")
         if event.tag != "event" or point is None:
             return None
-        told = datetime.fromisoformat(event.attrib["time"])
+        stamp = datetime.fromisoformat(event.attrib["time"])
         error_m = float(point.attrib.get("ce", "nan"))
-        return Heard(
+        return BeaconReport(
             _COT,
             (event.attrib["uid"], contact.attrib.get("callsign", "") if contact is not None else ""),
             float(point.attrib["lat"]),
             float(point.attrib["lon"]),
             error_m if 0.0 < error_m < _UNKNOWN_ERROR_M else 0.0,
-            (now - told.astimezone(UTC)).total_seconds(),
+            (now - stamp.astimezone(UTC)).total_seconds(),
         )
     return None
 
@@ -99,7 +99,7 @@ class BeaconInput(asyncio.DatagramProtocol):
         sigma_m: Position error, 1 sigma, m, of a beacon that does not send its own.
         now_s: Returns the time of the vehicle's clock, s.
         put: Called with each reading.
-        tell: Called with each message for the operator.
+        announce: Called with each message for the operator.
         now: Returns the time of day in UTC.
 
     """
@@ -111,14 +111,14 @@ class BeaconInput(asyncio.DatagramProtocol):
         sigma_m: float,
         now_s: Callable[[], float],
         put: Callable[[TargetFixReading], object],
-        tell: Callable[[str], object],
+        announce: Callable[[str], object],
         now: Callable[[], datetime] = lambda: datetime.now(UTC),
     ) -> None:
         self._plane, self._name, self._sigma_m = plane, name, sigma_m
-        self._now_s, self._put, self._tell, self._now = now_s, put, tell, now
+        self._now_s, self._put, self._announce, self._now = now_s, put, announce, now
         self._first: str | None = None
         self._several = False
-        self._told: set[str] = set()
+        self._announced: set[str] = set()
         self._transport: asyncio.BaseTransport | None = None
 
     async def listen(self, address: Address) -> None:
@@ -142,16 +142,18 @@ class BeaconInput(asyncio.DatagramProtocol):
             for report in decode(data, self._now()):
                 self._take(report)
 
-    def _take(self, report: Heard) -> None:
+    def _take(self, report: BeaconReport) -> None:
         if not self._is_ours(report) or self._now_s() == -math.inf:
             return
         if not -_AGE_MAX_S <= report.age_s <= _AGE_MAX_S:
-            self._tell_once("the beacon's clock is off, or its messages are late, by more than 2 s: it is not used")
+            self._announce_once(
+                "the beacon's clock is off, or its messages are late, by more than 2 s: it is not used"
+            )
             return
         if not (abs(report.latitude_deg) <= 90.0 and abs(report.longitude_deg) <= 180.0):
             return
         east_m, north_m = self._plane.east_north_m(report.latitude_deg, report.longitude_deg)
-        self._tell_once(f"the beacon {report.names[-1] or report.names[0]} reports the target's position")
+        self._announce_once(f"the beacon {report.names[-1] or report.names[0]} reports the target's position")
         self._put(
             TargetFixReading(
                 self._now_s() - min(max(report.age_s, 0.0), _AGE_USED_S),
@@ -162,17 +164,17 @@ class BeaconInput(asyncio.DatagramProtocol):
             )
         )
 
-    def _is_ours(self, heard: Heard) -> bool:
+    def _is_ours(self, received: BeaconReport) -> bool:
         if self._name is not None:
-            return self._name in heard.names
+            return self._name in received.names
         if self._first is None:
-            self._first = heard.names[0]
-        if heard.names[0] != self._first:
+            self._first = received.names[0]
+        if received.names[0] != self._first:
             self._several = True
-            self._tell_once("several beacons are received: none is used; select one with sharing.beacon_name")
+            self._announce_once("several beacons are received: none is used; select one with sharing.beacon_name")
         return not self._several
 
-    def _tell_once(self, text: str) -> None:
-        if text not in self._told:
-            self._told.add(text)
-            self._tell(text)
+    def _announce_once(self, text: str) -> None:
+        if text not in self._announced:
+            self._announced.add(text)
+            self._announce(text)

@@ -31,7 +31,7 @@ class ContactBeacon:
         plane: the local plane of the mission.
         now_s: returns the time of the vehicle's clock, s.
         put: called with each reading.
-        tell: called once, when the contact is received first.
+        announce: called once, when the contact is received first.
 
     """
 
@@ -41,15 +41,15 @@ class ContactBeacon:
         plane: LocalPlane,
         now_s: Callable[[], float],
         put: Callable[[TargetFixReading], object],
-        tell: Callable[[str], object],
+        announce: Callable[[str], object],
     ) -> None:
         kind, _, number = name.lower().partition(":")
         self._name, self._message = name, _ADSB if kind == "adsb" else _AIS
         self._id = int(number, 16) if kind == "adsb" else int(number)
-        self._plane, self._now_s, self._put, self._tell = plane, now_s, put, tell
+        self._plane, self._now_s, self._put, self._announce = plane, now_s, put, announce
         self._measured_s = -math.inf
 
-    def hear(self, name: str, fields: Mapping[str, Any]) -> None:
+    def on_message(self, name: str, fields: Mapping[str, Any]) -> None:
         """Take a message of the vehicle's link."""
         if name != self._message or self._now_s() == -math.inf:
             return
@@ -62,7 +62,7 @@ class ContactBeacon:
         if measured_s - self._measured_s <= _REPEATED_S or age_s > _AGE_MAX_S:
             return
         if self._measured_s == -math.inf:
-            self._tell(f"the contact {self._name} is received: it is used as the beacon")
+            self._announce(f"the contact {self._name} is received: it is used as the beacon")
         self._measured_s = measured_s
         east_m, north_m = self._plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
         sigma_m = _ADSB_SIGMA_M

@@ -47,12 +47,12 @@ class _Periodic:
         if snapshot.target != self._target:
             return
         self._next_s = now_s + self._every_s
-        self._tell(estimate, snapshot.time_s)
+        self._announce(estimate, snapshot.time_s)
 
     def stop(self) -> None:
         self._sender.stop()
 
-    def _tell(self, estimate: TargetEstimate, time_s: float) -> None:
+    def _announce(self, estimate: TargetEstimate, time_s: float) -> None:
         raise NotImplementedError
 
 
@@ -64,7 +64,7 @@ class FollowTargetOutput(_Periodic):
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=_COMPONENT)
         self._heartbeat_s = -math.inf
 
-    def _tell(self, estimate: TargetEstimate, time_s: float) -> None:
+    def _announce(self, estimate: TargetEstimate, time_s: float) -> None:
         now_s = time.monotonic()
         if now_s >= self._heartbeat_s + _HEARTBEAT_EVERY_S:
             self._heartbeat_s = now_s
@@ -106,7 +106,7 @@ class NmeaOutput(_Periodic):
         super().__init__(sender, plane, altitude_m, _NMEA_EVERY_S)
         self._now = now
 
-    def _tell(self, estimate: TargetEstimate, time_s: float) -> None:
+    def _announce(self, estimate: TargetEstimate, time_s: float) -> None:
         latitude_deg, longitude_deg = self._plane.latitude_longitude_deg(*estimate.position_m(time_s))
         now = self._now().astimezone(UTC)
         clock = now.strftime("%H%M%S.") + f"{now.microsecond // 10_000:02d}"

@@ -47,12 +47,12 @@ class StreamSender:
     """
 
     def __init__(
-        self, address: Address, tls: ssl.SSLContext | None, server_name: str | None, tell: Callable[[str], None]
+        self, address: Address, tls: ssl.SSLContext | None, server_name: str | None, announce: Callable[[str], None]
     ) -> None:
-        self._address, self._tls, self._tell = address, tls, tell
+        self._address, self._tls, self._announce = address, tls, announce
         self._server_name = (server_name or address.host) if tls is not None else None
         self._writer: asyncio.StreamWriter | None = None
-        self._told = ""
+        self._announced = ""
         self._task = asyncio.create_task(self._run())
 
     def send(self, data: bytes) -> None:
@@ -68,9 +68,9 @@ class StreamSender:
         while True:
             try:
                 await self._connected(where)
-                self._tell_once(f"{where} has closed the connection; trying again")
+                self._announce_once(f"{where} has closed the connection; trying again")
             except (OSError, TimeoutError) as error:
-                self._tell_once(f"{where} cannot be reached ({_reason(error)}); trying again")
+                self._announce_once(f"{where} cannot be reached ({_reason(error)}); trying again")
             await asyncio.sleep(_AGAIN_AFTER_S)
 
     async def _connected(self, where: str) -> None:
@@ -78,7 +78,7 @@ class StreamSender:
         opening = asyncio.open_connection(host, port, ssl=self._tls, server_hostname=self._server_name)
         reader, writer = await asyncio.wait_for(opening, _CONNECT_TIMEOUT_S)
         self._writer = writer
-        self._tell_once(f"sending to {where}")
+        self._announce_once(f"sending to {where}")
         try:
             while await reader.read(_BACKLOG_MAX_BYTES):
                 pass
@@ -86,10 +86,10 @@ class StreamSender:
             self._writer = None
             writer.close()
 
-    def _tell_once(self, text: str) -> None:
-        if text != self._told:
-            self._told = text
-            self._tell(text)
+    def _announce_once(self, text: str) -> None:
+        if text != self._announced:
+            self._announced = text
+            self._announce(text)
 
 
 def tls_context(certificate: Path | None, key: Path | None, authority: Path | None, name: str) -> ssl.SSLContext:

@@ -155,7 +155,7 @@ class ClosedLoop(Generic[P]):
         link_s = self.link_s
         for packet in self.arriving():
             for message in simulated.messages(packet, link_s):
-                self.hear(message)
+                self.on_message(message)
         if self.core is not None and self.link_s >= self._tick_s:
             self._tick_s = self.link_s + _CLOCK_TICK_S
             self.put(ClockTick(self.telemetry.now_s, self.link_s))
@@ -172,7 +172,7 @@ class ClosedLoop(Generic[P]):
             self.down.put(packet, link_s, len(packet) if isinstance(packet, bytes) else 0)
         return self.down.take(link_s)
 
-    def hear(self, message: Message) -> None:
+    def on_message(self, message: Message) -> None:
         """Take a message that has arrived."""
         self.vehicle.take(message)
         event: InboundEvent | None = self.telemetry.event(message)

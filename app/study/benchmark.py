@@ -20,7 +20,7 @@ from sidelong.app.study.fleet_study import fly_fleets
 from sidelong.app.study.processes import on_processes
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.app.study.report import spread
-from sidelong.app.study.routes import own_route, route_beside
+from sidelong.app.study.routes import own_route, route_next_to
 from sidelong.app.study.settings import OWN_PLANNERS, PlannerName, StudySettings
 from sidelong.app.study.store import ResultStore, code_version
 from sidelong.app.study.study import PlannerResult, Study, table_of
@@ -93,7 +93,7 @@ class Benchmark:
 
         """
         self.targets = [
-            recorded_targets(places or [TRACKS], one.target_speed_max_m_s, route_beside) for one in CLASSES
+            recorded_targets(places or [TRACKS], one.target_speed_max_m_s, route_next_to) for one in CLASSES
         ]
         own = *OWN_PLANNERS, *((PlannerName.CONTROLLER,) if controller else ())
         self._all = planners is None

@@ -72,7 +72,7 @@ def run_closed_loop(
     flown, watch = scene(settings, number), StopWatch()
     config = config_of(settings)
     autopilot = next(one for one in FLOWN_AUTOPILOTS if one.name.lower() == settings.autopilot)
-    errors, told = payload_of(settings)
+    errors, assumed = payload_of(settings)
     circle = first_circle(settings, flown)
     aircraft, plane = _aircraft(settings, flown, circle), LocalPlane(_HOME.latitude_deg, _HOME.longitude_deg)
     start = Start(plane, _HOME, circle, settings.height_m)
@@ -93,7 +93,7 @@ def run_closed_loop(
             lost_after_s=settings.lost_after_s,
             give_up_after_s=math.inf,
         ),
-        Tracker(told),
+        Tracker(assumed),
         make_planner,
     )
     loop = ClosedLoop(vehicle)

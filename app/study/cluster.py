@@ -19,7 +19,7 @@ _ANSWER_S = 10.0
 T = TypeVar("T")
 
 
-def on_cluster(address: str, tell: Callable[[str], None] = lambda _words: None) -> Executor:
+def on_cluster(address: str, announce: Callable[[str], None] = lambda _words: None) -> Executor:
     """Return what flies batches on the workers of the scheduler at ``address``; its dashboard is printed.
 
     Raises InputError when dask.distributed is not installed; when flying, if no scheduler answers or its workers run
@@ -40,7 +40,7 @@ def on_cluster(address: str, tell: Callable[[str], None] = lambda _words: None) 
             ) from error
         with client:
             workers = len(client.scheduler_info(n_workers=-1)["workers"])
-            tell(f"{workers} workers; dashboard {client.dashboard_link}" if workers else "waiting for workers")
+            announce(f"{workers} workers; dashboard {client.dashboard_link}" if workers else "waiting for workers")
             yield from _Flying(client, designs).results(batches)
 
     return fly

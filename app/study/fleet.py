@@ -41,7 +41,7 @@ from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.core.requirement import Side
-from sidelong.mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_beside
+from sidelong.mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_on_station
 from sidelong.mission.fleet.team import TeamSettings
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.fleet.watched_course import WatchedCourse
@@ -74,7 +74,7 @@ class Loss:
 class FleetResult:
     """What several aircraft came to together. on_side_any, in_band_any: shares of time by at least one of them.
 
-    min_separation_m: the least distance of two aircraft in three dimensions; handovers: of the wanted side.
+    min_separation_m: the least distance of two aircraft in three dimensions; handovers: of the required side.
     position_error_m: root mean square of the joint estimate; in_ellipse: share of it within 95 %; 0 and 1 with
     perfect sensors. aircraft: each scored as if it were alone. logs (aircraft, n, 6) as judged.
     """
@@ -151,9 +151,9 @@ class FleetRun:
 
         def steer(estimate: TargetEstimate) -> None:
             states = [member.state for member in self._members]
-            for member, told in zip(self._members, self._watch(lambda: law.steer(states, estimate)), strict=True):
-                member.flight.numbers[COMMAND_PER_M] = told.curvature_per_m
-                member.airspeed_m_s = told.airspeed_m_s
+            for member, command in zip(self._members, self._watch(lambda: law.steer(states, estimate)), strict=True):
+                member.flight.numbers[COMMAND_PER_M] = command.curvature_per_m
+                member.airspeed_m_s = command.airspeed_m_s
 
         return self._flown(steer, 2, ())
 
@@ -201,7 +201,7 @@ class FleetRun:
         candidates = {
             one.name: Candidate(
                 one.planner.role_costs(one.state, estimate, one.plan(), wind, settings.latency_s),
-                is_beside(one.state, estimate, requirement, course_rad),
+                is_on_station(one.state, estimate, requirement, course_rad),
                 one.busy,
             )
             for one in flying
@@ -213,12 +213,12 @@ class FleetRun:
             one.name: Neighbour(one.name, one.state, one.height_m, True, role=roles[one.name]) for one in flying
         }
         for member in flying:
-            told = NeighbourPlanned(
+            command = NeighbourPlanned(
                 estimate.time_s, member.name, member.plan(), member.plan(coming=True) if member.busy else None
             )
             for other in flying:
                 if other is not member:
-                    other.planner.advise(told)
+                    other.planner.advise(command)
         wanted = requirement.side
         for member in sorted(flying, key=lambda one: roles[one.name] is not Role.WANTED):
             role = roles[member.name]

@@ -80,7 +80,7 @@ def fleet_table(study: FleetStudy) -> Table:
     """Return the figures for people: means, and the worst of all runs."""
     table = Table("mean / worst", *study.runs, box=box.SIMPLE_HEAD)
     for label, name, scale, digits, worst in (
-        ("wanted side seen by at least one, %", "time_on_side_any", 100.0, 2, np.min),
+        ("required side seen by at least one, %", "time_on_side_any", 100.0, 2, np.min),
         ("by the present course, %", "time_on_side_any_now", 100.0, 2, np.min),
         ("one in the band, %", "time_in_band_any", 100.0, 2, np.min),
         ("least separation, m", "min_separation_m", 1.0, 0, np.min),

@@ -89,7 +89,9 @@ class Flown:
     decision_s: list[float]
 
 
-def payload_in(errors: PayloadErrors, told: TrackerSettings, perfect: bool = False, apart: bool = False) -> Payload:
+def payload_in(
+    errors: PayloadErrors, assumed: TrackerSettings, perfect: bool = False, apart: bool = False
+) -> Payload:
     """Return a payload for the loops: its actual errors, and the errors that the filter assumes."""
     return Payload(
         perfect,
@@ -97,22 +99,22 @@ def payload_in(errors: PayloadErrors, told: TrackerSettings, perfect: bool = Fal
         errors.range_sigma_m,
         errors.angle_sigma_rad,
         errors.yaw_bias_rad,
-        told.range_sigma_m,
-        told.yaw_sigma_rad,
-        told.pitch_sigma_rad,
-        told.position_sigma_m,
+        assumed.range_sigma_m,
+        assumed.yaw_sigma_rad,
+        assumed.pitch_sigma_rad,
+        assumed.position_sigma_m,
     )
 
 
-def filtering_in(told: TrackerSettings) -> Filtering:
+def filtering_in(assumed: TrackerSettings) -> Filtering:
     """Return the settings of the filter for the loops."""
     return Filtering(
-        told.gate_nis,
-        told.soft_nis,
-        DENSITIES[told.target_kind],
-        told.reacquire_after,
-        told.lost_after_s,
-        told.lost_sigma_m,
+        assumed.gate_nis,
+        assumed.soft_nis,
+        DENSITIES[assumed.target_kind],
+        assumed.reacquire_after,
+        assumed.lost_after_s,
+        assumed.lost_sigma_m,
     )
 
 
@@ -127,7 +129,7 @@ class Sensed:
     """The payload of a run: its errors, those the tracker assumes, and the noise. perfect: the truth is known."""
 
     errors: PayloadErrors
-    told: TrackerSettings
+    assumed: TrackerSettings
     rng: np.random.Generator
     perfect: bool = False
 
@@ -165,26 +167,26 @@ class CompiledFlight:
         steps = round(duration_s / kernel.STEP_S)
         # As the aircraft's clock counts.
         time_s = np.add.accumulate(np.append(start.state.time_s, np.full(steps - 1, kernel.STEP_S)))
-        told, n = sensed.told, TARGET + ERRORS
-        apart = not sensed.perfect and not can_fly(told)
+        assumed, n = sensed.assumed, TARGET + ERRORS
+        apart = not sensed.perfect and not can_fly(assumed)
         noise = np.zeros((steps, 3)) if sensed.perfect or apart else sensed.rng.normal(size=(steps, 3))
         self._target = Target(np.ascontiguousarray(target.sampled(time_s)), noise)
-        self._payload = payload_in(sensed.errors, told, sensed.perfect, apart)
+        self._payload = payload_in(sensed.errors, assumed, sensed.perfect, apart)
         self._hills, self._ground = FLAT, None
         if over is not None:
             self._hills, self._ground = over.hills, over.ground if over.known else None
         self._sensing: PayloadSensing | None = None
         if apart:
-            self._sensing = PayloadSensing(sensed.rng, sensed.errors, told)
+            self._sensing = PayloadSensing(sensed.rng, sensed.errors, assumed)
             if self._ground is not None:
                 # A laser that is only hidden is not silent.
                 self._sensing.tracker.stand_on(self._ground, angles_alone=False)
-        self._filtering = filtering_in(told)
-        self._told, self._wind = told, wind
+        self._filtering = filtering_in(assumed)
+        self._assumed, self._wind = assumed, wind
         self._frame = start.frame(kernel.STEP_S)
         circling = Circling(circle.east_m, circle.north_m, circle.radius_m if circle.clockwise else -circle.radius_m)
         self._flight: Flight = kernel.new_flight(
-            start.body, circling, height_m, (len(MODELS), 1 + n + n * n), steps, told.reacquire_after
+            start.body, circling, height_m, (len(MODELS), 1 + n + n * n), steps, assumed.reacquire_after
         )
         self._watch = StopWatch()
 
@@ -283,13 +285,13 @@ class CompiledFlight:
 
     def _track(self) -> Track:
         """Return the track as it stands."""
-        numbers, track = self._flight.numbers, Track(self._told)
+        numbers, track = self._flight.numbers, Track(self._assumed)
         if self._ground is not None:
             track.stand_on(self._ground)
         if math.isinf(numbers[SEEN_S]):
             return track
         models = self._flight.models.copy()
-        last = TargetImm.resumed(self._told, float(numbers[FILTER_S]), models, self._ground)
+        last = TargetImm.resumed(self._assumed, float(numbers[FILTER_S]), models, self._ground)
         rejected = self._flight.rejected
         before = min(int(self._flight.counts[REJECTIONS]), len(rejected)) - 1  # the newest
         rows = rejected[len(rejected) - 1 - max(before, 0) : len(rejected) - 1].tolist()

@@ -25,13 +25,13 @@ class JointSight:
     """Sees the target from all aircraft for a given number of steps. heights_m: of each aircraft."""
 
     def __init__(self, settings: StudySettings, flown: Scene, heights_m: Sequence[float], steps: int) -> None:
-        errors, told = payload_of(settings)
-        self._told, count = told, len(heights_m)
+        errors, assumed = payload_of(settings)
+        self._assumed, count = assumed, len(heights_m)
         self._noise = np.stack([rng.normal(size=(steps, 3)) for rng in flown.sensor_rng.spawn(count)])
         self._heights_m = np.array(heights_m)
-        self._payload = payload_in(errors, told)
-        self._filtering = filtering_in(told)
-        self._prior = prior_of([told] * count, [0.0] * count)
+        self._payload = payload_in(errors, assumed)
+        self._filtering = filtering_in(assumed)
+        self._prior = prior_of([assumed] * count, [0.0] * count)
         self._state: FloatArray | None = None
         self._clock, self._rejections = np.zeros(2), np.zeros(1, np.int64)
 
@@ -89,7 +89,7 @@ class JointSight:
             height_m,
             payload=payload,
         )
-        return TargetImm(self._told, sighting, self._prior).state
+        return TargetImm(self._assumed, sighting, self._prior).state
 
     def estimate(self, time_s: float) -> TargetEstimate | None:
         """Return the joint estimate; None before the first sighting."""

@@ -36,7 +36,7 @@ def _displacement(arc_m: FloatArray, rng: np.random.Generator) -> FloatArray:
     return np.stack([size_m * np.sin(turn_rad), size_m * np.cos(turn_rad)], axis=1)
 
 
-def route_beside(file: Path, track: Track) -> Route | None:
+def route_next_to(file: Path, track: Track) -> Route | None:
     """Return the route in NAME.route.csv, .gpx, .geojson or .kml next to a track; None if there is none.
 
     Raises:

@@ -81,9 +81,9 @@ def aircraft_on(settings: StudySettings, flown: Scene, circle: Circle) -> Kinema
 
 def sensed_by(settings: StudySettings, flown: Scene) -> Sensed:
     """Return what one aircraft sees the target with."""
-    errors, told = payload_of(settings)
+    errors, assumed = payload_of(settings)
     # The compiled loop estimates no delays: its payload has none.
-    return Sensed(errors, replace(told, latency_sigma_s=0.0), flown.sensor_rng, settings.perfect_sensors)
+    return Sensed(errors, replace(assumed, latency_sigma_s=0.0), flown.sensor_rng, settings.perfect_sensors)
 
 
 def _steered(

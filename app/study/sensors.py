@@ -20,9 +20,9 @@ _GIMBAL = Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
 class PayloadSensing:
     """Laser and gimbal with noise, through the real tracker."""
 
-    def __init__(self, rng: np.random.Generator, errors: PayloadErrors, told: TrackerSettings) -> None:
+    def __init__(self, rng: np.random.Generator, errors: PayloadErrors, assumed: TrackerSettings) -> None:
         self._rng, self._errors = rng, errors
-        self.tracker = Tracker(told)
+        self.tracker = Tracker(assumed)
 
     def observe(
         self,

@@ -107,7 +107,7 @@ class ResultStore:
     """The file, or without one a temporary place on disk that is gone afterwards."""
 
     def __init__(self, file: Path | None) -> None:
-        """Open or create it. Raises InputError when it is no such file or cannot be written."""
+        """Open or create it. Raises InputError if it is another kind of file or cannot be written."""
         self.file = file
         try:
             self._db = sqlite3.connect("" if file is None else file, timeout=30.0)

@@ -65,7 +65,7 @@ async def _serve() -> None:
     serving = asyncio.create_task(runner.serve(sockets=[listener]))
     print(json.dumps({"port": listener.getsockname()[1]}), flush=True)
     while (line := await reader.readline()).endswith(b"\n"):  # a cut line is the end, too
-        server.tell(json.loads(line))
+        server.publish(json.loads(line))
     server.close()
     runner.should_exit = True
     await serving

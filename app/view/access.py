@@ -99,7 +99,7 @@ class Access:
         if self.local or (session and session == self._operator):
             return None
         if self._sessions.get(session) == "operator":
-            return "somebody else has the buttons now; open the operator's address again to take them over"
+            return "another client has the buttons now; open the operator's address again to take them over"
         return "this page is for watching only"
 
     def who(self, client: str) -> str:

@@ -64,14 +64,14 @@ class ViewDisplay:
         self._feed: Feed | None = None
         self._snapshot: Snapshot | None = None
         self._trail: deque[list[float]] = deque(maxlen=_UNSENT_MAX)
-        self._said: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
+        self._announced: deque[list[object]] = deque(maxlen=_UNSENT_MAX)
         self._setting: Json | None = None
         self._requirement = config.requirement.requirement()
         self._route: Route | None = None
         self._shading: Shading | None = None
         self._trail_s = -math.inf
         self._sent_at_s = -math.inf
-        self._heard_at_s = time.monotonic()
+        self._received_at_s = time.monotonic()
         self._start_s: float | None = None  # None: not taken over yet, and times mean nothing to a person
         self._status: Callable[[], VehicleStatus] | None = None
         self._vehicle: VehicleStatus | None = None
@@ -134,16 +134,16 @@ class ViewDisplay:
 
     def note(self, text: str) -> None:
         self._inner.note(text)
-        self._heard(None, "note", text)
+        self._received(None, "note", text)
         self.pump()
 
     def say(self, announcement: Announce) -> None:
         self._inner.say(announcement)
         time_s = None if self._start_s is None else announcement.time_s
-        self._heard(time_s, announcement.kind, announcement.text)
+        self._received(time_s, announcement.kind, announcement.text)
 
-    def _heard(self, time_s: float | None, kind: str, text: str) -> None:
-        self._said.append([time_s, kind, text])
+    def _received(self, time_s: float | None, kind: str, text: str) -> None:
+        self._announced.append([time_s, kind, text])
 
     def show(self, snapshot: Snapshot) -> None:
         self._inner.show(snapshot)
@@ -151,7 +151,7 @@ class ViewDisplay:
 
     def _observe(self, snapshot: Snapshot) -> None:
         if self._snapshot is None or snapshot.time_s != self._snapshot.time_s:
-            self._heard_at_s = time.monotonic()
+            self._received_at_s = time.monotonic()
         self._snapshot = snapshot
         route = None if snapshot.route is None else snapshot.route.route
         if snapshot.requirement != self._requirement or route is not self._route:
@@ -183,9 +183,9 @@ class ViewDisplay:
         self._pressed(json.loads(line))
 
     def _send(self, feed: Feed) -> None:
-        if feed.send(page_line(self._told())):
+        if feed.send(page_line(self._update())):
             self._trail.clear()
-            self._said.clear()
+            self._announced.clear()
             self._setting = None
         elif not feed.alive:
             self._inner.note("the page has stopped; the flight goes on without it")
@@ -204,18 +204,18 @@ class ViewDisplay:
         base = setting(self._config, self._encoder.plane, self._name, self._requirement, self._route)
         return base | under_flight(self._address, self._shading)
 
-    def _told(self) -> Json:
-        told: Json = {"start_s": self._start_s, "trail": list(self._trail), "said": list(self._said)}
+    def _update(self) -> Json:
+        update: Json = {"start_s": self._start_s, "trail": list(self._trail), "announcements": list(self._announced)}
         if self._shading is not None and self._shading.is_new():
-            told["shade"], self._setting = str(self._shading.file), self._set()
+            update["shade"], self._setting = str(self._shading.file), self._set()
         if self._setting is not None:
-            told["setting"] = self._setting
+            update["setting"] = self._setting
         if self._status is not None and time.monotonic() >= self._vehicle_at_s + _STATUS_EVERY_S:
             self._vehicle, self._vehicle_at_s = self._status(), time.monotonic()
         if self._snapshot is not None:
-            silent_s = time.monotonic() - self._heard_at_s
-            told["state"] = self._state(self._snapshot, silent_s)
-        return told
+            silent_s = time.monotonic() - self._received_at_s
+            update["state"] = self._state(self._snapshot, silent_s)
+        return update
 
     def _state(self, snapshot: Snapshot, silent_s: float) -> Json:
         return self._encoder.state(snapshot, silent_s, self._vehicle)
@@ -223,7 +223,7 @@ class ViewDisplay:
     def _answer(self, text: str) -> None:
         """Answer a request of the page, on the terminal too."""
         self._inner.note(text)
-        self._said.append([None, "operator", text])
+        self._announced.append([None, "operator", text])
 
     def _pressed(self, press: Json) -> None:
         if self._request is None or self._snapshot is None or not math.isfinite(self._snapshot.time_s):
@@ -245,15 +245,15 @@ class ViewDisplay:
 
 
 @contextlib.asynccontextmanager
-async def served(view: View, tell: Callable[[str], object]) -> AsyncIterator[View]:
+async def served(view: View, announce: Callable[[str], object]) -> AsyncIterator[View]:
     """Serve a page inside the context; the callback receives its address."""
     with view:
-        tell(f"live map: {view.url}")
+        announce(f"live map: {view.url}")
         opening = asyncio.create_task(asyncio.to_thread(webbrowser.open, view.url)) if view.opens_browser else None
         if view.viewer_url != view.url:
-            tell(f"to watch only: {view.viewer_url}")
+            announce(f"to watch only: {view.viewer_url}")
             if not view.encrypted:
-                tell("the map goes over the network unencrypted: --view-cert and --view-key encrypt it")
+                announce("the map goes over the network unencrypted: --view-cert and --view-key encrypt it")
         fresh = asyncio.create_task(view.keep_fresh())
         try:
             yield view

@@ -21,7 +21,7 @@ _TRAIL_MAX, _WORDS_MAX, _SAMPLES_MAX, _RECENT_S = 2000, 400, 1200, 180.0
 
 @dataclass(slots=True)
 class Frames:
-    """Frames of a replay: times_s and states (JSON); said: (time_s, kind, text); decided_s: times of decided moves.
+    """Frames of a replay: times_s, states (JSON); announced: (time_s, kind, text); decided_s: times of decided moves.
 
     start_s: when tracking began, else time of the first estimate; None if there was neither.
     route: the last one given.
@@ -29,7 +29,7 @@ class Frames:
 
     times_s: list[float] = field(default_factory=list)
     states: list[bytes] = field(default_factory=list)
-    said: list[tuple[float, str, str]] = field(default_factory=list)
+    announced: list[tuple[float, str, str]] = field(default_factory=list)
     decided_s: list[float] = field(default_factory=list)
     start_s: float | None = None
     plane: LocalPlane | None = None
@@ -48,8 +48,10 @@ class Frames:
             again = bool(proposals and moves and moves[0] < moved_s + _SAME_S)
             moved_s = moves[-1] if moves else moved_s
             self.decided_s += [] if again else moves
-            said = announcements(step.commands)
-            self.said += [(one.time_s, one.kind, one.text) for one in said if not (again and one.kind == "decision")]
+            announced = announcements(step.commands)
+            self.announced += [
+                (one.time_s, one.kind, one.text) for one in announced if not (again and one.kind == "decision")
+            ]
             if snapshot.route is not None:
                 self.route = snapshot.route.route
             if snapshot.aircraft is not None and snapshot.time_s >= last_s + step_s - _ROUNDING_S:
@@ -81,10 +83,12 @@ class Frames:
         places = ((self.times_s[k], self.state(k)["aircraft"]["at_m"]) for k in range(begin, end, every))
         return [[round(time_s, 1), *at_m] for time_s, at_m in places]
 
-    def said_between(self, after_s: float, until_s: float) -> list[list[object]]:
+    def announced_between(self, after_s: float, until_s: float) -> list[list[object]]:
         """Return the latest words of a time, as the page takes them."""
-        begin, end = (bisect.bisect_right(self.said, time_s, key=lambda one: one[0]) for time_s in (after_s, until_s))
-        return [list(one) for one in self.said[max(begin, end - _WORDS_MAX) : end]]
+        begin, end = (
+            bisect.bisect_right(self.announced, time_s, key=lambda one: one[0]) for time_s in (after_s, until_s)
+        )
+        return [list(one) for one in self.announced[max(begin, end - _WORDS_MAX) : end]]
 
     def states_until(self, index: int) -> list[Json]:
         """Return states up to a frame, thinned where they are long past: what plots and the target's path need."""

@@ -22,8 +22,8 @@ class Player:
         self._speed, self._playing = speed, True
         self._begin_s, self._end_s = frames.span_s
         self._at_s = frames.start_s if frames.start_s is not None else self._begin_s
-        self._told = -1  # index of the frame sent last; -1: start again
-        self._told_s = -math.inf
+        self._sent = -1  # index of the frame sent last; -1: start again
+        self._sent_s = -math.inf
         self._looked_s = clock()
 
     def pressed(self, press: Json) -> None:
@@ -46,30 +46,30 @@ class Player:
                 if there_s is not None:
                     self._seek(there_s)
 
-    def told(self) -> Json:
+    def update(self) -> Json:
         """Return the data to send to the page: all since the last call, or everything after a jump."""
         self._advance()
-        frames, anew = self._frames, self._told < 0
-        index, since_s = frames.index(self._at_s), -math.inf if anew else self._told_s
-        told: dict[str, Any] = {
+        frames, restarted = self._frames, self._sent < 0
+        index, since_s = frames.index(self._at_s), -math.inf if restarted else self._sent_s
+        update: dict[str, Any] = {
             "start_s": frames.start_s,
-            "trail": frames.trail(max(self._told + 1, 0), index + 1),
-            "said": frames.said_between(since_s, self._at_s),
+            "trail": frames.trail(max(self._sent + 1, 0), index + 1),
+            "announcements": frames.announced_between(since_s, self._at_s),
             "state": frames.state(index),
             "replay": {"playing": self._playing, "speed": self._speed, "at_s": round(self._at_s, 2)},
         }
-        if anew:
-            told |= {"restart": True, "states": frames.states_until(index)}
+        if restarted:
+            update |= {"restart": True, "states": frames.states_until(index)}
         if self._what_if is not None and self._what_if.times_s:
             other = self._what_if.state(self._what_if.index(self._at_s))
-            told["state"]["what_if"] = {key: other[key] for key in ("proposed", "reason", "side")}
-            said = self._what_if.said_between(since_s, self._at_s)
-            told["said"] += [
-                [time_s, "what-if", f"what if: {text}"] for time_s, kind, text in said if kind == "decision"
+            update["state"]["what_if"] = {key: other[key] for key in ("proposed", "reason", "side")}
+            announced = self._what_if.announced_between(since_s, self._at_s)
+            update["announcements"] += [
+                [time_s, "what-if", f"what if: {text}"] for time_s, kind, text in announced if kind == "decision"
             ]
-            told["said"].sort(key=lambda one: one[0])
-        self._told, self._told_s = index, self._at_s
-        return told
+            update["announcements"].sort(key=lambda one: one[0])
+        self._sent, self._sent_s = index, self._at_s
+        return update
 
     @property
     def setting(self) -> Json:
@@ -78,7 +78,7 @@ class Player:
         return {"begin_s": round(self._begin_s, 1), "end_s": round(self._end_s, 1), "decided_s": decided_s}
 
     def _seek(self, time_s: float) -> None:
-        self._at_s, self._told = min(max(time_s, self._begin_s), self._end_s), -1
+        self._at_s, self._sent = min(max(time_s, self._begin_s), self._end_s), -1
 
     def _advance(self) -> None:
         now_s = self._clock()

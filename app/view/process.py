@@ -50,8 +50,8 @@ def start_page(address: Address, replay: bool = False, fleet: Sequence[str] = ()
 def under_flight(address: Address, shading: Shading | None) -> Json:
     """Return the page's settings for map and ground."""
     under = address.map
-    told = None if under is None else {"zooms": under.zooms, "bounds_deg": under.bounds_deg}
-    return {"map": told, "shade_m": None if shading is None else shading.edges_m}
+    layers = None if under is None else {"zooms": under.zooms, "bounds_deg": under.bounds_deg}
+    return {"map": layers, "shade_m": None if shading is None else shading.edges_m}
 
 
 def page_line(values: Json) -> bytes:

@@ -25,30 +25,30 @@ def serve_replay(
     address: Address,
     name: str,
     speed: float,
-    tell: Callable[[str], object],
+    announce: Callable[[str], object],
 ) -> None:
     """Serve until Ctrl-C, or until the page's process ends. The callback receives the page's address."""
     player = Player(frames, speed, time.monotonic, what_if)
     feed, url, _ = start_page(address, replay=True)
     has_ground = config.terrain.folder is not None and frames.plane is not None
     shading = Shading(config, frames.plane) if has_ground and frames.plane is not None else None
-    setting_told = False
-    tell(f"replay: {url} (Ctrl-C ends it)")
+    setting_sent = False
+    announce(f"replay: {url} (Ctrl-C ends it)")
     try:
         with contextlib.suppress(KeyboardInterrupt):
             while feed.alive:
                 for line in feed.lines():
                     player.pressed(json.loads(line))
                 if feed.ready:
-                    told = player.told()
+                    update = player.update()
                     new_shade = shading is not None and shading.is_new()
-                    if not setting_told or new_shade:
+                    if not setting_sent or new_shade:
                         base = setting(config, frames.plane, name, route=frames.route) | {"replay": player.setting}
-                        told["setting"] = base | under_flight(address, shading)
-                        setting_told = True
+                        update["setting"] = base | under_flight(address, shading)
+                        setting_sent = True
                     if new_shade and shading is not None:
-                        told["shade"] = str(shading.file)
-                    feed.send(page_line(told))
+                        update["shade"] = str(shading.file)
+                    feed.send(page_line(update))
                 time.sleep(_EVERY_S)
     finally:
         feed.close()

@@ -73,27 +73,27 @@ class History:
         self.state: Json | None = None
         self.start_s: float | None = None
         self.trail: deque[list[float]] = deque(maxlen=_TRAIL_KEPT)
-        self.said: deque[list[Any]] = deque(maxlen=_WORDS_KEPT)
+        self.announced: deque[list[Any]] = deque(maxlen=_WORDS_KEPT)
         self.series: deque[Json] = deque(maxlen=_SERIES_KEPT)
 
-    def add(self, told: Json) -> None:
-        self.setting = told.get("setting", self.setting)
-        self.start_s = told["start_s"]
-        self.trail.extend(told["trail"])
-        self.said.extend(told["said"])
-        self.replay = told.get("replay", self.replay)
-        state = told.get("state")
+    def add(self, update: Json) -> None:
+        self.setting = update.get("setting", self.setting)
+        self.start_s = update["start_s"]
+        self.trail.extend(update["trail"])
+        self.announced.extend(update["announcements"])
+        self.replay = update.get("replay", self.replay)
+        state = update.get("state")
         if state is not None:
             self.state = state
             self.series.append(_sample(state))
 
-    def told(self) -> Json:
+    def update(self) -> Json:
         """Return all of it as one message."""
         return {
             "setting": self.setting,
             "start_s": self.start_s,
             "trail": list(self.trail),
-            "said": list(self.said),
+            "announcements": list(self.announced),
             "series": list(self.series),
             "replay": self.replay,
             **({"state": self.state} if self.state is not None else {}),
@@ -147,19 +147,19 @@ class Server:
         ]
         self.app = self._guarded(Starlette(routes=routes))
 
-    def tell(self, told: Json) -> None:
+    def publish(self, update: Json) -> None:
         """Pass a message on to every page."""
-        if "shade" in told:
-            self._shade = Path(told.pop("shade"))
-        states = told.pop("states", None)
-        if told.get("restart"):  # a replay has jumped
+        if "shade" in update:
+            self._shade = Path(update.pop("shade"))
+        states = update.pop("states", None)
+        if update.get("restart"):  # a replay has jumped
             self._history = History(self._history.setting)
-            told["series"] = [_sample(state) for state in states]
-            self._history.series.extend(told["series"])
-        self._history.add(told)
-        if "state" in told and "series" not in told:
-            told["series"] = [_sample(told["state"])]
-        event = _event({"setting": self._history.setting} | told if told.get("restart") else told)
+            update["series"] = [_sample(state) for state in states]
+            self._history.series.extend(update["series"])
+        self._history.add(update)
+        if "state" in update and "series" not in update:
+            update["series"] = [_sample(update["state"])]
+        event = _event({"setting": self._history.setting} | update if update.get("restart") else update)
         for page in list(self._pages):
             try:
                 page.put_nowait(event)
@@ -171,7 +171,7 @@ class Server:
 
     def close(self) -> None:
         """End every page's stream."""
-        self.tell({"start_s": self._history.start_s, "trail": [], "said": [], "over": True})
+        self.publish({"start_s": self._history.start_s, "trail": [], "announcements": [], "over": True})
         for page in self._pages:
             page.put_nowait(None)
 
@@ -262,7 +262,7 @@ class Server:
         page: asyncio.Queue[bytes | None] = asyncio.Queue(_UNSENT_MAX)
         self._pages.add(page)
         try:
-            yield _event(self._history.told() | {"restart": True})
+            yield _event(self._history.update() | {"restart": True})
             while (event := await page.get()) is not None:
                 yield event
         finally:
@@ -373,5 +373,5 @@ async def _body(request: Request) -> bytes | None:
     return body
 
 
-def _event(told: Json) -> bytes:
-    return b"data: " + json.dumps(told, separators=(",", ":")).encode() + b"\n\n"
+def _event(update: Json) -> bytes:
+    return b"data: " + json.dumps(update, separators=(",", ":")).encode() + b"\n\n"

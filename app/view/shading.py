@@ -23,14 +23,14 @@ class Shading:
         self.edges_m: tuple[float, float, float, float] | None = None
         self._folder = Path(tempfile.mkdtemp(prefix="sidelong-"))
         self.file = self._folder / "shade.png"
-        self._told = False
+        self._announced = False
         self._maker = threading.Thread(target=self._make, args=(config, plane), daemon=True)
         self._maker.start()
 
     def is_new(self) -> bool:
         """Return True once, when the image is ready."""
-        new = self.edges_m is not None and not self._told
-        self._told |= new
+        new = self.edges_m is not None and not self._announced
+        self._announced |= new
         return new
 
     def close(self) -> None:

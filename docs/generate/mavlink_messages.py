@@ -18,7 +18,7 @@ from sidelong.app.flight import streams
 _DEFINED = {message.msgname: message for message in dialect.mavlink_map.values()}
 _NAMES = _DEFINED.keys()
 _NAME_OF = {number: message.msgname for number, message in dialect.mavlink_map.items()}
-_SENDERS = {"send", "send_mission", "tell", "_commanded"}
+_SENDERS = {"send", "send_mission", "transmit", "_commanded"}
 _FOLDERS = (
     "app/link",
     "app/flight",

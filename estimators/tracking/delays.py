@@ -186,7 +186,7 @@ class _Log:
         return bool(after_s < -_GAP_MAX_S or after_s > _SAMPLE_EVERY_S)
 
     def add(self, *row: float) -> None:
-        """Keep a row if :meth:`takes` says so."""
+        """Keep a row if :meth:`takes` returns True."""
         if not self.takes(row[0]):
             return
         if self._count == len(self._rows):

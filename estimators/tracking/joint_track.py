@@ -21,9 +21,9 @@ from sidelong.estimators.tracking.track import Track
 
 _COMPARED_EVERY_S = 1.0
 # A payload is excluded, or included again, only after this time of contradiction or agreement.
-_REFUSED_AFTER_S, _BELIEVED_AFTER_S = 3.0, 10.0
+_REFUSED_AFTER_S, _ACCEPTED_AFTER_S = 3.0, 10.0
 # Squared distance from the best accepted payload at which the filter restarts: it followed a faulty payload.
-_ASTRAY = 50.0
+_REJECTED = 50.0
 
 
 class JointTrack:
@@ -125,7 +125,7 @@ class JointTrack:
             if payload in group:
                 self._wrong_s.pop(payload, None)
                 since_s = self._right_s.setdefault(payload, time_s)
-                if payload in self._refused and time_s - since_s >= _BELIEVED_AFTER_S:
+                if payload in self._refused and time_s - since_s >= _ACCEPTED_AFTER_S:
                     del self._refused[payload]
                 continue
             self._right_s.pop(payload, None)
@@ -142,6 +142,6 @@ class JointTrack:
         if joint is None or not trusted or not self._refused:
             return
         surest = alive[trusted[0]]
-        if squared_distance(joint, surest) > _ASTRAY:
+        if squared_distance(joint, surest) > _REJECTED:
             self._track, self._fed = self._new(), {trusted[0]}
             self._track.add(self._latest[trusted[0]])

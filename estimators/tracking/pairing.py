@@ -151,7 +151,7 @@ class Pairing:
         return self._seen(time_s, (reading.slant_range_m, sigma_m), reading.quality)
 
     def _seen(
-        self, time_s: float, told_m: tuple[float, float] | None, quality: float | None = None
+        self, time_s: float, reported_m: tuple[float, float] | None, quality: float | None = None
     ) -> Sighting | None:
         """Return the sighting at a time, with a range and its sigma, or where the line of sight meets the ground."""
         settings = self._settings
@@ -167,11 +167,11 @@ class Pairing:
         sight = line_of_sight(gimbal, attitude, self.parent_from_mount)
         arm_m = (0.0, 0.0, 0.0) if attitude is None else lever_arm_plane_m(settings.lever_arm_body_m, attitude)
         aircraft_m = position.east_m + arm_m[0], position.north_m + arm_m[1], position.height_m + arm_m[2]
-        range_m, range_sigma_m = told_m or (self._to_ground_m(aircraft_m, sight), _UNKNOWN_M)
+        range_m, range_sigma_m = reported_m or (self._to_ground_m(aircraft_m, sight), _UNKNOWN_M)
         if range_m is None:
             return None
         # Without a range, what the ground is off its data is as good as an error of the sight.
-        uneven_m = self.ground.sigma_m if told_m is None and self.ground is not None else 0.0
+        uneven_m = self.ground.sigma_m if reported_m is None and self.ground is not None else 0.0
         attitude_sigma_rad = 0.0 if gimbal.frame == "earth" else settings.attitude_sigma_rad
         # Several ranges between two lines of sight share the noise of these: none may count it as its own.
         shared = math.sqrt(max(1.0, gap_s / max(abs(time_s - self._paired_s), 1e-3)))

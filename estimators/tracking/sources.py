@@ -73,7 +73,7 @@ class SourceSelector:
     silent_after_s: float = 10.0
     chosen: Source | None = None
     refused: list[Source] = field(default_factory=list)
-    heard_s: float = -math.inf  # when the chosen one last spoke
+    received_s: float = -math.inf  # when the chosen one last spoke
     _ranks: dict[Source, int | None] = field(default_factory=dict)
     _agrees_since_s: dict[Source, float] = field(default_factory=dict)  # of refused sources
 
@@ -92,14 +92,14 @@ class SourceSelector:
                 return False
             present = self._rank_of(self.chosen) if self.chosen else None
             better = present is None or rank < present
-            if not better and time_s - self.heard_s < self.silent_after_s:
+            if not better and time_s - self.received_s < self.silent_after_s:
                 return False
             if self.chosen is not None and not self._may_replace(source, time_s, agrees=agrees()):
                 return False
             self.chosen = source
             if source in self.refused:
                 self.refused.remove(source)
-        self.heard_s = max(self.heard_s, time_s)
+        self.received_s = max(self.received_s, time_s)
         return True
 
     def _may_replace(self, source: Source, time_s: float, *, agrees: bool) -> bool:

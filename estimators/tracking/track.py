@@ -57,7 +57,7 @@ class Track:
         self._filter: TargetImm | None = None
         self._coasted: TargetImm | None = None  # moved on from the last sighting by whole steps
         self._steps: list[_Step] = []
-        self._astray: list[AnySighting] = []  # beyond the gate, since the last one within
+        self._gated_out: list[AnySighting] = []  # beyond the gate, since the last one within
         self._last_rejection = ""
         self._last_sighting_s = -math.inf
         self._begins_again = False
@@ -78,7 +78,7 @@ class Track:
         else:
             self._filter = self._coasted = None
             self._steps.clear()
-            self._astray.clear()
+            self._gated_out.clear()
 
     def begin_again(self) -> None:
         """Restart position and motion with the next sighting; the payload's errors are kept."""
@@ -94,7 +94,7 @@ class Track:
         """
         self._filter = self._coasted = None
         self._steps.clear()
-        self._astray.clear()
+        self._gated_out.clear()
         self._kept.clear()
         self._prior = biases
         for sighting in sightings:
@@ -109,18 +109,18 @@ class Track:
         """
         self._ground = ground
 
-    def resume(self, last: TargetImm, last_sighting_s: float, astray: list[AnySighting]) -> None:
+    def resume(self, last: TargetImm, last_sighting_s: float, gated_out: list[AnySighting]) -> None:
         """Go on from a filter as of the last sighting. Earlier filters are no longer available.
 
         Args:
             last: The filter after the last accepted sighting.
             last_sighting_s: Time of that sighting, vehicle's clock, s.
-            astray: Sightings since then that the gate rejected.
+            gated_out: Sightings since then that the gate rejected.
 
         """
         self._filter, self._coasted = last, None
         self._steps.clear()
-        self._last_sighting_s, self._astray = last_sighting_s, astray
+        self._last_sighting_s, self._gated_out = last_sighting_s, gated_out
 
     @property
     def last(self) -> tuple[TargetImm | None, float]:
@@ -153,7 +153,7 @@ class Track:
         if nis <= settings.gate_nis:
             self._accept(sighting, before, ahead)
             return SightingOutcome(sighting, True, nis)
-        agreeing = self._astray = [*self._astray, sighting][-settings.reacquire_after :]
+        agreeing = self._gated_out = [*self._gated_out, sighting][-settings.reacquire_after :]
         if len(agreeing) == settings.reacquire_after and self._one_target_explains(agreeing):
             self._restart(agreeing, ahead.biases())
             return SightingOutcome(sighting, True, nis, "restarted where the rejected sightings agree")
@@ -184,7 +184,7 @@ class Track:
     def _accept(self, sighting: AnySighting, before: TargetImm, after: TargetImm) -> None:
         self._filter, self._coasted = after, None
         self._steps.append(_Step(sighting, before))
-        self._astray.clear()
+        self._gated_out.clear()
         self._last_rejection = ""
         self._last_sighting_s = max(self._last_sighting_s, sighting.time_s)
         if not self._kept or after.time_s - self._kept[-1][0] >= _KEPT_EVERY_S:

@@ -65,7 +65,7 @@ class Tracker:
             from sidelong.estimators.tracking.delays import DelayFit  # noqa: PLC0415
 
             self._delay_fit = DelayFit(settings, self._pairing.parent_from_mount)
-        self._doubted = False  # from the time that the payload turns out to be wrong until it agrees again
+        self._suspected = False  # from the time that the payload turns out to be wrong until it agrees again
         self._delays: Delays | None = None
         self._delays_of: dict[tuple[Source | None, Source | None], Delays] = {}
         self._devices: tuple[Source | None, Source | None] = None, None
@@ -111,7 +111,7 @@ class Tracker:
                 self._delays = self._delays_of.get(devices)
                 self._pairing.set_delays(self._delays)
             self._devices = devices
-        found = None if self._doubted else fit.updated(reading.time_s)
+        found = None if self._suspected else fit.updated(reading.time_s)
         if found is None:
             return
         apart_s = (
@@ -216,7 +216,7 @@ class Tracker:
         if reading.source.message in BEACON_MESSAGES:
             sigma_m = self._beacon.sigma_m(reading.time_s, reading.sigma_m)
             return (self._take(Fix(reading.time_s, reading.east_m, reading.north_m, sigma_m)),)
-        laser_speaks = reading.time_s - self._ranges.heard_s < self._ranges.silent_after_s
+        laser_speaks = reading.time_s - self._ranges.received_s < self._ranges.silent_after_s
         if laser_speaks and self._settings.fix_source is None:
             return ()
         if not self._fixes.accepts(reading.source, reading.time_s):
@@ -289,12 +289,12 @@ class Tracker:
             time_s: Vehicle's clock, s.
 
         """
-        self._doubted = True
+        self._suspected = True
         self._track.forget_since(time_s)
 
     def begin_again(self) -> None:
         """Restart the track with the next sighting: what it was made from has turned out to be wrong."""
-        self._doubted = False
+        self._suspected = False
         self.restart_delays()
         self._track.begin_again()
 

@@ -9,8 +9,9 @@ Rules
 4. When the measured ratio of flown to commanded radius changes, the present circle is sent again.
 5. An aircraft that has left its transition for some seconds (circling a waypoint that it cannot reach, say) is sent
    to the transition's circle directly.
-6. Any flight mode but the one taken over in means that somebody else flies: Yield, latched. Only an operator's wish
-   to resume ends it: the aircraft is then taken over again, and the watch goes on with the live track.
+6. Any other flight mode than that of the takeover means that a pilot or another station flies: Yield, latched.
+   Only an operator's request to resume ends it: the aircraft is then taken over again, and the watch goes on with
+   the live track.
 7. A target lost for ``give_up_after_s`` ends the mission, and so does a low battery: the aircraft flies home.
 8. What a person changes in flight holds from the next decision on: a new planner is made, and where it stays, the
    present circle is sent again as changed.
@@ -165,16 +166,16 @@ class StandoffController:
 
         """
         self.sighted = ()
-        told: tuple[Command, ...]
-        admitted, told = self.door.admit(event)
+        announced: tuple[Command, ...]
+        admitted, announced = self.door.admit(event)
         due = self.health.received(event, self.door.clock.now_s)
         if due:
-            told += self._health_changes()
+            announced += self._health_changes()
             self.door.vehicle_silent = self.health.silent_s >= _SILENT_S
         if admitted is None:
-            return told
+            return announced
         commands = self._admitted(admitted)
-        return told + commands if told else commands
+        return announced + commands if announced else commands
 
     def _health_changes(self) -> tuple[HealthChanged, ...]:
         """Return which inputs have changed their state; a payload that agrees again starts a new track."""
@@ -319,25 +320,25 @@ class StandoffController:
         self.aircraft = _state_of(reading, self._sensor_status.bank_rad)
         if not self.door.dead_reckoned:
             self.changes.observe(self.aircraft)
-        told: tuple[Command, ...] = ()
+        announced: tuple[Command, ...] = ()
         due = self.time_s >= self._next_decision_s
         if due:
             self._next_decision_s = self.time_s + self.settings.decision_period_s
             self.estimate = self.planning.joint_estimate(self.time_s) or self.tracker.estimate(self.time_s)
             if self.estimate is not None:
-                told = self._news.tell(self.time_s, self.estimate)
-            told += self._delay_news.tell(self.time_s, self.tracker.delays)
+                announced = self._news.announce(self.time_s, self.estimate)
+            announced += self._delay_news.announce(self.time_s, self.tracker.delays)
         if self.changes.under_way is not None:
-            return told + self.changes.activate_due(self.time_s, watching=self.phase is Phase.WATCHING)
+            return announced + self.changes.activate_due(self.time_s, watching=self.phase is Phase.WATCHING)
         if self.door.doubt is not None:
             self.decision = Decision(self.time_s, None, f"holding the circle: {self.door.doubt}")
-            return told
+            return announced
         if self.door.no_heartbeat:
             self.decision = Decision(self.time_s, None, "holding the circle: no heartbeat from the autopilot")
-            return told
+            return announced
         if self.door.faulty:
-            return told
-        return told + self._decide() if due else ()
+            return announced
+        return announced + self._decide() if due else ()
 
     # -- deciding ------------------------------------------------------------------------------------------
 
@@ -377,7 +378,7 @@ class StandoffController:
             return ()
         decision = self.planning.decide(aircraft, target, present, self._wind, self.latency.expected_s)
         news = self.planning.route_news()
-        told: tuple[Command, ...] = (Announce(self.time_s, "route", news),) if news else ()
+        announced: tuple[Command, ...] = (Announce(self.time_s, "route", news),) if news else ()
         if decision.plan is not None and reach is not None and not self._keeps_away(decision.plan, reach):
             decision = replace(
                 decision, plan=None, reason="staying: the target is not seen and may be too near there"
@@ -386,7 +387,7 @@ class StandoffController:
             cleared = self.cleared(decision.plan)
             if isinstance(cleared, str):
                 decision = replace(decision, plan=None, reason=f"staying: {cleared}")
-                told = (*told, Announce(self.time_s, "decision", decision.reason))
+                announced = (*announced, Announce(self.time_s, "decision", decision.reason))
             else:
                 decision = replace(decision, plan=cleared)
         self.decision, plan = decision, decision.plan
@@ -394,9 +395,9 @@ class StandoffController:
         if plan is not None:
             arrival_s = plan.departure_s + plan.transition_m / self.settings.aircraft.airspeed_m_s
             text = f"{decision.reason}; there in {arrival_s - self.time_s:.0f} s"
-            return (decided, *told, Announce(self.time_s, "decision", text), self._upload(plan, decision.reason))
+            return (decided, *announced, Announce(self.time_s, "decision", text), self._upload(plan, decision.reason))
         changed = self._circle_as_changed(aircraft, present)
-        return (decided, *told, *(changed if changed or told else self._corrected_radius(present)))
+        return (decided, *announced, *(changed if changed or announced else self._corrected_radius(present)))
 
     def _escape(self, aircraft: AircraftState, present: Plan) -> tuple[Command, ...]:
         """Return the plan to another circle if a lower aircraft of the fleet flies too near below the present one."""
@@ -608,10 +609,10 @@ class StandoffController:
             case "side":
                 self._ask_for(settings.aircraft, replace(settings.requirement, side=event.side))
         text = f"operator: {event.action}" + (f" {event.side}" if event.action == "side" else "")
-        told = Announce(event.time_s, "operator", text)
+        announced = Announce(event.time_s, "operator", text)
         if event.action == "end":
-            return told, End(event.time_s, "hold", "ended by the operator")
-        return (told,)
+            return announced, End(event.time_s, "hold", "ended by the operator")
+        return (announced,)
 
     def _ask_for(self, aircraft: Aircraft, requirement: Requirement) -> None:
         self.settings = replace(self.settings, aircraft=aircraft, requirement=requirement)

@@ -56,8 +56,8 @@ class Planning:
         if self._route is not None and isinstance(self.planner, RoutePlanner):
             self.planner.follow(self._route, self._progress)
         if isinstance(self.planner, CooperativePlanner):
-            for told in (*self._neighbours.values(), *(() if self._advice is None else (self._advice,))):
-                self.planner.advise(told)
+            for news in (*self._neighbours.values(), *(() if self._advice is None else (self._advice,))):
+                self.planner.advise(news)
 
     def prepare_wind(self, speed_m_s: float) -> bool:
         """Prepare the planner for winds of a speed from tables in memory.
@@ -114,23 +114,23 @@ class Planning:
 
     # -- the fleet -----------------------------------------------------------------------------------------
 
-    def advise(self, told: FleetAdvice | NeighbourPlanned) -> None:
+    def advise(self, news: FleetAdvice | NeighbourPlanned) -> None:
         """Pass fleet advice, or a neighbour's plan, to the planner.
 
         Args:
-            told: Advice of the coordinator, or the plans of another aircraft.
+            news: Advice of the coordinator, or the plans of another aircraft.
 
         """
         before = self.target
-        if isinstance(told, NeighbourPlanned):
-            self._neighbours[told.name] = told
+        if isinstance(news, NeighbourPlanned):
+            self._neighbours[news.name] = news
         else:
-            self._advice = told
-            if before not in ("", told.target):  # the planner's memory belongs to another target
+            self._advice = news
+            if before not in ("", news.target):  # the planner's memory belongs to another target
                 self._progress[:] = fresh_progress()
                 self.renew(self._aircraft, self._requirement)
         if isinstance(self.planner, CooperativePlanner):
-            self.planner.advise(told)
+            self.planner.advise(news)
 
     @property
     def target(self) -> str:

@@ -18,7 +18,7 @@ Rules
 4. Every quantity has limits; readings beyond them are dropped.
 5. Two alternating clocks, or two alternating positions, mean two vehicles with one system id: Yield, latched.
 
-Rejections, corrections and doubts are reported, each at most once in ``_TOLD_AGAIN_S``.
+Rejections, corrections and doubts are reported, each at most once in ``_REPEATED_AFTER_S``.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ BRIDGED_S = 3.0
 _FAULT_VALID_S = 30.0  # a link may be silent between two reports
 _DRIFT_M_S = 10.0  # drift of positions reported during a GPS or EKF fault
 _AWAITED_S = 5.0  # timeout for GPS and EKF reports after a telemetry gap
-_TOLD_AGAIN_S = 30.0
+_REPEATED_AFTER_S = 30.0
 _SOURCES_MAX = 32
 _DISPLACED_MIN = 3
 _OVERTAKEN_S = 1.0
@@ -96,8 +96,8 @@ class Plausibility:
         self._good_s: dict[str, float] = {}
         self._awaited_s: dict[str, float] = {}  # by source without a report since a telemetry gap: since when
         self._sources: dict[tuple[type, Source], SourceClock] = {}
-        self._told_s: dict[str, float] = {}
-        self._told: list[Announce] = []
+        self._announced_s: dict[str, float] = {}
+        self._announced: list[Announce] = []
         self._yield: YieldRequested | None = None
         self._judges: dict[type, Callable[[Any], Event | None]] = {
             AttitudeReading: self._attitude,
@@ -137,16 +137,16 @@ class Plausibility:
         passed = judge(event)
         if self._yield is not None:
             passed, self._yield = self._yield, None
-        if not self._told:
+        if not self._announced:
             return passed, ()
-        told, self._told = tuple(self._told), []
-        return passed, told
+        announced, self._announced = tuple(self._announced), []
+        return passed, announced
 
-    def _tell(self, key: str, kind: Literal["position", "sensor"], text: str) -> None:
+    def _announce(self, key: str, kind: Literal["position", "sensor"], text: str) -> None:
         now_s = self.clock.now_s
-        if now_s - self._told_s.get(key, -math.inf) >= _TOLD_AGAIN_S:
-            self._told_s[key] = now_s
-            self._told.append(Announce(now_s, kind, text))
+        if now_s - self._announced_s.get(key, -math.inf) >= _REPEATED_AFTER_S:
+            self._announced_s[key] = now_s
+            self._announced.append(Announce(now_s, kind, text))
 
     # -- the vehicle ---------------------------------------------------------------------------------------
 
@@ -166,24 +166,26 @@ class Plausibility:
         if self.position.accepted is None and not possible:
             return None
         self._overtaken |= reading.time_s < self.clock.now_s - _OVERTAKEN_S
-        was_astray = self.position.astray_s is not None
+        was_rejecting = self.position.rejected_since_s is not None
         self._await_after_silence(reading.time_s)
         sound = self._fault(reading.time_s) is None
-        believed = self.position.take(reading, self._bank_rad, possible=possible, sound=sound)
+        taken = self.position.take(reading, self._bank_rad, possible=possible, sound=sound)
         if self.position.two_places_m is not None:
             self._yield_to_two(f"its positions take turns, {_length(self.position.two_places_m)} apart")
         elif self.position.slow_places_m is not None:
             self._suspect_two(f"its positions take turns, {_length(self.position.slow_places_m)} apart")
             self.position.slow_places_m = None
-        if believed is None:
+        if taken is None:
             return None
-        self.dead_reckoned = believed is not reading
-        if self.dead_reckoned and not was_astray:
-            self._tell("jump", "position", f"the position jumped by {_length(self.position.jump_m)}: dead reckoning")
+        self.dead_reckoned = taken is not reading
+        if self.dead_reckoned and not was_rejecting:
+            self._announce(
+                "jump", "position", f"the position jumped by {_length(self.position.jump_m)}: dead reckoning"
+            )
         elif self.position.accepted is reading:
             self._overtaken = self._refused = False
         self._judge(reading.time_s)
-        return believed
+        return taken
 
     def _await_after_silence(self, now_s: float) -> None:
         last = self.position.accepted
@@ -236,7 +238,7 @@ class Plausibility:
 
     def _suspect_two(self, how: str) -> None:
         text = f"a second vehicle may send with the same system id: {how}; its messages are not used"
-        self._tell("second vehicle", "position", text)
+        self._announce("second vehicle", "position", text)
 
     def _navigation(self, event: NavigationReported) -> Event:
         self._awaited_s.pop(event.source, None)
@@ -262,24 +264,28 @@ class Plausibility:
 
     def _judge(self, now_s: float) -> None:
         """Update ``doubt``, and announce when it begins or ends."""
-        fault, astray_s = self._fault(now_s), self.position.astray_s
+        fault, rejected_since_s = self._fault(now_s), self.position.rejected_since_s
         doubt = None
         if fault is not None and now_s - fault[0] > BRIDGED_S:
             doubt = fault[1]
-        elif astray_s is not None and (now_s - astray_s > BRIDGED_S or self._overtaken or self._refused):
+        elif rejected_since_s is not None and (
+            now_s - rejected_since_s > BRIDGED_S or self._overtaken or self._refused
+        ):
             # Nothing is bridged from a place whose time is not known.
             doubt = f"the position jumped by {_length(self.position.jump_m)}"
         if doubt is not None and self.doubt is None:
-            self._told.append(Announce(now_s, "position", f"{doubt}: holding the circle, nothing is decided on it"))
+            self._announced.append(
+                Announce(now_s, "position", f"{doubt}: holding the circle, nothing is decided on it")
+            )
         elif doubt is None and self.doubt is not None:
-            self._told.append(Announce(now_s, "position", "the aircraft's position is accepted again"))
+            self._announced.append(Announce(now_s, "position", "the aircraft's position is accepted again"))
         self.doubt = doubt
 
     def _wind(self, event: WindReported) -> Event | None:
         speed_m_s = math.hypot(event.east_m_s, event.north_m_s)
         if speed_m_s < self._wind_max_m_s:
             return event
-        self._tell("wind", "position", f"a wind of {speed_m_s:.0f} m/s was reported: rejected")
+        self._announce("wind", "position", f"a wind of {speed_m_s:.0f} m/s was reported: rejected")
         return None
 
     # -- the payload ---------------------------------------------------------------------------------------
@@ -301,12 +307,12 @@ class Plausibility:
         time_s = source.corrected_s(reading.time_s, self.clock)
         if source.ahead_s != before_s:
             name = _clock_of(reading)
-            self._told_s.pop(name, None)
+            self._announced_s.pop(name, None)
             text = f"is {_off(source.ahead_s)}: corrected" if source.ahead_s else "agrees with the aircraft's again"
-            self._tell(name, "sensor", f"{name} {text}")
+            self._announce(name, "sensor", f"{name} {text}")
         if time_s is None:
             name, off_s = _clock_of(reading), reading.time_s - self.clock.now_s
-            self._tell(name, "sensor", f"{name} is {_off(off_s)}: what it stamps is refused")
+            self._announce(name, "sensor", f"{name} is {_off(off_s)}: what it stamps is refused")
             return None
         return reading if time_s == reading.time_s else replace(reading, time_s=time_s)
 

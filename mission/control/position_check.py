@@ -36,7 +36,7 @@ class PositionCheck:
 
     Attributes:
         accepted: The latest accepted or dead-reckoned position; None before the first one.
-        astray_s: Since when readings have been rejected (vehicle's clock); None while they are accepted.
+        rejected_since_s: Since when readings have been rejected (vehicle's clock); None while they are accepted.
         jump_m: How far the first rejected reading was from the reference.
         two_places_m: Distance of two alternating positions; None while there is one position.
         slow_places_m: The same, if the second position is received seldom.
@@ -46,7 +46,7 @@ class PositionCheck:
     def __init__(self) -> None:
         self.accepted: PositionReading | None = None
         self._before: PositionReading | None = None  # the accepted reading before the latest one
-        self.astray_s: float | None = None
+        self.rejected_since_s: float | None = None
         self.jump_m = 0.0
         self.two_places_m: float | None = None
         self.slow_places_m: float | None = None
@@ -76,8 +76,8 @@ class PositionCheck:
         if self.accepted is not None:
             self.accepted = replace(self.accepted, time_s=self.accepted.time_s + seconds)
         self._before = None
-        if self.astray_s is not None:
-            self.astray_s += seconds
+        if self.rejected_since_s is not None:
+            self.rejected_since_s += seconds
             self._elsewhere_since_s += seconds
 
     def stayed(self, place: PositionReading, passed_s: float, *, jumped: bool) -> bool:
@@ -89,7 +89,7 @@ class PositionCheck:
             jumped: Whether rejected readings are jumps. They may continue or return; neither is flown motion.
 
         """
-        places = (self.accepted, self._elsewhere if jumped and self.astray_s is not None else None)
+        places = (self.accepted, self._elsewhere if jumped and self.rejected_since_s is not None else None)
         return any(one is not None and _stayed(one, place, passed_s) for one in places)
 
     def take(
@@ -106,38 +106,42 @@ class PositionCheck:
         """
         last = self.accepted
         if last is None:
-            return self._believe(reading)
+            return self._accept(reading)
         step_s = reading.time_s - last.time_s
         if step_s <= 0.0:
-            return reading if possible and self.astray_s is None and self._follows(last, reading, bank_rad) else None
+            return (
+                reading
+                if possible and self.rejected_since_s is None and self._follows(last, reading, bank_rad)
+                else None
+            )
         before = self._before
         after_odd_one = (
             before is not None and reading.time_s - before.time_s <= _ODD_S and _reachable(before, reading, 0.0)
         )
         if possible and (after_odd_one or self._follows(last, reading, bank_rad)):
-            return self._believe(reading)
+            return self._accept(reading)
         self._note_elsewhere(last, reading)
         proven = sound and reading.time_s - self._elsewhere_since_s >= _PROOF_S
         unsettled = self._readings < _SETTLED and self._elsewhere_count > self._readings
         if possible and (unsettled or proven):
             self._readings = self._elsewhere_count - 1
-            return self._believe(reading)
+            return self._accept(reading)
         reckoned = _dead_reckoned(last, reading, bank_rad)
         self.accepted = reckoned
         return reckoned
 
-    def _believe(self, reading: PositionReading) -> PositionReading:
-        self._before = self.accepted if self.astray_s is None else None
-        self.accepted, self.astray_s, self._drifted_m = reading, None, 0.0
+    def _accept(self, reading: PositionReading) -> PositionReading:
+        self._before = self.accepted if self.rejected_since_s is None else None
+        self.accepted, self.rejected_since_s, self._drifted_m = reading, None, 0.0
         self._readings += 1
         return reading
 
     def _note_elsewhere(self, last: PositionReading, reading: PositionReading) -> None:
         before = self._elsewhere
         agrees = before is not None and _reachable(before, reading, 0.0)
-        if self.astray_s is None:
+        if self.rejected_since_s is None:
             # After a longer gap a rejected position cannot be explained by drift of dead reckoning.
-            self.astray_s = max(last.time_s, reading.time_s - _DRIFTING_MAX_S)
+            self.rejected_since_s = max(last.time_s, reading.time_s - _DRIFTING_MAX_S)
             self.jump_m = math.hypot(reading.east_m - last.east_m, reading.north_m - last.north_m)
             in_turn = before is not None and reading.time_s - before.time_s < _TURN_MAX_S
             self._turns = self._turns + 1 if agrees and in_turn else 0
@@ -154,7 +158,7 @@ class PositionCheck:
         self._elsewhere = reading
 
     def _follows(self, last: PositionReading, reading: PositionReading, bank_rad: float) -> bool:
-        reckoned_for_s = 0.0 if self.astray_s is None else last.time_s - self.astray_s
+        reckoned_for_s = 0.0 if self.rejected_since_s is None else last.time_s - self.rejected_since_s
         return _reachable(last, reading, reckoned_for_s + self._drifted_m / _DRIFT_M_S) and (
             reading.time_s - last.time_s <= SILENT_S or _still_circles(last, reading, bank_rad)
         )
@@ -210,13 +214,13 @@ def _velocity_follows(
     return changed_m_s <= min(possible_m_s, 2.0 * speed_m_s + _GUST_M_S) + _DRIFT_M_S * reckoned_for_s
 
 
-def _dead_reckoned(last: PositionReading, told: PositionReading, bank_rad: float) -> PositionReading:
+def _dead_reckoned(last: PositionReading, announced: PositionReading, bank_rad: float) -> PositionReading:
     """Return the dead-reckoned position at the time of a rejected reading."""
-    step_s = told.time_s - last.time_s
+    step_s = announced.time_s - last.time_s
     east_m_s, north_m_s = last.velocity_east_m_s, last.velocity_north_m_s
     speed_m_s = math.hypot(east_m_s, north_m_s)
-    if _velocity_follows(last, told, speed_m_s, 0.0):
-        now_east_m_s, now_north_m_s = told.velocity_east_m_s, told.velocity_north_m_s
+    if _velocity_follows(last, announced, speed_m_s, 0.0):
+        now_east_m_s, now_north_m_s = announced.velocity_east_m_s, announced.velocity_north_m_s
     else:
         turned_rad = GRAVITY_M_S2 * math.tan(bank_rad) / max(speed_m_s, 5.0) * step_s
         sin_t, cos_t = math.sin(turned_rad), math.cos(turned_rad)
@@ -224,7 +228,7 @@ def _dead_reckoned(last: PositionReading, told: PositionReading, bank_rad: float
         now_north_m_s = north_m_s * cos_t - east_m_s * sin_t
     return replace(
         last,
-        time_s=told.time_s,
+        time_s=announced.time_s,
         east_m=last.east_m + 0.5 * (east_m_s + now_east_m_s) * step_s,
         north_m=last.north_m + 0.5 * (north_m_s + now_north_m_s) * step_s,
         velocity_east_m_s=now_east_m_s,

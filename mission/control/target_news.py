@@ -17,9 +17,9 @@ class DelayNews:
     """Announces the estimated delays of the payload; ``latency_s``: as configured."""
 
     def __init__(self, latency_s: float) -> None:
-        self._told_s = (latency_s, latency_s)
+        self._announced_s = (latency_s, latency_s)
 
-    def tell(self, time_s: float, delays: Delays | None) -> tuple[Announce, ...]:
+    def announce(self, time_s: float, delays: Delays | None) -> tuple[Announce, ...]:
         """Return an announcement if a delay differs clearly from the one that was announced last.
 
         Args:
@@ -30,9 +30,9 @@ class DelayNews:
         if delays is None:
             return ()
         now_s = delays.gimbal_s, delays.range_s
-        if max(abs(now - before) for now, before in zip(now_s, self._told_s, strict=True)) < _DELAY_STEP_S:
+        if max(abs(now - before) for now, before in zip(now_s, self._announced_s, strict=True)) < _DELAY_STEP_S:
             return ()
-        self._told_s = now_s
+        self._announced_s = now_s
         return (Announce(time_s, "sensor", f"delays of the payload found and corrected: {delays}"),)
 
 
@@ -46,9 +46,9 @@ class TargetNews:
     """Keeps the latest announcement."""
 
     def __init__(self) -> None:
-        self._told: _Sight | None = None
+        self._announced: _Sight | None = None
 
-    def tell(self, time_s: float, estimate: TargetEstimate) -> tuple[Announce, ...]:
+    def announce(self, time_s: float, estimate: TargetEstimate) -> tuple[Announce, ...]:
         """Announce changes of the target.
 
         Args:
@@ -65,7 +65,7 @@ class TargetNews:
             sight = _Sight.LOST
         elif unseen_s > _AFTER_S:
             sight = _Sight.UNSEEN
-        before, self._told = self._told, sight
+        before, self._announced = self._announced, sight
         if sight is before:
             return ()
         match sight:

@@ -1,1 +1,1 @@
-"""The words everything in ``mission`` is said in: circle, path, plan, requirement, events."""
+"""The types that all of ``mission`` uses: circle, path, plan, requirement, events."""

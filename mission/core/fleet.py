@@ -93,11 +93,11 @@ class NeighbourPlanned:
 class CooperativePlanner(Planner, Protocol):
     """A planner that counts on the others."""
 
-    def advise(self, told: FleetAdvice | NeighbourPlanned) -> None:
+    def advise(self, news: FleetAdvice | NeighbourPlanned) -> None:
         """Process fleet data; the next decision uses it.
 
         Args:
-            told: Advice of the coordinator, or the plans of another aircraft.
+            news: Advice of the coordinator, or the plans of another aircraft.
 
         """
         ...

@@ -1,4 +1,4 @@
-"""What is asked for, and what the aircraft can do."""
+"""The requirement of a watch, and the limits of the aircraft."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ class Requirement:
     """The allowed horizontal range, the side, and how fast the target may be.
 
     either_side: ``side`` is only the one to begin with; the nearer one is taken. sector: watch from these bearings,
-    whichever way the target moves; ``side`` then only tells which way round the circles are flown.
-    course_horizon_s: the side is that of the course made good over so many seconds; 0: of the present course.
+    whichever way the target moves; ``side`` then only selects the sense of the circles.
+    course_horizon_s: the side refers to the course made good over this time; 0: to the present course.
     fleet_size: how many aircraft watch together, this one included.
     """
 
@@ -87,7 +87,7 @@ class Requirement:
 
 @dataclass(frozen=True, slots=True)
 class Aircraft:
-    """The aircraft as the planner sees it: radius_m is that of the circle it flies beside the target."""
+    """The aircraft as the planner sees it: radius_m is that of the circle next to the target."""
 
     airspeed_m_s: float
     radius_m: float

@@ -148,16 +148,16 @@ class Activation:
             return
         on_plan, off_plan = _flies(aircraft, self._plan)
         on_before, off_before = _flies(aircraft, self._plan_before)
-        told = {
+        reported = {
             Answer.FLOWN: on_plan and off_before,
             Answer.NOT_TAKEN: self.unanswered and on_before and off_plan,
             Answer.OPEN: self.unanswered and off_plan and off_before,
         }
-        for answer, holds in told.items():
+        for answer, holds in reported.items():
             if not holds:
                 self._since_s.pop(answer, None)
         bounds_s = {Answer.FLOWN: _TRACK_S, Answer.NOT_TAKEN: _TRACK_BEFORE_S, Answer.OPEN: _TRACK_NEITHER_S}
-        for answer, holds in told.items():
+        for answer, holds in reported.items():
             since_s = self._since_s.setdefault(answer, aircraft.time_s) if holds else math.inf
             if aircraft.time_s - since_s >= bounds_s[answer]:
                 self.answer = Answer.FLOWN if answer is Answer.FLOWN else Answer.NOT_TAKEN

@@ -62,14 +62,14 @@ class MissionController:
         self._dialect = dialect
         self._outbox = Outbox()
         self._settings = backend_settings, takeover_settings
-        self._begin_anew()
+        self._restart()
         self._way_home: CommandExchange | None = None
         self._silent = self._closing = False
         self._mode = ""
         self._outputs: list[Output] = []
 
-    def _begin_anew(self) -> None:
-        """Assume nothing of what is on board: at the start, and after somebody else has flown."""
+    def _restart(self) -> None:
+        """Assume nothing of what is on board: at the start, and after another station has flown."""
         outbox, dialect, (settings, takeover) = self._outbox, self._dialect, self._settings
         missions = MissionItemBackend(outbox, dialect, settings)
         orbits = OrbitCommandBackend(outbox, dialect, settings)
@@ -154,7 +154,7 @@ class MissionController:
             return
         self.controller.resume()
         self._silent = False
-        self._begin_anew()
+        self._restart()
         self._takeover.begin(request)
 
     def _observe(self, event: Event) -> None:

@@ -195,7 +195,7 @@ class MissionItemBackend:
         change = self._change
         busy = self._upload.under_way or (change is not None and change.stage is _Stage.ACTIVATING)
         if busy or self._closed or self._layout is None:
-            self._tell(command.number, "failed", "the plan before is not settled" if busy else "the flight ends")
+            self._announce(command.number, "failed", "the plan before is not settled" if busy else "the flight ends")
             return
         if change is not None and change.stage is _Stage.NOT_TAKEN:
             self._not_taken = change
@@ -211,7 +211,7 @@ class MissionItemBackend:
         """
         change = self._change
         if change is None or change.command.number != command.number or change.stage is not _Stage.READY:
-            self._tell(command.number, "failed", "it is not on board")
+            self._announce(command.number, "failed", "it is not on board")
             return
         assert change.layout is not None
         assert self._layout is not None
@@ -250,7 +250,7 @@ class MissionItemBackend:
             was_unanswered = change.activation.unanswered
             change.activation.expire(self._first_ahead(change))
             if change.activation.unanswered and not was_unanswered:
-                self._tell(change.command.number, "unconfirmed", "the autopilot has not confirmed the switch")
+                self._announce(change.command.number, "unconfirmed", "the autopilot has not confirmed the switch")
 
     def _lay_out(self, change: _Change) -> None:
         """Find free places for the plan's items next to those that are flown, and write them there."""
@@ -305,7 +305,7 @@ class MissionItemBackend:
             return
         if result is WriteResult.ACCEPTED:
             change.stage = _Stage.READY
-            self._tell(change.command.number, "ready")
+            self._announce(change.command.number, "ready")
         elif (
             result is WriteResult.TIMEOUT
             and not self._closed
@@ -405,7 +405,7 @@ class MissionItemBackend:
         if activation.answer is Answer.NOT_TAKEN:
             if change.stage is _Stage.ACTIVATING:
                 change.stage = _Stage.NOT_TAKEN
-                self._tell(change.command.number, "failed", "the autopilot did not switch to it")
+                self._announce(change.command.number, "failed", "the autopilot did not switch to it")
             return
         self._change = None
         self._fly(change, activation.index)
@@ -422,14 +422,14 @@ class MissionItemBackend:
                 return
             self._change = None
             self._upload.forget()
-            self._tell(change.command.number, "failed", "the plan before was taken after all")
+            self._announce(change.command.number, "failed", "the plan before was taken after all")
         self._fly(late, seq)
 
     def _fly(self, change: _Change, index: int) -> None:
         assert change.layout is not None
         self._left, self._layout, self._not_taken = self._layout, change.layout.since(index), None
         self._ownership.switched()
-        self._tell(change.command.number, "departed")
+        self._announce(change.command.number, "departed")
 
     def _audit(self) -> None:
         index, layout = self.flown_index, self._layout
@@ -440,7 +440,7 @@ class MissionItemBackend:
 
     def _fail(self, change: _Change, why: str) -> None:
         self._change = None
-        self._tell(change.command.number, "failed", why)
+        self._announce(change.command.number, "failed", why)
 
-    def _tell(self, number: int, stage: str, detail: str = "") -> None:
+    def _announce(self, number: int, stage: str, detail: str = "") -> None:
         self._outbox.report(PlanStatus(self._outbox.time_s, number, stage, detail))  # type: ignore[arg-type]

@@ -28,7 +28,7 @@ _CHANGED = "another station has changed the mission"
 
 
 class MissionOwnership:
-    """Reports ``ExternalControl`` when somebody else commands the mission; ``begin`` comes first.
+    """Reports ``ExternalControl`` when another station commands the mission; ``begin`` comes first.
 
     ``frozen`` while that may be so: no command more until it is known. So it is where an upload of a whole mission
     ended in doubt, until one of ours is reported; one of its length but of an unknown id is read first.

@@ -88,7 +88,7 @@ class MissionWrite:
         self._refusals, self._refused = 0, False
         self._onboard: dict[int, RawItem] = {}
         self._read: MissionRead | None = None
-        self._said_s = self._due_s = 0.0
+        self._sent_s = self._due_s = 0.0
         self._requested_s = -math.inf
         self._repeats = 0
         self.round_trip_s: float | None = None
@@ -166,13 +166,13 @@ class MissionWrite:
         self._due_s = report.link_s + self._again_s
         if self._phase is _Phase.ANNOUNCING:
             # After a retransmission it is ambiguous which announcement is answered.
-            measured_s = report.link_s - self._said_s
+            measured_s = report.link_s - self._sent_s
             self.round_trip_s = measured_s if repeats == 0 else max(measured_s, self._round_trip_before_s)
             self._again_s = max(_MIN_AGAIN_S, _AGAIN_ROUND_TRIPS * self.round_trip_s)
             self._phase = _Phase.SENDING
             if not self._at_once:
                 self._say()
-        elif repeated and not self._overtaken and report.link_s - self._said_s >= self._again_s:
+        elif repeated and not self._overtaken and report.link_s - self._sent_s >= self._again_s:
             self.has_lost = True
             self._say()  # what came behind the item that was lost was left alone
         elif repeated or self._overtaken:
@@ -219,7 +219,7 @@ class MissionWrite:
 
     def _say(self) -> None:
         outbox, changed = self._outbox, self.changed
-        self._said_s = outbox.link_s
+        self._sent_s = outbox.link_s
         # Where everything comes late, because a link or a processor is busy, repeating it would keep it busy.
         self._due_s = outbox.link_s + self._again_s * min(_SLOWER**self._repeats, _SLOWEST)
         self._refused = False

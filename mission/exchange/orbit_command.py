@@ -37,7 +37,7 @@ class OrbitCommandBackend:
         self._due_s = -math.inf  # the next circle, of the vehicle's time
         self._command: CommandExchange | None = None
         self._ordered: deque[tuple[float, CircleOrder]] = deque()
-        self._reported: CircleOrder | None = None  # the last circle of ours that the autopilot said it flies
+        self._reported: CircleOrder | None = None  # the last circle of ours that the autopilot reported to fly
         self._suspicion = Suspicion()
         self._aircraft: AircraftState | None = None
         self._mode = ""
@@ -99,7 +99,7 @@ class OrbitCommandBackend:
         """
         plan = self._plan
         if plan is None or plan.number != command.number or self._closed:
-            self._tell(command.number, "failed", "it is not the plan that was made ready")
+            self._announce(command.number, "failed", "it is not the plan that was made ready")
             return
         self._flown, self._departing, self._due_s, self._command = plan, True, -math.inf, None
         self._waits = True
@@ -187,13 +187,13 @@ class OrbitCommandBackend:
         if self._departing:
             self._departing = False
             self._suspicion.forget()
-            self._tell(plan.number, "departed")
+            self._announce(plan.number, "departed")
 
     def _failed(self, why: str) -> None:
         """Give a departure up; on the way, the circle before is flown on, and the next second tries again."""
         if self._departing and self._flown is not None:
             number, self._flown, self._departing = self._flown.number, None, False
-            self._tell(number, "failed", why)
+            self._announce(number, "failed", why)
         self._due_s = self._outbox.time_s + _PERIOD_S
 
     def _order(self, circle: Circle, plan: Plan) -> CircleOrder:
@@ -203,7 +203,7 @@ class OrbitCommandBackend:
         self._ordered.append((now_s, order))
         return order
 
-    def _tell(self, number: int, stage: str, detail: str = "") -> None:
+    def _announce(self, number: int, stage: str, detail: str = "") -> None:
         self._outbox.report(PlanStatus(self._outbox.time_s, number, stage, detail))  # type: ignore[arg-type]
 
 

@@ -1,7 +1,7 @@
 """Whether the mission on board is still ours: known by what the vehicle reports in order, not by a time.
 
 Reports may be late, doubled or overtaken. So a report that does not fit makes us stop commanding at once, and only
-several of them over more than a round trip mean that somebody else commands the vehicle.
+several of them over more than a round trip mean that another station commands the vehicle.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Bringing the aircraft onto a circle of ours: from the ground, from the air, or onto the circle it flies already.
 
-A script that stands still between events: each ``yield`` waits for the next one, ``until_s`` says when it has to be
+A script that stands still between events: each ``yield`` waits for the next one, ``until_s`` states when it has to be
 called at the latest.
 """
 

@@ -28,11 +28,11 @@ def advice_to(
     separation: which other aircraft is too near, in words.
     """
     by_s = -vehicle.clock.offset_s
-    told = (vehicle.role, vehicle.target)
-    reason = "" if told == vehicle.told else _reason(vehicle.role)
-    if vehicle.told is not None and vehicle.target != vehicle.told[1]:
+    announced = (vehicle.role, vehicle.target)
+    reason = "" if announced == vehicle.announced else _reason(vehicle.role)
+    if vehicle.announced is not None and vehicle.target != vehicle.announced[1]:
         reason = f"it is to watch {vehicle.target} now"
-    vehicle.told = told
+    vehicle.announced = announced
     ours = [
         Neighbour(
             one.member.name, shifted_state(one.report.state, by_s), one.report.height_m, True, one.target, one.role
@@ -55,16 +55,16 @@ def advice_to(
     )
 
 
-def plans_told(listener: FleetVehicle, other: FleetVehicle, now_s: float) -> NeighbourPlanned | None:
+def announced_plans(listener: FleetVehicle, other: FleetVehicle, now_s: float) -> NeighbourPlanned | None:
     """Return another aircraft's plans at mission time ``now_s`` for a listener, None before they are known."""
     if listener.report is None or other.report is None or other.plans is None:
         return None
-    told, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s
+    announced, by_s = other.plans, other.clock.offset_s - listener.clock.offset_s
     return NeighbourPlanned(
         now_s - listener.clock.offset_s,
-        told.name,
-        shifted_plan(told.present, by_s),
-        shifted_plan(told.coming, by_s),
+        announced.name,
+        shifted_plan(announced.present, by_s),
+        shifted_plan(announced.coming, by_s),
     )
 
 
@@ -73,9 +73,9 @@ def _reason(role: Role) -> str:
         case Role.LEAVE:
             return "another aircraft has taken over, or the battery is low"
         case Role.OPPOSITE:
-            return "another aircraft holds the wanted side"
+            return "another aircraft holds the required side"
         case _:
-            return "this aircraft is to hold the wanted side"
+            return "this aircraft is to hold the required side"
 
 
 def _neighbour(one: ForeignAircraftReported, by_s: float) -> Neighbour:

@@ -38,8 +38,8 @@ def spread_over(
     # Every target gets its even share first; the remaining aircraft go where they cost least.
     share_s = np.where([row < each for _, row in places], _SHARE_S, 0.0)
     elsewhere = np.array([[targets[k] != name for k, _ in places] for name in at])
-    beside_s = [[own[k].opposite_s if row % 2 else own[k].wanted_s for k, row in places] for own in costs]
-    to_s = beside_s - share_s + change_s * elsewhere
+    alongside_s = [[own[k].opposite_s if row % 2 else own[k].wanted_s for k, row in places] for own in costs]
+    to_s = alongside_s - share_s + change_s * elsewhere
     best, best_s = _cheapest(to_s)
     _, stay_s = _cheapest(to_s + _ELSEWHERE_S * elsewhere)
     gained_s = stay_s - best_s

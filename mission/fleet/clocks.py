@@ -36,21 +36,21 @@ class VehicleTime:
     _stepped_s: float = math.inf
     _step_sigma_s: float = math.inf
 
-    def note(self, time_s: float, mission_time_s: float, sigma_s: float, *, anew: bool = False) -> None:
+    def note(self, time_s: float, mission_time_s: float, sigma_s: float, *, discard: bool = False) -> None:
         """Take a report by a scalar Kalman filter, or keep it aside as a step.
 
         Args:
             time_s: Time on the vehicle's clock, s.
             mission_time_s: Mission time at that moment, s.
             sigma_s: One standard deviation of it, s.
-            anew: Whether to discard earlier reports because the source has changed.
+            discard: Whether to discard earlier reports because the source has changed.
 
         """
         offset_s, sigma_s = mission_time_s - time_s, max(sigma_s, 1e-6)
         known_s, restarted = self.sigma_at(time_s), time_s < self.at_s - _RESTARTED_S
         self.at_s = time_s
         off_s = offset_s - self.offset_s
-        if anew or restarted or not self.known:
+        if discard or restarted or not self.known:
             self._set(offset_s, sigma_s)
         elif abs(off_s) <= 5.0 * math.hypot(known_s, sigma_s):
             gain = known_s**2 / (known_s**2 + sigma_s**2)

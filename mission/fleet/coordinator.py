@@ -23,7 +23,7 @@ Rules
 2. Roles are given out each second by expected cost; see :mod:`sidelong.mission.fleet.roles`. The sides are those of
    one course for all, known since the target was first seen; see :mod:`sidelong.mission.fleet.watched_course`.
 3. Relief: an aircraft whose battery is below ``relieve_below``, which has watched for its ``endurance_s``, or whose
-   relief is asked for gives the wanted side away, but holds it with the other one until that one is there; a reserve
+   relief is asked for gives the required side away, but holds it until the other one is there; a reserve
    is asked for. Below ``leave_below`` it leaves in any case. A reserve is also asked for when no aircraft is left.
 4. Several targets: aircraft are assigned evenly, by what their roles would cost them at each, the flight there
    included. Those of a lost target go at once, others where all together have gained more than ``reassign_cost_s``
@@ -32,7 +32,7 @@ Rules
 5. Each aircraft keeps the height layer that it was set up with: layers are never swapped, so nothing has to be
    confirmed before one is free.
 6. Aircraft too near to each other raise an alarm; see :mod:`sidelong.mission.fleet.proximity`.
-7. The wanted side is a person's to change (``SideRequested``), for all aircraft and targets at once; a band or radius
+7. An operator changes the required side (``SideRequested``), for all aircraft and targets at once; a band or radius
    that one core took up (``RequirementReported``) holds for the roles too.
 """
 
@@ -47,7 +47,7 @@ from sidelong.estimators.sensing.sighting import AnySighting
 from sidelong.estimators.tracking.joint_track import JointTrack
 from sidelong.mission.core.fleet import Role
 from sidelong.mission.core.requirement import Requirement
-from sidelong.mission.fleet.advice import advice_to, plans_told
+from sidelong.mission.fleet.advice import advice_to, announced_plans
 from sidelong.mission.fleet.assignment import spread_over
 from sidelong.mission.fleet.clocks import shifted_state
 from sidelong.mission.fleet.events import (
@@ -71,7 +71,7 @@ from sidelong.mission.fleet.events import (
 )
 from sidelong.mission.fleet.judges import MakeJudge, RoleJudges
 from sidelong.mission.fleet.proximity import Proximity
-from sidelong.mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_beside
+from sidelong.mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_on_station
 from sidelong.mission.fleet.vehicle import FleetMember, FleetVehicle
 
 _FOREIGN_FORGOTTEN_S = 30.0
@@ -202,7 +202,7 @@ class FleetCoordinator:
     def _clock_reported(self, vehicle: FleetVehicle, event: ClockReported) -> None:
         clock = vehicle.clock
         stepped = clock.step_s != 0.0
-        clock.note(event.time_s, event.mission_time_s, event.sigma_s, anew=event.anew)
+        clock.note(event.time_s, event.mission_time_s, event.sigma_s, discard=event.anew)
         if clock.step_lasts and self._agrees_with_others(vehicle):
             clock.take_step()
         if clock.step_s and not stepped:
@@ -239,19 +239,19 @@ class FleetCoordinator:
         if before is None:
             for other in self._vehicles.values():
                 if other is not vehicle:
-                    self._tell_plans(vehicle, other)
-                    self._tell_plans(other, vehicle)
+                    self._announce_plans(vehicle, other)
+                    self._announce_plans(other, vehicle)
 
     def _planned(self, vehicle: FleetVehicle, event: PlansReported) -> None:
         vehicle.plans = event
         for other in self._vehicles.values():
             if other is not vehicle:
-                self._tell_plans(other, vehicle)
+                self._announce_plans(other, vehicle)
 
-    def _tell_plans(self, listener: FleetVehicle, other: FleetVehicle) -> None:
-        told = plans_told(listener, other, self._now_s)
-        if told is not None:
-            self._out.append(Tell(listener.member.name, told))
+    def _announce_plans(self, listener: FleetVehicle, other: FleetVehicle) -> None:
+        announced = announced_plans(listener, other, self._now_s)
+        if announced is not None:
+            self._out.append(Tell(listener.member.name, announced))
 
     def _sighted(self, vehicle: FleetVehicle, event: SightingReported) -> None:
         if not vehicle.clock.known:
@@ -293,11 +293,11 @@ class FleetCoordinator:
             if target.requirement.side is not event.side:
                 self._change(name, replace(target.requirement, side=event.side))
                 self._assignments[name] = RoleAssignment()  # the nearest aircraft holds it at once
-        self._say("", f"the wanted side is the {event.side} one now")
+        self._say("", f"the required side is the {event.side} one now")
         self._next_s = -math.inf
 
     def _requirement_reported(self, event: RequirementReported) -> None:
-        """Give the roles out by what that aircraft is flown with now, and keep the wanted side."""
+        """Assign the roles by the present settings of that aircraft, and keep the required side."""
         vehicle = self._vehicles[event.name]
         vehicle.member = replace(vehicle.member, aircraft=event.aircraft)
         for name, target in self._targets.items():
@@ -328,7 +328,7 @@ class FleetCoordinator:
                 self._lost(vehicle, f"no message received for {vehicle.silent_s:.0f} s")
         self._next_s = self._now_s + self.settings.period_s
         estimates = self._estimates = {name: track.estimate(self._now_s) for name, track in self._tracks.items()}
-        self._tell_refusals()
+        self._announce_refusals()
         self._judges.follow(estimates, self._vehicles.values())
         self._assign_targets(estimates)
         for name in self._targets:
@@ -347,7 +347,7 @@ class FleetCoordinator:
                 advice = advice_to(vehicle, self._now_s, wanted, estimates[target], fleet, foreign, course_rad, near)
                 self._out.append(Tell(vehicle.member.name, advice))
 
-    def _tell_refusals(self) -> None:
+    def _announce_refusals(self) -> None:
         for name, track in self._tracks.items():
             before = self._refused.get(name, {})
             for payload, reason in track.refused.items():
@@ -391,9 +391,9 @@ class FleetCoordinator:
             # An aircraft that has to get there first does not take the side of one already there.
             way_s = math.inf if self._is_to_be_relieved(vehicle) else self._judges.way_s(vehicle, target, estimate)
             costs = replace(costs, wanted_s=costs.wanted_s + way_s)
-            beside = is_beside(report.state, estimate, wanted, self._judges.course_rad(target))
+            on_station = is_on_station(report.state, estimate, wanted, self._judges.course_rad(target))
             candidates[name] = Candidate(
-                costs, beside, vehicle.plans is not None and vehicle.plans.coming is not None
+                costs, on_station, vehicle.plans is not None and vehicle.plans.coming is not None
             )
         roles = self._assignments[target].assign(self._now_s, candidates, course_known=course_is_known(estimate))
         for name, role in roles.items():
@@ -419,7 +419,7 @@ class FleetCoordinator:
             if estimate is not None and any(
                 one.role is Role.WANTED
                 and one.report is not None
-                and is_beside(one.report.state, estimate, wanted, course_rad)
+                and is_on_station(one.report.state, estimate, wanted, course_rad)
                 for one in others
             ):
                 self._leave(vehicle, "another aircraft has taken over")

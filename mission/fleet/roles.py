@@ -3,15 +3,15 @@
 One aircraft loses the side whenever the target reverses. With another one opposite a reversal only swaps their roles,
 because the two sides change places. Rules
 -----
-1. The wanted side is held by the aircraft to which it is worth most: whose expected cost there, less that on the
+1. The required side is held by the aircraft to which it is worth most: whose expected cost there, less that on the
    other side, is least. A holder that is out, or to be relieved, is replaced at once.
 2. Else it is handed over when that has been better for another by ``gain_s`` for ``patience_s``, and that other one
-   watches from the wanted side then, or neither does: so the side is never left empty for a change. The target's
+   watches from the required side then, or neither does: so the side is never left empty for a change. The target's
    course has to be known for that: which side is which hangs on it.
 3. After a hand-over the next one waits ``settling_s``, in which both make their plans, and until these have reached
    the autopilots, ``under_way_max_s`` at most. It does not wait for whole lines to be flown: where a target turned
    in the meantime, that cost more time off side than it saved in hand-overs.
-4. The others are spread over the opposite and the wanted side in turn, those that it is worth least to first.
+4. The others are spread over the opposite and the required side in turn, those that it is worth least to first.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class RoleCosts:
 
     @property
     def regret_s(self) -> float:
-        """What the wanted side costs more than the opposite one."""
+        """What the required side costs more than the opposite one."""
         return self.wanted_s - self.opposite_s if math.isfinite(self.wanted_s) else math.inf
 
 
@@ -48,13 +48,13 @@ class Candidate:
 
     Attributes:
         costs: Its expected cost in each role.
-        beside: It watches from the required side now.
+        on_station: It watches from the required side now.
         under_way: A plan for it is on its way to the autopilot.
 
     """
 
     costs: RoleCosts
-    beside: bool = True
+    on_station: bool = True
     under_way: bool = False
 
 
@@ -112,7 +112,9 @@ class RoleAssignment:
         self._better_since_s = {
             name: self._better_since_s.get(name, time_s)
             for name, one in candidates.items()
-            if costs[name].regret_s < held_s - self.gain_s and course_known and (one.beside or not held.beside)
+            if costs[name].regret_s < held_s - self.gain_s
+            and course_known
+            and (one.on_station or not held.on_station)
         }
         better_s = time_s - self._better_since_s.get(best, math.inf)
         if better_s >= self.patience_s and not self._waited_for:
@@ -135,10 +137,10 @@ def course_is_known(target: TargetEstimate) -> bool:
     return sigma_m_s < math.tan(_COURSE_SIGMA_RAD) * target.speed_m_s
 
 
-def is_beside(
+def is_on_station(
     aircraft: AircraftState, target: TargetEstimate, requirement: Requirement, course_rad: float | None
 ) -> bool:
-    """Return whether an aircraft is on the wanted side of a target and in the band.
+    """Return whether an aircraft is on the required side of a target and in the band.
 
     course_rad: the one whose sides count; None where the target has none yet: any place is on either side then.
     """

@@ -61,6 +61,6 @@ def team_of(table: ValueTable, wanted: Side, settings: TeamSettings | None = Non
     )
 
 
-def beside_standing(team: Team) -> Team:
+def next_to_standing(team: Team) -> Team:
     """Return what to decide with while the target stands: it may set out into any direction."""
     return team._replace(turns_rad=_DIRECTIONS_RAD, chances=np.full(_DIRECTIONS_RAD.size, 1.0 / _DIRECTIONS_RAD.size))

@@ -20,7 +20,7 @@ from sidelong.mission.core.sight import NOTHING_HIDDEN, SightAt
 from sidelong.mission.fleet import team_kernel as kernel
 from sidelong.mission.fleet.cover_kernel import Team
 from sidelong.mission.fleet.roles import RoleCosts
-from sidelong.mission.fleet.team import TeamSettings, beside_standing, team_of
+from sidelong.mission.fleet.team import TeamSettings, next_to_standing, team_of
 from sidelong.mission.geometry.separation import airspeed_of, flown_places
 from sidelong.mission.predictive.decision_kernel import Looker
 from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
@@ -33,7 +33,7 @@ from sidelong.mission.viewpoint.viewpoint_kernel import PRESUMED, SIDE
 
 _ADVICE_S = 5.0  # how long advice is followed
 _STANDING_M_S = 0.5  # the course of a slower target is not expected to last
-_FORETOLD = 160  # seconds of the others' lines: longer than any line, and what their reports may be late
+_PREDICTED = 160  # seconds of the others' lines: longer than any line, and what their reports may be late
 
 
 class TeamPlanner:
@@ -67,17 +67,17 @@ class TeamPlanner:
         self._advice: FleetAdvice | None = None
         self._plans: dict[str, NeighbourPlanned] = {}
 
-    def advise(self, told: FleetAdvice | NeighbourPlanned) -> None:
+    def advise(self, news: FleetAdvice | NeighbourPlanned) -> None:
         """See :class:`sidelong.mission.core.fleet.CooperativePlanner`."""
-        if isinstance(told, NeighbourPlanned):
-            self._plans[told.name] = told
+        if isinstance(news, NeighbourPlanned):
+            self._plans[news.name] = news
         else:
-            self._advice = told
-            held = 1.0 if told.side is Side.LEFT else -1.0
-            self._wanted = -held if told.role is Role.OPPOSITE else held
+            self._advice = news
+            held = 1.0 if news.side is Side.LEFT else -1.0
+            self._wanted = -held if news.role is Role.OPPOSITE else held
             self._alone.lookers[0].memory[SIDE] = held  # of all lookers
-            if told.course_rad is not None:
-                self.presume(told.course_rad)
+            if news.course_rad is not None:
+                self.presume(news.course_rad)
 
     def presume(self, course_rad: float) -> None:
         """Take the target's course as the fleet knows it: it counts until this one has seen the target move."""
@@ -111,13 +111,13 @@ class TeamPlanner:
             return self._alone.decide(aircraft, target, present, wind, latency_s)
         looker, team = self._for(wind)
         if target.speed_m_s < _STANDING_M_S:
-            team = beside_standing(team)
+            team = next_to_standing(team)
         now, costs = situation(aircraft, target, present, wind, latency_s), np.empty(MOVES)
         scene, sight = self._alone.outlook(now, looker)
         stay_cost, bar = kernel.team_decide(
             scene,
             now,
-            np.stack([self._foretold(one, wind) for one in others]),
+            np.stack([self._predicted(one, wind) for one in others]),
             np.array([one.state.time_s for one in others]),
             looker,
             team,
@@ -151,15 +151,15 @@ class TeamPlanner:
             and one.target == advice.target
             and one.role is not Role.LEAVE
             and time_s - one.state.time_s <= _ADVICE_S
-            and (told := self._plans.get(one.name)) is not None
-            and told.present is not None
+            and (news := self._plans.get(one.name)) is not None
+            and news.present is not None
         ]
 
-    def _foretold(self, other: Neighbour, wind: Wind) -> FloatArray:
-        told, state = self._plans[other.name], other.state
-        assert told.present is not None
+    def _predicted(self, other: Neighbour, wind: Wind) -> FloatArray:
+        news, state = self._plans[other.name], other.state
+        assert news.present is not None
         airspeed_m_s = airspeed_of(state, wind)
-        return flown_places(state, told.present, told.coming, wind, airspeed_m_s, STEP_S, _FORETOLD)
+        return flown_places(state, news.present, news.coming, wind, airspeed_m_s, STEP_S, _PREDICTED)
 
 
 def _names(others: Sequence[Neighbour]) -> str:

@@ -53,7 +53,7 @@ class FleetVehicle:
     watches: str = ""
     nearer: tuple[str, int] = ("", 0)  # another target, and how many sightings in a row have lain nearer to that one
     role: Role = Role.WANTED
-    told: tuple[Role, str] | None = None
+    announced: tuple[Role, str] | None = None
     launch_asked: bool = False
 
     @property

@@ -16,7 +16,7 @@ class WatchedCourse:
     """Follows one target from its first sighting on.
 
     course_rad: the one made good over the requirement's horizon. While the way is still short, the present one, held
-    while the target stands; before it has moved, one by which the first aircraft is on the wanted side; None until
+    while the target stands; before it has moved, one by which the first aircraft is on the required side; None until
     there is an aircraft.
     """
 

@@ -50,7 +50,7 @@ def _plan_to(
     requirement: Requirement,
     arrival_s: float,
 ) -> Plan:
-    circle = _circle_beside(aircraft, target, airframe, requirement, arrival_s)
+    circle = _circle_next_to(aircraft, target, airframe, requirement, arrival_s)
     best: tuple[tuple[float, float], Path] | None = None
     for first_turn in (1.0, -1.0):
         path = turn_straight_turn(aircraft, circle, first_turn * airframe.radius_m)
@@ -70,7 +70,7 @@ def _plan_to(
     return Plan(circle, best[1], aircraft.time_s)
 
 
-def _circle_beside(
+def _circle_next_to(
     aircraft: AircraftState,
     target: TargetEstimate,
     airframe: Aircraft,

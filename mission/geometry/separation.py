@@ -41,9 +41,9 @@ class Separation:
         """Replace the list of the other aircraft."""
         self._others = {one.name: one for one in neighbours}
 
-    def planned(self, told: NeighbourPlanned) -> None:
+    def planned(self, neighbour: NeighbourPlanned) -> None:
         """Take what another one flies."""
-        self._plans[told.name] = told
+        self._plans[neighbour.name] = neighbour
 
     def breach(
         self,
@@ -60,18 +60,18 @@ class Separation:
         heights = {height_m, *_heights_of(plan)}
         own: FloatArray | None = None
         for name, other in self._others.items():
-            told = self._plans.get(name) if other.ours else None
-            vertical_m = _gap_m(heights, {other.height_m, *_heights_of(*_planned(told))})
+            neighbour = self._plans.get(name) if other.ours else None
+            vertical_m = _gap_m(heights, {other.height_m, *_heights_of(*_planned(neighbour))})
             if vertical_m >= self.min_m:
                 continue
             flat_m = math.sqrt(self.min_m**2 - vertical_m**2)
             if own is None:
                 own = _places(aircraft, present or plan, plan, wind, airspeed_m_s, _duration_s(plan, airspeed_m_s))
-            apart_m = self._least_m(own, aircraft.time_s, other, told, wind, vertical_m, airspeed_m_s)
+            apart_m = self._least_m(own, aircraft.time_s, other, neighbour, wind, vertical_m, airspeed_m_s)
             if apart_m < self.min_m:
                 return f"it would come within {apart_m:.0f} m of {name}"
-            if told is not None and told.present is not None:
-                ending = told.coming or told.present
+            if neighbour is not None and neighbour.present is not None:
+                ending = neighbour.coming or neighbour.present
                 if circles_apart_m(plan.circle, ending.circle) - 2.0 * _LINE_ERROR_M < flat_m:
                     return f"its circle is too near to that of {name}, at almost the same height"
         return None
@@ -87,12 +87,12 @@ class Separation:
 
         """
         for name, other in self._others.items():
-            told, vertical_m = self._plans.get(name), height_m - other.height_m
+            neighbour, vertical_m = self._plans.get(name), height_m - other.height_m
             if not other.ours or other.role is Role.LEAVE or not 0.0 <= vertical_m < self.min_m:
                 continue
-            if told is None or told.present is None:
+            if neighbour is None or neighbour.present is None:
                 continue
-            ending = told.coming or told.present
+            ending = neighbour.coming or neighbour.present
             if math.hypot(circles_apart_m(present.circle, ending.circle), vertical_m) < self.min_m:
                 return f"{name} is only {vertical_m:.0f} m below, and the circles cross"
         return None
@@ -102,7 +102,7 @@ class Separation:
         own: FloatArray,
         now_s: float,
         other: Neighbour,
-        told: NeighbourPlanned | None,
+        neighbour: NeighbourPlanned | None,
         wind: Wind,
         vertical_m: float,
         airspeed_m_s: float,
@@ -110,7 +110,7 @@ class Separation:
         state = other.state
         lag_s = now_s - state.time_s
         n = own.shape[1]
-        if told is None or told.present is None:
+        if neighbour is None or neighbour.present is None:
             n = min(n, 1 + int(_FOREIGN_S / _STEP_S))
             gone_m = state.ground_speed_m_s * (lag_s + _STEP_S * np.arange(n))
             theirs = np.stack(
@@ -122,7 +122,9 @@ class Separation:
         else:
             speed_m_s = airspeed_of(state, wind)
             late = max(0, round(lag_s / _STEP_S))  # their places are counted from their own report
-            theirs = _places(state, told.present, told.coming, wind, speed_m_s, _STEP_S * (n - 1 + late))[:, late:]
+            theirs = _places(state, neighbour.present, neighbour.coming, wind, speed_m_s, _STEP_S * (n - 1 + late))[
+                :, late:
+            ]
         growth_m_s = _SPEED_ERROR * (airspeed_m_s + state.ground_speed_m_s)
         ours, theirs = np.ascontiguousarray(own[:, :n]), np.ascontiguousarray(theirs)
         return kernel.min_distance_m(ours, theirs, _STEP_S, vertical_m, growth_m_s) - _LINE_ERROR_M
@@ -169,8 +171,8 @@ def airspeed_of(state: AircraftState, wind: Wind) -> float:
     return math.hypot(east_m_s, north_m_s)
 
 
-def _planned(told: NeighbourPlanned | None) -> tuple[Plan | None, ...]:
-    return () if told is None else (told.present, told.coming)
+def _planned(neighbour: NeighbourPlanned | None) -> tuple[Plan | None, ...]:
+    return () if neighbour is None else (neighbour.present, neighbour.coming)
 
 
 def _heights_of(*plans: Plan | None) -> set[float]:

@@ -95,7 +95,7 @@ class Health:
         self._refused: set[Source] = set()
 
     def received(self, event: Event, now_s: float) -> bool:
-        """Note that an event came, whatever it says; return whether the states are due to be judged.
+        """Note that an event came, whatever its content; return whether the states are due to be judged.
 
         Args:
             event: as it was received.

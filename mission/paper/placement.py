@@ -13,7 +13,7 @@ def stand_off_m(aircraft: Aircraft, requirement: Requirement) -> float:
     return requirement.range_min_m + aircraft.radius_m
 
 
-def circle_beside(
+def circle_next_to(
     target_east_m: float, target_north_m: float, course_rad: float, aircraft: Aircraft, requirement: Requirement
 ) -> Circle:
     """Return the circle on the required side of a target that moves on ``course_rad`` (20-21)."""

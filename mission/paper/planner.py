@@ -26,7 +26,7 @@ from sidelong.mission.geometry.switching import must_move, range_after_lap_m
 from sidelong.mission.geometry.transition import abcd, min_move_m
 from sidelong.mission.geometry.wind import LapClock, WindError, path_times_s
 from sidelong.mission.paper.departure import Move, Situation, Vector, next_move
-from sidelong.mission.paper.placement import circle_beside, shifted
+from sidelong.mission.paper.placement import circle_next_to, shifted
 from sidelong.mission.paper.reference_model import RelativePosition, displacement_m
 from sidelong.mission.paper.stretched_lap import stretched_lap
 from sidelong.mission.viewpoint.course_hold import CourseHold
@@ -112,9 +112,9 @@ class PaperPlanner:
             self._psi_c_rad,
         )
         transition: Path | None = None
-        anew = self._reason_to_place_anew(situation, move, chosen.placed)
-        if anew is not None:
-            move, transition = self._placed_anew(situation)
+        restarted = self._reason_to_place_again(situation, move, chosen.placed)
+        if restarted is not None:
+            move, transition = self._placed_again(situation)
         if move.wait_s - latency_s > 1.5 * interval_s:
             return Decision(now_s, None, f"next decision in {move.wait_s - latency_s:.0f} s")
         self._decided_until_s = now_s + move.wait_s + clock.lap_s / 2.0
@@ -126,14 +126,14 @@ class PaperPlanner:
             "range_after_lap_m": move.range_after_lap_m,
             "departure_s": departure_s,
         }
-        if anew is None:
+        if restarted is None:
             staying = self._reason_to_stay(move)
             if staying is not None:
                 return Decision(now_s, None, staying, values)
             transition = abcd(present.circle, move.circle, self._psi_c_rad)
         seen_then = RelativePosition.of(move.target_m[0] - aircraft.east_m, move.target_m[1] - aircraft.north_m)
         self._proposed = _Chosen(move.circle, seen_then, placed=True)
-        why = anew or self._range_words(situation, move)
+        why = restarted or self._range_words(situation, move)
         reason = f"moving {describe_move(move.east_m, move.north_m)}: {why}"
         return Decision(now_s, Plan(move.circle, transition, departure_s), reason, values)
 
@@ -172,7 +172,7 @@ class PaperPlanner:
             )
         return None
 
-    def _reason_to_place_anew(self, situation: Situation, regular: Move, placed: bool) -> str | None:
+    def _reason_to_place_again(self, situation: Situation, regular: Move, placed: bool) -> str | None:
         circle, side = situation.circle, self._viewpoint.side
         ends_badly = must_move(regular.range_after_lap_m, self._requirement)
         if circle.clockwise != side.clockwise:
@@ -201,7 +201,7 @@ class PaperPlanner:
 
     # -- where to ------------------------------------------------------------------------------------------
 
-    def _placed_anew(self, situation: Situation) -> tuple[Move, Path | None]:
+    def _placed_again(self, situation: Situation) -> tuple[Move, Path | None]:
         """Return the move to the circle next to the target, and its path.
 
         None for the line where both ways to a circle of another kind overlap: the autopilot finds its own.
@@ -209,7 +209,7 @@ class PaperPlanner:
         tried: list[tuple[float, Move, Path]] = []
         for lead_rad in (self._psi_c_rad, *_STRETCHES_RAD):
             by_abcd = not tried and lead_rad == self._psi_c_rad
-            move = next_move(situation, self._beside, lead_rad)
+            move = next_move(situation, self._alongside, lead_rad)
             if not _alike(situation.circle, move.circle):
                 return self._at_once(situation)
             if by_abcd and move.length_m < self._min_move_m:
@@ -231,16 +231,16 @@ class PaperPlanner:
         east_m, north_m = circle.position_at_course(course_rad)
         start = AircraftState(wait_s, east_m, north_m, course_rad, situation.airspeed_m_s, circle.curvature_per_m)
         target_m = situation.target_after(wait_s)
-        new = self._beside(target_m)
+        new = self._alongside(target_m)
         range_m = range_after_lap_m((east_m, north_m), target_m, situation.velocity_m_s, situation.clock.lap_s)
         move = Move(new, wait_s, new.east_m - circle.east_m, new.north_m - circle.north_m, target_m, range_m)
         paths = [turn_straight_turn(start, new, first * self._aircraft.radius_m) for first in (1.0, -1.0)]
         found = [path for path in paths if path is not None]
         return move, max(found, key=lambda path: situation.min_range_m(path, wait_s)) if found else None
 
-    def _beside(self, target_m: Vector) -> Circle:
+    def _alongside(self, target_m: Vector) -> Circle:
         wanted = replace(self._requirement, side=self._viewpoint.side)
-        return circle_beside(*target_m, self._viewpoint.course_rad, self._aircraft, wanted)
+        return circle_next_to(*target_m, self._viewpoint.course_rad, self._aircraft, wanted)
 
     def _arrival_s(self, present: Plan, wind: Wind) -> float:
         """Return when the present plan reaches its circle; reckoned once a plan."""

@@ -57,7 +57,7 @@ _PRICE_S, _PRICE_SHARE, _PRICE_POWER = 4.0, 0.175, 1.7
 _MIN_SHARE, _MIN_SHARE_IN_FLEET, _MAX_SHARE = 1.0 / 8.0, _PRICE_SHARE, 1.0 / 3.8
 _TURN_SHARE_IN_FLEET = 0.5
 _NO_BREACH = "a better place should the target turn"
-# The table's classes need some speed, even for a target that is said to stand.
+# The table's classes need some speed, even for a target that is reported as stationary.
 _MIN_TARGET_SPEED_M_S = 0.5
 
 
@@ -232,7 +232,7 @@ class PredictivePlanner:
         scene = scene_of(now, looker.target_speed_max_m_s, looker.craft, looker.wish, looker.memory)
         return scene, self._sight(scene.frame_east_m, scene.frame_north_m, *kernel.target_velocity(scene))
 
-    def _foreseen(self, scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Futures, Looker]:
+    def _predicted(self, scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Futures, Looker]:
         """Return what the target may do, with the scene and the looker to judge it by."""
         return foresee(scene, now, looker)
 
@@ -240,7 +240,7 @@ class PredictivePlanner:
         """Take the cheapest move that breaks no fence, if one is cheaper than staying."""
         scene, sight = self.outlook(now, looker)
         costs = np.empty(MOVES)
-        scene, futures, looker = self._foreseen(scene, now, looker)
+        scene, futures, looker = self._predicted(scene, now, looker)
         min_gain_s = kernel.commitment(scene, now, futures, looker)
         stay_cost = kernel.look_deeper(scene, now, futures, looker, sight, min_gain_s, costs)
         places, time_s = kernel.flown_on(scene, now, 4.0 * math.pi * scene.radius_m)

@@ -105,7 +105,7 @@ class _Solver:
         moves = _moves(configuration, cell_m / _SAMPLES_PER_CELL)
         targets, winds = configuration.classes()
         self.shape = (len(targets), HEADINGS, n, n)
-        for wind in winds:  # says so where the wind is too strong
+        for wind in winds:  # reports it where the wind is too strong
             ground_speeds_m_s(
                 HEADING_STEP_RAD * np.arange(HEADINGS, dtype=np.float64), configuration.airspeed_m_s, Wind(*wind)
             )

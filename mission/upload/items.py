@@ -96,7 +96,7 @@ def plan_items(
             NAV_WAYPOINT,
             FRAME_GLOBAL_RELATIVE_ALT,
             *plane.latitude_longitude_deg(east_m, north_m),
-            _height_beside_m(plan.transition, plan.heights, east_m, north_m, height_m),
+            _height_nearby_m(plan.transition, plan.heights, east_m, north_m, height_m),
             param2=float(round(tracking.switch_m)),
         )
         for east_m, north_m in layout.waypoints
@@ -104,7 +104,7 @@ def plan_items(
     return (*waypoints, circle)
 
 
-def _height_beside_m(
+def _height_nearby_m(
     line: Path, heights: HeightProfile | None, east_m: float, north_m: float, height_m: float
 ) -> float:
     """Return the height where a line passes a waypoint."""

@@ -61,7 +61,7 @@ class ArduPlane(Autopilot):
     first_mode = Mode.MANUAL
     taken_over_mode = Mode.FBWA
     navigation_period_s = 0.1
-    hears_once_a_loop = True
+    receives_once_a_loop = True
     home_known_s = 21.7
     ready_s = 22.9
     unknown_interval_result = DENIED

@@ -116,7 +116,7 @@ class Companion:
             sight.bearing_rad,
             measured.laser_valid,
             measured.laser_outlier,
-            *hills.told(aircraft_m, in_sight),
+            *hills.reported(aircraft_m, in_sight),
         )
         self.on_truth(row)
         return measured.messages
@@ -143,12 +143,12 @@ def accompany(
     port = address.rpartition(":")[2]
     if scheme not in _SCHEMES or not (port.isdigit() and 0 < int(port) < 65536):
         raise CompanionError(f"must look like {', '.join(f'{s}://HOST:PORT' for s in _SCHEMES)}, not {url!r}")
-    told = False
+    reported = False
     while not stopped():
         try:
             with ExitStack() as stack:
                 link = stack.enter_context(closing(_connected(scheme, address)))
-                told = False
+                reported = False
                 if key is not None:
                     link.setup_signing(key, allow_unsigned_callback=lambda _mav, _message_id: False, link_id=1)
                 if straight_to is not None:
@@ -156,9 +156,9 @@ def accompany(
                     link.mav.set_send_callback(partial(_send_straight, straight, straight_to))
                 _converse(companion, link, on_ready, stopped)
         except (ConnectionError, TimeoutError) as error:
-            if not told:
+            if not reported:
                 on_wait(f"waiting for a vehicle at {url}: {error.strerror or error}")
-            told = True
+            reported = True
             time.sleep(_RETRY_S)
         except OSError as error:
             raise CompanionError(f"cannot reach {url}: {error.strerror or error}") from error
@@ -221,7 +221,7 @@ def _send_straight(udp: socket.socket, address: tuple[str, int], message: Any) -
 
 def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
     """Return the system id of the vehicle on the link, once others would have spoken; None when stopped before."""
-    heard: set[int] = set()
+    received: set[int] = set()
     settled_s, heartbeat_s = math.inf, -math.inf
     while not stopped():
         message = link.recv_match(type="HEARTBEAT", blocking=True, timeout=_WAIT_S)
@@ -231,12 +231,12 @@ def _only_vehicle(link: Any, stopped: Callable[[], bool]) -> int | None:
             _send(link, Payload.heartbeat())
         if message is not None and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
             settled_s = min(settled_s, now_s + _SETTLING_S)
-            heard.add(message.get_srcSystem())
-        if len(heard) > 1:
-            names = " and ".join(map(str, sorted(heard)))
+            received.add(message.get_srcSystem())
+        if len(received) > 1:
+            names = " and ".join(map(str, sorted(received)))
             raise CompanionError(f"leads to several vehicles, systems {names}; name one by --system-id")
         if now_s >= settled_s:
-            return heard.pop()
+            return received.pop()
     return None
 
 

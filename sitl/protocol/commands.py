@@ -44,7 +44,7 @@ class Command:
         return self.params[number - 1]
 
     def number(self, number: int) -> float:
-        """Return a param, 0 where it is no number."""
+        """Return a param, 0 where it is not a number."""
         value = self.params[number - 1]
         return value if math.isfinite(value) else 0.0
 

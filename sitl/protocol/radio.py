@@ -24,9 +24,9 @@ class Station:
         "_next_due_s",
         "address",
         "expected",
-        "heard_s",
         "interval_s",
         "parser",
+        "received_s",
         "sequence",
         "wakes_s",
     )
@@ -35,7 +35,7 @@ class Station:
         self.address = address
         self.expected = False  # configured: it is sent to indefinitely, even if it never sends
         self.sequence: dict[int, int] = {}
-        self.heard_s: float | None = None
+        self.received_s: float | None = None
         self.parser = SignedParser(None)
         self.parser.robust_parsing = True
         self.interval_s: dict[int, float] = {}
@@ -106,7 +106,7 @@ class Radio:
     def drop_silent(self, since_s: float) -> None:
         """Remove the stations that were not configured and have sent nothing since ``since_s``."""
         for address, station in list(self.stations.items()):
-            if not station.expected and station.heard_s is not None and station.heard_s < since_s:
+            if not station.expected and station.received_s is not None and station.received_s < since_s:
                 self.signing.detach(station.parser)
                 del self.stations[address]
 
@@ -124,7 +124,7 @@ class Radio:
         """Forward a frame of another system or component, unchanged, to every station that has sent something."""
         frame = bytes(message.get_msgbuf())
         for station in self.stations.values():
-            if station is not origin and station.heard_s is not None:
+            if station is not origin and station.received_s is not None:
                 self.outbox.append((station.address, frame))
 
     def stream(self, now_s: float, build: Callable[[int], list[Any]]) -> None:

@@ -95,9 +95,9 @@ class Signing:
         signing = parser.signing
         signing.secret_key = self._key
         signing.stream_timestamps = self._streams
-        signing.allow_unsigned_callback = self._is_heard_unsigned if self._key is not None else None
+        signing.allow_unsigned_callback = self._is_accepted_unsigned if self._key is not None else None
 
-    def _is_heard_unsigned(self, _parser: Any, message_id: int) -> bool:
+    def _is_accepted_unsigned(self, _parser: Any, message_id: int) -> bool:
         return message_id in self._unsigned
 
     def signed(self, parser: Any, frame: bytes, crc_extra: int, unix_s: float) -> bytes:

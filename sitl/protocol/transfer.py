@@ -75,7 +75,7 @@ class _Upload:
     next_index: int
     last_index: int
     asked_s: float
-    heard_s: float
+    received_s: float
 
 
 @dataclass(slots=True)
@@ -83,11 +83,11 @@ class _Download:
     sender: tuple[int, int]
     count: int
     next_index: int
-    heard_s: float
+    received_s: float
 
 
 class Transfer:
-    """Serves one mission type. beside: all transfers of the vehicle, including this one; in-order reads block all."""
+    """Serves one mission type. transfers: all of the vehicle, including this one; in-order reads block all."""
 
     def __init__(
         self,
@@ -96,8 +96,8 @@ class Transfer:
         radio: Radio,
         quirks: ProtocolQuirks,
         link_rate: float,
-        tell: Callable[[int, str], None],
-        beside: Mapping[int, Transfer],
+        announce: Callable[[int, str], None],
+        transfers: Mapping[int, Transfer],
     ) -> None:
         self.mission_type = mission_type
         self.store = store
@@ -105,7 +105,7 @@ class Transfer:
         self._quirks = quirks
         self._retry_s = quirks.retry_s * link_rate
         self._timeout_s = quirks.timeout_s * link_rate
-        self._tell, self._beside = tell, beside
+        self._announce, self._transfers = announce, transfers
         self._upload: _Upload | None = None
         self._latest: tuple[tuple[int, int], int, int | None] | None = None  # sender, index and checksum
         self._downloads: dict[Station, _Download] = {}  # the in-order downloads
@@ -115,23 +115,23 @@ class Transfer:
         return self._quirks.reads_in_order and (self._is_written_by(station) or self._read_by(station) is not None)
 
     def _is_written_by(self, station: Station) -> bool:
-        uploads = (one._upload for one in self._beside.values())
+        uploads = (one._upload for one in self._transfers.values())
         return any(upload is not None and upload.station is station for upload in uploads)
 
     def _read_by(self, station: Station) -> Transfer | None:
-        return next((one for one in self._beside.values() if station in one._downloads), None)
+        return next((one for one in self._transfers.values() if station in one._downloads), None)
 
     def step(self, now_s: float) -> None:
         for station, download in list(self._downloads.items()):
-            if now_s - download.heard_s > self._timeout_s:
+            if now_s - download.received_s > self._timeout_s:
                 del self._downloads[station]
-                self._tell(self._quirks.timeout_severity, self._quirks.timeout_text)
+                self._announce(self._quirks.timeout_severity, self._quirks.timeout_text)
         upload = self._upload
         if upload is None:
             return
-        if now_s - upload.heard_s > self._timeout_s:
+        if now_s - upload.received_s > self._timeout_s:
             self._abandon(upload)
-            self._tell(self._quirks.timeout_severity, self._quirks.timeout_text)
+            self._announce(self._quirks.timeout_severity, self._quirks.timeout_text)
             if self._quirks.timeout_result is not None:
                 self._acknowledge(upload.station, upload.sender, self._quirks.timeout_result)
         elif now_s - upload.asked_s > self._retry_s:
@@ -193,7 +193,7 @@ class Transfer:
     def _may_start(self, station: Station, sender: tuple[int, int]) -> bool:
         upload = self._upload
         if self._read_by(station) is not None:
-            self._tell(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN MISSION_COUNT: Busy\t")
+            self._announce(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN MISSION_COUNT: Busy\t")
             self._acknowledge(station, sender, self._quirks.busy_result)
             return False
         if upload is None:
@@ -233,7 +233,7 @@ class Transfer:
         if upload.sender != sender:
             self._acknowledge(station, sender, quirks.busy_result)
             return
-        upload.heard_s = now_s
+        upload.received_s = now_s
         try:
             self.store.put(message.seq, Item.from_message(message), bool(message.current))
         except ItemRefused as refusal:
@@ -277,13 +277,13 @@ class Transfer:
         download = self._downloads.get(station)
         if download is None or download.sender != sender:
             return
-        download.heard_s = now_s
+        download.received_s = now_s
         if message.seq == download.next_index and download.next_index < download.count:
             download.next_index += 1
         elif message.seq != download.next_index - 1:
             del self._downloads[station]
             self._acknowledge(station, sender, mavlink.MAV_MISSION_ERROR)
-            self._tell(mavlink.MAV_SEVERITY_CRITICAL, "WPM: REJ. CMD: Req. WP was unexpected\t")
+            self._announce(mavlink.MAV_SEVERITY_CRITICAL, "WPM: REJ. CMD: Req. WP was unexpected\t")
             return
         self._on_request(station, sender, message)
 
@@ -295,16 +295,16 @@ class Transfer:
             if download.next_index == download.count:
                 del reading._downloads[station]
             elif reading is not self or download.sender != sender:
-                self._tell(mavlink.MAV_SEVERITY_INFO, "Mission download request ignored, already active\t")
+                self._announce(mavlink.MAV_SEVERITY_INFO, "Mission download request ignored, already active\t")
                 return
         if self._is_written_by(station):
-            self._tell(mavlink.MAV_SEVERITY_INFO, "Mission download request ignored, already active\t")
+            self._announce(mavlink.MAV_SEVERITY_INFO, "Mission download request ignored, already active\t")
             return
         self._send_count(station, sender, now_s)
 
     def _on_clear(self, station: Station, sender: tuple[int, int]) -> None:
         if self.is_busy_with(station):  # reported as a status text only
-            self._tell(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN CLEAR CMD: Busy\t")
+            self._announce(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN CLEAR CMD: Busy\t")
         elif self._may_start(station, sender):
             self._acknowledge(station, sender, self.store.clear())
 

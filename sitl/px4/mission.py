@@ -119,8 +119,8 @@ def refusal(items: list[Item], home: Home, takeoff_land_required: int, landing_a
     has_takeoff, has_land = TAKEOFF in commands, LAND in commands
     if commands.count(mavlink.MAV_CMD_DO_LAND_START) > 1:
         return "Mission rejected: more than one land start."
-    if has_land and (told := _landing_refusal(items, commands.index(LAND), home, landing_angle_deg)) is not None:
-        return told
+    if has_land and (reason := _landing_refusal(items, commands.index(LAND), home, landing_angle_deg)) is not None:
+        return reason
     required = {
         1: (has_takeoff, "Mission rejected: Takeoff waypoint required."),
         2: (has_land, "Mission rejected: Landing waypoint/pattern required."),

@@ -54,7 +54,7 @@ class Px4(Autopilot):
     first_mode = Mode.HOLD
     taken_over_mode = Mode.POSCTL
     navigation_period_s = 0.04
-    hears_once_a_loop = False
+    receives_once_a_loop = False
     home_known_s = 3.0
     ready_s = 8.0
     unknown_interval_result = FAILED

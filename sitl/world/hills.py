@@ -51,7 +51,7 @@ class Hills:
             return 0.0
         return float(self._above_sea_m(np.array([east_m]), np.array([north_m]))[0]) - self.home_altitude_m
 
-    def told(self, aircraft_m: tuple[float, float, float], in_sight: bool) -> tuple[float | None, bool | None]:
+    def reported(self, aircraft_m: tuple[float, float, float], in_sight: bool) -> tuple[float | None, bool | None]:
         """Return the clearance over the ground and whether the target is in sight; None where no ground is known."""
         if self.flat:
             return None, None

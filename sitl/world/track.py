@@ -106,7 +106,7 @@ def read_track(path: Path) -> Track:
     """
     try:
         if path.exists() and not path.is_file():
-            raise TrackError(f"{path} cannot be read: it is no file")
+            raise TrackError(f"{path} cannot be read: it is not a file")
         if path.stat().st_size > _FILE_MAX_BYTES:
             raise TrackError(f"{path} is longer than {_FILE_MAX_BYTES >> 20} MiB; cut the track")
         rows, origin_deg = _read_gpx(path) if path.suffix.lower() == ".gpx" else _read_csv(path)

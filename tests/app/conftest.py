@@ -143,7 +143,7 @@ def run_folder(config, flight, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser():
-    """Return a headless Chromium that asks nobody for anything; skips where there is none.
+    """Return a headless Chromium that asks no one for anything; skips where there is none.
 
     While it is there its event loop counts as running: no other test module may meet it.
     """
@@ -176,13 +176,13 @@ def recorded(
     """Fly and record; ``more`` are events by the time at which they come. Return the commands."""
     controller, recording = controller_of(config, kind=kind), Recording(folder, config, pytest.fail)
     recording.begin(PLANE, (47.4, 8.5))
-    said: list[Command] = []
+    announced: list[Command] = []
 
     def note(event: Event, commands: tuple[Command, ...]) -> None:
         recording.event(event)
         for command in commands:
             recording.command(command)
-        said.extend(commands)
+        announced.extend(commands)
 
     for event, commands in steps(controller, config, duration_s):
         note(event, commands)
@@ -191,7 +191,7 @@ def recorded(
             note(one, controller.step(one))
     recording.close()
     assert not more
-    return said
+    return announced
 
 
 @pytest.fixture

@@ -132,9 +132,9 @@ def test_a_low_battery_ends_the_watch_as_configured(action, ends, snapshot):
     config = Config.model_validate({"planner": {"name": "paper", "at_low_battery": action}})
     controller = controller_of(config)
     controller.step(ControlAcquired(100.0, snapshot.present.circle, "AUTO"))
-    said = [controller.step(BatteryReported(101.0 + k, 22.0, 70.0, 60.0)) for k in range(3)]
-    assert said[0] == ()  # one report is not enough
-    ended = [one for step in said for one in step if isinstance(one, End)]
+    announced = [controller.step(BatteryReported(101.0 + k, 22.0, 70.0, 60.0)) for k in range(3)]
+    assert announced[0] == ()  # one report is not enough
+    ended = [one for step in announced for one in step if isinstance(one, End)]
     assert [one.action for one in ended] == (["return"] if ends else [])
     assert controller.phase is (Phase.ENDED if ends else Phase.WATCHING)
 
@@ -149,7 +149,7 @@ def test_a_battery_with_enough_left_ends_nothing(snapshot):
 
 def test_an_alarm_of_the_journal_is_announced_in_the_replay(snapshot):
     controller = controller_of(Config.model_validate({"planner": {"name": "paper"}}))
-    (said,) = controller.step(AlarmReported(1.0, "laser", "raised", "no range from the laser for 5 s: check it"))
-    assert (said.kind, said.text) == ("alarm", "alarm: no range from the laser for 5 s: check it")
-    (said,) = controller.step(AlarmReported(2.0, "laser", "cleared", "no range from the laser for 6 s"))
-    assert said.kind == "clear"
+    (announced,) = controller.step(AlarmReported(1.0, "laser", "raised", "no range from the laser for 5 s: check it"))
+    assert (announced.kind, announced.text) == ("alarm", "alarm: no range from the laser for 5 s: check it")
+    (announced,) = controller.step(AlarmReported(2.0, "laser", "cleared", "no range from the laser for 6 s"))
+    assert announced.kind == "clear"

@@ -162,7 +162,7 @@ def test_mission_of_another_vehicle_is_read(flavour, loss):
     assert not found.lap
 
 
-def test_mission_that_jumps_back_for_ever_is_a_lap():
+def test_mission_that_jumps_back_indefinitely_is_a_lap():
     way = {"command": mavlink.MAV_CMD_NAV_WAYPOINT, "x": 1, "y": 2, "param1": 0.0, "param2": 0.0}
     ways = [{**way, "seq": seq} for seq in (1, 2, 3)]
     jump = {**way, "command": mavlink.MAV_CMD_DO_JUMP, "x": 0, "y": 0, "seq": 4, "param1": 1.0, "param2": -1.0}

@@ -29,8 +29,8 @@ def test_a_change_of_side_computes_and_loads_no_table(monkeypatch, tmp_path):
     controller = controller_of(load_config(None, {"planner": {"winds_m_s": [5.0]}}))
     monkeypatch.setattr(value_cache, "value_table", lambda *_: pytest.fail("a table was asked for within a step"))
     controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
-    (told,) = controller.step(OperatorRequest(1.0, "side", Side.RIGHT))
-    assert told.text == "operator: side right"
+    (announced,) = controller.step(OperatorRequest(1.0, "side", Side.RIGHT))
+    assert announced.text == "operator: side right"
     assert controller.snapshot().side is Side.RIGHT
 
 
@@ -39,7 +39,7 @@ def test_a_change_of_side_computes_and_loads_no_table(monkeypatch, tmp_path):
     [
         ({}, []),
         ({"simulation": {"wind_speed_m_s": 4.0}}, [4.0]),
-        ({"link": {"url": "udpin://127.0.0.1:14540"}}, [3.75]),  # nobody knows it beforehand
+        ({"link": {"url": "udpin://127.0.0.1:14540"}}, [3.75]),  # no one knows it beforehand
         ({"link": {"url": "udpin://127.0.0.1:14540"}, "planner": {"winds_m_s": [6.0]}}, [6.0]),
         ({"link": {"url": "udpin://127.0.0.1:14540"}, "requirement": {"side": "120-200"}}, []),
     ],
@@ -74,6 +74,6 @@ def test_a_side_is_refused_where_bearings_are_watched_from():
     controller = controller_of(settings)
     controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
     before = controller.snapshot().side
-    (told,) = controller.step(OperatorRequest(1.0, "side", Side.RIGHT))
-    assert told.text == "side refused: the mission watches from bearings"
+    (announced,) = controller.step(OperatorRequest(1.0, "side", Side.RIGHT))
+    assert announced.text == "side refused: the mission watches from bearings"
     assert controller.snapshot().side is before

@@ -26,11 +26,13 @@ NOW = datetime(2026, 11, 21, 12, 0, 0, tzinfo=UTC)
 ESTIMATE = TargetEstimate(200.0, 300.0, -400.0, -2.0, 1.0, np.diag([16.0, 9.0, 0.1, 0.1]), TrackQuality.GOOD, 200.0)
 
 
-def follow_target(east_m: float, north_m: float, system_id: int = 30, sigma_m: float = 3.0, told: int = 3) -> bytes:
+def follow_target(
+    east_m: float, north_m: float, system_id: int = 30, sigma_m: float = 3.0, announced: int = 3
+) -> bytes:
     latitude_deg, longitude_deg = PLANE.latitude_longitude_deg(east_m, north_m)
     place = round(latitude_deg * 1e7), round(longitude_deg * 1e7), 480.0
     rest = [0.0] * 3, [0.0] * 3, [1.0, 0.0, 0.0, 0.0], [0.0] * 3, [sigma_m, 0.0, 0.0], 0
-    message = mavlink.MAVLink_follow_target_message(1000, told, *place, *rest)
+    message = mavlink.MAVLink_follow_target_message(1000, announced, *place, *rest)
     return bytes(message.pack(mavlink.MAVLink(None, srcSystem=system_id)))
 
 
@@ -40,53 +42,55 @@ def cot(east_m: float, north_m: float, callsign: str = "ranger 7", at: datetime 
 
 
 class Input:
-    """A beacon's input with what it has put and told; the vehicle's clock is at 500 s."""
+    """A beacon's input with what it has put and reported; the vehicle's clock is at 500 s."""
 
     def __init__(self, name: str | None = None) -> None:
         self.put: list[TargetFixReading] = []
-        self.told: list[str] = []
-        self.beacon = BeaconInput(PLANE, name, 5.0, lambda: 500.0, self.put.append, self.told.append, lambda: NOW)
+        self.announced: list[str] = []
+        self.beacon = BeaconInput(
+            PLANE, name, 5.0, lambda: 500.0, self.put.append, self.announced.append, lambda: NOW
+        )
 
-    def hear(self, *datagrams: bytes) -> None:
+    def on_message(self, *datagrams: bytes) -> None:
         for datagram in datagrams:
             self.beacon.datagram_received(datagram, None)
 
 
 def test_follow_target_becomes_a_fix_of_its_own_accuracy():
-    heard = Input()
-    heard.hear(follow_target(100.0, -50.0))
-    (fix,) = heard.put
+    received = Input()
+    received.on_message(follow_target(100.0, -50.0))
+    (fix,) = received.put
     assert (fix.east_m, fix.north_m) == pytest.approx((100.0, -50.0), abs=0.02)
     assert (fix.time_s, fix.sigma_m, fix.source.message) == (500.0, 3.0, "FOLLOW_TARGET")
-    heard.hear(follow_target(100.0, -50.0, sigma_m=0.0))
-    assert heard.put[-1].sigma_m == 5.0  # as configured: it does not tell
+    received.on_message(follow_target(100.0, -50.0, sigma_m=0.0))
+    assert received.put[-1].sigma_m == 5.0  # as configured: it does not report
 
 
-def test_cursor_on_target_becomes_a_fix_of_the_time_it_tells():
-    heard = Input("ranger 7")
-    heard.hear(cot(100.0, -50.0, at=NOW - timedelta(seconds=0.5)), cot(0.0, 0.0, callsign="somebody else"))
-    (fix,) = heard.put
+def test_cursor_on_target_becomes_a_fix_of_the_time_it_reports():
+    received = Input("ranger 7")
+    received.on_message(cot(100.0, -50.0, at=NOW - timedelta(seconds=0.5)), cot(0.0, 0.0, callsign="another station"))
+    (fix,) = received.put
     assert (fix.east_m, fix.north_m) == pytest.approx((100.0, -50.0), abs=0.02)
     assert (fix.time_s, fix.source.message) == (499.5, "COT")
     assert fix.sigma_m == pytest.approx(4.0, abs=0.1)
 
 
 def test_two_beacons_without_a_name_are_both_left():
-    heard = Input()
-    heard.hear(follow_target(0.0, 0.0, 30), follow_target(900.0, 0.0, 31), follow_target(0.0, 0.0, 30))
-    assert len(heard.put) == 1
-    assert any("several beacons" in text for text in heard.told)
+    received = Input()
+    received.on_message(follow_target(0.0, 0.0, 30), follow_target(900.0, 0.0, 31), follow_target(0.0, 0.0, 30))
+    assert len(received.put) == 1
+    assert any("several beacons" in text for text in received.announced)
     named = Input("31")
-    named.hear(follow_target(0.0, 0.0, 30), follow_target(900.0, 0.0, 31))
+    named.on_message(follow_target(0.0, 0.0, 30), follow_target(900.0, 0.0, 31))
     assert [round(fix.east_m) for fix in named.put] == [900]
 
 
 def test_what_is_late_or_no_place_is_left():
-    heard = Input()
-    heard.hear(cot(0.0, 0.0, at=NOW - timedelta(hours=1)), cot(0.0, 0.0, at=NOW + timedelta(seconds=30)))
-    heard.hear(follow_target(0.0, 0.0, told=2))
-    assert heard.put == []
-    assert len(heard.told) == 1
+    received = Input()
+    received.on_message(cot(0.0, 0.0, at=NOW - timedelta(hours=1)), cot(0.0, 0.0, at=NOW + timedelta(seconds=30)))
+    received.on_message(follow_target(0.0, 0.0, announced=2))
+    assert received.put == []
+    assert len(received.announced) == 1
 
 
 @pytest.mark.parametrize(
@@ -103,9 +107,9 @@ def test_what_is_late_or_no_place_is_left():
     ],
 )
 def test_nonsense_is_passed_over(data):
-    heard = Input()
-    heard.hear(data, data[::-1])
-    assert heard.put == []
+    received = Input()
+    received.on_message(data, data[::-1])
+    assert received.put == []
 
 
 def test_random_bytes_lead_to_nothing():
@@ -149,13 +153,13 @@ def test_follow_target_is_what_pymavlink_reads(receiver, snapshot):
     output = FollowTargetOutput(sender_to(receiver), PLANE, 488.0, 240)
     output.show(snapshot)
     parser = mavlink.MAVLink(None)
-    heartbeat, told = (parser.parse_buffer(receiver.recv(4096))[0] for _ in range(2))
-    assert (heartbeat.type, told.get_srcSystem()) == (mavlink.MAV_TYPE_ONBOARD_CONTROLLER, 240)
+    heartbeat, announced = (parser.parse_buffer(receiver.recv(4096))[0] for _ in range(2))
+    assert (heartbeat.type, announced.get_srcSystem()) == (mavlink.MAV_TYPE_ONBOARD_CONTROLLER, 240)
     estimate = snapshot.estimate
-    at_m = PLANE.east_north_m(told.lat * 1e-7, told.lon * 1e-7)
+    at_m = PLANE.east_north_m(announced.lat * 1e-7, announced.lon * 1e-7)
     assert math.dist(at_m, estimate.position_m(snapshot.time_s)) < 0.05
-    assert told.vel[:2] == pytest.approx([estimate.velocity_north_m_s, estimate.velocity_east_m_s], abs=1e-5)
-    assert (told.alt, told.est_capabilities) == (488.0, 3)
+    assert announced.vel[:2] == pytest.approx([estimate.velocity_north_m_s, estimate.velocity_east_m_s], abs=1e-5)
+    assert (announced.alt, announced.est_capabilities) == (488.0, 3)
     output.stop()
 
 

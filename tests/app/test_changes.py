@@ -1,4 +1,4 @@
-"""What a person changes in flight: checked like a configuration, made ready beside the loop, journalled, replayed."""
+"""Changes by an operator in flight: checked like a configuration, prepared in parallel, journalled, replayed."""
 
 from __future__ import annotations
 
@@ -34,8 +34,14 @@ def changes_of(config):
     settle(controller, config, PLANE, HOME_DEG)
     controller.step(ControlAcquired(1.0, Circle(0.0, 0.0, 50.0, True), "AUTO"))
     put: list[MissionChange] = []
-    said: list[str] = []
-    return MissionChanges(config, controller, lambda: 7.0, put.append, lambda told: said.append(told.text)), put, said
+    announced: list[str] = []
+    return (
+        MissionChanges(
+            config, controller, lambda: 7.0, put.append, lambda announcement: announced.append(announcement.text)
+        ),
+        put,
+        announced,
+    )
 
 
 @pytest.mark.parametrize(
@@ -49,11 +55,11 @@ def changes_of(config):
     ],
 )
 def test_what_cannot_be_flown_is_refused_in_one_sentence(change, sentence):
-    changes, put, said = changes_of(
+    changes, put, announced = changes_of(
         Config.model_validate({"planner": {"name": "paper"}, "fences": {"ceiling_m": 120.0}})
     )
     changes.take(change)
-    (text,) = said
+    (text,) = announced
     assert sentence in text
     assert "\n" not in text
     assert put == []
@@ -66,7 +72,7 @@ def test_the_table_of_another_radius_is_made_by_another_process(monkeypatch, tmp
     monkeypatch.setattr(
         planner, "table_configuration", lambda *known: replace(small(*known), cells=4, improvements=(1, 1))
     )
-    changes, put, said = changes_of(Config())
+    changes, put, announced = changes_of(Config())
     turns = 0
 
     async def changed():
@@ -78,10 +84,10 @@ def test_the_table_of_another_radius_is_made_by_another_process(monkeypatch, tmp
             await loop_turn()
 
     asyncio.run(changed())
-    assert said == ["radius 90 m refused: the change before is still being made ready; ask again"]
+    assert announced == ["radius 90 m refused: the change before is still being made ready; ask again"]
     (change,) = put
     assert (change.radius_m, change.time_s, change.who) == (80.0, 7.0, "operator")
-    assert turns > 20  # the loop went on turning meanwhile
+    assert turns > 20  # the loop went on turning in the meantime
     monkeypatch.setattr(value_cache, "compute", lambda *_: pytest.fail("a table was computed within a step"))
     monkeypatch.setattr(value_cache, "stored_table", lambda *_: pytest.fail("a file was read within a step"))
     aircraft = replace(Config().aircraft.aircraft(), radius_m=80.0)
@@ -92,8 +98,8 @@ def test_a_changed_flight_is_replayed_to_the_last_bit_and_judged_by_what_was_ask
     folder = RunFolder.create(tmp_path, datetime(2026, 11, 22, tzinfo=UTC))
     first = MissionChange(150.0, radius_m=70.0, range_min_m=150.0)
     wishes = {150.0: first, 200.0: MissionChange(200.0, height_m=120.0)}
-    said = recorded(folder, config, 200.0, wishes)
-    uploads = [command.plan for command in said if isinstance(command, UploadPlan)]
+    announced = recorded(folder, config, 200.0, wishes)
+    uploads = [command.plan for command in announced if isinstance(command, UploadPlan)]
     assert {plan.circle.radius_m for plan in uploads} == {70.0}
     assert uploads[-1].heights.to_m == 120.0
 

@@ -22,7 +22,7 @@ def test_the_defaults_are_flyable():
     check_flyable(load_config(None))
 
 
-def test_the_command_line_wins_over_the_file_and_none_says_nothing(tmp_path):
+def test_the_command_line_wins_over_the_file_and_none_reports_nothing(tmp_path):
     path = write(tmp_path, '[requirement]\nside = "left"\nrange_min_m = 120\n[aircraft]\nradius_m = 70\n')
     config = load_config(path, {"requirement": {"side": "right", "range_min_m": None}, "simulation": {"seed": 4}})
     assert config.requirement.requirement().side is Side.RIGHT

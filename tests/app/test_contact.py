@@ -12,18 +12,18 @@ AIRCRAFT = {"ICAO_address": 0x4B1234, "lat": 474_000_000, "lon": 85_000_000, "ts
 VESSEL = {"MMSI": 211234560, "lat": 474_000_000, "lon": 85_000_000, "tslc": 0, "flags": 1}
 
 
-def heard(name, messages):
+def received(name, messages):
     """Return the readings of (time, message, fields) and what was reported."""
     readings, texts, now_s = [], [], [0.0]
     beacon = ContactBeacon(name, PLANE, lambda: now_s[0], readings.append, texts.append)
     for now_s[0], message, fields in messages:
-        beacon.hear(message, fields)
+        beacon.on_message(message, fields)
     return readings, texts
 
 
 def test_positions_of_the_named_aircraft_are_forwarded_with_their_age():
     other = AIRCRAFT | {"ICAO_address": 1}
-    readings, texts = heard(
+    readings, texts = received(
         "adsb:4B1234", [(10.0, "ADSB_VEHICLE", AIRCRAFT), (11.0, "ADSB_VEHICLE", other), (12.0, "AIS_VESSEL", VESSEL)]
     )
     assert [(one.time_s, one.source.message) for one in readings] == [(10.0, "ADSB_VEHICLE")]
@@ -31,16 +31,16 @@ def test_positions_of_the_named_aircraft_are_forwarded_with_their_age():
 
 
 def test_a_position_that_is_repeated_with_a_growing_age_counts_once():
-    told = [(10.0 + k, "AIS_VESSEL", VESSEL | {"tslc": k}) for k in range(6)]
-    told += [(16.0, "AIS_VESSEL", VESSEL | {"flags": 0, "lat": 474_000_100})]
-    readings, _ = heard("ais:211234560", told)
+    announced = [(10.0 + k, "AIS_VESSEL", VESSEL | {"tslc": k}) for k in range(6)]
+    announced += [(16.0, "AIS_VESSEL", VESSEL | {"flags": 0, "lat": 474_000_100})]
+    readings, _ = received("ais:211234560", announced)
     assert [one.time_s for one in readings] == [10.0, 16.0]
     assert readings[0].sigma_m < readings[1].sigma_m
 
 
 def test_positions_that_are_old_or_flagged_invalid_are_left_aside():
-    told = [(10.0, "ADSB_VEHICLE", AIRCRAFT | {"tslc": 9}), (11.0, "ADSB_VEHICLE", AIRCRAFT | {"flags": 2})]
-    assert heard("adsb:4b1234", told)[0] == []
+    announced = [(10.0, "ADSB_VEHICLE", AIRCRAFT | {"tslc": 9}), (11.0, "ADSB_VEHICLE", AIRCRAFT | {"flags": 2})]
+    assert received("adsb:4b1234", announced)[0] == []
 
 
 @pytest.mark.parametrize("text", ["adsb:xyz", "ais:12", "adsb:4B12345"])

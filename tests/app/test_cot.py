@@ -38,7 +38,7 @@ def parsed(event: bytes):
     return takproto.parse_proto(bytearray(takproto.xml2proto(event))).cotEvent
 
 
-def test_the_event_says_where_the_target_is_now_and_how_well_that_is_known():
+def test_the_event_reports_where_the_target_is_now_and_how_well_that_is_known():
     event = parsed(target_event(ESTIMATE, PLANE, 205.0, NOW, "sidelong-1"))
     assert PLANE.east_north_m(event.lat, event.lon) == pytest.approx((290.0, -400.0), abs=0.02)
     assert event.ce == pytest.approx(4.0, abs=0.05)  # one sigma along the long axis
@@ -93,7 +93,7 @@ def test_a_lost_or_unseen_target_is_not_sent(receiver, snapshot, lost):
     output.stop()
 
 
-def test_nobody_listening_does_no_harm(receiver, snapshot):
+def test_no_one_listening_does_no_harm(receiver, snapshot):
     output = output_to(receiver)
     receiver.close()
     output.show(snapshot)
@@ -126,7 +126,7 @@ def test_types_call_signs_and_team_are_those_asked_for(snapshot):
 
 
 @pytest.mark.parametrize("address", ["239.2.3.1:6969", "ssl://127.0.0.1:1", "udp://host", "udp://127.0.0.1:70000"])
-def test_a_bad_address_is_told_with_the_configuration(address):
+def test_a_bad_address_is_reported_with_the_configuration(address):
     with pytest.raises(InputError, match=r"sharing\.cot: .*give one like"):
         load_config(None, {"sharing": {"cot": address}})
 
@@ -165,7 +165,7 @@ def certificates(tmp_path_factory) -> Path:
 
 
 class Server:
-    """Keeps what comes, and says something to whoever connects, as a TAK server does."""
+    """Keeps what comes, and reports something to whoever connects, as a TAK server does."""
 
     def __init__(self) -> None:
         self.got, self.connections = b"", 0
@@ -183,13 +183,13 @@ class Server:
         self.left.set()
 
 
-async def told_to(server: Server, snapshot, tls_server=None, **sender) -> list[str]:
-    """Show a snapshot to who is connected to the server; return what was told."""
-    told: list[str] = []
+async def announced_to(server: Server, snapshot, tls_server=None, **sender) -> list[str]:
+    """Show a snapshot to whoever is connected to the server; return what was reported."""
+    announced: list[str] = []
     settled = asyncio.Event()
 
-    def tell(text: str) -> None:
-        told.append(text)
+    def announce(text: str) -> None:
+        announced.append(text)
         settled.set()
 
     listening = await asyncio.start_server(server, "127.0.0.1", 0, ssl=tls_server)
@@ -197,30 +197,30 @@ async def told_to(server: Server, snapshot, tls_server=None, **sender) -> list[s
         port = listening.sockets[0].getsockname()[1]
         scheme = "tcp" if tls_server is None else "tls"
         connection = StreamSender(
-            Address(scheme, "127.0.0.1", port), sender.get("tls"), sender.get("server_name"), tell
+            Address(scheme, "127.0.0.1", port), sender.get("tls"), sender.get("server_name"), announce
         )
         output = CotOutput(connection, PLANE)
         await asyncio.wait_for(settled.wait(), 20.0)
         output.show(snapshot)
-        if told[0].startswith("sending"):
+        if announced[0].startswith("sending"):
             await asyncio.wait_for(server.enough.wait(), 20.0)
         output.stop()
         if server.got:
             await asyncio.wait_for(server.left.wait(), 20.0)
-    return told
+    return announced
 
 
 def server_context(certificates: Path) -> ssl.SSLContext:
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=certificates / "authority.pem")
     context.load_cert_chain(certificates / "takserver.pem", certificates / "takserver.key")
     context.verify_mode = ssl.CERT_REQUIRED
-    context.verify_flags &= ~ssl.VERIFY_X509_STRICT  # these certificates do not tell their use, as many do not
+    context.verify_flags &= ~ssl.VERIFY_X509_STRICT  # these certificates do not report their use, as many do not
     return context
 
 
 def test_it_goes_by_tcp(snapshot):
     server = Server()
-    assert [text.split(":")[0] for text in asyncio.run(told_to(server, snapshot))] == ["sending to tcp"]
+    assert [text.split(":")[0] for text in asyncio.run(announced_to(server, snapshot))] == ["sending to tcp"]
     events = [b"<?xml" + event for event in server.got.split(b"<?xml")[1:]]
     assert [parsed(event).type for event in events] == ["a-f-A-C-F", "a-n-G"]
 
@@ -230,19 +230,23 @@ def test_it_goes_by_tls_with_a_certificate_of_its_own(snapshot, certificates):
     tls = tls_context(
         certificates / "client.pem", certificates / "client.key", certificates / "authority.pem", "sharing.cot"
     )
-    told = asyncio.run(told_to(server, snapshot, server_context(certificates), tls=tls, server_name="takserver"))
-    assert told[0].startswith("sending to tls://127.0.0.1:")
+    announced = asyncio.run(
+        announced_to(server, snapshot, server_context(certificates), tls=tls, server_name="takserver")
+    )
+    assert announced[0].startswith("sending to tls://127.0.0.1:")
     assert server.got.count(b"</event>") == 2
 
 
 @pytest.mark.parametrize(("authority", "server_name"), [("stranger", "takserver"), ("authority", "elsewhere")])
-def test_a_server_that_is_not_the_one_is_told_nothing(snapshot, certificates, authority, server_name):
+def test_a_server_that_is_not_the_one_is_reported_nothing(snapshot, certificates, authority, server_name):
     server = Server()
     tls = tls_context(
         certificates / "client.pem", certificates / "client.key", certificates / f"{authority}.pem", "sharing.cot"
     )
-    told = asyncio.run(told_to(server, snapshot, server_context(certificates), tls=tls, server_name=server_name))
-    assert "cannot be reached" in told[0]
+    announced = asyncio.run(
+        announced_to(server, snapshot, server_context(certificates), tls=tls, server_name=server_name)
+    )
+    assert "cannot be reached" in announced[0]
     assert server.got == b""
 
 

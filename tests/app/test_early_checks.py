@@ -1,4 +1,4 @@
-"""Wrong options are told before anything is connected or computed."""
+"""Wrong options are reported before anything is connected or computed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from sidelong.app.commands import launch_one, replay
         (["study", "--store", "tests"], "tests is a folder; give a file to --store"),
     ],
 )
-def test_a_wrong_option_is_told_at_once(monkeypatch, arguments, sentence):
+def test_a_wrong_option_is_reported_at_once(monkeypatch, arguments, sentence):
     late = SimpleNamespace(called=False)
 
     def computed(*_arguments):
@@ -65,11 +65,11 @@ def test_what_is_mistyped_is_named_with_what_there_is(arguments, sentence):
     assert "Value error" not in ended.output
 
 
-def test_lengths_below_nothing_are_not_told_as_lengths(tmp_path, capsys):
+def test_lengths_below_nothing_are_not_reported_as_lengths(tmp_path, capsys):
     (tmp_path / "mission.toml").write_text("[aircraft]\nradius_m = 300\n[requirement]\nrange_max_m = 200.0\n")
     ended = CliRunner().invoke(app, ["check", "--planner", "paper", str(tmp_path / "mission.toml")])
     assert "infeasible" in str(ended.exception)
     assert "a move of -" not in str(ended.exception)
-    said = capsys.readouterr().out + ended.output
-    assert "longest move of the circle" in said
-    assert " -" not in said
+    announced = capsys.readouterr().out + ended.output
+    assert "longest move of the circle" in announced
+    assert " -" not in announced

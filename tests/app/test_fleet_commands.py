@@ -18,7 +18,7 @@ TWO = '[[aircraft]]\nname = "north"\n[[aircraft]]\nname = "south"\n'
 
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
-    """Return what runs a command beside ``fleet.toml`` and returns what it prints; what it raises comes through."""
+    """Return what runs a command next to ``fleet.toml`` and returns what it prints; what it raises comes through."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "fleet.toml").write_text(TWO, encoding="utf-8")
     (tmp_path / "alone.toml").write_text("requirement.fleet_size = 2\n", encoding="utf-8")
@@ -49,9 +49,9 @@ def test_init_without_a_fleet_is_as_it_was():
 
 
 def test_check_looks_at_every_aircraft(run, tmp_path):
-    said = run("check", "fleet.toml", "--json", "found.json")
-    assert "north, at 100 m:" in said
-    assert "south, at 160 m:" in said
+    announced = run("check", "fleet.toml", "--json", "found.json")
+    assert "north, at 100 m:" in announced
+    assert "south, at 160 m:" in announced
     found = json.loads((tmp_path / "found.json").read_text())
     assert found["feasible"]
     assert [one["name"] for one in found["aircraft"]] == ["north", "south"]
@@ -71,7 +71,7 @@ def test_check_names_the_aircraft_that_cannot(run, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "announced"),
     [
         (("connect", "--config", "fleet.toml"), "no vehicle is named"),
         (("connect", "udpin://127.0.0.1:1", "--config", "fleet.toml"), "leave out the URL"),
@@ -85,7 +85,7 @@ def test_check_names_the_aircraft_that_cannot(run, tmp_path, monkeypatch):
     ],
     ids=lambda part: " ".join(map(str, part)) if isinstance(part, tuple) else "",
 )
-def test_what_does_not_go_with_a_fleet_is_refused_before_anything_is_begun(run, tmp_path, arguments, said):
-    with pytest.raises(InputError, match=said):
+def test_what_does_not_go_with_a_fleet_is_refused_before_anything_is_begun(run, tmp_path, arguments, announced):
+    with pytest.raises(InputError, match=announced):
         run(*arguments)
     assert not (tmp_path / "runs").exists()

@@ -54,7 +54,7 @@ def test_each_knows_how_many_watch_together(written):
     assert load_config(None).requirement.requirement().fleet_size == 1
 
 
-def test_others_are_told_of_one_target_and_of_every_aircraft_by_its_name(written):
+def test_others_are_shown_of_one_target_and_of_every_aircraft_by_its_name(written):
     north, south = load_fleet(
         written(TWO + '[sharing]\ncot = "udp://127.0.0.1:8087"\nnmea = "udp://127.0.0.1:8088"\n')
     ).members
@@ -132,14 +132,14 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize(
-    ("changed", "to", "said"), [(changed, *mistake) for changed, made in MISTAKES.items() for mistake in made]
+    ("changed", "to", "announced"), [(changed, *mistake) for changed, made in MISTAKES.items() for mistake in made]
 )
-def test_a_mistake_is_one_sentence_naming_file_and_field(written, changed, to, said):
+def test_a_mistake_is_one_sentence_naming_file_and_field(written, changed, to, announced):
     assert changed in TWO
     path = written(TWO.replace(changed, to))
     with pytest.raises(InputError, match=r"^.*fleet\.toml: ") as refused:
         load_fleet(path)
-    assert said in str(refused.value)
+    assert announced in str(refused.value)
     assert "\n" not in str(refused.value)
 
 

@@ -34,16 +34,16 @@ def fleet(monkeypatch):
 
 def test_on_the_ground_all_have_to_be_there(fleet):
     make, _ = fleet
-    with pytest.raises(InputError, match="aircraft 'plane': no autopilot was heard"):
-        make(flies=False)._go_on_with([InputError("no autopilot was heard"), None])
+    with pytest.raises(InputError, match="aircraft 'plane': no autopilot was received"):
+        make(flies=False)._go_on_with([InputError("no autopilot was received"), None])
 
 
 def test_one_in_the_air_is_taken_over_without_the_other(fleet):
     make, noted = fleet
     made = make(flies=True)
-    made._go_on_with([InputError("no autopilot was heard"), None])
+    made._go_on_with([InputError("no autopilot was received"), None])
     assert [one.name for one in made._aircraft] == ["wing"]
-    assert noted == ["left out: no autopilot was heard"]
+    assert noted == ["left out: no autopilot was received"]
 
 
 def test_a_fault_of_ours_is_not_hidden(fleet):

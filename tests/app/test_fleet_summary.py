@@ -17,7 +17,7 @@ SUMMARY = Summary(100.0, 1.0, 0.5, 150.0, 400.0, "truth", 1, 1, 0, 10, 0, 1.0, "
 
 
 def moments(places, begin_s=0.0, step_s=0.5):
-    """Return moments beside a target that goes north at 2 m/s: places are metres east of it."""
+    """Return moments next to a target that goes north at 2 m/s: places are metres east of it."""
     return [
         Moment(begin_s + k * step_s, east_m, k * step_s * 2.0, 0.0, k * step_s * 2.0, 0.0, 2.0)
         for k, east_m in enumerate(places)

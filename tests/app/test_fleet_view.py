@@ -37,12 +37,12 @@ def view():
     return made, wishes
 
 
-def beside(snapshot):
+def alongside(snapshot):
     aircraft = replace(snapshot.aircraft, east_m=snapshot.aircraft.east_m + 300.0)
     return replace(snapshot, aircraft=aircraft, time_s=snapshot.time_s + 50.0)
 
 
-def test_what_is_said_names_the_aircraft(snapshot):
+def test_what_is_reported_names_the_aircraft(snapshot):
     out = io.StringIO()
     with FleetPanel(Console(file=out, width=200)) as panel:
         plane, _ = (panel.of(name) for name in NAMES)
@@ -51,14 +51,14 @@ def test_what_is_said_names_the_aircraft(snapshot):
         plane.engage(snapshot.time_s - 61.0, None)
         plane.say(Announce(snapshot.time_s, "decision", "moving"))
         plane.show(snapshot)
-    said = out.getvalue().splitlines()
-    assert said[:3] == ["starting", "plane: connecting", "   1:01  plane: moving"]
-    assert said[3].startswith("   1:01  plane: watching AUTO  left side  range ")
+    announced = out.getvalue().splitlines()
+    assert announced[:3] == ["starting", "plane: connecting", "   1:01  plane: moving"]
+    assert announced[3].startswith("   1:01  plane: watching AUTO  left side  range ")
 
 
 def test_a_button_is_for_all_each_at_its_own_time(view, snapshot):
     shown, wishes = view
-    other = beside(snapshot)
+    other = alongside(snapshot)
     shown.of("plane").show(snapshot)
     shown.of("wing").show(other)
     shown._pressed({"action": "hold", "side": None, "who": "operator 1"})
@@ -78,7 +78,7 @@ def test_what_would_bring_them_together_is_refused(view, snapshot, wish):
 
 def test_a_band_is_changed_for_all_each_at_its_own_time(view, snapshot):
     shown, wishes = view
-    other = beside(snapshot)
+    other = alongside(snapshot)
     shown.of("plane").show(snapshot)
     shown.of("wing").show(other)
     shown._pressed({"action": "change", "values": {"range_min_m": 150}, "who": "operator 1"})
@@ -88,7 +88,7 @@ def test_a_band_is_changed_for_all_each_at_its_own_time(view, snapshot):
 
 
 class Requests:
-    """Takes down what a person asked of the fleet, and refuses what it is told to."""
+    """Takes down what a person asked of the fleet, and refuses what it is ordered to."""
 
     def __init__(self, refused=""):
         self.asked, self.refused = [], refused
@@ -107,10 +107,10 @@ def test_the_side_is_asked_of_the_fleet_and_shown_once_it_is_given(view, snapsho
     shown, wishes = view
     shown.requests = Requests(refused)
     shown.of("plane").show(replace(snapshot, side=Side.RIGHT))  # its role: the other side
-    assert shown._told()["state"]["wanted"] == Side.LEFT
+    assert shown._update()["state"]["wanted"] == Side.LEFT
     shown._pressed({"action": "side", "side": "right", "who": "operator 1"})
     assert shown.requests.asked == [(Side.RIGHT, "operator 1")]
-    assert shown._told()["state"]["wanted"] == (Side.LEFT if refused else Side.RIGHT)
+    assert shown._update()["state"]["wanted"] == (Side.LEFT if refused else Side.RIGHT)
     assert wishes == {"plane": [], "wing": []}
 
 
@@ -120,7 +120,7 @@ def page(browser, view, snapshot):
     shown, _ = view
     shown.requests = Requests()
     with shown:
-        for name, one in zip(NAMES, (snapshot, beside(snapshot)), strict=True):
+        for name, one in zip(NAMES, (snapshot, alongside(snapshot)), strict=True):
             shown.of(name).show(one)
         shown.pump()
         opened = browser.new_page()
@@ -146,7 +146,7 @@ def test_the_map_draws_the_others_with_their_circles(page, snapshot):
     assert float(circle.get_attribute("r")) == pytest.approx(snapshot.present.circle.radius_m)
 
 
-def test_of_several_targets_the_page_names_each_and_whose_decisions_are_told(snapshot):
+def test_of_several_targets_the_page_names_each_and_whose_decisions_are_reported(snapshot):
     panel = FleetPanel(Console(file=io.StringIO()), quiet=True)
     shown = FleetView(panel, NAMES, Config(), Address(port=0), {"boat": Side.LEFT, "bike": Side.RIGHT})
     for name, target in zip(NAMES, ("boat", "bike"), strict=True):
@@ -156,4 +156,4 @@ def test_of_several_targets_the_page_names_each_and_whose_decisions_are_told(sna
     assert state["target"]["name"] == "boat"
     assert [one["name"] for one in state["targets"]] == ["bike"]
     shown.of("plane").say(Announce(snapshot.time_s, "decision", "moving"))
-    assert shown._said[-1][1:] == ["decision", "plane: moving"]
+    assert shown._announced[-1][1:] == ["decision", "plane: moving"]

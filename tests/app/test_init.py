@@ -1,4 +1,4 @@
-"""The configuration file to begin with loads back as what it says."""
+"""The configuration file to begin with loads back as what it reports."""
 
 from __future__ import annotations
 
@@ -108,6 +108,6 @@ def test_an_unknown_preset_names_those_there_are(tmp_path):
     assert not (tmp_path / "mission.toml").exists()
 
 
-def test_a_folder_that_is_not_there_is_told(tmp_path):
+def test_a_folder_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(InputError, match=r"there is no folder .*no; create it or give another file\.$"):
         init(Path(tmp_path / "no" / "mission.toml"))

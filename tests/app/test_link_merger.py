@@ -88,14 +88,14 @@ def test_clock_that_really_has_jumped_is_followed_once_the_old_one_is_silent():
     assert len(jumped) > 60
 
 
-def test_the_mode_is_believed_of_the_link_in_use_only():
+def test_the_mode_is_accepted_of_the_link_in_use_only():
     merger, first, second = LinkMerger(2), Sender(), Sender()
     assert merger.passes(0, first(mode(10)), 0.0)
     assert merger.passes(0, first(mode(11)), 1.0)
     assert not merger.passes(1, second(mode(10)), 1.2)  # older than it looks: this link is slow
 
 
-def test_after_a_change_a_slow_link_is_believed_once_it_has_caught_up():
+def test_after_a_change_a_slow_link_is_accepted_once_it_has_caught_up():
     merger, first, second = LinkMerger(2), Sender(), Sender()
     for time_s in (1.0, 1.1, 1.2):
         assert merger.passes(0, first(position(time_s)), time_s)
@@ -109,7 +109,7 @@ def test_after_a_change_a_slow_link_is_believed_once_it_has_caught_up():
     assert merger.passes(1, second(mode(11)), 2.9)
 
 
-def test_a_vehicle_that_starts_anew_is_heard():
+def test_a_vehicle_that_starts_again_is_received():
     merger, first, second = LinkMerger(2), Sender(), Sender()
     assert merger.passes(0, first(position(500.0)), 0.0)
     assert not merger.passes(1, second(position(499.0)), 0.1)
@@ -180,7 +180,7 @@ def test_a_payload_s_own_link_is_not_spoken_on():
     assert not merger.choose([measured(silent_s=1.5), measured()], 2.6)
 
 
-def test_every_message_with_a_time_tells_it():
+def test_every_message_with_a_time_reports_it():
     sender = Sender()
     assert time_of(sender(position(12.5))) == 12.5
     assert time_of(sender(mavlink.MAVLink_attitude_message(3000, *(0.0,) * 6))) == 3.0

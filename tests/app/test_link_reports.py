@@ -34,7 +34,7 @@ def test_what_is_acknowledged_to_another_station_is_not_ours(report):
     assert report("MISSION_ACK", 1, MISSION | OTHER) is None
 
 
-def test_the_autopilot_s_own_word_to_us_counts_and_that_of_an_old_one_to_nobody(report):
+def test_the_autopilot_s_own_word_to_us_counts_and_that_of_an_old_one_to_no_one(report):
     assert report("COMMAND_ACK", 1, COMMAND | OURS) == CommandAcknowledged(2.0, 3.0, 400, 0)
     assert report("COMMAND_ACK", 1, COMMAND) == CommandAcknowledged(2.0, 3.0, 400, 0)
     assert report("MISSION_ACK", 1, MISSION | OURS) == MissionAcknowledged(2.0, 3.0, 0, 0)

@@ -97,7 +97,7 @@ def test_the_executor_sends_in_order_drops_what_waits_and_survives_a_link_that_f
 
 
 class Core:
-    """Answers each event with what it is told to; asks for a timer as long as ``wants_timer``."""
+    """Answers each event with what it is ordered to; asks for a timer as long as ``wants_timer``."""
 
     def __init__(self, answers=(), wants_timer=False):
         self.answers, self.wants_timer = dict(answers), wants_timer
@@ -126,12 +126,12 @@ class Records(list):
 
 
 def run_loop(core, *inputs):
-    """Run a loop on inputs (events or messages) until it ends by itself; return it, its records, what was shown."""
+    """Run a loop on inputs (events or messages) until it ends on its own; return it, its records, what was shown."""
     shown = []
 
     async def go():
         vehicle = Vehicle(Wire())
-        display = SimpleNamespace(say=lambda said: shown.append(said.text), show=lambda _snapshot: None)
+        display = SimpleNamespace(say=lambda announced: shown.append(announced.text), show=lambda _snapshot: None)
         records = Records()
         loop = ControlLoop(vehicle, Telemetry(1), core, records, display, shown.append)
         running = asyncio.create_task(loop.run())
@@ -149,10 +149,10 @@ MODE = ModeReported(1.0, "AUTO", True)
 
 
 def test_everything_passes_the_journal_before_the_core():
-    said = Announce(1.0, "track", "hello")
-    core = Core({ModeReported: (said, SendMessage(1.0, "X", {}))})
+    announced = Announce(1.0, "track", "hello")
+    core = Core({ModeReported: (announced, SendMessage(1.0, "X", {}))})
     loop, records, vehicle, shown = run_loop(core, MODE, STOP)
-    assert records == [MODE, said, SendMessage(1.0, "X", {}), STOP]
+    assert records == [MODE, announced, SendMessage(1.0, "X", {}), STOP]
     assert core.stepped == [MODE, STOP]
     assert shown == ["hello"]
     assert vehicle.listeners == []
@@ -160,14 +160,14 @@ def test_everything_passes_the_journal_before_the_core():
 
 
 def test_a_message_becomes_a_report_with_the_time_of_vehicle_and_link():
-    heard = [position(5000), acknowledgement()]
+    received = [position(5000), acknowledgement()]
     others = [
         acknowledgement(component=154),
         acknowledgement(target_system=255),
         message("MISSION_CURRENT", 154, seq=3),
     ]
     core = Core()
-    run_loop(core, *heard, *others, STOP)
+    run_loop(core, *received, *others, STOP)
     position_read, report, stop = core.stepped
     assert position_read.time_s == 5.0
     assert isinstance(report, CommandAcknowledged)
@@ -186,7 +186,7 @@ def test_a_timer_that_is_asked_for_comes_as_an_event():
     assert isinstance(records[1], TimerExpired)
 
 
-def test_a_yield_is_told_and_the_flight_goes_on_silently():
+def test_a_yield_is_reported_and_the_flight_goes_on_silently():
     core = Core({ModeReported: (Yield(1.0, "the pilot"),)})
     loop, _, _, shown = run_loop(core, MODE, STOP)
     assert loop.outcome == "yielded: the pilot"

@@ -1,4 +1,4 @@
-"""What is printed: texts of strangers are made plain, and a terminal that fails is told once and left."""
+"""What is printed: texts of strangers are made plain, and a terminal that fails is reported once and left."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from sidelong.mission.core.events import Announce
         ("Höhe 3°", "Höhe 3°"),
     ],
 )
-def test_what_a_vehicle_says_is_one_line_without_control_characters(text, shown):
+def test_what_a_vehicle_reports_is_one_line_without_control_characters(text, shown):
     assert plain(text) == shown
     fields = plain_fields({"text": text, "severity": 2})
     assert (fields["text"].strip(), fields["severity"]) == (shown, 2)

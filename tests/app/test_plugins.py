@@ -48,7 +48,7 @@ print(autopilot_by_mav_autopilot(77).name, autopilot_by_mav_autopilot(3).name)
 
 @pytest.fixture
 def python(tmp_path):
-    """Return what runs a program beside a distribution with these entry points."""
+    """Return what runs a program next to a distribution with these entry points."""
 
     def run(points, *program):
         (tmp_path / "another_package.py").write_text(MODULE)

@@ -55,13 +55,13 @@ def snapshot(flight):
 
 
 def shown(link: LoopbackLink, *snapshots) -> list[str]:
-    """Show the snapshots, letting what each starts come to its end; return what was told."""
-    told: list[str] = []
+    """Show the snapshots, letting what each starts come to its end; return what was reported."""
+    announced: list[str] = []
 
     async def run() -> None:
         vehicle = Vehicle(link)
         pump = asyncio.create_task(vehicle.run())
-        pointer = GimbalPointer(vehicle, PLANE, ALTITUDE_M, told.append)
+        pointer = GimbalPointer(vehicle, PLANE, ALTITUDE_M, announced.append)
         for snapshot in snapshots:
             pointer.show(snapshot)
             for _ in range(50):
@@ -69,14 +69,14 @@ def shown(link: LoopbackLink, *snapshots) -> list[str]:
         pump.cancel()
 
     asyncio.run(run())
-    return told
+    return announced
 
 
 def names(link: LoopbackLink) -> list[str]:
     return [name for name, _ in link.sent]
 
 
-def test_the_vehicle_is_told_where_the_target_is_and_to_look_there(snapshot):
+def test_the_vehicle_is_reported_where_the_target_is_and_to_look_there(snapshot):
     link = LoopbackLink()
     assert shown(link, snapshot) == []
     (status_name, status), (command_name, command) = link.sent
@@ -129,11 +129,11 @@ def test_a_lost_target_is_not_pointed_at(snapshot):
     assert link.sent == []
 
 
-def test_a_vehicle_that_refuses_is_commanded_once_and_told_the_place_on(snapshot):
+def test_a_vehicle_that_refuses_is_commanded_once_and_reported_the_place_on(snapshot):
     link = LoopbackLink(result=mavlink.MAV_RESULT_UNSUPPORTED)
-    told = shown(link, *(replace(snapshot, time_s=snapshot.time_s + n) for n in range(4)))
-    assert len(told) == 1
-    assert "unsupported" in told[0]
+    announced = shown(link, *(replace(snapshot, time_s=snapshot.time_s + n) for n in range(4)))
+    assert len(announced) == 1
+    assert "unsupported" in announced[0]
     assert names(link).count("COMMAND_INT") == 1
     assert names(link).count("CAMERA_TRACKING_GEO_STATUS") == 4
 

@@ -87,7 +87,7 @@ LISTENING = {"sharing": {"beacon": "udp://0.0.0.0:6969"}}
         (LISTENING, (RANGE,), ["target source"]),
     ],
 )
-def test_laser_and_gimbal_are_asked_for_unless_somebody_else_tells_the_place(configured, rates, missing):
+def test_laser_and_gimbal_are_asked_for_unless_another_station_reports_the_place(configured, rates, missing):
     found = checks(Config.model_validate(configured), Silent(), Px4(), NOTHING_READ, None, rates)
     assert [check.name for check in found if "source" in check.name and not check.ready] == missing
 

@@ -1,6 +1,6 @@
-"""Signed links to the simulated vehicle, without sockets: what is let in, by both sides, and what is not.
+"""Signed links to the simulated vehicle, without sockets: what is let in, by both sides, and anything not.
 
-HOSTILE_FRAMES=100000 python -m pytest tests/app/test_raw_links.py -s -k hostile   sends so many of each kind.
+HOSTILE_FRAMES=100000 python -m pytest tests/app/test_raw_links.py -s -k hostile   sends this many of each kind.
 """
 
 from __future__ import annotations
@@ -92,10 +92,10 @@ class Linked:
         message = mavlink.MAVLink_command_long_message(1, 1, command, 0, *padded)
         self.links.send(bytes(message.pack(self._plain)))
         self.run(0.5)
-        acks = [m for m in self.heard(before) if m.get_type() == "COMMAND_ACK" and m.command == command]
+        acks = [m for m in self.received(before) if m.get_type() == "COMMAND_ACK" and m.command == command]
         return acks[-1].result if acks else None
 
-    def heard(self, since: int = 0):
+    def received(self, since: int = 0):
         parser = mavlink.MAVLink(None)
         return [message for data in self.delivered[since:] for message in parser.parse_buffer(data) or ()]
 
@@ -138,7 +138,7 @@ def repeated(frames, count):
 
 
 @pytest.mark.parametrize("flavour", list(Flavour))
-def test_a_vehicle_that_demands_signing_obeys_and_is_heard(linked, flavour):
+def test_a_vehicle_that_demands_signing_obeys_and_is_received(linked, flavour):
     flight = linked(flavour)
     flight.run(30.0)
     assert flight.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == mavlink.MAV_RESULT_ACCEPTED
@@ -176,9 +176,9 @@ def test_no_hostile_frame_reaches_the_core(linked, flavour):
     assert first.refused == {str(kind): HOSTILE for kind in (*kinds, Refusal.OTHER_LINK)}
     assert second.refused == {}
     assert other
-    told = Counter(text.rpartition(", ")[2] for text in flight.troubles)
-    assert set(told) == set(first.refused)  # each kind is told, and not each frame
-    assert max(told.values()) <= 4
+    announced = Counter(text.rpartition(", ")[2] for text in flight.troubles)
+    assert set(announced) == set(first.refused)  # each kind is reported, and not each frame
+    assert max(announced.values()) <= 4
     flight.run(1.0)
     assert len(flight.delivered) > before
 
@@ -224,7 +224,7 @@ def test_a_radio_s_own_status_needs_no_signature_and_goes_no_further(linked):
 
 
 @pytest.mark.parametrize("flavour", list(Flavour))
-def test_px4_hears_heartbeats_of_those_without_the_key_and_obeys_none(linked, flavour):
+def test_px4_receives_heartbeats_of_those_without_the_key_and_obeys_none(linked, flavour):
     one = linked(flavour)
     one.run(0.5)
     vehicle, station = one.simulation.vehicle, mavlink.MAVLink(None, 255, 190)
@@ -234,7 +234,7 @@ def test_px4_hears_heartbeats_of_those_without_the_key_and_obeys_none(linked, fl
     ):
         one.simulation.receive(0, bytes(message.pack(station)))
     one.run(0.5)
-    assert (vehicle.gcs_heard_s is not None) is (flavour is Flavour.PX4)
+    assert (vehicle.gcs_received_s is not None) is (flavour is Flavour.PX4)
     answer = mavlink.MAVLINK_MSG_ID_COMMAND_ACK
     assert not [data for data in one.brought[0] if Frame(data).message_id == answer]
 
@@ -244,7 +244,7 @@ def test_a_listening_link_speaks_to_those_who_have_the_key(linked):
     flight.run(5.0)
     (frame, *_), wire = flight.brought[0], flight.wires[0]
     assert not wire.bring(unsigned([frame])[0])
-    assert not wire.bring(frame)  # a replay, once something fresh has been heard
+    assert not wire.bring(frame)  # a replay, once something fresh has been received
     flight.simulation.advance(flight.simulation.time_s + 1.0)
     assert all(wire.bring(data) for _, data in flight.simulation.take())
 

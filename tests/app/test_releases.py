@@ -107,7 +107,7 @@ def test_a_bank_limit_below_the_configured_one_is_refused_on_every_release(flavo
 
 
 def test_a_cruise_speed_in_cm_per_second_is_set_and_restored_in_cm_per_second():
-    said, values = [], []
+    announced, values = [], []
 
     async def ask(vehicle):
         autopilot, simulation = ARDUPLANE, vehicle.link._simulation
@@ -119,7 +119,7 @@ def test_a_cruise_speed_in_cm_per_second_is_set_and_restored_in_cm_per_second():
             return True
 
         vehicle.link.set_parameter = set_parameter
-        async with temporary_parameters(vehicle, required, said.append, lambda: True):
+        async with temporary_parameters(vehicle, required, announced.append, lambda: True):
             values.append(simulation.vehicle.parameters["TRIM_ARSPD_CM"])
         values.append(simulation.vehicle.parameters["TRIM_ARSPD_CM"])
         return required
@@ -128,7 +128,7 @@ def test_a_cruise_speed_in_cm_per_second_is_set_and_restored_in_cm_per_second():
     assert need == RequiredParameter("TRIM_ARSPD_CM", 2200.0, 1500.0, need.why)
     assert "it would fly 22 m/s" in need.why
     assert values == [1500.0, 2200.0]
-    assert "TRIM_ARSPD_CM = 1500 for this flight (was 2200)" in said[0]
+    assert "TRIM_ARSPD_CM = 1500 for this flight (was 2200)" in announced[0]
 
 
 @pytest.mark.parametrize(

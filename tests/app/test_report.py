@@ -92,8 +92,8 @@ def test_the_same_flight_gives_the_same_page(page, run_folder):
     assert report_page(read_flight(run_folder)) == page
 
 
-def test_decisions_are_told_in_words(page, flown):
-    decisions = [one.text for one in flown.history.said if one.kind == "decision"]
+def test_decisions_are_reported_in_words(page, flown):
+    decisions = [one.text for one in flown.history.announced if one.kind == "decision"]
     assert len(decisions) >= len(flown.history.plan_changes) > 0
     assert all(html.escape(text) in page for text in decisions)
 
@@ -145,13 +145,13 @@ def test_the_command_writes_page_and_figures(run_folder, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["missing", "empty"])
-def test_what_is_no_flight_is_told_in_a_sentence(name, tmp_path):
+def test_what_is_no_flight_is_reported_in_a_sentence(name, tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=name):
         write_report(tmp_path / name, tmp_path / "out.html")
 
 
-def test_a_page_that_cannot_be_written_is_told_before_the_work(run_folder, tmp_path):
+def test_a_page_that_cannot_be_written_is_reported_before_the_work(run_folder, tmp_path):
     with pytest.raises(InputError, match="--out"):
         write_report(run_folder, tmp_path / "no" / "folder.html")
 

@@ -34,5 +34,5 @@ def test_everybody_can_read_it(browser, reports, name, width, scheme):
     page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
     found = Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]})
     assert found.violations_count == 0, found.generate_report()
-    assert page.evaluate("document.documentElement.scrollWidth") <= width  # what is wide scrolls by itself
+    assert page.evaluate("document.documentElement.scrollWidth") <= width  # what is wide scrolls on its own
     page.context.close()

@@ -10,16 +10,16 @@ def measured(round_trip_s: float | None, in_use: bool = True) -> LinkReport:
     return LinkReport("udpin://127.0.0.1:1", False, in_use, Measured(0.0, 0.0, round_trip_s, 0.0, 0.0), {})
 
 
-def test_a_change_is_told_and_noise_is_not():
+def test_a_change_is_reported_and_noise_is_not():
     watch = RoundTripWatch()
-    told = [watch.news([measured(one)]) for one in (None, 0.3, 0.31, 0.35, 0.9, 0.8, 0.02, 0.04)]
-    assert told == [None, 0.3, None, None, 0.9, None, 0.02, None]
+    announced = [watch.news([measured(one)]) for one in (None, 0.3, 0.31, 0.35, 0.9, 0.8, 0.02, 0.04)]
+    assert announced == [None, 0.3, None, None, 0.9, None, 0.02, None]
 
 
-def test_it_is_told_in_the_vehicles_time_which_a_busy_simulation_makes_slower():
+def test_it_is_reported_in_the_vehicles_time_which_a_busy_simulation_makes_slower():
     watch = RoundTripWatch()
-    told = [watch.news([measured(0.2)], rate) for rate in (10.0, 10.0, 2.0, 10.0)]
-    assert told == [2.0, None, 0.4, 2.0]
+    announced = [watch.news([measured(0.2)], rate) for rate in (10.0, 10.0, 2.0, 10.0)]
+    assert announced == [2.0, None, 0.4, 2.0]
 
 
 def test_only_the_link_in_use_counts():

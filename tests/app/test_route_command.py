@@ -42,7 +42,7 @@ def rows(spacing_m: float, same_way: bool) -> list[tuple[float, float]]:
 @pytest.mark.parametrize(
     ("spacing_m", "same_way", "warned"), [(15.0, True, True), (60.0, True, False), (15.0, False, False)]
 )
-def test_rows_too_close_to_tell_apart_are_reported(tmp_path, spacing_m, same_way, warned) -> None:
+def test_rows_too_close_to_distinguish_are_reported(tmp_path, spacing_m, same_way, warned) -> None:
     out = tmp_path / "route.json"
     words = run(write(tmp_path / "rows.csv", rows(spacing_m, same_way)), "--json", out)
     share = json.loads(out.read_text())["share_near_another_part"]

@@ -11,7 +11,7 @@ import pytest
 from sidelong.app.errors import InputError
 from sidelong.app.route_file import read_route
 from sidelong.app.study.recorded import recorded_targets
-from sidelong.app.study.routes import route_beside
+from sidelong.app.study.routes import route_next_to
 from sidelong.estimators.frames import LocalPlane
 
 _PLACES = ((47.40, 8.50), (47.41, 8.50), (47.41, 8.52))
@@ -67,7 +67,7 @@ def test_route_next_to_a_track_is_in_the_frame_of_the_track(tmp_path: Path) -> N
     rows = "\n".join(f"{t},{10 + t},{20.0}" for t in range(0, 100, 5))
     (tmp_path / "walk.csv").write_text(f"t_s,east_m,north_m\n{rows}\n")
     (tmp_path / "walk.route.csv").write_text("east_m,north_m\n10,25\n200,25\n")
-    (track,) = recorded_targets([tmp_path], 5.0, route_beside).flown
+    (track,) = recorded_targets([tmp_path], 5.0, route_next_to).flown
     assert track.route is not None
     assert (track.route.east_m[0], track.route.north_m[0]) == pytest.approx((0.0, 5.0))
     assert recorded_targets([tmp_path], 5.0).flown[0].route is None

@@ -1,4 +1,4 @@
-"""One vehicle or two with the same system id, told before anything is armed."""
+"""One vehicle or two with the same system id, reported before anything is armed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One transport for several users: all hear, each sends, the last one closes."""
+"""One transport for several users: all receive, each sends, the last one closes."""
 
 from __future__ import annotations
 
@@ -52,15 +52,15 @@ def test_a_url_of_one_link_is_its_own(opened):
     assert opener(C) is wires[C]
 
 
-def test_all_users_hear_and_send(opened):
+def test_all_users_receive_and_send(opened):
     opener, wires = opened
-    heard = {"one": [], "other": []}
+    received = {"one": [], "other": []}
     one, other = opener(A), opener(A)
-    one.start(lambda data, peer: heard["one"].append(data) or False)
-    other.start(lambda data, peer: heard["other"].append(data) or True)
+    one.start(lambda data, peer: received["one"].append(data) or False)
+    other.start(lambda data, peer: received["other"].append(data) or True)
     assert wires[A].starts == 1
     assert wires[A].receive(b"frame", None) is True  # it is enough that one of them knows the peer
-    assert heard == {"one": [b"frame"], "other": [b"frame"]}
+    assert received == {"one": [b"frame"], "other": [b"frame"]}
     one.send(b"1")
     other.send(b"2")
     assert wires[A].sent == [b"1", b"2"]
@@ -69,14 +69,14 @@ def test_all_users_hear_and_send(opened):
 def test_the_last_user_closes_it(opened):
     opener, wires = opened
     one, other = opener(A), opener(A)
-    heard = []
-    one.start(lambda data, peer: heard.append(data) or True)
+    received = []
+    one.start(lambda data, peer: received.append(data) or True)
     one.close()
     one.close()
     one.send(b"too late")
     assert (wires[A].closed, wires[A].sent) == (0, [])
     wires[A].receive(b"frame", None)
-    assert heard == []
+    assert received == []
     other.close()
     assert wires[A].closed == 1
 
@@ -88,10 +88,10 @@ def test_two_vehicles_that_demand_signing_share_a_link(opened, tmp_path):
     vehicles = [
         Simulation(Settings(system_id=k, signing_key=sitl_key(path), boot_unix_s=time.time())) for k in (1, 2)
     ]
-    heard: list[list[bytes]] = [[], []]
+    received: list[list[bytes]] = [[], []]
     with key_in_use(path, signing_time(time.time()), pytest.fail) as key:
         links = [RawLinks([(A, opener(A))], own, key.key, key.times.apart()) for _ in vehicles]
-        for one, frames in zip(links, heard, strict=True):
+        for one, frames in zip(links, received, strict=True):
             one.start(frames.append)
         brought = []
 
@@ -104,7 +104,7 @@ def test_two_vehicles_that_demand_signing_share_a_link(opened, tmp_path):
                         wires[A].receive(data, ("vehicle", 1))
                 sent, wires[A].sent = wires[A].sent, []
                 for data in sent:
-                    for vehicle in vehicles:  # each hears what is for the other
+                    for vehicle in vehicles:  # each receives what is for the other
                         vehicle.receive(0, data)
 
         for vehicle in vehicles:
@@ -118,13 +118,13 @@ def test_two_vehicles_that_demand_signing_share_a_link(opened, tmp_path):
             one.send(bytes(arm.pack(plain)))
         run(1.0)
         assert all(vehicle.vehicle.armed for vehicle in vehicles)
-        for one, frames in zip(links, heard, strict=True):
+        for one, frames in zip(links, received, strict=True):
             assert one.reports()[0].refused == {}
             assert {Frame(data).system_id for data in frames} == {1, 2}
-        count = len(heard[0])
+        count = len(received[0])
         for data in brought[-50:]:
-            assert wires[A].receive(data, ("vehicle", 1)) is False  # heard before, by both
-        assert len(heard[0]) == len(heard[1]) == count
+            assert wires[A].receive(data, ("vehicle", 1)) is False  # received before, by both
+        assert len(received[0]) == len(received[1]) == count
         for one in links:
             one.close()
     with key_in_use(path, signing_time(time.time()), pytest.fail) as key:

@@ -28,8 +28,10 @@ def test_messages_received_before_are_counted_once_and_without_waiting(monkeypat
             vehicle.take(laser(component=1, id=3, **at(tick + 0.25)))
             vehicle.take(laser(component=1, id=3, **at(tick + 0.75)))
         vehicle.take(attitude(**at(100.0)))
-        first = await asyncio.wait_for(rates.heard(10.0, SharingSection()), 5.0)  # it has listened for 10 s already
-        second = await rates.heard(0.0, SharingSection())
+        first = await asyncio.wait_for(
+            rates.received(10.0, SharingSection()), 5.0
+        )  # it has listened for 10 s already
+        second = await rates.received(0.0, SharingSection())
         rates.close()
         return first, second, vehicle.listeners
 

@@ -1,4 +1,4 @@
-"""What ``connect`` says of each laser and gimbal is what the tracker then does."""
+"""What ``connect`` reports of each laser and gimbal is what the tracker then does."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ def used(config: Config, sources: tuple[Source, ...]) -> Source | None:
     return tracker.range_source
 
 
-@pytest.mark.parametrize("config", [DEFAULT, NAMED], ids=["by itself", "named"])
+@pytest.mark.parametrize("config", [DEFAULT, NAMED], ids=["on its own", "named"])
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
-def test_the_laser_that_is_said_to_be_used_is_the_one_the_tracker_uses(config, count):
+def test_the_laser_that_is_reported_to_be_used_is_the_one_the_tracker_uses(config, count):
     for sources in itertools.combinations((OWN, DOWNWARD, REPEATED, FIXED, PAYLOAD), count):
-        said = describe_use(config, "range", sources)
-        assert [source for source, words in said.items() if words.startswith("used")] == (
+        announced = describe_use(config, "range", sources)
+        assert [source for source, words in announced.items() if words.startswith("used")] == (
             [] if (taken := used(config, sources)) is None else [taken]
         )
 
 
-def test_reasons_are_told():
-    said = describe_use(DEFAULT, "range", (PAYLOAD, REPEATED, DOWNWARD, FIXED, OWN))
-    assert said[PAYLOAD] == "used: the payload's own, before what repeats it"
-    assert said[REPEATED].endswith("the autopilot only repeats it")
-    assert said[DOWNWARD] == "not used: it looks down"
-    assert said[OWN] == "not used: a sensor of the autopilot"
+def test_reasons_are_reported():
+    announced = describe_use(DEFAULT, "range", (PAYLOAD, REPEATED, DOWNWARD, FIXED, OWN))
+    assert announced[PAYLOAD] == "used: the payload's own, before what repeats it"
+    assert announced[REPEATED].endswith("the autopilot only repeats it")
+    assert announced[DOWNWARD] == "not used: it looks down"
+    assert announced[OWN] == "not used: a sensor of the autopilot"
     assert describe_use(NAMED, "range", (PAYLOAD,))[PAYLOAD] == "not used: sensors.range_component names another"
 
 
-def test_gimbals_are_told_likewise():
-    said = describe_use(DEFAULT, "gimbal", (GIMBAL_REPEATED, GIMBAL))
-    assert said[GIMBAL].startswith("used")
-    assert said[GIMBAL_REPEATED].startswith("stands by")
+def test_gimbals_are_reported_likewise():
+    announced = describe_use(DEFAULT, "gimbal", (GIMBAL_REPEATED, GIMBAL))
+    assert announced[GIMBAL].startswith("used")
+    assert announced[GIMBAL_REPEATED].startswith("stands by")
     tracker = tracker_of(DEFAULT)
     for source in (GIMBAL_REPEATED, GIMBAL):
         tracker.add(GimbalReading(10.0, (1.0, 0.0, 0.0, 0.0), "earth", source))

@@ -8,7 +8,7 @@ are
 - the functions that return one of these very objects: they hand it on by their result
 - the functions of the filter that take the sighting as an argument, because an update makes no form
 
-A function that computes something on the way and hands nothing on is not counted, nor are readers beside the path,
+A function that computes something on the way and hands nothing on is not counted, nor are readers next to the path,
 such as displays and health checks. ``app/simulation`` stands for what a live flight does in its place (``app/link``
 and ``app/flight/loop``); tests, sitl and the inside of compiled kernels are left out.
 

@@ -14,11 +14,11 @@ def text(text, number=0, chunk=0, severity=2, at_s=0.0):
 
 
 def taken(*messages):
-    texts, heard = StatusTexts(), []
-    texts.listeners.append(lambda one: heard.append(one.text))
+    texts, received = StatusTexts(), []
+    texts.listeners.append(lambda one: received.append(one.text))
     for one in messages:
         texts.take(one)
-    return texts, heard
+    return texts, received
 
 
 def test_a_short_text_is_complete_at_once():
@@ -35,10 +35,10 @@ def test_a_space_at_the_end_of_a_chunk_stays():
 
 
 def test_a_lost_chunk_leaves_a_mark_and_does_not_hold_back_the_next_text():
-    _, heard = taken(text("a" * 50, 7, 0), text("c", 7, 2))
-    assert heard == ["a" * 50 + "...c"]
-    _, heard = taken(text("a" * 50, 7, 0), text("another", 8, 0))
-    assert heard == ["a" * 50, "another"]
+    _, received = taken(text("a" * 50, 7, 0), text("c", 7, 2))
+    assert received == ["a" * 50 + "...c"]
+    _, received = taken(text("a" * 50, 7, 0), text("another", 8, 0))
+    assert received == ["a" * 50, "another"]
 
 
 def test_control_characters_never_come_through():

@@ -42,8 +42,8 @@ def test_a_report_names_its_fidelity_and_parts(command, tmp_path):
     words = ("--fidelity", "closed-loop", "--planner", "paper", "--runs", "2", "--duration", "60", "--jobs", "1")
     result = command(*words, "--json", str(summary), "--report", str(page))
     assert result.exit_code == 0, result.output
-    told = json.loads(summary.read_text())
-    assert (told["fidelity"], told["parts"]) == ("closed-loop", PARTS[Fidelity.CLOSED_LOOP])
+    given = json.loads(summary.read_text())
+    assert (given["fidelity"], given["parts"]) == ("closed-loop", PARTS[Fidelity.CLOSED_LOOP])
     for text in (" ".join(result.output.split()), page.read_text()):
         assert f"fidelity closed-loop, arduplane: {PARTS[Fidelity.CLOSED_LOOP]}" in text
     assert "--fidelity closed-loop" in page.read_text()

@@ -29,7 +29,7 @@ def cluster():
 
 def test_a_worker_may_die_and_nothing_is_lost_or_flown_twice(cluster):
     expected = run_study(SETTINGS, None, jobs=1)
-    told, flown = [], []
+    announced, flown = [], []
     study = Study([Design(SETTINGS), Design(replace(SETTINGS, latency_s=1.0, runs=3))], ResultStore(None))
 
     def progress(runs):
@@ -37,7 +37,7 @@ def test_a_worker_may_die_and_nothing_is_lost_or_flown_twice(cluster):
         if len(flown) == 3:
             os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
 
-    study.fly(on_cluster(cluster.scheduler_address, told.append), lambda _settings: None, 2, progress)
+    study.fly(on_cluster(cluster.scheduler_address, announced.append), lambda _settings: None, 2, progress)
     assert sum(flown) == study.total == 66
     assert study.missing() == 0
     result = study.result(study.designs[0])
@@ -46,7 +46,7 @@ def test_a_worker_may_die_and_nothing_is_lost_or_flown_twice(cluster):
             np.testing.assert_array_equal(
                 getattr(result.planners[planner], name), getattr(expected.planners[planner], name)
             )
-    assert len(told) == 1 and "2 workers; dashboard http://127.0.0.1:" in told[0]
+    assert len(announced) == 1 and "2 workers; dashboard http://127.0.0.1:" in announced[0]
 
 
 def test_workers_of_other_code_are_refused(cluster, monkeypatch):
@@ -56,7 +56,7 @@ def test_workers_of_other_code_are_refused(cluster, monkeypatch):
         study.fly(on_cluster(cluster.scheduler_address), lambda _settings: None, 30, lambda _runs: None)
 
 
-def test_no_scheduler_is_told(monkeypatch):
+def test_no_scheduler_is_reported(monkeypatch):
     monkeypatch.setattr("sidelong.app.study.cluster._ANSWER_S", 0.2)
     study = Study([Design(SETTINGS)], ResultStore(None))
     with pytest.raises(InputError, match="no Dask scheduler answers at tcp://127"):

@@ -44,7 +44,7 @@ def test_together_they_see_the_side_almost_always(study):
     usual = replace(study.settings, runs=4, legs_s=StudySettings().legs_s)
     table = value_table(table_configuration(usual.aircraft(), usual.requirement()))
     assert min(run_fleet(usual, number, table).time_on_side_any for number in usual.numbers) > 0.98
-    # A target that turns every 30 to 60 s is nobody's to keep: changes have their price. One run of 60 has 0.9.
+    # A target that turns every 30 to 60 s is no one's to keep: changes have their price. One run of 60 has 0.9.
     restless = replace(study.settings, runs=6)
     assert np.mean([run_fleet(restless, number, table).time_on_side_any for number in restless.numbers]) > 0.97
 
@@ -88,9 +88,9 @@ def test_the_same_run_again_is_the_same(study):
 
 
 def test_the_summary_has_its_keys_and_is_json(study):
-    told = json.loads(json.dumps(fleet_json(study), allow_nan=False))
-    assert told["planners"].keys() == {"joint", "phased field", "circular formation"}
-    for figures in told["planners"].values():
+    given = json.loads(json.dumps(fleet_json(study), allow_nan=False))
+    assert given["planners"].keys() == {"joint", "phased field", "circular formation"}
+    for figures in given["planners"].values():
         for key in ("time_on_side_any", "time_in_band_any", "min_separation_m"):
             assert figures[key].keys() >= {"mean", "worst"}
         assert len(figures["aircraft"]) == 2

@@ -86,7 +86,7 @@ class Jumping:
 
 
 @pytest.mark.parametrize("jumps_m", [[(20.0, 99.0, 120.0)], [(20.0, 20.35, 90.0), (30.0, 33.0, -80.0)]])
-def test_a_track_that_begins_anew_does_so_in_the_compiled_loop(monkeypatch, jumps_m):
+def test_a_track_that_begins_again_does_so_in_the_compiled_loop(monkeypatch, jumps_m):
     settings = replace(SETTINGS, duration_s=60.0)
     made = study_run.scene
     monkeypatch.setattr(study_run, "scene", lambda *of: replace(made(*of), target=Jumping(jumps_m), duration_s=60.0))

@@ -43,18 +43,18 @@ def of_track(time_s, east_m, north_m=None):
     return prepared("x", Track(list(time_s), list(east_m), list(north_m if north_m is not None else 0.0 * east_m)))
 
 
-def test_every_recorded_target_is_told_and_those_too_fast_are_skipped(command, tmp_path):
+def test_every_recorded_target_is_reported_and_those_too_fast_are_skipped(command, tmp_path):
     summary = tmp_path / "study.json"
     result = command(
         *("--targets", str(TARGETS), "--airspeed", "12", "--radius", "40", "--target-speed-max", "5"),
         *("--planner", "lvfg", "--planner", "paper", "--duration", "60", "--jobs", "1", "--json", str(summary)),
     )
     assert result.exit_code == 0, result.output
-    told = json.loads(summary.read_text())
-    assert (told["targets"], told["skipped"], told["runs"]) == (5, 2, 5)
-    assert [skipped["file"] for skipped in told["skipped_targets"]] == ["cycle_016.csv", "cycle_021.csv"]
+    given = json.loads(summary.read_text())
+    assert (given["targets"], given["skipped"], given["runs"]) == (5, 2, 5)
+    assert [skipped["file"] for skipped in given["skipped_targets"]] == ["cycle_016.csv", "cycle_021.csv"]
     assert "skipped cycle_016.csv: 95th percentile of speed 6.5 m/s is above 5 m/s" in " ".join(result.output.split())
-    for planner in told["planners"].values():
+    for planner in given["planners"].values():
         assert (planner["targets"], planner["skipped"]) == (5, 2)
         for measure in MEASURES:
             assert {"mean", "worst"} <= set(planner[measure])
@@ -63,7 +63,7 @@ def test_every_recorded_target_is_told_and_those_too_fast_are_skipped(command, t
         assert planner["moves_per_hour"]["worst"] >= planner["moves_per_hour"]["mean"]
 
 
-def test_noise_is_drawn_anew_while_the_target_is_the_same(command, tmp_path):
+def test_noise_is_drawn_again_while_the_target_is_the_same(command, tmp_path):
     settings = StudySettings(tracks=recorded_targets([TARGETS / "run_011.csv"], 5.0).flown, runs=1, noise_draws=2)
     one, other = scene(settings, 0), scene(settings, 1)
     assert one.target is other.target
@@ -138,8 +138,8 @@ def test_the_course_is_held_while_the_target_stands():
     assert not still.sampled(time_s)[:, 4].any()
 
 
-def log_beside(north_m, seconds=100, side_m=300.0):
-    """A target going north, then (an array of places) as told; the aircraft stays due west of it."""
+def log_next_to(north_m, seconds=100, side_m=300.0):
+    """A target going north, then (an array of places) as reported; the aircraft stays due west of it."""
     time_s = 0.1 * np.arange(10 * seconds)
     place_m = np.interp(time_s, np.arange(north_m.size), north_m)
     zero = np.zeros(time_s.size)
@@ -150,7 +150,7 @@ def test_the_side_follows_the_course_made_good_and_not_the_present_one():
     # North for 50 s at 4 m/s, then back: the course made good in 20 s turns after 10 s.
     north_m = np.r_[4.0 * np.arange(50), 200.0 - 4.0 * np.arange(51)]
     tracks = (of_track(np.arange(101.0), 0.0 * north_m, north_m),)
-    found = judged(StudySettings(tracks=tracks, runs=1), log_beside(north_m), [1.0, 9.0, 19.0, 40.0], [], False)
+    found = judged(StudySettings(tracks=tracks, runs=1), log_next_to(north_m), [1.0, 9.0, 19.0, 40.0], [], False)
     judged_s = 100.0 - 2.5
     assert found.time_on_side == pytest.approx((50.0 + 10.0 - 2.5) / judged_s, abs=0.02)
     assert found.time_on_side_now == pytest.approx((50.0 - 2.5) / judged_s, abs=0.02)
@@ -163,7 +163,7 @@ def test_time_before_the_target_has_moved_is_not_judged():
     # It stands for 50 s, then goes south: the aircraft is on the wrong side all the time that counts.
     north_m = np.r_[np.zeros(50), -4.0 * np.arange(51)]
     tracks = (of_track(np.arange(101.0), 0.0 * north_m, north_m),)
-    found = judged(StudySettings(tracks=tracks, runs=1), log_beside(north_m), [], [], False)
+    found = judged(StudySettings(tracks=tracks, runs=1), log_next_to(north_m), [], [], False)
     assert found.time_on_side == found.time_on_side_now == 0.0
 
 
@@ -172,15 +172,15 @@ def test_a_target_that_never_moves_has_no_side_and_spoils_no_mean(command, tmp_p
     summary = tmp_path / "study.json"
     words = ("--targets", str(tmp_path), "--planner", "lvfg", "--jobs", "1", "--json", str(summary))
     assert command(*words).exit_code == 0
-    told = json.loads(summary.read_text())["planners"]["lvfg"]
-    assert told["time_on_side"]["mean"] is told["time_on_side_now"]["worst"] is None
-    assert told["time_in_band"]["mean"] == 1.0
+    given = json.loads(summary.read_text())["planners"]["lvfg"]
+    assert given["time_on_side"]["mean"] is given["time_on_side_now"]["worst"] is None
+    assert given["time_in_band"]["mean"] == 1.0
     write(tmp_path / "walk.csv", eastward(1.5))
     assert command(*words).exit_code == 0
     assert json.loads(summary.read_text())["planners"]["lvfg"]["time_on_side"]["mean"] > 0.2
 
 
-def test_what_cannot_be_flown_is_skipped_and_told(command, tmp_path):
+def test_what_cannot_be_flown_is_skipped_and_reported(command, tmp_path):
     write(tmp_path / "good.csv", eastward(2.0))
     write(tmp_path / "short.csv", eastward(2.0, 5))
     write(tmp_path / "broken.csv", [("noon", 1, 2)])

@@ -57,15 +57,15 @@ def test_a_random_target_is_the_seeds_alone():
     assert one.at(777.0) != other.at(777.0)
 
 
-def flight_beside(speed_m_s, circle, course_rad, duration_s, wind=None, perfect=True):
+def flight_alongside(speed_m_s, circle, course_rad, duration_s, wind=None, perfect=True):
     """A flight 100 m above a target that drives straight east."""
     errors, wind = PayloadErrors(), wind or Wind()
-    told = TrackerSettings(
+    given = TrackerSettings(
         range_sigma_m=errors.range_sigma_m,
         yaw_sigma_rad=errors.angle_sigma_rad,
         pitch_sigma_rad=errors.angle_sigma_rad,
     )
-    sensed, body = Sensed(errors, told, np.random.default_rng(1), perfect), body_on(circle, course_rad, wind)
+    sensed, body = Sensed(errors, given, np.random.default_rng(1), perfect), body_on(circle, course_rad, wind)
     return CompiledFlight(Eastward(speed_m_s), body, circle, 100.0, sensed, wind, duration_s)
 
 
@@ -78,7 +78,7 @@ class Staying:
 
 @pytest.mark.parametrize("wind", [Wind(), Wind(3.0, -1.0)])
 def test_the_aircraft_holds_a_circle_over_the_ground(wind):
-    flight = flight_beside(0.0, Circle(0.0, 0.0, 90.0, clockwise=False), 0.3, 200.0, wind)
+    flight = flight_alongside(0.0, Circle(0.0, 0.0, 90.0, clockwise=False), 0.3, 200.0, wind)
     log = flight.with_planner(Staying(), 0.0).log
     np.testing.assert_allclose(np.hypot(log[:, 1], log[:, 2]), 90.0, atol=1.5)
 
@@ -100,7 +100,7 @@ def test_the_filter_finds_the_target_through_noise_and_bias():
         estimates.append(estimate)
         return 1.0 / 50.0
 
-    flight_beside(3.0, Circle(0.0, 250.0, 50.0, clockwise=True), 0.0, 60.0, perfect=False).with_law(circling)
+    flight_alongside(3.0, Circle(0.0, 250.0, 50.0, clockwise=True), 0.0, 60.0, perfect=False).with_law(circling)
     last = estimates[-1]
     assert last.time_s > 59.0
     assert math.hypot(last.east_m - 3.0 * last.time_s, last.north_m) < 4.0
@@ -110,7 +110,7 @@ def test_the_filter_finds_the_target_through_noise_and_bias():
 def the_papers_example(threshold):
     """Section 7: the target drives straight east at 3 m/s, the aircraft starts at (0, 100) m on its left."""
     requirement = Requirement(100.0, 500.0, Side.LEFT, 3.0, threshold)
-    flight = flight_beside(3.0, Circle(0.0, 150.0, 50.0, clockwise=True), -math.pi / 2, 1500.0)
+    flight = flight_alongside(3.0, Circle(0.0, 150.0, 50.0, clockwise=True), -math.pi / 2, 1500.0)
     return flight.with_planner(PaperPlanner(PAPER_AIRCRAFT, requirement), 0.0).log
 
 

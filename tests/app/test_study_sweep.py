@@ -85,7 +85,7 @@ def test_every_parameter_that_shapes_a_study_reaches_it():
     )
     assert (s.requirement().range_min_m, s.requirement().threshold) == (120.0, 0.8)
     assert (s.sensors.range_sigma_m, s.lag_s, s.latency_s) == (3.0, 0.5, 1.0)
-    assert s.sensors.range_bias_sigma_m == 0.5  # as the study's own where nothing else is said
+    assert s.sensors.range_bias_sigma_m == 0.5  # as the study's own where nothing else is reported
 
 
 def test_a_radius_that_fits_is_found_for_each_value_that_is_swept(tmp_path):
@@ -95,11 +95,11 @@ def test_a_radius_that_fits_is_found_for_each_value_that_is_swept(tmp_path):
     assert [one.settings.radius_m for one in found] == pytest.approx([42.0, 105.0])
 
 
-def test_what_cannot_be_flown_is_passed_over_and_told():
-    told = []
-    (found,) = designs(StudySettings(), {}, [parsed_sweep("aircraft.radius_m=50,300")], told.append)
+def test_what_cannot_be_flown_is_passed_over_and_reported():
+    given = []
+    (found,) = designs(StudySettings(), {}, [parsed_sweep("aircraft.radius_m=50,300")], given.append)
     assert found.settings.radius_m == pytest.approx(50.0)
-    assert len(told) == 1 and "radius_m=300" in told[0] and "does not fit" in told[0]
+    assert len(given) == 1 and "radius_m=300" in given[0] and "does not fit" in given[0]
 
 
 @pytest.mark.parametrize(
@@ -139,19 +139,19 @@ def test_a_configuration_is_studied_as_it_would_be_flown(command, tmp_path):
         **{"target_speed_max_m_s": 3.0, "threshold": 0.9},
     )
     expected = run_study(settings, None, jobs=1).planners[PlannerName.LVFG]
-    told = json.loads(summary.read_text())["planners"]["lvfg"]
-    assert told["min_range_m"]["worst"] == expected.min_range_m.min()
-    assert told["time_on_side"]["mean"] == pytest.approx(expected.time_on_side.mean())
+    given = json.loads(summary.read_text())["planners"]["lvfg"]
+    assert given["min_range_m"]["worst"] == expected.min_range_m.min()
+    assert given["time_on_side"]["mean"] == pytest.approx(expected.time_on_side.mean())
 
 
 def test_an_autopilot_stands_for_its_latency_and_lag(command, tmp_path):
-    def told(*words):
+    def given(*words):
         summary = tmp_path / "study.json"
         assert command("--planner", "paper", *QUICK[2:], *words, "--json", str(summary)).exit_code == 0
         return json.loads(summary.read_text())["planners"]["paper"]["max_range_m"]
 
-    assert told("--autopilot", "arduplane") == told("--latency", "1.0", "--lag", "0.45") != told()
-    assert told("--autopilot", "px4", "--latency", "0.2", "--lag", "0") == told()
+    assert given("--autopilot", "arduplane") == given("--latency", "1.0", "--lag", "0.45") != given()
+    assert given("--autopilot", "px4", "--latency", "0.2", "--lag", "0") == given()
 
 
 def test_latency_and_lag_shape_a_flight():
@@ -246,7 +246,7 @@ def test_a_killed_study_goes_on_where_it_stopped(tmp_path):
     assert set(before) <= set(rows(file))
 
 
-def test_a_sweep_is_told_exported_and_shown(command, tmp_path):
+def test_a_sweep_is_reported_exported_and_shown(command, tmp_path):
     summary, table, page = tmp_path / "study.json", tmp_path / "runs.csv", tmp_path / "study.html"
     words = (
         *("--sweep", "aircraft.airspeed_m_s=10,12", "--sweep", "requirement.range_max_m=400,500"),
@@ -255,16 +255,16 @@ def test_a_sweep_is_told_exported_and_shown(command, tmp_path):
     result = command(*words, "--json", str(summary), "--export", str(table), "--report", str(page))
     assert result.exit_code == 0, result.output
     assert all(heading in result.output for heading in ("airspeed_m_s", "range_max_m", "least, m", "reversals/h"))
-    told = json.loads(summary.read_text())
-    assert [design["swept"] for design in told["designs"]] == [
+    given = json.loads(summary.read_text())
+    assert [design["swept"] for design in given["designs"]] == [
         {"aircraft.airspeed_m_s": v, "requirement.range_max_m": r} for v in (10.0, 12.0) for r in (400.0, 500.0)
     ]
-    assert told["simulated_s"] == 4 * 3 * 30.0
+    assert given["simulated_s"] == 4 * 3 * 30.0
     with table.open(newline="") as file:
         read = list(csv.DictReader(file))
     assert len(read) == 12
     fastest = [float(row["time_on_side"]) for row in read if row["aircraft.airspeed_m_s"] == "12.0"][:3]
-    assert np.mean(fastest) == pytest.approx(told["designs"][2]["planners"]["lvfg"]["time_on_side"]["mean"])
+    assert np.mean(fastest) == pytest.approx(given["designs"][2]["planners"]["lvfg"]["time_on_side"]["mean"])
     text = page.read_text()
     assert "http" not in text.replace("http-equiv", "")
     for name in ("map-0-lvfg", "spread-0", "worst-0"):
@@ -276,7 +276,7 @@ def test_a_sweep_is_told_exported_and_shown(command, tmp_path):
     assert [row["key"] for row in arrow] == [row["key"] for row in read]
 
 
-def test_the_page_tells_the_command_that_flies_a_run_again(command, tmp_path):
+def test_the_page_reports_the_command_that_flies_a_run_again(command, tmp_path):
     page, own_page = tmp_path / "study.html", tmp_path / "run.html"
     assert command(*QUICK, "--seed", "3", "--report", str(page)).exit_code == 0
     again = [

@@ -77,7 +77,7 @@ def test_a_laser_without_an_echo_is_no_range(telemetry, nothing):
     assert telemetry.event(laser(**nothing)) is None
 
 
-def test_a_told_covariance_is_a_sigma(telemetry):
+def test_a_reported_covariance_is_a_sigma(telemetry):
     assert telemetry.event(laser(covariance=25)).sigma_m == pytest.approx(0.05)
 
 
@@ -140,7 +140,7 @@ def test_a_foreign_stamp_stays_what_it_is(telemetry, boot_ms):
     assert telemetry.event(laser(time_boot_ms=boot_ms)).time_s == pytest.approx(boot_ms * 1e-3, abs=1e-6)
 
 
-def test_the_clock_goes_on_where_its_32_bits_begin_anew():
+def test_the_clock_goes_on_where_its_32_bits_begin_again():
     decoder = Telemetry(1)
     for boot_ms in range(2**32 - 1_000, 2**32 + 90_000, 100):
         reading = decoder.event(position(boot_ms % 2**32))
@@ -161,7 +161,7 @@ def test_the_clock_goes_on_where_its_32_bits_begin_anew():
         ("ESTIMATOR_STATUS", {"flags": 0}),
     ],
 )
-def test_only_the_autopilot_says_how_it_flies(telemetry, name, fields):
+def test_only_the_autopilot_reports_how_it_flies(telemetry, name, fields):
     assert telemetry.event(message(name, **fields)) is not None
     assert telemetry.event(message(name, 154, **fields)) is None
     assert telemetry.event(message(name, system=2, **fields)) is None
@@ -182,10 +182,10 @@ def test_only_the_autopilot_says_how_it_flies(telemetry, name, fields):
         ("ESTIMATOR_STATUS", {"flags": 1023 & ~512}, "does not know its position"),
     ],
 )
-def test_what_gps_and_ekf_say_is_told_in_words(telemetry, name, fields, fault):
-    told = telemetry.event(message(name, **fields)).fault
-    assert fault in told
-    assert bool(fault) == bool(told)
+def test_what_gps_and_ekf_say_is_reported_in_words(telemetry, name, fields, fault):
+    announced = telemetry.event(message(name, **fields)).fault
+    assert fault in announced
+    assert bool(fault) == bool(announced)
 
 
 def test_a_cameras_own_fix_is_used_while_it_tracks(telemetry):

@@ -16,17 +16,17 @@ PATIENCE_S = 20.0
 
 
 class Ear:
-    """What a transport received; says yes to those who send ``friend``."""
+    """What a transport received; reports yes to those who send ``friend``."""
 
     def __init__(self) -> None:
-        self.heard: queue.Queue = queue.Queue()
+        self.received: queue.Queue = queue.Queue()
 
     def __call__(self, data, _peer):
-        self.heard.put(data)
+        self.received.put(data)
         return data.startswith(b"friend")
 
     def next(self):
-        return self.heard.get(timeout=PATIENCE_S)
+        return self.received.get(timeout=PATIENCE_S)
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_udp_in_speaks_to_friends_only(listening, free_port):
             stranger.recv(100)
 
 
-def test_udp_out_hears_nobody_else(listening):
+def test_udp_out_receives_no_one_else(listening):
     with udp_socket() as peer, udp_socket() as stranger:
         transport, ear = listening(f"udpout://127.0.0.1:{peer.getsockname()[1]}")
         transport.send(b"hello")

@@ -18,7 +18,7 @@ SMALL = TableConfiguration(
 
 @pytest.fixture(scope="module")
 def computed(tmp_path_factory):
-    """Return a table, the folder that keeps it, and the progress that was told."""
+    """Return a table, the folder that keeps it, and the progress that was reported."""
     shares, folder = [], tmp_path_factory.mktemp("tables")
     return value_table(SMALL, shares.append, folder), folder, shares
 
@@ -48,7 +48,7 @@ def flipped(data: bytes, at: int) -> bytes:
     ],
     ids=["empty", "cut", "longer", "checksum flipped", "value flipped", "zeros"],
 )
-def test_a_damaged_file_is_computed_anew(computed, tmp_path, damage):
+def test_a_damaged_file_is_computed_again(computed, tmp_path, damage):
     first, folder, _ = computed
     (whole,) = folder.iterdir()
     (tmp_path / whole.name).write_bytes(damage(whole.read_bytes()))

@@ -1,4 +1,4 @@
-"""Battery, GPS and link as a person is told of them."""
+"""Battery, GPS and link as a person is shown of them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def link(*, in_use=True, **measured):
     return LinkReport("udp", False, in_use, Measured(**values | measured), {})
 
 
-def test_what_was_not_told_is_not_known():
+def test_what_was_not_reported_is_not_known():
     status = vehicle_status({}, ())
     assert (status.battery_percent, status.battery_v, status.gps, status.link_percent) == (None, None, None, None)
 

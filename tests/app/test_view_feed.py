@@ -46,9 +46,9 @@ def test_a_process_that_ends_is_noticed_and_harmless():
         feed.wait_for_line(30.0)
         while feed.alive:
             feed.lines()
-        assert not feed.send(b"anybody?")
+        assert not feed.send(b"anyone?")
 
 
-def test_the_complaint_of_a_process_that_does_not_come_up_is_told():
+def test_the_complaint_of_a_process_that_does_not_come_up_is_reported():
     with pytest.raises(FeedError, match="no such port"):
         Feed(python("import sys; sys.exit('no such port')")).wait_for_line(30.0)

@@ -1,6 +1,6 @@
 """A hostile client on the page: requests of forty kinds change nothing, and cost little.
 
-HOSTILE_REQUESTS=10000 python -m pytest tests/app/test_view_hostile.py -s -k changes_nothing   sends so many.
+HOSTILE_REQUESTS=10000 python -m pytest tests/app/test_view_hostile.py -s -k changes_nothing   sends this many.
 """
 
 from __future__ import annotations
@@ -215,8 +215,8 @@ def test_one_operator_and_any_number_of_viewers(guarded, flight):
     assert press(second, guarded) == 202
     assert viewer.open(guarded.url.partition("?")[0] + "page.js").status == 200
     got: list = []
-    said: list[str] = []
-    guarded._inner.note = said.append
+    announced: list[str] = []
+    guarded._inner.note = announced.append
     guarded.begin(LocalPlane(47.4, 8.5), got.append)
     for _, _, controller in flight(1.0):
         guarded.show(controller.snapshot())
@@ -224,7 +224,7 @@ def test_one_operator_and_any_number_of_viewers(guarded, flight):
     while not got or got[-1].action != "end":
         guarded.pump()
     assert got[-1].who == "operator at 127.0.0.1"
-    assert "end by operator at 127.0.0.1" in said
+    assert "end by operator at 127.0.0.1" in announced
 
 
 def test_tokens_cannot_be_guessed_quickly(guarded):
@@ -296,7 +296,7 @@ def test_the_page_is_served_by_tls_and_its_cookie_goes_nowhere_else(certificate)
         assert press(opener, display) == 202
 
 
-def test_a_certificate_that_is_none_is_told(tmp_path):
+def test_a_certificate_that_is_none_is_reported(tmp_path):
     for name in ("cert.pem", "key.pem"):
         (tmp_path / name).write_text("no certificate")
     with (
@@ -309,7 +309,7 @@ def test_a_certificate_that_is_none_is_told(tmp_path):
 @pytest.mark.parametrize(
     "options", [{"host": ""}, {"host": " "}, {"cert": Path("a")}, {"cert": Path("a"), "key": Path("b")}]
 )
-def test_an_address_that_cannot_be_is_told(options):
+def test_an_address_that_cannot_be_is_reported(options):
     with pytest.raises(InputError, match=r"--view-host|--view-cert|PEM"):
         Address(**options)
 

@@ -15,7 +15,7 @@ from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.panel import PanelDisplay
 from sidelong.estimators.frames import LocalPlane
 
-# Everything that a site may try against a page on this machine; each try says in the title that it is over.
+# Everything that a site may try against a page on this machine; each try reports in the title that it is over.
 ATTACK = """<!doctype html><title>0</title>
 <iframe id=framed src="{url}"></iframe>
 <iframe name=answer></iframe>

@@ -44,7 +44,7 @@ SEEN = replace(LOST, key="laser", acknowledged=True)
 
 @pytest.fixture(scope="module")
 def snapshots(flight):
-    """Return the snapshots of 110 s, at whose end the circle is being moved, with what was said."""
+    """Return the snapshots of 110 s, at whose end the circle is being moved, with the announcements."""
     taken = []
     for _, commands, controller in flight(110.0):
         taken.append((controller.snapshot(), [command for command in commands if isinstance(command, Announce)]))
@@ -58,8 +58,8 @@ def display_of(snapshots):
         display.connected(lambda: STATUS)
         display.begin(PLANE, lambda _request: None)
         display.engage(START_S, None)
-        for tick, (snapshot, said) in enumerate(snapshots):
-            for announcement in said:
+        for tick, (snapshot, announced) in enumerate(snapshots):
+            for announcement in announced:
                 display.say(announcement)
             display.show(snapshot)
             if tick % 20 == 0:
@@ -129,14 +129,14 @@ def centre(box) -> tuple[float, float]:
 
 
 def test_everything_lies_within_the_window_and_nothing_on_top_of_anything(page):
-    boxes = [page.locator(name).bounding_box() for name in ("header", "#watch", "#where", "#said", "aside")]
+    boxes = [page.locator(name).bounding_box() for name in ("header", "#watch", "#where", "#announcements", "aside")]
     assert all(box["x"] >= 0 and box["x"] + box["width"] <= 1400 for box in boxes)
     assert all(box["y"] >= 0 and box["y"] + box["height"] <= 860 for box in boxes)
     for n, a in enumerate(boxes):
         for b in boxes[n + 1 :]:
-            beside = a["x"] + a["width"] <= b["x"] or b["x"] + b["width"] <= a["x"]
+            alongside = a["x"] + a["width"] <= b["x"] or b["x"] + b["width"] <= a["x"]
             above = a["y"] + a["height"] <= b["y"] or b["y"] + b["height"] <= a["y"]
-            assert beside or above
+            assert alongside or above
 
 
 def test_the_map_is_to_scale(page, snapshots):
@@ -181,11 +181,11 @@ def test_the_side_asked_for_is_shaded(page):
     assert shade["width"] > 1.8 * shade["height"]
 
 
-def test_decisions_are_told_in_plain_words_newest_first(page, snapshots):
-    said = [one.text for _, announcements in snapshots for one in announcements]
+def test_decisions_are_reported_in_plain_words_newest_first(page, snapshots):
+    announced = [one.text for _, announcements in snapshots for one in announcements]
     shown = [line for line in page.locator("#log li").all_inner_texts() if "done" not in line]
-    assert len(shown) == len(said)
-    assert all(text in line for text, line in zip(reversed(said), shown, strict=True))
+    assert len(shown) == len(announced)
+    assert all(text in line for text, line in zip(reversed(announced), shown, strict=True))
 
 
 def test_the_range_on_the_tile_is_that_of_the_flight(page, snapshots):
@@ -242,7 +242,7 @@ def test_what_is_flown_is_changed_after_one_question(page, display):
         display.pump()
     (change,) = got
     assert (change.radius_m, change.side, change.height_m) == (80.0, "120-200", None)
-    assert isinstance(change.radius_m, float)  # an int would have the planner compiled anew, in flight
+    assert isinstance(change.radius_m, float)  # an int would have the planner compiled again, in flight
     assert change.who == "operator at this machine"
 
 
@@ -297,7 +297,7 @@ def test_before_the_flight_there_are_no_empty_plots_and_a_long_name_is_cut(brows
 
 
 @pytest.mark.parametrize("width", [1400, 390])
-def test_the_names_of_a_fleet_are_told_within_the_map(browser, snapshots, width):
+def test_the_names_of_a_fleet_are_reported_within_the_map(browser, snapshots, width):
     names = ("north-survey-plane", "a-wing-with-a-long-name")
     view = FleetView(FleetPanel(Console(), quiet=True), names, Config(), Address(port=0))
     with view:
@@ -323,7 +323,7 @@ def test_the_names_of_a_fleet_are_told_within_the_map(browser, snapshots, width)
             assert page.locator(".place[data-of=aircraft]").inner_text().startswith(f"{names[0]} 47.")
 
 
-def test_when_the_flight_s_program_ends_the_page_says_so(browser, snapshots):
+def test_when_the_flight_s_program_ends_the_page_reports_so(browser, snapshots):
     with display_of(snapshots) as display, opened(browser, display) as page:
         display.__exit__(None, None, None)
         page.locator("#news", has_text="has ended").wait_for()
@@ -346,13 +346,13 @@ def test_the_map_can_be_dragged_and_brought_back(page):
 
 def test_a_narrow_window_scrolls_and_hides_nothing(page):
     page.set_viewport_size({"width": 700, "height": 900})
-    for name in ("#where", "aside", "#said", "#buttons"):
+    for name in ("#where", "aside", "#announcements", "#buttons"):
         box = page.locator(name).bounding_box()
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= 700
 
 
-def test_places_are_told_in_degrees(page):
+def test_places_are_reported_in_degrees(page):
     latitude_deg, longitude_deg = map(
         float, page.locator(".place[data-of=target]").inner_text().removeprefix("target ").split(",")
     )
@@ -361,7 +361,7 @@ def test_places_are_told_in_degrees(page):
     assert page.locator(".place[data-of=aircraft]").inner_text().startswith("aircraft 47.")
 
 
-def test_the_cursor_tells_its_place_and_what_is_measured(page):
+def test_the_cursor_reports_its_place_and_what_is_measured(page):
     box = page.locator("#map").bounding_box()
     x, y = centre(box)
     page.get_by_role("button", name="Measure").click()
@@ -432,7 +432,7 @@ def shown_from(display, snapshot, bearing_deg, range_m):
         (95.0, 600.0, ("bad", "OUT OF BAND", "now: 600 m"), ("bad", "OFF SIDE", "now: right, 9")),
     ],
 )
-def test_band_and_side_are_told_as_they_are(page, display, snapshots, bearing_deg, range_m, band, side):
+def test_band_and_side_are_reported_as_they_are(page, display, snapshots, bearing_deg, range_m, band, side):
     shown_from(display, snapshots[-1][0], bearing_deg, range_m)
     page.locator("#band span", has_text=f"{range_m:.0f} m").wait_for()
     for name, (look, state, fact) in {"#band": band, "#side": side}.items():
@@ -443,7 +443,7 @@ def test_band_and_side_are_told_as_they_are(page, display, snapshots, bearing_de
 
 
 @pytest.mark.parametrize("unknown", ["lost", "silent", "unseen"])
-def test_what_is_not_known_is_grey(page, display, snapshots, unknown):
+def test_anything_not_known_is_grey(page, display, snapshots, unknown):
     last = snapshots[-1][0]
     sensors = replace(last.sensor_status, connected=unknown != "silent")
     quality = TrackQuality.LOST if unknown == "lost" else TrackQuality.GOOD

@@ -59,7 +59,7 @@ def test_the_panel_before_anything_is_seen(snapshots):
     assert "no laser" in text
 
 
-def test_a_lost_link_is_told(snapshots):
+def test_a_lost_link_is_reported(snapshots):
     last = snapshots[-1]
     text = drawn(
         replace(last, sensor_status=replace(last.sensor_status, connected=False), phase=Phase.HOLDING), terminal=True
@@ -68,6 +68,6 @@ def test_a_lost_link_is_told(snapshots):
     assert "holding" in text
 
 
-def test_quiet_says_nothing(snapshots):
+def test_quiet_reports_nothing(snapshots):
     assert drawn(*snapshots, terminal=False, quiet=True) == ""
     assert drawn(*snapshots, terminal=True, quiet=True) == ""

@@ -63,48 +63,48 @@ def test_times_count_from_when_watching_began(steps, frames):
     assert log.start_s == next(step.snapshot().time_s for step in steps if step.snapshot().estimate is not None)
 
 
-def test_it_plays_at_its_speed_and_tells_only_what_came(frames, clock):
+def test_it_plays_at_its_speed_and_reports_only_what_came(frames, clock):
     player = Player(frames, 10.0, clock)
-    first = player.told()
+    first = player.update()
     assert first["restart"]
     clock.now_s += 1.0
-    second = player.told()
+    second = player.update()
     assert second["replay"]["at_s"] == pytest.approx(first["replay"]["at_s"] + 10.0)
     assert "restart" not in second
     assert len(second["trail"]) == pytest.approx(50, abs=1)
 
 
-def test_paused_it_stands_and_a_seek_begins_anew(frames, clock):
+def test_paused_it_stands_and_a_seek_begins_again(frames, clock):
     player = Player(frames, 10.0, clock)
-    player.told()
+    player.update()
     player.pressed({"action": "pause", "value": None})
     clock.now_s += 5.0
     player.pressed({"action": "seek", "value": 200.0})
-    told = player.told()
-    assert (told["replay"]["playing"], told["replay"]["at_s"], told["restart"]) == (False, 200.0, True)
-    assert told["state"]["time_s"] == pytest.approx(200.0, abs=0.2)
-    assert max(time_s for time_s, *_ in told["trail"]) <= 200.0
-    assert all(time_s is None or time_s <= 200.0 for time_s, *_ in told["said"])
+    update = player.update()
+    assert (update["replay"]["playing"], update["replay"]["at_s"], update["restart"]) == (False, 200.0, True)
+    assert update["state"]["time_s"] == pytest.approx(200.0, abs=0.2)
+    assert max(time_s for time_s, *_ in update["trail"]) <= 200.0
+    assert all(time_s is None or time_s <= 200.0 for time_s, *_ in update["announcements"])
 
 
 def test_it_steps_from_decision_to_decision(frames, clock):
     player = Player(frames, 10.0, clock)
     player.pressed({"action": "step", "value": 1})
-    told = player.told()
-    assert told["replay"] == {"playing": False, "speed": 10.0, "at_s": pytest.approx(frames.decided_s[0], abs=0.01)}
+    update = player.update()
+    assert update["replay"] == {"playing": False, "speed": 10.0, "at_s": pytest.approx(frames.decided_s[0], abs=0.01)}
     player.pressed({"action": "step", "value": -1})  # there is none before
-    assert player.told()["replay"]["at_s"] == pytest.approx(frames.decided_s[0], abs=0.01)
+    assert player.update()["replay"]["at_s"] == pytest.approx(frames.decided_s[0], abs=0.01)
 
 
 def test_at_the_end_it_stops_and_play_begins_again(frames, clock):
     player = Player(frames, 1000.0, clock)
     clock.now_s += 10.0
-    assert player.told()["replay"]["playing"] is False
+    assert player.update()["replay"]["playing"] is False
     player.pressed({"action": "play", "value": None})
-    assert player.told()["replay"]["at_s"] == frames.span_s[0]
+    assert player.update()["replay"]["at_s"] == frames.span_s[0]
 
 
-def test_what_would_have_been_decided_otherwise_is_told_beside_it(frames, steps, clock, config):
+def test_what_would_have_been_decided_otherwise_is_reported_next_to_it(frames, steps, clock, config):
     other = Config.model_validate({"planner": {"name": "paper"}, "requirement": {"side": "right"}})
     controller = controller_of(other)
     settle(controller, other, PLANE, (47.4, 8.5))
@@ -114,12 +114,12 @@ def test_what_would_have_been_decided_otherwise_is_told_beside_it(frames, steps,
     assert controller.snapshot().side == "right"
     player = Player(frames, 10.0, clock, what_if)
     player.pressed({"action": "seek", "value": 249.0})
-    told = player.told()
-    assert told["state"]["side"] == "left"
-    assert told["state"]["what_if"]["side"] == "right"
-    said = [text for _, kind, text in told["said"] if kind == "what-if"]
-    assert said
-    assert all(text.startswith("what if: ") for text in said)
+    update = player.update()
+    assert update["state"]["side"] == "left"
+    assert update["state"]["what_if"]["side"] == "right"
+    texts = [text for _, kind, text in update["announcements"] if kind == "what-if"]
+    assert texts
+    assert all(text.startswith("what if: ") for text in texts)
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def test_keys_do_nothing_before_c_and_after_escape():
     assert typed("cend\x1b\ry\ry")[0] == []
 
 
-def test_what_is_typed_can_be_mended_and_is_told_where_not_understood():
+def test_what_is_typed_can_be_mended_and_is_reported_where_not_understood():
     wishes, shown = typed("cradios", "\x7f\x7fus 80", "\r", "y")
     assert shown[:2] == ["> radios", "> radius 80"]
     assert len(wishes) == 1

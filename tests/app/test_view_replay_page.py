@@ -77,7 +77,7 @@ def test_it_is_paused_sought_through_and_stepped_by_keys(page):
     page.locator("#play", has_text="Pause").wait_for()
 
 
-def test_what_if_is_told_beside_it(page):
+def test_what_if_is_reported_next_to_it(page):
     page.locator("#log .what-if", has_text="what if: ").first.wait_for()
     assert page.locator("#legend li.what-if").is_visible()
 

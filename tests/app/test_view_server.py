@@ -80,21 +80,21 @@ def test_the_page_and_all_it_needs_are_served_here(shown):
     assert "://" not in page
 
 
-def test_the_browser_is_told_to_load_nothing_from_elsewhere(shown):
+def test_the_browser_is_ordered_to_load_nothing_from_elsewhere(shown):
     policy = urlopen(shown.url).headers["Content-Security-Policy"]
     assert policy.startswith("default-src 'none'")
     assert set(re.findall(r"-src ([^;]+)", policy)) == {"'none'", "'self'", "'self' data:"}
 
 
-def test_a_page_that_opens_late_is_told_what_was_before(shown):
+def test_a_page_that_opens_late_is_reported_what_was_before(shown):
     shown.pump()
     with urlopen(f"{shown.url}events") as stream:
-        told = json.loads(stream.readline().removeprefix(b"data: "))
-    assert told["restart"]
-    assert told["setting"]["band_m"] == [100.0, 500.0]
-    assert len(told["trail"]) == pytest.approx(120, abs=2)
-    assert told["state"]["phase"] == "watching"
-    assert told["state"]["target"]["quality"] == "good"
+        update = json.loads(stream.readline().removeprefix(b"data: "))
+    assert update["restart"]
+    assert update["setting"]["band_m"] == [100.0, 500.0]
+    assert len(update["trail"]) == pytest.approx(120, abs=2)
+    assert update["state"]["phase"] == "watching"
+    assert update["state"]["target"]["quality"] == "good"
 
 
 def test_a_foreign_name_for_this_machine_is_refused(shown):
@@ -157,12 +157,12 @@ def test_a_change_is_passed_on(shown):
 
 def test_a_button_before_anything_flies_is_answered_in_words(capsys):
     with display_at("127.0.0.1") as display:
-        said: list[str] = []
-        display._inner.note = said.append
+        announced: list[str] = []
+        display._inner.note = announced.append
         press(display, {"action": "hold"})
-        while not said:
+        while not announced:
             display.pump()
-    assert said == ["hold refused: nothing is flown yet"]
+    assert announced == ["hold refused: nothing is flown yet"]
 
 
 def test_off_loopback_everything_asks_for_the_token(guarded):
@@ -181,7 +181,7 @@ def test_the_printed_address_carries_the_token_and_the_page_keeps_it_out_of_sigh
     assert status(f"{guarded.url.partition('?')[0]}page.js", opener) == 200
 
 
-def test_a_port_in_use_is_told(shown):
+def test_a_port_in_use_is_reported(shown):
     with (
         socket.create_server(("127.0.0.1", 0)) as taken,
         pytest.raises(InputError, match=f"{taken.getsockname()[1]}.*--view-port"),

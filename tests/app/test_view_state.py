@@ -1,4 +1,4 @@
-"""What the page is told of a snapshot."""
+"""What the page is shown of a snapshot."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_every_state_is_strict_json(snapshots):
         json.dumps(encoder.state(snapshot, 0.0), allow_nan=False)
 
 
-def test_what_is_not_known_is_null(snapshots):
+def test_anything_not_known_is_null(snapshots):
     first = state_of(snapshots[0])
     assert first["time_s"] is None
     assert first["aircraft"] is None
@@ -138,7 +138,7 @@ def test_ages_are_those_of_the_sensors_in_use(watching):
     assert (state["range_age_s"], state["gimbal_age_s"], state["link_age_s"]) == (3.0, 0.5, 1.25)
 
 
-def test_a_yielded_mission_says_so(watching):
+def test_a_yielded_mission_reports_so(watching):
     assert state_of(replace(watching, phase=Phase.YIELDED))["phase"] == "yielded"
 
 

@@ -1,4 +1,4 @@
-"""Value tables for the wind that blows: made beside the loop, taken up in a step, replayed."""
+"""Value tables for the wind that blows: made next to the loop, taken up in a step, replayed."""
 
 from __future__ import annotations
 
@@ -93,8 +93,8 @@ def test_nothing_is_prepared_before_the_target_is_watched():
 def test_the_planner_goes_on_with_what_it_remembers():
     controller = Windy().controller
     before = controller.planning.planner
-    (told,) = controller.step(WindPrepared(2.0, 3.75))
-    assert told == Announce(2.0, "decision", "ready for a wind of 3.75 m/s")
+    (announcement,) = controller.step(WindPrepared(2.0, 3.75))
+    assert announcement == Announce(2.0, "decision", "ready for a wind of 3.75 m/s")
     assert controller.planning.planner is before
     calm, windy = before.lookers
     assert windy.motions.wind_speed_m_s == 3.75
@@ -109,7 +109,7 @@ def test_a_flight_that_became_windy_is_replayed_to_the_last_bit(tmp_path):
     config = Config()
     folder = RunFolder.create(tmp_path, datetime(2026, 11, 22, tzinfo=UTC))
     extra = {100.0: WindReported(100.0, 3.0, 2.0), 150.0: WindPrepared(150.0, 3.75)}
-    said = recorded(folder, config, 200.0, extra)
+    announced = recorded(folder, config, 200.0, extra)
 
     replay = JournalReplay(controller_of(config))
     for _ in replay.run(JournalReader(folder.journal, JOURNAL_TYPES)):
@@ -123,4 +123,4 @@ def test_a_flight_that_became_windy_is_replayed_to_the_last_bit(tmp_path):
     for _ in deaf.run(records):
         pass
     assert deaf.difference is not None
-    assert max(command.time_s for command in said if isinstance(command, DecisionRecord)) > 150.0
+    assert max(command.time_s for command in announced if isinstance(command, DecisionRecord)) > 150.0

@@ -1,4 +1,4 @@
-"""A relay that changes what a real autopilot says and adds to it, and is another station, too."""
+"""A relay that changes what a real autopilot reports and adds to it, and is another station, too."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def packed(message: Any, system_id: int | None = None, seq: int | None = None, *
 
 
 class ChangingRelay(Relay):
-    """A relay that decodes what it hears.
+    """A relay that decodes what it receives.
 
     change may be set at any time. mode, armed, place (latitude, longitude in 1e-7 degrees) and time_boot_ms are the
     vehicle's latest; commanded counts what the application has sent, by message.
@@ -59,7 +59,7 @@ class ChangingRelay(Relay):
         self._station = mavlink.MAVLink(None, STATION, mavlink.MAV_COMP_ID_MISSIONPLANNER)
         self._delayed: list[tuple[float, bytes]] = []
 
-    # -- words of the vehicle that it has not said -----------------------------------------------------------
+    # -- words of the vehicle that it has not reported -----------------------------------------------------------
 
     def once(self, kind: str, fields: dict[str, Any]) -> None:
         """Give the next message of a kind these fields."""
@@ -73,16 +73,16 @@ class ChangingRelay(Relay):
 
         self.change = wrong
 
-    def tell(self, message: Any, component_id: int) -> None:
-        """Tell the application something as another component of the vehicle."""
+    def announce(self, message: Any, component_id: int) -> None:
+        """Report the application something as another component of the vehicle."""
         sender = mavlink.MAVLink(None, self.system_id, component_id)
-        self._tell_application(bytes(message.pack(sender)))
+        self._send_to_application(bytes(message.pack(sender)))
 
     # -- another station -----------------------------------------------------------------------------------
 
     def say(self, message: Any) -> None:
         """Send a message to the vehicle as another station."""
-        self._tell_vehicle(bytes(message.pack(self._station)))
+        self._send_to_vehicle(bytes(message.pack(self._station)))
 
     def ask(self, message: Any, *answers: str) -> Any:
         """Say it until one of these answers comes."""
@@ -141,11 +141,11 @@ class ChangingRelay(Relay):
 
     # -- the thread ----------------------------------------------------------------------------------------
 
-    def _hear_application(self, frame: Frame, now_s: float) -> None:
+    def _from_application(self, frame: Frame, now_s: float) -> None:
         self.commanded[mavlink.mavlink_map[frame.message_id].msgname] += 1
-        super()._hear_application(frame, now_s)
+        super()._from_application(frame, now_s)
 
-    def _hear_vehicle(self, frame: Frame, now_s: float) -> None:
+    def _from_vehicle(self, frame: Frame, now_s: float) -> None:
         message = self._decoder.decode(bytearray(frame.data))
         self._note(message)
         self._delayed += [(now_s + delay_s, data) for delay_s, data in self.change(message)]

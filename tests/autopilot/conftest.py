@@ -31,7 +31,7 @@ RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 LIFE_S = int(os.environ.get("LIFE_S", "600"))  # of the application, at most
 PATIENCE_S = 0.3 * LIFE_S
 WIND_UP_S = 60.0  # the application's own bound
-# Runs a program that the kernel ends after so many seconds, should its test not have lived to do it.
+# Runs a program that the kernel ends after this many seconds, should its test not have lived to do it.
 MORTAL = "import os, signal, sys; signal.alarm(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
 OURS = 245  # the application's MAVLink system
 WRITING = {"MISSION_COUNT", "MISSION_WRITE_PARTIAL_LIST", "MISSION_ITEM_INT"}
@@ -106,7 +106,7 @@ class Vehicle:
         self._act, self.items_until_act = act, count
 
     def wait(self, seconds):
-        """Wait for so much of the vehicle's time."""
+        """Wait for this much of the vehicle's time."""
         end_s = self.simulation.time_s + seconds
         deadline_s = time.monotonic() + PATIENCE_S
         while self.simulation.time_s < end_s:
@@ -155,7 +155,7 @@ class Application:
     def __init__(self, url, out, *options, program=(SIDELONG,), stdout=None):
         self.out = out
         arguments = ["launch", "--connect", url, "--duration", "3000", "--out", str(out), *options]
-        # A pipe that nobody empties would stop it: the lines go into a file.
+        # A pipe that no one empties would stop it: the lines go into a file.
         self._log = out.with_suffix(".log")
         with self._log.open("w") as log:
             command = [sys.executable, "-c", MORTAL, str(LIFE_S), *program, *arguments]
@@ -170,14 +170,14 @@ class Application:
         self.process.wait(10.0)
 
     @property
-    def said(self):
+    def announced(self):
         return re.sub(r"\s+", " ", self._log.read_text())
 
     def wait_for(self, words, times=1, limit_s=PATIENCE_S):
         deadline_s = time.monotonic() + limit_s
-        while self.said.count(words) < times:
-            assert self.process.poll() is None, self.said
-            assert time.monotonic() < deadline_s, f"never said {words!r}: {self.said}"
+        while self.announced.count(words) < times:
+            assert self.process.poll() is None, self.announced
+            assert time.monotonic() < deadline_s, f"never reported {words!r}: {self.announced}"
             time.sleep(0.05)
 
     def kill(self):
@@ -192,7 +192,7 @@ class Application:
         if self.process.poll() is None:
             self.process.send_signal(number)
         self.process.wait(WIND_UP_S + 10.0)
-        assert "Traceback" not in self.said
+        assert "Traceback" not in self.announced
         return json.loads((self.run / "summary.json").read_text())
 
 

@@ -57,7 +57,7 @@ class RealVehicle:
     """A SITL program with payload and target; skips where none is named. Use as ``with``.
 
     ``urls``: of its first and its second link, as the program serves them; ``payload_urls``: of a payload that has to
-    be met by itself.
+    be met on its own.
     """
 
     def __init__(self, flavour: Program, *options: object) -> None:

@@ -21,7 +21,7 @@ _WAKE_S = 0.05
 
 
 class Relay:
-    """Joins the vehicle at a URL and tells the application of it, which meets it at ``url``. Use as ``with``.
+    """Joins the vehicle at a URL and reports the application of it, which meets it at ``url``. Use as ``with``.
 
     Whole frames come through or not, unchanged. cut: nothing comes through, either way; it may be set at any time.
     """
@@ -65,22 +65,22 @@ class Relay:
 
     def _run(self) -> None:
         splitters = {self._vehicle: FrameSplitter(), self._application: FrameSplitter()}
-        hear = {self._vehicle: self._hear_vehicle, self._application: self._hear_application}
+        on_message = {self._vehicle: self._from_vehicle, self._application: self._from_application}
         while not self._ended.is_set():
             next_s = min(self._to_vehicle.next_s, self._to_application.next_s) - time.monotonic()
-            for ready in select.select(list(hear), [], [], min(max(next_s, 0.0), _WAKE_S))[0]:
+            for ready in select.select(list(on_message), [], [], min(max(next_s, 0.0), _WAKE_S))[0]:
                 for frame in splitters[ready].split(self._received(ready)):
                     if not self.cut:
-                        hear[ready](frame, time.monotonic())
+                        on_message[ready](frame, time.monotonic())
             for data in self._to_application.take(time.monotonic()):
-                self._tell_application(data)
+                self._send_to_application(data)
             for data in self._to_vehicle.take(time.monotonic()):
-                self._tell_vehicle(data)
+                self._send_to_vehicle(data)
 
-    def _hear_vehicle(self, frame: Frame, now_s: float) -> None:
+    def _from_vehicle(self, frame: Frame, now_s: float) -> None:
         self._to_application.put(frame.data, now_s, len(frame.data))
 
-    def _hear_application(self, frame: Frame, now_s: float) -> None:
+    def _from_application(self, frame: Frame, now_s: float) -> None:
         self._to_vehicle.put(frame.data, now_s, len(frame.data))
 
     def _received(self, ready: socket.socket) -> bytes:
@@ -94,11 +94,11 @@ class Relay:
                 self._ended.set()
         return data
 
-    def _tell_application(self, data: bytes) -> None:
+    def _send_to_application(self, data: bytes) -> None:
         with contextlib.suppress(ConnectionError):
             self._application.send(data)
 
-    def _tell_vehicle(self, data: bytes) -> None:
+    def _send_to_vehicle(self, data: bytes) -> None:
         with contextlib.suppress(ConnectionError):
             if self._is_stream:
                 self._vehicle.sendall(data)

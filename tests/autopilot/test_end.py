@@ -1,4 +1,4 @@
-"""Told to end, it ends: within its bound, whatever the vehicle does."""
+"""Ordered to end, it ends: within its bound, whatever the vehicle does."""
 
 import json
 import signal
@@ -19,7 +19,7 @@ def test_before_it_flies_nothing_is_left(vehicle_of, launch):
     application.process.send_signal(signal.SIGTERM)
     assert application.process.wait(WIND_UP_S) == 130
     assert not list(application.out.iterdir())
-    assert "Traceback" not in application.said
+    assert "Traceback" not in application.announced
     assert vehicle.commanded == [each for each in vehicle.commanded if each[1] == "COMMAND_LONG"]  # asked for streams
 
 
@@ -36,8 +36,8 @@ def test_with_a_vehicle_that_falls_silent_during_an_upload(vehicle_of, launch):
     application.process.send_signal(signal.SIGINT)
     assert application.process.wait(WIND_UP_S) == 130
     ended = "interrupted by SIGINT: by its last message, the aircraft goes on circling where it is."
-    assert ended in application.said
+    assert ended in application.announced
     (run,) = application.out.iterdir()
     assert json.loads((run / "summary.json").read_text())["outcome"] == "interrupted"
-    assert "was left off" not in application.said
-    assert "Traceback" not in application.said
+    assert "was left off" not in application.announced
+    assert "Traceback" not in application.announced

@@ -1,4 +1,4 @@
-"""What fails and comes back: the aircraft goes on circling meanwhile, and the mission goes on afterwards."""
+"""What fails and comes back: the aircraft goes on circling in the meantime, and the mission goes on afterwards."""
 
 import math
 
@@ -54,7 +54,7 @@ def test_laser_and_then_gimbal_fail_and_come_back(vehicle_of, launch):
         lost_s = vehicle.simulation.time_s
         assert_circles(vehicle, 30.0)
         commanded = [kind for time_s, kind in vehicle.commanded if lost_s < time_s]
-        assert not commanded or "moving away: the target is not seen" in application.said
+        assert not commanded or "moving away: the target is not seen" in application.announced
         vehicle.do(vehicle.simulation.unmute_payload)
         application.wait_for("the target is in sight again", times=number)
     assert application.end()["outcome"] == "interrupted"

@@ -14,7 +14,7 @@ def test_launch_refuses_with_the_reason_then_sets_and_restores(vehicle_of, launc
     vehicle.do(lambda: vehicle.autopilot.parameters.set("NAV_DLL_ACT", 5))
     refused = launch(vehicle.url)
     assert refused.process.wait(90.0) == 2
-    assert "NAV_DLL_ACT: 5: losing the link would end the flight" in refused.said
+    assert "NAV_DLL_ACT: 5: losing the link would end the flight" in refused.announced
     assert vehicle.autopilot.parameters["NAV_DLL_ACT"] == 5
     flying = launch(vehicle.url, "--set-parameters")
     flying.wait_for("watched from now on")
@@ -23,7 +23,7 @@ def test_launch_refuses_with_the_reason_then_sets_and_restores(vehicle_of, launc
     assert vehicle.autopilot.parameters["NAV_DLL_ACT"] == 5
 
 
-def test_connect_tells_what_parameters_mean(vehicle_of):
+def test_connect_reports_what_parameters_mean(vehicle_of):
     vehicle = vehicle_of("arduplane")
     vehicle.do(lambda: vehicle.autopilot.parameters.set("FS_GCS_ENABL", 1))
     command = [Path(sys.executable).with_name("sidelong"), "connect", vehicle.url]

@@ -30,7 +30,7 @@ def fly(request, launch, tmp_path, record_property):
 @pytest.mark.parametrize("guidance", ["mission", "command"])
 def test_a_flight(fly, guidance, record_property):
     flight = fly("--guidance", guidance, "--duration", str(DURATION_S), "--quiet")
-    assert flight.process.wait(100.0 + 900.0 / SPEED) == 0, flight.said
+    assert flight.process.wait(100.0 + 900.0 / SPEED) == 0, flight.announced
     summary = flight.end()
     assert summary["outcome"] == "completed"
     assert summary["time_in_band"] > 0.95
@@ -47,5 +47,5 @@ def test_a_killed_application_is_started_again_and_takes_the_circle_over(fly):
     first.wait_for("watched from now on")
     first.kill()
     again = fly("--duration", "20")
-    assert again.process.wait(120.0) == 0, again.said
-    assert "taking over the circle that is flown" in again.said
+    assert again.process.wait(120.0) == 0, again.announced
+    assert "taking over the circle that is flown" in again.announced

@@ -61,7 +61,7 @@ class Flown:
         return Application(self.relay.url, self._folder / str(self._launches), str(self._config), *options, **more)
 
     def wait(self, seconds):
-        """Let so much of the vehicle's time go by."""
+        """Let this much of the vehicle's time go by."""
         time.sleep(seconds / SPEED)
 
     @property
@@ -92,38 +92,38 @@ def watching(launch):
     return one
 
 
-# -- who is there, before anything is armed ------------------------------------------------------------------
+# -- whoever is there, before anything is armed ------------------------------------------------------------------
 
 
 def refused(flown, launch, change, *words):
     one = launch()
     flown.relay.change = change
     armed, uploads = flown.relay.armed, flown.relay.commanded["MISSION_COUNT"]
-    assert one.process.wait(PATIENCE_S) == 2, one.said
+    assert one.process.wait(PATIENCE_S) == 2, one.announced
     for each in words:
-        assert each in one.said
+        assert each in one.announced
     assert flown.relay.armed == armed
     assert flown.relay.commanded["MISSION_COUNT"] == uploads
 
 
 def test_a_second_vehicle_with_another_id_is_listed_and_refused(flown, launch):
-    def beside(message):
+    def alongside(message):
         yield from unchanged(message)
         if message.get_type() in VEHICLE and message.get_srcComponent() == 1:
             yield 0.0, packed(message, system_id=7)
 
-    refused(flown, launch, beside, "several vehicles share the link", "system 7 (", "select one with --system-id")
+    refused(flown, launch, alongside, "several vehicles share the link", "system 7 (", "select one with --system-id")
 
 
-def test_a_second_vehicle_with_the_same_id_is_told_before_anything_is_armed(flown, launch):
+def test_a_second_vehicle_with_the_same_id_is_reported_before_anything_is_armed(flown, launch):
     numbers = itertools.count()
 
-    def beside(message):
+    def alongside(message):
         yield from unchanged(message)
         if message.get_type() in VEHICLE and message.get_srcComponent() == 1:
             yield 0.0, packed(message, seq=next(numbers) % 256)
 
-    refused(flown, launch, beside, "two vehicles speak with the same system id")
+    refused(flown, launch, alongside, "two vehicles speak with the same system id")
 
 
 # -- in flight -----------------------------------------------------------------------------------------------
@@ -135,7 +135,7 @@ def test_a_signal_in_the_climb_lets_it_fly_to_its_first_circle(flown, launch):
     flown.wait(8.0)
     summary = one.end(signal.SIGINT)
     assert one.process.returncode == 130
-    assert "interrupted by SIGINT: the aircraft flies to its first circle and stays on it." in one.said
+    assert "interrupted by SIGINT: the aircraft flies to its first circle and stays on it." in one.announced
     assert summary["outcome"] == "interrupted"
     flown.wait(60.0)
     assert flown.relay.armed
@@ -143,13 +143,13 @@ def test_a_signal_in_the_climb_lets_it_fly_to_its_first_circle(flown, launch):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_leaves_it_circling_and_says_so(flown, launch, number):
+def test_a_signal_leaves_it_circling_and_reports_so(flown, launch, number):
     one = launch()
     one.wait_for(WATCHED)
     flown.wait(10.0)
     summary = one.end(number)
     assert one.process.returncode == 130
-    assert f"interrupted by {number.name}: {GOES_ON}" in one.said
+    assert f"interrupted by {number.name}: {GOES_ON}" in one.announced
     assert summary["outcome"] == "interrupted"
     flown.wait(10.0)
     assert flown.relay.mode == MISSION_MODE[flown.flavour]
@@ -164,8 +164,8 @@ def test_a_terminal_that_cannot_be_written_does_not_reach_the_flight(flown, laun
         os.close(reading)
     one = launch("--duration", "20", stdout=stdout)
     os.close(stdout)
-    assert one.process.wait(PATIENCE_S) == 0, one.said
-    assert "the terminal could not be written" in one.said
+    assert one.process.wait(PATIENCE_S) == 0, one.announced
+    assert "the terminal could not be written" in one.announced
     assert one.end()["outcome"] == "completed"
 
 
@@ -184,10 +184,10 @@ def test_a_payload_an_hour_ahead_is_corrected(flown, launch):
     flown.wait(60.0)
     summary = one.end()
     assert summary["rejected"] < 0.06 * summary["sightings"]
-    assert "has not been seen" not in one.said
+    assert "has not been seen" not in one.announced
 
 
-def test_a_position_that_jumps_is_bridged_and_a_longer_jump_doubted(flown, watching):
+def test_a_position_that_jumps_is_bridged_and_a_longer_jump_rejected(flown, watching):
     def away(message):
         if message.get_type() == "GLOBAL_POSITION_INT":
             yield 0.0, packed(message, lat=message.lat + 135_000)  # 1.5 km
@@ -200,7 +200,7 @@ def test_a_position_that_jumps_is_bridged_and_a_longer_jump_doubted(flown, watch
     flown.relay.change = unchanged
     watching.wait_for("the position jumped by")
     flown.wait(20.0)
-    assert "holding the circle" not in watching.said
+    assert "holding the circle" not in watching.announced
     flown.relay.change = away
     watching.wait_for("holding the circle, nothing is decided on it")
     flown.relay.change = unchanged
@@ -211,7 +211,7 @@ def test_a_position_that_jumps_is_bridged_and_a_longer_jump_doubted(flown, watch
     assert summary["outcome"] == "interrupted"
 
 
-def test_single_wrong_words_mislead_nobody(flown, watching):
+def test_single_wrong_words_mislead_no_one(flown, watching):
     watching.wait_for("the target is in sight")
     flown.wait(5.0)
     now_ms = flown.relay.time_boot_ms
@@ -225,15 +225,15 @@ def test_single_wrong_words_mislead_nobody(flown, watching):
     ):
         flown.relay.once(kind, wrong)
         flown.wait(4.0)
-    flown.relay.tell(mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_DO_SET_MODE, 4), component_id=191)
-    flown.relay.tell(mavlink.MAVLink_wind_message(90.0, 300.0, 0.0), component_id=191)
-    flown.relay.tell(mavlink.MAVLink_statustext_message(2, b"\x1b[31m\xff\xfe"), component_id=191)
+    flown.relay.announce(mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_DO_SET_MODE, 4), component_id=191)
+    flown.relay.announce(mavlink.MAVLink_wind_message(90.0, 300.0, 0.0), component_id=191)
+    flown.relay.announce(mavlink.MAVLink_statustext_message(2, b"\x1b[31m\xff\xfe"), component_id=191)
     flown.wait(30.0)
-    assert "holding the circle" not in watching.said
-    assert "has not been seen" not in watching.said
+    assert "holding the circle" not in watching.announced
+    assert "has not been seen" not in watching.announced
     summary = watching.end()
-    assert summary["outcome"] == "interrupted", watching.said
-    assert "\x1b[31m" not in watching.said
+    assert summary["outcome"] == "interrupted", watching.announced
+    assert "\x1b[31m" not in watching.announced
     assert summary["min_range_m"] > 90.0
 
 
@@ -248,7 +248,7 @@ def test_a_receiver_without_a_fix_holds_the_circle(flown, watching):
         flown.relay.set_parameter(name, on, kind)
     watching.wait_for("the aircraft's position is accepted again")
     flown.wait(20.0)
-    assert watching.end()["outcome"] == "interrupted", watching.said
+    assert watching.end()["outcome"] == "interrupted", watching.announced
 
 
 def test_late_words_of_what_is_flown_end_in_no_yield(flown, launch):
@@ -260,31 +260,31 @@ def test_late_words_of_what_is_flown_end_in_no_yield(flown, launch):
     one.wait_for(WATCHED)
     flown.relay.change = late
     flown.wait(150.0)
-    told_as_flown(one)
+    reported_as_flown(one)
 
 
-def test_plan_changes_over_a_slow_and_lossy_link_are_told_as_flown(flown, launch):
+def test_plan_changes_over_a_slow_and_lossy_link_are_reported_as_flown(flown, launch):
     one = launch("--planner", "paper", program=WANDERING)
     one.wait_for(WATCHED)
     flown.relay.spoil(LinkFaults(loss=0.05, delay_s=1.0 / SPEED))
     flown.wait(250.0)
     flown.relay.spoil(GOOD)
     flown.wait(20.0)
-    told_as_flown(one)
+    reported_as_flown(one)
 
 
-def told_as_flown(one):
+def reported_as_flown(one):
     summary = one.end()
-    assert summary["outcome"] == "interrupted", one.said
+    assert summary["outcome"] == "interrupted", one.announced
     events = list(JournalReader(one.run / "journal.jsonl", JOURNAL_TYPES))
     activated = [event.number for event in events if isinstance(event, ActivatePlan)]
     departed = {event.number for event in events if isinstance(event, PlanStatus) and event.stage == "departed"}
-    print(f"{len(activated)} plans activated, {len(set(activated) & departed)} told as flown")
+    print(f"{len(activated)} plans activated, {len(set(activated) & departed)} reported as flown")
     assert activated
     assert set(activated[:-1]) <= departed  # the last may still have been on its way
 
 
-# -- somebody else flies -------------------------------------------------------------------------------------
+# -- another station flies -------------------------------------------------------------------------------------
 
 
 def yielded(flown, one, act, *words):
@@ -327,13 +327,13 @@ def test_another_station_uploads_a_mission(flown, watching):
 
 
 def test_a_second_vehicle_with_the_same_id_that_comes_later_is_yielded_to(flown, watching):
-    def beside(message):
+    def alongside(message):
         yield from unchanged(message)
         if message.get_type() in ("GLOBAL_POSITION_INT", "ATTITUDE"):
             moved = {"lat": message.lat + 20_000} if message.get_type() == "GLOBAL_POSITION_INT" else {}
             yield 0.0, packed(message, time_boot_ms=message.time_boot_ms + 400_000, **moved)
 
     def come():
-        flown.relay.change = beside
+        flown.relay.change = alongside
 
     yielded(flown, watching, come, "two vehicles speak with the same system id")

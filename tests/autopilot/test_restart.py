@@ -1,4 +1,4 @@
-"""The application is killed while it uploads, and started again: the vehicle circles meanwhile."""
+"""The application is killed while it uploads, and started again: the vehicle circles in the meantime."""
 
 import os
 import time
@@ -45,7 +45,7 @@ def test_killed_during_an_upload_and_started_again(vehicle_of, launch, flavour, 
     second = launch(vehicle.url)
     second.wait_for(WATCHED)
     resumed_s = time.monotonic() - begin_s
-    assert "taking over the circle that is flown" in second.said
+    assert "taking over the circle that is flown" in second.announced
     print(f"resumed after {resumed_s:.1f} s")
     assert resumed_s < 2.0 * first_s + 10.0
     assert vehicle.do(lambda: flown_line(vehicle))[-1] == before[-1]
@@ -60,5 +60,5 @@ def test_killed_while_it_commands_circles_and_started_again(vehicle_of, launch):
     vehicle.wait(30.0)
     second = launch(vehicle.url, "--guidance", "command")
     second.wait_for(WATCHED)
-    assert "taking over the circle that is flown" in second.said
+    assert "taking over the circle that is flown" in second.announced
     assert second.end()["outcome"] == "interrupted"

@@ -30,14 +30,14 @@ def test_one_of_two_links_is_cut_again_and_again(vehicle_of, launch, flavour):
         vehicle.wait(CUT_S * SPEED)
         vehicle.cut = set()
         vehicle.wait(BETWEEN_S * SPEED)
-    assert application.said.count("is bad: using") >= CUTS - 1
+    assert application.announced.count("is bad: using") >= CUTS - 1
     summary = application.end()
-    print(f"{flavour}: {CUTS} cuts, {application.said.count('is bad: using')} changes of link, {summary}")
+    print(f"{flavour}: {CUTS} cuts, {application.announced.count('is bad: using')} changes of link, {summary}")
     assert summary["outcome"] == "interrupted"
     for trouble in ("yielding", "link lost", "has restarted"):
-        assert trouble not in application.said
+        assert trouble not in application.announced
     if SPEED == 1.0 and not FAULTS.loss:  # a second of silence is ten of the vehicle's at ten times the speed
-        assert "too late" not in application.said
+        assert "too late" not in application.announced
     (first, second) = summary["links"]
     assert first["received_bytes_s"] > 500.0
     assert second["received_bytes_s"] > 500.0

@@ -1,4 +1,4 @@
-"""Somebody else takes the vehicle: not one command once that is told, and none ever again.
+"""Another station takes the vehicle: not one command once that is reported, and none ever again.
 
 How soon, and by a mission, a circle, a mode in mid-upload or a restart: ``tests/exchange/test_flights.py``, without
 sockets.
@@ -15,8 +15,8 @@ WATCHED = "watched from now on"
 ON_THE_WAY_S = 2.5  # of the vehicle's time: a quarter of a second at ten times the clock, on a busy machine
 
 
-def commands_after(vehicle, told_s):
-    return [kind for time_s, kind in vehicle.commanded if time_s > told_s + ON_THE_WAY_S]
+def commands_after(vehicle, announced_s):
+    return [kind for time_s, kind in vehicle.commanded if time_s > announced_s + ON_THE_WAY_S]
 
 
 def assert_yielded(vehicle, application, act, words, seed=1):
@@ -24,9 +24,9 @@ def assert_yielded(vehicle, application, act, words, seed=1):
     vehicle.wait(5.0 + 3.0 * seed)
     vehicle.do(act)
     application.wait_for("commanding nothing more")
-    told_s = vehicle.simulation.time_s
+    announced_s = vehicle.simulation.time_s
     vehicle.wait(30.0)
-    assert commands_after(vehicle, told_s) == []
+    assert commands_after(vehicle, announced_s) == []
     summary = application.end()
     assert summary["outcome"].startswith("yielded")
     assert words in summary["outcome"]

@@ -109,8 +109,8 @@ def flown(seed: int) -> Flown:
         if tick * STEP_S < 60.0:  # the target's course is being found
             continue
         result.known_s += STEP_S
-        for name, told, truth in (("band", shown.in_band, in_band), ("side", shown.on_side, on_side)):
-            wrong = told is not None and truth is not None and told != truth
+        for name, announced, truth in (("band", shown.in_band, in_band), ("side", shown.on_side, on_side)):
+            wrong = announced is not None and truth is not None and announced != truth
             since_s[name] = since_s[name] + STEP_S if wrong else 0.0
             result.wrong_s[name] += STEP_S * wrong
             result.longest_s[name] = max(result.longest_s[name], since_s[name])

@@ -33,13 +33,13 @@ class CameraFlight(FaultedFlight):
         settle(self.controller, config, faults._PLANE, HOME_DEG)
         return Payload(CAMERA, rng)
 
-    def _beside_truth(self, now_s, moved):
+    def _relative_to_truth(self, now_s, moved):
         estimate = self.controller.estimate
         if estimate is not None:
             truth = self._target.at(min(max(estimate.time_s - self._boot_s, 0.0), self._scenario.duration_s))
             off_m = np.array([estimate.east_m - truth.east_m, estimate.north_m - truth.north_m])
             self.inside.append(bool(off_m @ np.linalg.solve(estimate.covariance[:2, :2], off_m) <= _CHI2_95))
-        return super()._beside_truth(now_s, moved)
+        return super()._relative_to_truth(now_s, moved)
 
 
 @pytest.mark.timeout(7200)

@@ -1,11 +1,11 @@
-"""How well recorded targets are watched by one who knows what they will do: the gap is the price of not knowing.
+"""How well recorded targets are watched by a planner that knows what they will do: the price of not knowing.
 
     python tests/bench/test_clairvoyance.py FOLDER --airspeed 12 --radius 40 --target-speed-max 5 [--known S]
     python -m pytest -s tests/bench/test_clairvoyance.py
 
 The planner is the predictive one, with the same moves, prices and noisy filter, but with one future, the true one. It
-looks over 30 s, and its watch course is the one that is judged. So it is no bound of what can be flown at all, but of
-what a better forecast could bring this planner. With --known it is told so many seconds only; from there on the
+looks over 30 s, and its watch course is the one which is judged. So this bounds what a better forecast could
+bring this planner, not what can be flown at all. With --known it is given this many seconds only; from there on the
 target goes straight on or turns, as the planner itself expects.
 """
 
@@ -38,7 +38,7 @@ STEP_S, PER_S, LOOKED_S, HORIZON_S = 0.1, 10, 30.0, 20.0
 
 
 class Clairvoyant(PredictivePlanner):
-    """truth (n, 5): of the target, each STEP_S; known_s: how far ahead it is told."""
+    """truth (n, 5): of the target, each STEP_S; known_s: how far ahead it is given."""
 
     def __init__(self, planner: PredictivePlanner, truth: np.ndarray, known_s: float) -> None:
         settings = replace(PredictiveSettings(), horizon_s=LOOKED_S)
@@ -49,18 +49,18 @@ class Clairvoyant(PredictivePlanner):
 
     def _paths(self, first: int, k: int, turns: Turns) -> np.ndarray:
         """Return places (f, n, 2) each second, from the start of the run until k seconds after a step."""
-        told = self._place[first % PER_S : first + self._known + 1 : PER_S]
-        ahead_s = np.arange(first // PER_S + k + 1 - len(told))
-        if ahead_s.size == 0 or len(told) < 2:
+        given = self._place[first % PER_S : first + self._known + 1 : PER_S]
+        ahead_s = np.arange(first // PER_S + k + 1 - len(given))
+        if ahead_s.size == 0 or len(given) < 2:
             return self._place[None, first % PER_S : first + k * PER_S + 1 : PER_S]
-        velocity = told[-1] - told[-2]
+        velocity = given[-1] - given[-2]
         faded_s = turns.fades_s * (1.0 - np.exp(-(ahead_s + 0.5) / turns.fades_s))
         course_rad = math.atan2(*velocity) + turns.rate_rad_s[:, None] * faded_s
         steps = math.hypot(*velocity) * np.stack([np.sin(course_rad), np.cos(course_rad)], axis=2)
-        untold = told[-1] + np.cumsum(steps, axis=1)
-        return np.concatenate([np.repeat(told[None], len(untold), axis=0), untold], axis=1)
+        uninformed = given[-1] + np.cumsum(steps, axis=1)
+        return np.concatenate([np.repeat(given[None], len(uninformed), axis=0), uninformed], axis=1)
 
-    def _foreseen(self, scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Futures, Looker]:
+    def _predicted(self, scene: Scene, now: Situation, looker: Looker) -> tuple[Scene, Futures, Looker]:
         return scene, self._futures(scene, looker), looker
 
     def _futures(self, scene: Scene, looker: Looker) -> Futures:
@@ -90,11 +90,11 @@ class Clairvoyant(PredictivePlanner):
 def flown(study: StudySettings, known_s: float) -> Iterator[tuple[str, RunResult]]:
     """Fly each track of a study, with the noise of each draw; known_s: 0 for the planner as it is."""
 
-    def foreseen(self: CompiledFlight, planner: PredictivePlanner, latency_s: float) -> Flown:
+    def predicted(self: CompiledFlight, planner: PredictivePlanner, latency_s: float) -> Flown:
         return self.with_planner(Clairvoyant(planner, self._target.sampled, known_s), latency_s)
 
     table = value_table(table_configuration(study.aircraft(), study.requirement()))
-    way = foreseen if known_s else CompiledFlight.with_predictive
+    way = predicted if known_s else CompiledFlight.with_predictive
     with mock.patch.object(CompiledFlight, "with_predictive", way):
         for number in study.numbers:
             yield study.tracks[number % study.runs].name, run(study, PlannerName.PREDICTIVE, number, table)
@@ -113,8 +113,8 @@ def study_of(folder: Path, airspeed_m_s: float, radius_m: float, speed_max_m_s: 
     )
 
 
-def told(study: StudySettings, worst: int = 0, known_s: float = math.inf) -> tuple[float, float]:
-    """Print means and worst tracks of the planner as it is and of one that is told; return the means."""
+def shown(study: StudySettings, worst: int = 0, known_s: float = math.inf) -> tuple[float, float]:
+    """Print means and worst tracks of the planner as it is and of one which is reported; return the means."""
     by_track: dict[str, list[list[float]]] = {}
     for k, ahead_s in enumerate((0.0, known_s)):
         for name, result in flown(study, ahead_s):
@@ -122,16 +122,16 @@ def told(study: StudySettings, worst: int = 0, known_s: float = math.inf) -> tup
     sides = {name: np.nanmean(pair, axis=1) for name, pair in by_track.items()}
     mean, least = np.nanmean([*sides.values()], axis=0), np.nanmin([*sides.values()], axis=0)
     print(
-        f"\n{len(sides)} tracks: on side {mean[0]:.4f}, worst {least[0]:.3f}; foreseen {mean[1]:.4f}, {least[1]:.3f}"
+        f"\n{len(sides)} tracks: on side {mean[0]:.4f}, worst {least[0]:.3f}; predicted {mean[1]:.4f}, {least[1]:.3f}"
     )
     for name in sorted(sides, key=lambda one: sides[one][0])[:worst]:
-        print(f"  {name}: {sides[name][0]:.3f}, foreseen {sides[name][1]:.3f}")
+        print(f"  {name}: {sides[name][0]:.3f}, predicted {sides[name][1]:.3f}")
     return float(mean[0]), float(mean[1])
 
 
 def test_knowing_the_future_helps():
-    own, foreseen = told(study_of(OWN, 12.0, 40.0, 5.0, 1), worst=5)
-    assert foreseen > own
+    own, predicted = shown(study_of(OWN, 12.0, 40.0, 5.0, 1), worst=5)
+    assert predicted > own
 
 
 def main() -> None:
@@ -144,7 +144,7 @@ def main() -> None:
     parser.add_argument("--known", type=float, default=math.inf)
     given = parser.parse_args()
     study = study_of(given.folder, given.airspeed, given.radius, given.target_speed_max, given.draws)
-    told(study, given.worst, given.known)
+    shown(study, given.worst, given.known)
 
 
 if __name__ == "__main__":

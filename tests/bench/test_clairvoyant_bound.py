@@ -6,8 +6,8 @@
 A dynamic programme goes backwards over the known way: states are the place relative to the target and the heading,
 controls are curvatures up to that of the circle, without a limit of the roll. What is printed is then flown forwards
 by what it found: it can be reached, and but for the grid's width nothing better can. What a planner stays below it is
-the price of not knowing the target, of wanting few moves, and of its own search. With --told it knows so many seconds
-at each moment only, and cares for nothing beyond.
+the price of not knowing the target, of wanting few moves, and of its own search. With --known it knows this many
+seconds at each moment only, and cares for nothing beyond.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ STEP_S, CELL_M, HALF_CELLS, HEADINGS = 2.0, 20.0, 28, 36
 NEAR_M, FAR_M, MARGIN_M = 100.0, 500.0, 5.0
 START_M, HORIZON_S = 300.0, 20.0
 OUTSIDE, OUTSIDE_PER_M = 20.0, 0.5
-ANEW = 3  # steps after which it is told anew
+AGAIN = 3  # steps after which the planner learns the future again
 
 
 @compiled
@@ -40,8 +40,8 @@ def _rates(course_rad: float, found: npt.NDArray[np.float32]) -> None:
             x_m, y_m = (i - HALF_CELLS) * CELL_M, (j - HALF_CELLS) * CELL_M
             range_m = math.hypot(x_m, y_m)
             out_m = max(NEAR_M + MARGIN_M - range_m, range_m - FAR_M + MARGIN_M)
-            beside_m = y_m * math.sin(course_rad) - x_m * math.cos(course_rad)
-            found[i, j] = min(max(0.5 - (beside_m - 0.5 * CELL_M) / CELL_M, 0.0), 1.0)
+            offset_m = y_m * math.sin(course_rad) - x_m * math.cos(course_rad)
+            found[i, j] = min(max(0.5 - (offset_m - 0.5 * CELL_M) / CELL_M, 0.0), 1.0)
             if out_m > 0.0:
                 found[i, j] += OUTSIDE + OUTSIDE_PER_M * out_m
 
@@ -114,7 +114,7 @@ def _flown(
 
 
 def bound(
-    target: RecordedTarget, airspeed_m_s: float, radius_m: float, told_s: float = math.inf
+    target: RecordedTarget, airspeed_m_s: float, radius_m: float, known_s: float = math.inf
 ) -> tuple[float, float, float]:
     """Return the shares of time on the left, by the course made good in 20 s, and in the band; the least range."""
     time_s = np.arange(0.0, min(target.duration_s, 1200.0), STEP_S)
@@ -130,33 +130,33 @@ def bound(
     chord_m = airspeed_m_s * STEP_S * np.sinc(0.5 * turned / math.pi)
     moves = np.stack([chord_m * np.sin(middle), chord_m * np.cos(middle)], axis=2)
     cells = 2 * HALF_CELLS + 1
-    told = round(min(told_s / STEP_S + 1.0, len(way)))
-    values = np.empty((told, HEADINGS, cells, cells), np.float32)
+    given = round(min(known_s / STEP_S + 1.0, len(way)))
+    values = np.empty((given, HEADINGS, cells, cells), np.float32)
     flown, course = np.empty((len(way), 2)), way[:, 2]
     x_m, y_m, heading = -START_M * math.cos(course[0]), START_M * math.sin(course[0]), 0
-    anew = ANEW if told < len(way) else len(way)
-    for first in range(0, len(way), anew):
-        known, to_go = way[first : first + told], values[: len(way) - first]
+    restarted = AGAIN if given < len(way) else len(way)
+    for first in range(0, len(way), restarted):
+        known, to_go = way[first : first + given], values[: len(way) - first]
         _to_go(known, moves, to_go)
-        x_m, y_m, heading = _flown(known, moves, to_go, x_m, y_m, heading, flown[first : first + anew])
+        x_m, y_m, heading = _flown(known, moves, to_go, x_m, y_m, heading, flown[first : first + restarted])
     range_m = np.hypot(*flown.T)
     left = flown[:, 1] * np.sin(course) - flown[:, 0] * np.cos(course) >= 0.0
     in_band = (range_m >= NEAR_M) & (range_m <= FAR_M)
     return float(left[known].mean()) if known.any() else math.nan, float(in_band.mean()), float(range_m.min())
 
 
-def told(
+def shown(
     folder: Path,
     airspeed_m_s: float,
     radius_m: float,
     speed_max_m_s: float,
     name: str = "",
     worst: int = 12,
-    told_s: float = math.inf,
+    known_s: float = math.inf,
 ) -> FloatArray:
     """Print and return the bounds (tracks, 3) of those whose names begin with name."""
     tracks = [one for one in recorded_targets([folder], speed_max_m_s).flown if one.name.startswith(name)]
-    found = np.array([bound(one, airspeed_m_s, radius_m, told_s) for one in tracks])
+    found = np.array([bound(one, airspeed_m_s, radius_m, known_s) for one in tracks])
     sides = found[:, 0]
     print(f"\n{len(tracks)} tracks: on side {np.nanmean(sides):.4f}, worst {np.nanmin(sides):.3f}; ", end="")
     print(f"in band {found[:, 1].mean():.4f}, least range {found[:, 2].min():.0f} m")
@@ -165,8 +165,8 @@ def told(
     return found
 
 
-def test_who_knows_the_way_is_always_on_the_side():
-    found = told(OWN, 12.0, 40.0, 5.0, worst=3)
+def test_whoever_knows_the_way_is_always_on_the_side():
+    found = shown(OWN, 12.0, 40.0, 5.0, worst=3)
     assert np.nanmean(found[:, 0]) > 0.99
     assert found[:, 1].min() > 0.999
 
@@ -178,10 +178,10 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=float, required=True)
     parser.add_argument("--name", default="", help="only tracks whose names begin with this")
     parser.add_argument("--worst", type=int, default=12)
-    parser.add_argument("--told", type=float, default=math.inf, help="seconds that are known ahead")
+    parser.add_argument("--known", type=float, default=math.inf, help="seconds that are known ahead")
     given = parser.parse_args()
     speed_max_m_s = given.target_speed_max
-    told(given.folder, given.airspeed, given.radius, speed_max_m_s, given.name, given.worst, given.told)
+    shown(given.folder, given.airspeed, given.radius, speed_max_m_s, given.name, given.worst, given.known)
 
 
 if __name__ == "__main__":

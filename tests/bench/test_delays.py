@@ -50,8 +50,8 @@ class _Observed(Tracker):
 
     seen: ClassVar[list[list[tuple[float, float, float]]]] = []
 
-    def __init__(self, told) -> None:
-        super().__init__(told)
+    def __init__(self, given) -> None:
+        super().__init__(given)
         self.seen.append([])
         self._log = self.seen[-1]
 
@@ -65,8 +65,8 @@ def fly(flown: StudySettings, gimbal_s: float, range_s: float, monkeypatch: pyte
     payload_of = closed_loop.payload_of
 
     def late(one: StudySettings):
-        errors, told = payload_of(one)
-        return replace(errors, gimbal_delay_s=gimbal_s, range_delay_s=range_s), told
+        errors, given = payload_of(one)
+        return replace(errors, gimbal_delay_s=gimbal_s, range_delay_s=range_s), given
 
     rows, table = [], table_of(flown)
     with monkeypatch.context() as patched:

@@ -1,6 +1,6 @@
 """How fast a study flies: python -m pytest -s tests/bench/test_engine.py.
 
-SIDELONG_OLD names another checkout, which is measured beside this one: turn about, in processes of their own, the
+SIDELONG_OLD names another checkout, which is measured next to this one: turn about, in processes of their own, the
 best of each, so that what else runs on the machine slows both alike.
 """
 

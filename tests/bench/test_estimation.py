@@ -1,13 +1,13 @@
 """The estimation against its limit, against Stone Soup, and against the clock: python -m pytest tests/bench -s.
 
-Every scene is flown on a circle of 80 m at 15 m/s that rides along 300 m beside the target and 120 m above it. Laser
+Every scene is flown on a circle of 80 m at 15 m/s that rides along 300 m next to the target and 120 m above it. Laser
 and gimbal measure at 10 Hz with 0.8 m and 0.35 degrees. Targets are drawn from exactly known models:
 
 straight      white acceleration of 0.03 m^2/s^3 about a constant velocity
 turning       the same about a turn of 3 to 11 degrees a second
 stop and go   drives as the straight one, stops at once, stands, is off at once with a new velocity, every 20 to 40 s
 
-The bound is the posterior Cramer-Rao bound of a filter that is told the model, for stop and go also the moments of
+The bound is the posterior Cramer-Rao bound of a filter that is given the model, for stop and go also the moments of
 stopping and starting (Tichavsky, Muravchik and Nehorai, IEEE Transactions on Signal Processing 46(5), 1998; the
 expectation is taken over the same seeds).
 """
@@ -115,7 +115,7 @@ SCENES: dict[str, Callable[[np.random.Generator, int], Target]] = {
 }
 
 
-def aircraft_beside(target: Target, phase_rad: float) -> np.ndarray:
+def aircraft_alongside(target: Target, phase_rad: float) -> np.ndarray:
     """Aircraft positions (n, 2)."""
     angle = phase_rad + np.arange(len(target.states)) * STEP_S * 15.0 / 80.0
     return target.states[:, :2] + (0.0, -300.0) + 80.0 * np.stack((np.sin(angle), np.cos(angle)), axis=1)
@@ -309,7 +309,7 @@ def test_error_against_the_bound_and_against_stone_soup():
     densities = (DENSITY, 0.3, 1.0)
     rivals = {f"Stone Soup EKF {density}": StoneSoup("ekf", density) for density in densities}
     rivals["Stone Soup UKF 1.0"] = StoneSoup("ukf", 1.0)
-    rivals["Stone Soup told of the turn"] = StoneSoup("ekf", DENSITY, TURN_DRIFT)
+    rivals["Stone Soup informed of the turn"] = StoneSoup("ekf", DENSITY, TURN_DRIFT)
     head = ["RMSE, m", "bound", "IMM", "IMM, 3 biases (/ its bound)", "EKF"]
     rows = [[*head, *rivals, "IMM / bound"]]
     ratio, best_rival, ours = {}, {}, {}
@@ -318,7 +318,7 @@ def test_error_against_the_bound_and_against_stone_soup():
         for seed in range(size(8, 1)):
             rng = np.random.default_rng(seed)
             target = draw(rng, 2000)
-            aircraft = aircraft_beside(target, rng.uniform(0, 2 * math.pi))
+            aircraft = aircraft_alongside(target, rng.uniform(0, 2 * math.pi))
             seen = sightings(rng, target, aircraft)
             prior = np.sqrt(np.diag(Biases.prior(CALIBRATING).covariance))
             biased = sightings(rng, target, aircraft, tuple(prior * rng.standard_normal(3)))
@@ -333,7 +333,7 @@ def test_error_against_the_bound_and_against_stone_soup():
             squares.setdefault("biased bound", []).append(bound_m2(target, aircraft, tuple(prior)).mean())
         error = {name: rms(values) for name, values in squares.items()}
         ratio[scene], ours[scene] = error["IMM"] / error["bound"], error["IMM"]
-        best_rival[scene] = min(error[name] for name in rivals if name != "Stone Soup told of the turn")
+        best_rival[scene] = min(error[name] for name in rivals if name != "Stone Soup informed of the turn")
         rows.append(
             [scene, f"{error['bound']:.3f}", f"**{error['IMM']:.3f}**"]
             + [f"{error['biased']:.2f} ({error['biased'] / error['biased bound']:.2f})"]
@@ -357,7 +357,7 @@ def test_the_ellipse_holds_what_it_promises():
         for seed in range(size(100, 2)):
             rng = np.random.default_rng(1000 + seed)
             target = draw(rng, 1200)
-            aircraft = aircraft_beside(target, rng.uniform(0, 2 * math.pi))
+            aircraft = aircraft_alongside(target, rng.uniform(0, 2 * math.pi))
             prior = np.sqrt(np.diag(Biases.prior(CALIBRATING).covariance))
             followed = follow(
                 CALIBRATING, sightings(rng, target, aircraft, tuple(prior * rng.standard_normal(3))), target
@@ -381,7 +381,7 @@ def test_a_stop_from_5_m_s_is_caught(braking_s):
         states[:, 2:] = speed[:, None] * (math.sin(course), math.cos(course))
         states[1:, :2] = np.cumsum(states[:-1, 2:] * STEP_S, axis=0)
         target = Target(states, [], np.zeros(600))
-        followed = follow(CALIBRATING, sightings(rng, target, aircraft_beside(target, rng.uniform(0, 6))), target)
+        followed = follow(CALIBRATING, sightings(rng, target, aircraft_alongside(target, rng.uniform(0, 6))), target)
         stop = int(np.argmax(speed == 0.0))
         slow = np.hypot(*followed.velocities[stop:].T) < 0.5
         took_s.append(int(np.argmax(slow)) * STEP_S if slow.any() else math.inf)
@@ -407,7 +407,7 @@ def test_outliers_and_drop_outs_never_lose_the_target():
         target = list(SCENES.values())[seed % 3](rng, 2000)
         prior = np.sqrt(np.diag(Biases.prior(CALIBRATING).covariance))
         seen = sightings(
-            rng, target, aircraft_beside(target, rng.uniform(0, 6)), tuple(prior * rng.standard_normal(3))
+            rng, target, aircraft_alongside(target, rng.uniform(0, 6)), tuple(prior * rng.standard_normal(3))
         )
         track, visible_since, hidden_until, off = Track(CALIBRATING), 0, 0, 0
         far = [0.0]
@@ -502,7 +502,7 @@ def test_updates_per_second():
     pytest.importorskip("stonesoup")
     rng = np.random.default_rng(0)
     target = wandering(rng, 1500)
-    seen = sightings(rng, target, aircraft_beside(target, 0.0))
+    seen = sightings(rng, target, aircraft_alongside(target, 0.0))
     contestants: dict[str, Callable[[list[Sighting]], object]] = {
         "EKF": through_track(replace(PLAIN, filter="ekf")),
         "EKF, 3 biases": through_track(replace(CALIBRATING, filter="ekf")),

@@ -1,4 +1,4 @@
-"""Plan changes over bad links: how many are told as they are flown, and flights over UDP repeated to the last bit.
+"""Plan changes over bad links: how many are reported as flown, and flights over UDP repeated to the last bit.
 
 python -m pytest tests/bench/test_exchange.py -s; CHANGES=200 and FLIGHTS=20 set how many. More of the rules of
 tests/exchange/test_rules.py: EXAMPLES=500 STEPS=20 python -m pytest tests/exchange/test_rules.py.
@@ -28,7 +28,7 @@ HARNESS = Path(__file__).parents[1] / "exchange" / "conftest.py"
 
 @pytest.fixture(scope="module")
 def harness():
-    """Return the flights of tests/exchange, on one clock that waits for nobody."""
+    """Return the flights of tests/exchange, on one clock that waits for no one."""
     spec = importlib.util.spec_from_file_location("exchange_harness", HARNESS)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -40,8 +40,8 @@ def harness():
     ("loss", "duplicate", "delay_s"),
     [(0.0, 0.0, 0.01), (0.05, 0.05, 0.1), (0.05, 0.0, 1.0), (0.05, 0.0, 0.025), (0.2, 0.0, 0.025)],
 )
-def test_plan_changes_are_told_as_they_are_flown(harness, flavour, loss, duplicate, delay_s):
-    activated, told, late, yields, uploads, seed = 0, Counter(), 0, 0, Counter(), 0
+def test_plan_changes_are_reported_as_they_are_flown(harness, flavour, loss, duplicate, delay_s):
+    activated, announced, late, yields, uploads, seed = 0, Counter(), 0, 0, Counter(), 0
     took_s: list[float] = []
     while activated < CHANGES:
         seed += 1
@@ -54,7 +54,7 @@ def test_plan_changes_are_told_as_they_are_flown(harness, flavour, loss, duplica
         numbers = {one.number for one in flight.found(ActivatePlan) if one.time_s < end_s}
         statuses = flight.found(PlanStatus)
         activated += len(numbers)
-        told.update(one.stage for one in statuses if one.number in numbers)
+        announced.update(one.stage for one in statuses if one.number in numbers)
         uploads.update(one.stage for one in statuses if one.number not in numbers or one.stage == "ready")
         yields += len(flight.found(Yield))
         took_s += durations_s(flight)
@@ -63,11 +63,11 @@ def test_plan_changes_are_told_as_they_are_flown(harness, flavour, loss, duplica
         late += len(failed & {one.number for one in statuses if one.stage == "departed"})
     print(
         f"\n{flavour:9} loss {loss:4.0%} delay {delay_s:5.3f} s each way: {activated} plans activated, "
-        f"{told['departed']} told as flown ({told['unconfirmed']} asked about, {late} late), "
+        f"{announced['departed']} reported as flown ({announced['unconfirmed']} asked about, {late} late), "
         f"{uploads['ready']} uploads of {uploads['ready'] + uploads['failed']}, {uploads['too late']} too late, "
         f"median {statistics.median(took_s):.2f} s, most {max(took_s):.2f} s, {yields} yields"
     )
-    assert told["departed"] == activated
+    assert announced["departed"] == activated
     assert yields == 0
 
 

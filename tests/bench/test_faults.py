@@ -19,15 +19,15 @@ from tests.faults.test_readers import NAMES
 def test_a_million_damaged_files():
     inputs, campaign = map(int, os.environ.get("SIDELONG_FAULTS", f"{size(1_000_000, 20)},1").split(","))
     begun_s = time.monotonic()
-    told = 0
+    announced = 0
 
-    def tell(share: float, wrong: int) -> None:
-        nonlocal told
-        if int(50 * share) > told:
-            told = int(50 * share)
+    def announce(share: float, wrong: int) -> None:
+        nonlocal announced
+        if int(50 * share) > announced:
+            announced = int(50 * share)
             print(f"{share * inputs:.0f} inputs, {wrong} wrong", flush=True)
 
-    counts = run(-(-inputs // len(NAMES)), campaign, processes=os.cpu_count() or 2, progress=tell)
+    counts = run(-(-inputs // len(NAMES)), campaign, processes=os.cpu_count() or 2, progress=announce)
     print(f"\n{'reader':18}{'inputs':>9}{'wrong':>7}{'slowest, s of CPU':>19}")
     for count in counts:
         print(f"{count.reader:18}{count.inputs:9}{count.wrong:7}{count.slowest_s:19.2f}")

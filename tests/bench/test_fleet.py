@@ -34,7 +34,7 @@ DURATION_S = float(os.environ.get("DURATION", "1200"))
 REQUIREMENT = load_config(None).requirement.requirement()
 _LEAST_M, _STEP_S = 50.0, 0.1
 _SAME_TARGET_M = 10.0  # the two of a fair flight see the target no farther apart
-_CLOCKS_EVERY_S, _TOLD_BY_M = 30.0, 15.0  # two clocks are compared where the target goes that far meanwhile
+_CLOCKS_EVERY_S, _DISTINCT_BY_M = 30.0, 15.0  # two clocks are compared where the target goes that far in the meantime
 
 FLEET = """
 [[aircraft]]
@@ -70,16 +70,18 @@ class World:
             stdout=subprocess.PIPE,
             text=True,
         )
-        said = self._process.stdout
-        assert said is not None
+        output = self._process.stdout
+        assert output is not None
         if own:
-            urls = list(itertools.islice((found[1] for line in said if (found := re.match('url = "(.*)"', line))), 2))
+            urls = list(
+                itertools.islice((found[1] for line in output if (found := re.match('url = "(.*)"', line))), 2)
+            )
             stock = ["airspeed_m_s = {}\nradius_m = {}\nbank_max_deg = {}".format(*AIRCRAFT[one]) for one in AIRCRAFT]
         else:
-            assert said.readline().startswith("ready")
+            assert output.readline().startswith("ready")
             urls, stock = [f"udpin://127.0.0.1:{port}" for port in ports], ["", ""]
-        told = [word for pair in zip(urls, stock, strict=True) for word in pair]
-        self.fleet_file.write_text(FLEET.format(*told), encoding="utf-8")
+        printed = [word for pair in zip(urls, stock, strict=True) for word in pair]
+        self.fleet_file.write_text(FLEET.format(*printed), encoding="utf-8")
 
     def end(self) -> None:
         self._process.terminate()
@@ -132,7 +134,7 @@ def world(tmp_path, request):
 
 
 def on_clock_of(one: Truth, other: Truth, times_s: np.ndarray) -> np.ndarray:
-    """Return what times the other's clock told at times of the one's: when each had the target at the same place.
+    """Return what times the other's clock reported at times of the one's: when each had the target at the same place.
 
     Programs of one's own count from their own starts, and fall behind the clock by a little all the time. Fails where
     they have the target at two places whatever their clocks.
@@ -147,7 +149,7 @@ def on_clock_of(one: Truth, other: Truth, times_s: np.ndarray) -> np.ndarray:
     for begin_s in np.arange(times_s[0], min(times_s[-1], one.time_s[-1]) - _CLOCKS_EVERY_S, _CLOCKS_EVERY_S):
         at_s = np.arange(begin_s, begin_s + _CLOCKS_EVERY_S, 1.0)
         seen_m = target_m(one, at_s)
-        if np.ptp(seen_m, axis=0).max() < _TOLD_BY_M:
+        if np.ptp(seen_m, axis=0).max() < _DISTINCT_BY_M:
             continue  # it stands, at whatever time
         apart_m = {s: float(np.abs(target_m(other, at_s + s) - seen_m).max()) for s in np.arange(-60.0, 60.0, 0.25)}
         ahead_s = min(apart_m, key=apart_m.__getitem__)
@@ -158,7 +160,7 @@ def on_clock_of(one: Truth, other: Truth, times_s: np.ndarray) -> np.ndarray:
 
 
 def judged(world: World, begin_s: float, end_s: float) -> tuple[float, float, float]:
-    """Return the share of time on the wanted side by at least one, the longest time without, and the separation.
+    """Return the share of time on the required side by at least one, the longest time without, and the separation.
 
     Times are those of the first one's clock.
     """
@@ -168,7 +170,7 @@ def judged(world: World, begin_s: float, end_s: float) -> tuple[float, float, fl
     for path, truth in zip(world.truths, truths, strict=True):
         own_s = on_clock_of(truths[0], truth, times_s) if world.own and truth is not truths[0] else times_s
         found = judge_moments(truth.at_each(own_s, plane), [(-math.inf, REQUIREMENT)])
-        flags = np.zeros(len(own_s), bool)  # nothing is known of one that is lost
+        flags = np.zeros(len(own_s), bool)  # nothing is known of one which is lost
         flags[np.searchsorted(own_s, found.time_s)] = found.on_side
         on_side.append(flags)
         rows = np.genfromtxt(path, delimiter=",", names=True, usecols=("time_boot_s", "uav_relative_alt_m"))
@@ -183,10 +185,10 @@ def judged(world: World, begin_s: float, end_s: float) -> tuple[float, float, fl
     return float(any_side.mean()), longest_s, float(np.nanmin(np.linalg.norm(places[0] - places[1], axis=1)))
 
 
-def told(world: World, name: str, begin_s: float, end_s: float) -> tuple[float, float]:
+def printed(world: World, name: str, begin_s: float, end_s: float) -> tuple[float, float]:
     share, longest_s, separation_m = judged(world, begin_s, end_s)
     print(
-        f"\n{name}, {end_s - begin_s:.0f} s at {SPEED:g} x, seed {SEED}: wanted side by at least one "
+        f"\n{name}, {end_s - begin_s:.0f} s at {SPEED:g} x, seed {SEED}: required side by at least one "
         f"{100.0 * share:.2f} %, longest without {longest_s:.1f} s, separation {separation_m:.0f} m"
     )
     return share, separation_m
@@ -207,8 +209,8 @@ def test_the_program_is_killed_half_way_and_takes_both_over_again(world):
     second.wait_for("circling: the target is watched", 2)
     print(f"\nboth taken over again {flown.time_s - killed_s:.1f} s of the vehicles' time after the kill")
     assert second.process.wait() == 0, second.log.read_text()
-    told(flown, "from when both watched", both_s, begin_s + DURATION_S)
-    share, separation_m = told(flown, "killed half-way", begin_s, begin_s + DURATION_S)
+    printed(flown, "from when both watched", both_s, begin_s + DURATION_S)
+    share, separation_m = printed(flown, "killed half-way", begin_s, begin_s + DURATION_S)
     assert separation_m >= _LEAST_M
     assert share >= 0.9, "the goal is 0.99"
     summary = json.loads((flown.folder / "summary.json").read_text())
@@ -230,8 +232,8 @@ def test_one_aircraft_is_lost_half_way_and_the_other_closes_the_gap(world):
     print(f"\ntold as out {flown.time_s - lost_s:.1f} s of the vehicles' time after it was lost")
     flown.wait_until(lost_s + 60.0)
     assert only.process.wait() == 0, only.log.read_text()
-    _, separation_m = told(flown, "before one was lost", begin_s, lost_s)
-    told(flown, "after it", lost_s, flown.time_s - 5.0)
+    _, separation_m = printed(flown, "before one was lost", begin_s, lost_s)
+    printed(flown, "after it", lost_s, flown.time_s - 5.0)
     share, longest_s, _ = judged(flown, lost_s + 60.0, flown.time_s - 5.0)
-    print(f"from 60 s after it: {100.0 * share:.2f} % by the one that is left, longest without {longest_s:.1f} s")
+    print(f"from 60 s after it: {100.0 * share:.2f} % by the remaining one, longest without {longest_s:.1f} s")
     assert separation_m >= _LEAST_M

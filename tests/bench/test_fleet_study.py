@@ -1,7 +1,7 @@
-"""Several aircraft on one target: python -m pytest tests/bench/test_fleet_study.py -s; RUNS=200 for so many targets.
+"""Several aircraft on one target: python -m pytest tests/bench/test_fleet_study.py -s; RUNS: number of targets.
 
-How much of the time one of two watches from the wanted side, beside laws that hold phases, and on recorded targets
-beside one aircraft alone (TARGETS=DIR DRAWS=3: one's own, with so many draws of noise); what the loss of one costs;
+How much of the time one of two watches from the required side, next to laws that hold phases, and on recorded targets
+next to one aircraft alone (TARGETS=DIR DRAWS=3: one's own, with 3 draws of noise); what the loss of one costs;
 and what the decisions of four aircraft on two targets take.
 """
 
@@ -61,7 +61,7 @@ def table(settings: StudySettings) -> ValueTable:
     return value_table(table_configuration(settings.aircraft(), settings.requirement()))
 
 
-def test_one_of_two_watches_from_the_wanted_side(settings, table):
+def test_one_of_two_watches_from_the_required_side(settings, table):
     study = fly_fleets(settings, table, None, lambda _runs: None)
     Console().print(fleet_table(study))
     joint = study.runs[FleetPlannerName.JOINT]
@@ -70,7 +70,7 @@ def test_one_of_two_watches_from_the_wanted_side(settings, table):
     assert np.mean([run.in_ellipse for run in joint]) > 0.9
 
 
-def test_two_beside_recorded_targets_and_one_alone():
+def test_two_next_to_recorded_targets_and_one_alone():
     off_alone, off_both = [], []
     for airspeed_m_s, radius_m, speed_max_m_s in CLASSES:
         tracks = recorded_targets([TARGETS], speed_max_m_s).flown
@@ -104,7 +104,7 @@ def test_two_beside_recorded_targets_and_one_alone():
 
 
 def regained_s(run: FleetResult, loss: Loss, for_s: float = 0.1) -> float:
-    """Return how long after a loss the other one is on the wanted side, the left one, and stays for ``for_s``.
+    """Return how long after a loss the other one is on the required side, the left one, and stays for ``for_s``.
 
     NaN for a target that has not moved by then: it has no side.
     """
@@ -171,11 +171,11 @@ def test_decisions_of_four_on_two_targets(settings, table):
             level_m = math.hypot(off_m, state.north_m)
             measured = math.hypot(level_m, 100.0), math.atan2(off_m, -state.north_m), math.atan2(100.0, level_m)
             seen = Sighting(float(k), *measured, 0.8, 0.006, 0.006, state.east_m, state.north_m, 100.0)
-            told: list[FleetEvent] = [
+            announced: list[FleetEvent] = [
                 SightingReported(name, seen),
                 VehicleReported(name, float(k), state, 100.0 + 60.0 * "abcd".index(name), watching=True),
             ]
-            for event in told:
+            for event in announced:
                 coordinator.step(event)
         spent_s -= process_time()
         commands = coordinator.step(Tick(k + 0.5))

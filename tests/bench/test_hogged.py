@@ -1,7 +1,7 @@
-"""Plan changes while other processes hog the processor: how many are told as flown.
+"""Plan changes while other processes hog the processor: how many are reported as flown.
 
 python -m pytest tests/bench/test_hogged.py -s; CHANGES=200 of each autopilot take about ten minutes, at SPEED=4 times
-the clock, beside HOGS=2 processes that do nothing but count. The simulation does not wait for the program here.
+the clock, next to HOGS=2 processes that do nothing but count. The simulation does not wait for the program here.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FLIGHT_S = int(os.environ.get("FLIGHT_S", "900"))
 
 @pytest.fixture
 def hogged():
-    """Keep the processor busy meanwhile."""
+    """Keep the processor busy in the meantime."""
     hogs = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(HOGS)]
     yield
     for hog in hogs:
@@ -38,24 +38,24 @@ def hogged():
 
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])
-def test_plan_changes_at_a_hogged_processor_are_told_as_they_are_flown(hogged, tmp_path, flavour):
-    told, activated, open_at_the_end, reasons, flights = Counter(), 0, 0, [], 0
+def test_plan_changes_at_a_hogged_processor_are_reported_as_they_are_flown(hogged, tmp_path, flavour):
+    announced, activated, open_at_the_end, reasons, flights = Counter(), 0, 0, [], 0
     while activated < CHANGES:
         flights += 1
         events = list(flown(flavour, flights, tmp_path / str(flights)))
         numbers = [one.number for one in events if isinstance(one, ActivatePlan)]
         departed = {one.number for one in events if isinstance(one, PlanStatus) and one.stage == "departed"}
-        told.update(one.stage for one in events if isinstance(one, PlanStatus) and one.number in numbers)
+        announced.update(one.stage for one in events if isinstance(one, PlanStatus) and one.number in numbers)
         open_at_the_end += bool(numbers) and numbers[-1] not in departed  # the flight's time was over
         activated += len(numbers)
         reasons += [one.reason for one in events if isinstance(one, Yield)]
     print(
         f"\n{flavour:9} {HOGS} hogs, load {os.getloadavg()[0]:.1f}, {SPEED} x: {flights} flights, {activated} plans "
-        f"activated, {told['departed']} told as flown ({told['unconfirmed']} asked about, {told['failed']} at first "
-        f"told as not taken, {open_at_the_end} open at the end), yields: {reasons}"
+        f"activated, {announced['departed']} announced as flown ({announced['unconfirmed']} asked about, "
+        f"{announced['failed']} at first refused, {open_at_the_end} open at the end), yields: {reasons}"
     )
     assert not reasons
-    assert told["departed"] + open_at_the_end >= activated
+    assert announced["departed"] + open_at_the_end >= activated
 
 
 def flown(flavour, seed, out):

@@ -25,13 +25,13 @@ def test_a_hundred_interrupts(tmp_path):
 
     with ThreadPoolExecutor(2) as pool:
         ends = list(pool.map(interrupted, range(count)))
-    told: dict[str, int] = {}
+    announced: dict[str, int] = {}
     for interruption, sentence, wrong in ends:
-        told[sentence] = told.get(sentence, 0) + 1
+        announced[sentence] = announced.get(sentence, 0) + 1
         if wrong:
             print(f"\n{interruption}: {wrong}")
     print()
-    for sentence, times in sorted(told.items(), key=lambda one: -one[1]):
+    for sentence, times in sorted(announced.items(), key=lambda one: -one[1]):
         print(f"{times:4}  {sentence}")
     right = sum(not wrong for _, _, wrong in ends)
     print(f"{right} of {count} ended with the right sentence and code, and whole records")

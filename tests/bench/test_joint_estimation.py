@@ -1,6 +1,6 @@
 """The estimate of several aircraft against its limit: python -m pytest tests/bench/test_joint_estimation.py -s.
 
-RUNS=100 for so many flights: all moments of one share its constant errors, so that few tell little.
+RUNS=100 for this many flights: all moments of one share its constant errors, so that few mean little.
 
 Each aircraft circles (80 m, 15 m/s) at 300 m from a target that moves by an exactly known model, at an angle of its
 own; laser and gimbal measure at 10 Hz with 0.8 m and 0.35 degrees, and have constant errors of 0.5 m and 0.5 degrees
@@ -47,7 +47,7 @@ class Flown:
 
 
 def circling(target: Target, angle_rad: float, phase_rad: float) -> np.ndarray:
-    """Places (n, 2) of an aircraft that circles beside the target, at an angle from north."""
+    """Places (n, 2) of an aircraft that circles next to the target, at an angle from north."""
     angle = phase_rad + np.arange(len(target.states)) * STEP_S * SPEED_M_S / RADIUS_M
     middle = RANGE_M * np.array([math.sin(angle_rad), math.cos(angle_rad)])
     return target.states[:, :2] + middle + RADIUS_M * np.stack((np.sin(angle), np.cos(angle)), axis=1)
@@ -77,7 +77,7 @@ def bound_m2(target: Target, aircraft: list[np.ndarray]) -> np.ndarray:
 
 
 def fly(seed: int, angles_rad: tuple[float, ...], steps: int, ahead_s: float = 0.0) -> Flown:
-    """Fly one target. ahead_s: of the last aircraft's clock, which the track is told to one sigma."""
+    """Fly one target. ahead_s: of the last aircraft's clock, which the track is ordered to one sigma."""
     rng = np.random.default_rng(seed)
     target = wandering(rng, steps)
     aircraft = [circling(target, angle, rng.uniform(0, 2 * math.pi)) for angle in angles_rad]
@@ -106,7 +106,7 @@ def summed(flights: list[Flown], settled: slice) -> tuple[float, float, float]:
 
 
 def test_error_of_two_against_the_bound():
-    """At whatever angle between them, the error is the same: two base lines tell each payload's errors."""
+    """At whatever angle between them, the error is the same: two base lines report each payload's errors."""
     for apart_deg in (None, 30, 90, 150, 180):
         angles = (math.pi,) if apart_deg is None else (math.pi, math.pi + math.radians(apart_deg))
         rmse, bound, inside = summed([fly(seed, angles, 2000) for seed in range(RUNS)], slice(1000, None))

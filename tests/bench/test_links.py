@@ -34,7 +34,7 @@ FRAMES_PER_S = 1500
 FAR_M = 10_000.0
 RADIO = ("--baud", "57600", "--loss", "0.05", "--delay-ms", "75")  # each way
 ROOT = Path(__file__).parents[2]
-MANUAL = {"arduplane": (3, 0), "px4": (12, 1 << 16)}  # as a heartbeat tells it: autopilot, custom mode
+MANUAL = {"arduplane": (3, 0), "px4": (12, 1 << 16)}  # as a heartbeat reports it: autopilot, custom mode
 
 
 def flown(folder, flavour, sitl=(), launch=(), on_watching=lambda _port: None):
@@ -74,7 +74,7 @@ def flown(folder, flavour, sitl=(), launch=(), on_watching=lambda _port: None):
 
 
 def attacker(flavour, secret, link_id, behind_s):
-    """Yield frames that would end the flight if they were believed; secret None: unsigned."""
+    """Yield frames that would end the flight if they were accepted; secret None: unsigned."""
     mav = mavlink.MAVLink(None, 1, 1)
     mav.signing.secret_key, mav.signing.link_id, mav.signing.sign_outgoing = secret, link_id, secret is not None
     autopilot, mode = MANUAL[flavour]

@@ -1,4 +1,4 @@
-"""Payload drivers: damaged bytes by the million, and flights with each payload beside the same by MAVLink."""
+"""Payload drivers: damaged bytes by the million, and flights with each payload next to the same by MAVLink."""
 
 from __future__ import annotations
 

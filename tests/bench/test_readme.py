@@ -96,7 +96,7 @@ def _with_what_it_names(command: str, folder: Path, stack: contextlib.ExitStack)
     ):
         text = text.replace(word, real)
     if "tak.example.org" in text:
-        text = text.replace("tls://tak.example.org:8089", f"tls://127.0.0.1:{_free_port()}")  # nobody there: told
+        text = text.replace("tls://tak.example.org:8089", f"tls://127.0.0.1:{_free_port()}")  # no one there: reported
     if "HOST:8786" in text:
         text = text.replace("HOST:8786", f"127.0.0.1:{_cluster(folder, stack)}")
     if "beacon" in text:
@@ -178,7 +178,7 @@ def _done(words: list[str], folder: Path) -> str:
 
 
 def _for_a_while(words: list[str], folder: Path) -> str:
-    """Let what does not end by itself run, and interrupt it."""
+    """Let what does not end on its own run, and interrupt it."""
     with _running([SIDELONG, *words], folder) as process:
         time.sleep(8.0)
         assert process.poll() is None, process.stdout.read() if process.stdout else ""

@@ -1,11 +1,11 @@
-"""Your own SITL programs beside recorded targets, each flight beside the study of what its target did.
+"""Your own SITL programs next to recorded targets, each flight next to the study of what its target did.
 
     export SIDELONG_ARDUPLANE=PATH SIDELONG_PX4=PATH SIDELONG_TARGETS=FOLDER
     python -m pytest tests/bench/test_real_flights.py -s
 
 FOLDER holds tracks of 22 minutes and more as ``sidelong study --targets`` takes them, and they are played smoothed as
 there: what a receiver of one point a second adds is no motion. Twenty minutes each, ArduPlane in a wind of 4 m/s,
-RATE=4 times as fast as the clock: the programs do not wait for anybody, so the machine has to keep up. A flight is
+RATE=4 times as fast as the clock: the programs do not wait for anyone, so the machine has to keep up. A flight is
 judged from a minute after it was taken over, when it has come from home; the target waits for a PX4 to come up. The
 study flies the very piece of track that the flight watched, DRAWS times, with the same aircraft; both are judged
 alike. ``-k px4-mission`` flies a part; RECORDS=FOLDER keeps the records.
@@ -39,7 +39,7 @@ from tests.autopilot.real_vehicle import FLAVOURS, ROOT, RealVehicle, configured
 RATE, DRAWS = float(os.environ.get("RATE", "4")), 5
 DURATION_S = float(os.environ.get("DURATION", "1200"))
 WIND_FROM_DEG = 270.0  # as the study's
-COMING_S = 60.0  # from the circle at home: a study begins beside the target
+COMING_S = 60.0  # from the circle at home: a study begins next to the target
 SIDE_MAX, MOVES_MAX, BAND_MIN, RANGE_MIN_M = 0.05, 1.5, 0.995, 95.0
 TARGETS = sorted(Path(os.environ.get("SIDELONG_TARGETS", "-")).glob("*.csv"))
 # A cyclist would be out of sight before the simulated PX4, which circles at home until it climbs, has come.
@@ -67,7 +67,7 @@ class Watched:
 @pytest.mark.parametrize("target", TARGETS, ids=lambda path: path.stem)
 @pytest.mark.parametrize("guidance", ["mission", "command"])
 @pytest.mark.parametrize("flavour", FLAVOURS)
-def test_a_flight_is_as_its_study_foretells(flavour, guidance, target, tmp_path, record_property):
+def test_a_flight_is_as_its_study_predicts(flavour, guidance, target, tmp_path, record_property):
     played = tmp_path / "target.csv"
     vehicle = RealVehicle(flavour, *simulated(flavour, played, tmp_path / "truth.csv"))
     requirement = f"[requirement]\ntarget_speed_max_m_s = {TARGET_SPEED_MAX_M_S[flavour]}\n"
@@ -114,7 +114,7 @@ def simulated(flavour: str, target: Path, truth: Path) -> list[object]:
 
 def flown(vehicle: RealVehicle, guidance: str, folder: Path) -> Path:
     """Fly, and return the folder of the run."""
-    with vehicle, (folder / "said.txt").open("w") as said:
+    with vehicle, (folder / "reported.txt").open("w") as announced:
         command = [
             sys.executable,
             "-m",
@@ -125,8 +125,8 @@ def flown(vehicle: RealVehicle, guidance: str, folder: Path) -> Path:
             vehicle.urls[0],
         ]
         command += ["--guidance", guidance, "--duration", DURATION_S, "--out", folder / "runs"]
-        done = subprocess.run(list(map(str, command)), stdout=said, stderr=said, cwd=ROOT, check=False)
-    assert done.returncode == 0, (folder / "said.txt").read_text()[-2000:]
+        done = subprocess.run(list(map(str, command)), stdout=announced, stderr=announced, cwd=ROOT, check=False)
+    assert done.returncode == 0, (folder / "reported.txt").read_text()[-2000:]
     (run,) = (folder / "runs").iterdir()
     assert json.loads((run / "summary.json").read_text())["outcome"] == "completed"
     return run

@@ -2,9 +2,9 @@
 
 SIDELONG_ARDUPLANE=PATH SIDELONG_PX4=PATH python -m pytest tests/bench/test_real_links.py -s -k NAME
 
-``signed`` flies 20 minutes with and without, ``swap`` plans anew every few seconds over 50 ms with 5 and 20 % lost,
+``signed`` flies 20 minutes with and without, ``swap`` plans again every few seconds over 50 ms with 5 and 20 % lost,
 ``restart`` and ``radio`` are over 57,600 baud, 5 %, 150 ms, ``cut`` cuts one of two links CUTS=50 times. All at the
-speed of the clock but ``signed`` (SPEED=4): five to twenty minutes each, and may be flown beside each other.
+speed of the clock but ``signed`` (SPEED=4): five to twenty minutes each, and may be flown next to each other.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def test_signed_as_unsigned(tmp_path, flavour):
 
 
 def signed_up(key, *arguments):
-    """Return what ``sidelong sign`` says."""
+    """Return what ``sidelong sign`` reports."""
     command = [sys.executable, "-m", "sidelong.app", "sign", str(key)]
     command += ["--connect", *arguments, "--timeout", "60"] if arguments else []
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
@@ -99,8 +99,8 @@ def test_swap_over_a_lossy_link(tmp_path, flavour, loss):
         command = [sys.executable, "-m", "tests.bench.wandering", "launch", config, "--connect", relay.url]
         command += ["--duration", SWAPS_S, "--out", tmp_path / "runs"]
         done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False, cwd=ROOT)
-    said = done.stdout + done.stderr
-    assert done.returncode == 0, said
+    announced = done.stdout + done.stderr
+    assert done.returncode == 0, announced
     summary, events = recorded(tmp_path / "runs")
     begun_s, stages = {}, {}
     took_s = []
@@ -117,9 +117,9 @@ def test_swap_over_a_lossy_link(tmp_path, flavour, loss):
     unflown = [number for number in sorted(activated) if "departed" not in stages.get(number, [])]
     took_s.sort()
     print(
-        f"\n{flavour:9} loss {loss:.0%}, load {os.getloadavg()[0]:.1f}: {len(activated)} plans activated, not told "
-        f"as flown {unflown}, {len(took_s)} uploads: median {statistics.median(took_s):.2f} s, the longest "
-        f"{[round(one, 2) for one in took_s[-5:]]} s, too late {said.count('too late')}, "
+        f"\n{flavour:9} loss {loss:.0%}, load {os.getloadavg()[0]:.1f}: {len(activated)} plans activated, not "
+        f"reported as flown {unflown}, {len(took_s)} uploads: median {statistics.median(took_s):.2f} s, the longest "
+        f"{[round(one, 2) for one in took_s[-5:]]} s, too late {announced.count('too late')}, "
         f"failed {summary['upload_failures']}"
     )
     assert not [one for one in events if isinstance(one, Yield)]
@@ -170,9 +170,9 @@ def test_one_of_two_links_is_cut(tmp_path, flavour):
         command = [sys.executable, "-u", "-m", "sidelong.app", "launch", config, "--out", out]
         command += ["--connect", first.url, "--connect", second.url]
         flight = subprocess.Popen(list(map(str, command)), cwd=ROOT, stdout=subprocess.PIPE, text=True)
-        said = []
+        announced = []
         for line in flight.stdout:
-            said.append(line)
+            announced.append(line)
             if "watched from now on" in line:
                 break
         for number in range(CUTS):
@@ -182,14 +182,14 @@ def test_one_of_two_links_is_cut(tmp_path, flavour):
             relay.cut = False
             time.sleep(2.0)
         flight.terminate()
-        said.append(flight.communicate()[0])
-    text = "".join(said)
+        announced.append(flight.communicate()[0])
+    text = "".join(announced)
     summary, events = recorded(out)
     activated = {one.number for one in events if isinstance(one, ActivatePlan)}
     departed = {one.number for one in events if isinstance(one, PlanStatus) and one.stage == "departed"}
     print(
         f"\n{flavour:9} load {os.getloadavg()[0]:.1f}: {CUTS} cuts, {text.count('is bad: using')} changes of link, "
-        f"{len(activated)} plans activated, {len(activated & departed)} told as flown, "
+        f"{len(activated)} plans activated, {len(activated & departed)} reported as flown, "
         f"{text.count('too late')} too late\n{summary}"
     )
     assert not [one for one in events if isinstance(one, Yield)]

@@ -3,10 +3,10 @@
     python tests/bench/test_real_targets.py FOLDER [--kind KIND] [--biases drawn] [--draws N] [--worst N]
     python -m pytest -s tests/bench/test_real_targets.py
 
-FOLDER holds tracks as ``sidelong study --targets`` takes them; a track's kind is told by ``manifest.csv`` (columns
+FOLDER holds tracks as ``sidelong study --targets`` takes them; a track's kind is in ``manifest.csv`` (columns
 file, kind) or by its name. The aircraft flies circles of 80 m, 300 m south of the target and 100 m above it; laser
 and gimbal measure at 10 Hz with 0.8 m, 0.35 degrees and a yaw error of 0.4 degrees that the filter has to find, or
-with three errors drawn as large as the filter is told: only then can the pooled share be what the ellipse promises,
+with three errors drawn as large as the filter assumes: only then can the pooled share be what the ellipse promises,
 while single tracks depend on what was drawn for them. The first 5 s are not judged.
 """
 
@@ -90,8 +90,8 @@ def followed(target: RecordedTarget, kind: str, settings: TrackerSettings, draw:
         track.add(sighting)
         estimate = track.estimate(sighting.time_s)
         assert estimate is not None
-        told = estimate.east_m, estimate.north_m, estimate.velocity_east_m_s, estimate.velocity_north_m_s
-        errors[k] = np.array(told) - truth[k]
+        given = estimate.east_m, estimate.north_m, estimate.velocity_east_m_s, estimate.velocity_north_m_s
+        errors[k] = np.array(given) - truth[k]
         nees[k] = errors[k, :2] @ np.linalg.solve(estimate.covariance[:2, :2], errors[k, :2])
     errors, nees = errors[skipped:], nees[skipped:]
     square = errors**2
@@ -111,9 +111,9 @@ def measured(
     folder: Path, settings: dict[str, TrackerSettings], draws: int, speed_max_m_s: float, drawn: bool
 ) -> Iterator[Held]:
     """settings: by kind, or under ``""`` for all; drawn: see :func:`sightings`."""
-    told = kinds_of(folder)
+    given = kinds_of(folder)
     for target in recorded_targets([folder], speed_max_m_s).flown:
-        name = told.get(target.name, target.name.partition("_")[0])
+        name = given.get(target.name, target.name.partition("_")[0])
         kind = KINDS.get(name, "unknown")
         for draw in range(draws):
             yield followed(target, kind, settings.get(kind, settings.get("", TrackerSettings())), draw, drawn)
@@ -149,7 +149,7 @@ def test_the_ellipse_holds_recorded_movers():
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--kind", help="tell the filter this kind of target, 'own': each track its own")
+    parser.add_argument("--kind", help="configure the filter for this kind of target, 'own': each track its own")
     parser.add_argument("--biases", choices=("fixed", "drawn"), default="fixed", help="the payload's errors")
     parser.add_argument("--draws", type=int, default=1)
     parser.add_argument("--speed-max", type=float, default=14.0, help="skip tracks faster than this, m/s")

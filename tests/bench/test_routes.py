@@ -4,7 +4,7 @@
     python -m pytest -s tests/bench/test_routes.py
 
 Modes: none; own (the track's path simplified to 5 m and displaced by 3 to 8 m, speeds and stops unknown); reversed,
-shifted (by 60 m) and other (that of another track) are wrong; beside (NAME.route.csv next to each track). departures:
+shifted (by 60 m) and other (that of another track) are wrong; next to (NAME.route.csv next to each track). departures:
 the target follows its route and leaves it at a random moment; the rest of its path is turned by 30 to 150 degrees.
 """
 
@@ -58,7 +58,7 @@ def settings_of(one: AircraftClass, tracks: tuple[RecordedTarget, ...], draws: i
 
 
 def targets_in(folder: Path, one: AircraftClass, every: int = 1) -> tuple[RecordedTarget, ...]:
-    return recorded_targets([folder], one.target_speed_max_m_s, route_beside).flown[::every]
+    return recorded_targets([folder], one.target_speed_max_m_s, route_next_to).flown[::every]
 
 
 def _shifted(route: Route, by_m: float, towards_rad: float) -> Route:

@@ -1,6 +1,6 @@
 """Large studies and a flight's own share of a core: python -m pytest -s tests/bench/test_scale.py -k NAME.
 
-Other programs slow the wall time down; so the processor time of every process is told beside it.
+Other programs slow the wall time down; so the processor time of every process is reported next to it.
 SIDELONG_RUNS: another number of runs than the 10,000 (workers: 2,000).
 """
 
@@ -124,7 +124,7 @@ def test_two_workers_of_a_cluster_against_one():
 
 @pytest.mark.parametrize("autopilot", ["arduplane", "px4"])
 def test_a_flight_leaves_its_core_free(tmp_path, autopilot):
-    """At the clock's own speed launch takes a twentieth of a core; the simulated vehicle is told apart."""
+    """At the clock's own speed launch takes a twentieth of a core; the simulated vehicle is distinguished."""
     process = sidelong(
         *("launch", "--autopilot", autopilot, "--speed", 1, "--duration", 200, "--quiet", "--out", tmp_path)
     )

@@ -52,7 +52,7 @@ class Service(Application):
                 status["state"] == state and reason is None
             ):
                 return status
-            assert time.monotonic() < deadline_s, (status, self.said)
+            assert time.monotonic() < deadline_s, (status, self.announced)
             time.sleep(0.1)
 
 
@@ -92,5 +92,5 @@ def test_a_day_on_board(vehicle_of, tmp_path, flavour):  # noqa: F811
         second.until("ready")
         second.process.terminate()
         assert second.process.wait(60.0) == 0
-        assert "Traceback" not in second.said
+        assert "Traceback" not in second.announced
     assert len(list((tmp_path / "runs").iterdir())) == 2

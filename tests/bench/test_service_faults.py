@@ -71,7 +71,7 @@ class Day:
     def watch(self):
         """Ask for the watch once, and wait for it."""
         answer = self.service.ask("watch")
-        assert answer.returncode == 0, (answer.stderr, self.service.said[-2000:])
+        assert answer.returncode == 0, (answer.stderr, self.service.announced[-2000:])
         self.service.until("watching")
 
     def settle(self, *states):
@@ -81,7 +81,7 @@ class Day:
             status = self.service.status
             if status["state"] not in states or (status["state"] == "watching" and status["reason"]):
                 since_s = time.monotonic()
-            assert time.monotonic() < deadline_s, (status, self.service.said[-2000:])
+            assert time.monotonic() < deadline_s, (status, self.service.announced[-2000:])
             time.sleep(0.1)
         return status["state"]
 
@@ -98,8 +98,8 @@ class Day:
         self.go_to("ready")
         self.service.process.terminate()
         assert self.service.process.wait(60.0) == 0
-        assert "Traceback" not in self.service.said
-        assert "fault of the program" not in self.service.said
+        assert "Traceback" not in self.service.announced
+        assert "fault of the program" not in self.service.announced
         return sorted(self.service.out.iterdir())
 
 

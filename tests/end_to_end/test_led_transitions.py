@@ -76,7 +76,7 @@ def plans():
 @pytest.mark.parametrize("wind", [Wind(), Wind(3.0, -2.0)])
 @pytest.mark.parametrize("autopilot", ["arduplane", "px4"])
 @pytest.mark.parametrize("plan", list(plans()), ids=["abcd", "stretched", "turns"])
-def test_the_flown_line_stays_beside_the_plan_and_ends_on_its_circle(plan, autopilot, wind):
+def test_the_flown_line_stays_next_to_the_plan_and_ends_on_its_circle(plan, autopilot, wind):
     places, circles = fly(plan, autopilot, wind)
     assert circles[-1] == plan.circle
     assert max_distance_m(places, plan) <= TOLERANCE_M

@@ -21,9 +21,9 @@ pytestmark = pytest.mark.udp
 
 def sidelong(*arguments: object, code: int = 0) -> str:
     done = (new_process if arguments[0] == "launch" else command_line.sidelong)(*arguments)
-    said = " ".join((done.stdout + done.stderr).split())
-    assert done.returncode == code, said
-    return said
+    announced = " ".join((done.stdout + done.stderr).split())
+    assert done.returncode == code, announced
+    return announced
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def test_a_key_is_given_on_the_ground_and_by_cable_only(tmp_path, vehicle):
 def test_a_signed_flight_and_its_records_without_the_key(tmp_path):
     key, summary = tmp_path / "plane.key", tmp_path / "summary.json"
     sign(key)
-    said = sidelong(
+    announced = sidelong(
         *("launch", "--signing-key", key, "--duration", 60, "--speed", 30, "--seed", 3, "--planner", "paper"),
         *("--out", tmp_path / "runs", "--json", summary),
     )
@@ -80,4 +80,4 @@ def test_a_signed_flight_and_its_records_without_the_key(tmp_path):
     for content in records:
         assert secret.encode() not in content
         assert bytes.fromhex(secret) not in content
-    assert secret not in said
+    assert secret not in announced

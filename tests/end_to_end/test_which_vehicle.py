@@ -51,7 +51,7 @@ def test_of_two_vehicles_one_has_to_be_named(free_port, tmp_path):
         assert "system 3 sends nothing, only system 1" in absent.stderr
 
 
-def test_two_vehicles_with_one_id_are_told_before_anything_is_armed(free_port, tmp_path):
+def test_two_vehicles_with_one_id_are_reported_before_anything_is_armed(free_port, tmp_path):
     port = free_port()
     with vehicles(port, ("--seed", 1), ("--seed", 2)):
         done = sidelong("launch", "--connect", f"udpin://127.0.0.1:{port}", "--out", tmp_path)

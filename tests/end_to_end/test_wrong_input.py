@@ -32,7 +32,7 @@ def sentence_of(done: subprocess.CompletedProcess[str]) -> str:
 
 @contextmanager
 def heartbeats(port: int, kind: int, autopilot: int, text: bytes | None = None) -> Iterator[None]:
-    """Something that says ten times a second what it is, and a text, to a UDP port of the loopback."""
+    """Something that reports ten times a second what it is, and a text, to a UDP port of the loopback."""
     encoder = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     frame = mavlink.MAVLink_heartbeat_message(kind, autopilot, 81, 0, 3, 3).pack(encoder)
     if text is not None:
@@ -71,8 +71,8 @@ def test_a_busy_port():
 
 @pytest.mark.udp
 def test_no_heartbeat(free_port):
-    said = refused("connect", f"udpin://127.0.0.1:{free_port()}", "--timeout", 1)
-    assert "no autopilot was received within 1 s" in said
+    announced = refused("connect", f"udpin://127.0.0.1:{free_port()}", "--timeout", 1)
+    assert "no autopilot was received within 1 s" in announced
 
 
 @pytest.mark.udp
@@ -95,7 +95,7 @@ def test_a_vehicle_s_texts_reach_the_terminal_as_words_only(free_port):
     assert not [text for text in (b"\x1b", b"\xff", b"gone") if text in done.stdout + done.stderr]
 
 
-@pytest.mark.parametrize("content", [b"", b"not a log at all\n" * 100])
+@pytest.mark.parametrize("content", ["b", b"not a log at all\n" * 100])
 def test_a_file_that_is_no_log(tmp_path, content):
     path = tmp_path / "flight.tlog"
     path.write_bytes(content)
@@ -106,18 +106,18 @@ def test_a_log_that_is_not_there(tmp_path):
     assert "none.tlog" in refused("replay", tmp_path / "none.tlog")
 
 
-def test_a_log_without_laser_says_what_it_looked_for():
-    said = refused("replay", DATA / "no-laser-vtol.tlog")
+def test_a_log_without_laser_reports_what_it_looked_for():
+    announced = refused("replay", DATA / "no-laser-vtol.tlog")
     for name in ("no-laser-vtol.tlog", "DISTANCE_SENSOR", "GIMBAL_DEVICE_ATTITUDE_STATUS", "ATTITUDE"):
-        assert name in said
+        assert name in announced
 
 
 def test_an_unknown_key(tmp_path):
     config = tmp_path / "mission.toml"
     config.write_text("[aircraft]\nradius = 60\n")
-    said = refused("launch", config, "--out", tmp_path / "runs")
-    assert "mission.toml" in said
-    assert "aircraft.radius" in said
+    announced = refused("launch", config, "--out", tmp_path / "runs")
+    assert "mission.toml" in announced
+    assert "aircraft.radius" in announced
     assert not (tmp_path / "runs").exists()
 
 

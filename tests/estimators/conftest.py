@@ -1,4 +1,4 @@
-"""A target, an aircraft circling beside it, and a payload that measures with noise: all exact but for the noise."""
+"""A target, an aircraft circling next to it, and a payload that measures with noise: all exact but for the noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A beacon's fixes beside the laser and instead of it: errors that stay are not averaged away."""
+"""A beacon's fixes next to the laser and instead of it: errors that stay are not averaged away."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_a_fix_in_every_second_counts_as_much_as_one_a_minute():
     assert beacon.sigma_m(100.0, 3.0) == 3.0
 
 
-def test_the_ellipse_holds_a_target_that_only_its_beacon_tells_of():
+def test_the_ellipse_holds_a_target_that_only_its_beacon_reports_of():
     rng, inside, moments = np.random.default_rng(11), 0, 0
     for _ in range(20):
         tracker, errors = Tracker(TrackerSettings()), receiver_errors(rng, 240)
@@ -48,7 +48,7 @@ def test_the_ellipse_holds_a_target_that_only_its_beacon_tells_of():
     assert 0.90 <= inside / moments <= 1.0
 
 
-def test_a_beacon_counts_beside_the_laser_and_a_camera_does_not():
+def test_a_beacon_counts_next_to_the_laser_and_a_camera_does_not():
     for source, taken in ((BEACON, 1), (CAMERA, 0)):
         tracker = Tracker(TrackerSettings())
         tracker.add(RangeReading(10.0, 300.0, Source("DISTANCE_SENSOR", 154, 1, 100)))

@@ -1,4 +1,4 @@
-"""Every filter through the same scenes: what it says of its own error must be true."""
+"""Every filter through the same scenes: what it reports of its own error must be true."""
 
 import math
 
@@ -40,7 +40,7 @@ def run(kind, sightings, settings=SETTINGS, gate_nis=math.inf):
 
 
 def wandering(rng, density_m2_s3=0.03):
-    """A velocity that wanders as the cruising model says."""
+    """A velocity that wanders as the cruising model reports."""
     velocity, last_s = 3.0 * rng.standard_normal(2), 0.0
 
     def at(time_s):
@@ -53,7 +53,7 @@ def wandering(rng, density_m2_s3=0.03):
 
 
 @pytest.mark.parametrize("kind", FILTERS)
-def test_errors_are_as_large_as_the_filter_says(kind, scene):
+def test_errors_are_as_large_as_the_filter_reports(kind, scene):
     """NEES of position and of the biases, and NIS, averaged over seeds, lie where chi-square puts them."""
     seeds = 12
     nees, nis, bias_nees = [], [], []
@@ -80,7 +80,7 @@ def test_errors_are_as_large_as_the_filter_says(kind, scene):
 
 @pytest.mark.parametrize("kind", FILTERS)
 def test_a_bias_of_yaw_is_learnt_with_the_precision_that_is_claimed(kind, scene):
-    """Half a degree, five laps beside a standing target; a moving target needs far longer."""
+    """Half a degree, five laps next to a standing target; a moving target needs far longer."""
     sightings = scene.of(lambda _: (0.0, 0.0), 170.0).sightings(np.random.default_rng(5), yaw_rad=math.radians(0.5))
     *_, (target, _) = run(kind, sightings)
     calibration = target.biases().calibration
@@ -234,7 +234,7 @@ def test_cruising_is_taken_for_cruising(scene):
 
 
 def test_a_resting_target_that_creeps_is_not_taken_for_an_error_of_the_gimbal(scene):
-    """By 0.2 m/s, elsewhere every 12 s, as a resting hiker does: what is believed of the yaw error must be true."""
+    """By 0.2 m/s, elsewhere every 12 s, as a resting hiker does: what is accepted of the yaw error must be true."""
     nees = []
     for seed in range(6):
         rng = np.random.default_rng(seed)

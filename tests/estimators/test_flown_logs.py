@@ -1,4 +1,4 @@
-"""Two flown logs, whole, and damaged in named ways: what they went through is written beside what must come out."""
+"""Two flown logs, whole, and damaged in named ways: what they went through is written next to what must come out."""
 
 import math
 from dataclasses import replace
@@ -62,7 +62,7 @@ def test_the_whole_flight(name, request):
 
 @pytest.mark.parametrize("name", ["bike", "walk_and_drive"])
 def test_the_ellipse_promises_what_it_holds(name, request):
-    """Over payload errors as large as the filter is told: of the flown yaw error alone, 0.4 sigma, it holds more."""
+    """Over payload errors as large as the filter assumes: of the flown yaw error alone, 0.4 sigma, it holds more."""
     flown, settings, held = request.getfixturevalue(name), TrackerSettings(), []
     # The same errors to either side, so that what was flown with does not shift their mean.
     for yaw, offset in ((1.4, 0.5), (-1.4, -0.5), (0.4, -1.4), (-0.4, 1.4)):
@@ -90,7 +90,7 @@ def cut(flown, start_s, end_s):
     return [reading for reading in flown.readings if first_s + start_s <= reading.time_s < first_s + end_s]
 
 
-def test_signal_quality_is_not_needed_to_tell_outliers(bike):
+def test_signal_quality_is_not_needed_to_report_outliers(bike):
     readings = [
         replace(reading, quality=None) if isinstance(reading, RangeReading) else reading
         for reading in cut(bike, 0, 300)
@@ -142,16 +142,16 @@ def test_messages_that_overtake_one_another_cost_little(bike):
 
 
 def test_a_payload_of_another_clock_is_corrected_by_the_latency(bike):
-    """Stamped half a second too late: half of 22 m/s and more off, unless it is told."""
+    """Stamped half a second too late: half of 22 m/s and more off, unless it is reported."""
     late = [
         replace(reading, time_s=reading.time_s + 0.5)
         if isinstance(reading, RangeReading | GimbalReading)
         else reading
         for reading in cut(bike, 0, 200)
     ]
-    untold, told = Result(bike, late), Result(bike, late, TrackerSettings(latency_s=0.5))
-    assert told.rmse_m() < 4.0
-    assert untold.rmse_m() > 6.0
+    uninformed, given = Result(bike, late), Result(bike, late, TrackerSettings(latency_s=0.5))
+    assert given.rmse_m() < 4.0
+    assert uninformed.rmse_m() > 6.0
 
 
 def test_one_source_after_the_other(walk_and_drive):

@@ -20,7 +20,7 @@ VELOCITY = (2.0, 1.0)
 
 
 def sighting(rng: np.random.Generator, name: str, time_s: float, shift_m: float = 0.0) -> Sighting:
-    """What an aircraft that circles beside the target sees; shift_m: of what it sees in place of the target."""
+    """What an aircraft that circles next to the target sees; shift_m: of what it sees in place of the target."""
     target = np.array(VELOCITY) * time_s
     angle = 0.19 * time_s + len(name)
     aircraft = target + MIDDLE[name] + 80.0 * np.array((math.sin(angle), math.cos(angle)))
@@ -57,7 +57,7 @@ def watched(names: tuple[str, ...], until_s: float, **shifts: tuple[float, float
     return track, errors
 
 
-def test_two_base_lines_tell_the_errors_of_both_payloads():
+def test_two_base_lines_report_the_errors_of_both_payloads():
     track, errors = watched(("west", "south"), 100.0)
     _, alone = watched(("west",), 100.0)
     assert np.sqrt(np.mean(np.square(errors[50:]))) < 0.5 < np.sqrt(np.mean(np.square(alone[50:])))
@@ -99,9 +99,9 @@ def test_sightings_may_come_late_and_in_any_order():
     assert math.hypot(found[0].east_m - found[1].east_m, found[0].north_m - found[1].north_m) < 0.15
 
 
-def test_a_clock_that_is_ahead_costs_less_and_is_doubted_when_its_sigma_is_told():
+def test_a_clock_that_is_ahead_costs_less_and_is_rejected_when_its_sigma_is_reported():
     inside, errors = {}, {}
-    for told_s in (0.0, 0.5):
+    for announced_s in (0.0, 0.5):
         squares, found = [], []
         for seed in range(3):
             rng = np.random.default_rng(seed)
@@ -109,12 +109,12 @@ def test_a_clock_that_is_ahead_costs_less_and_is_doubted_when_its_sigma_is_told(
             for k in range(500):
                 for name, ahead_s in (("west", 0.0), ("south", 0.5)):
                     one = sighting(rng, name, k / 5)
-                    track.add(name, replace(one, time_s=one.time_s + ahead_s), told_s if ahead_s else 0.0)
+                    track.add(name, replace(one, time_s=one.time_s + ahead_s), announced_s if ahead_s else 0.0)
                 now = track.estimate(k / 5)
                 error = np.array((now.east_m, now.north_m)) - np.array(VELOCITY) * now.time_s
                 found.append(error @ np.linalg.solve(now.covariance[:2, :2], error) < 5.99)
                 squares.append(error @ error)
-        inside[told_s], errors[told_s] = np.mean(found), np.mean(squares)
+        inside[announced_s], errors[announced_s] = np.mean(found), np.mean(squares)
     assert inside[0.5] > 0.9 > inside[0.0]
     assert errors[0.5] < 0.8 * errors[0.0]
 

@@ -93,7 +93,7 @@ def test_straight_below_the_aircraft_nothing_is_infinite():
     assert np.isfinite(derivative).all()
 
 
-def test_a_fix_is_where_it_says():
+def test_a_fix_is_where_it_reports():
     fix = Fix(0.0, 10.0, 20.0, 3.0)
     residual, derivative = compare(fix, 7.0, 24.0, 99.0)
     assert residual.tolist() == [3.0, -4.0, 0.0]

@@ -67,7 +67,7 @@ def test_a_range_of_poor_signal_is_rejected_with_its_reason(cruise):
     assert track.estimate(0.0) is None
 
 
-def test_a_single_outlier_is_rejected_and_told_as_the_reason_for_coasting(cruise, moved):
+def test_a_single_outlier_is_rejected_and_reported_as_the_reason_for_coasting(cruise, moved):
     track = Track(NO_BIAS)
     sightings = cruise.sightings(np.random.default_rng(1))
     for sighting in sightings[:300]:

@@ -129,7 +129,7 @@ def test_a_gimbal_measured_against_the_heading_gives_the_same_target(cruise, loo
     assert outcomes[9].sighting.bearing_sigma_rad > math.hypot(NO_BIAS.yaw_sigma_rad, NO_BIAS.attitude_sigma_rad)
 
 
-def test_a_laser_that_tells_where_it_points_needs_no_gimbal(cruise):
+def test_a_laser_that_reports_where_it_points_needs_no_gimbal(cruise):
     """Its quaternion is against the airframe; here that is level and heads north."""
     alone, quaternion = [], (1.0, 0.0, 0.0, 0.0)
     for reading in cruise.readings(np.random.default_rng(9)):
@@ -145,7 +145,7 @@ def test_a_laser_that_tells_where_it_points_needs_no_gimbal(cruise):
     assert error_m(tracker, cruise, 39.9) < 3.0
 
 
-def test_the_null_rotation_of_a_laser_says_nothing(cruise):
+def test_the_null_rotation_of_a_laser_reports_nothing(cruise):
     readings = [
         replace(reading, sensor_quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
         if isinstance(reading, RangeReading)
@@ -172,17 +172,17 @@ def test_a_sight_that_is_no_rotation_is_dropped(cruise):
 
 
 def test_a_configured_latency_is_taken_off_the_stamps(cruise):
-    """Payload stamped 0.3 s too late: told so, the tracker is right; not told, it errs by the aircraft's way."""
+    """Payload stamped 0.3 s too late: if configured, the tracker is right; else it errs by the aircraft's motion."""
     late = [
         replace(reading, time_s=reading.time_s + 0.3)
         if isinstance(reading, RangeReading | GimbalReading)
         else reading
         for reading in cruise.readings(np.random.default_rng(11))
     ]
-    told, _ = fed(late, replace(NO_BIAS, latency_s=0.3))
-    untold, _ = fed(late)
-    assert error_m(told, cruise, 39.9) < 2.0
-    assert error_m(untold, cruise, 39.9) > 3.0
+    announced, _ = fed(late, replace(NO_BIAS, latency_s=0.3))
+    uninformed, _ = fed(late)
+    assert error_m(announced, cruise, 39.9) < 2.0
+    assert error_m(uninformed, cruise, 39.9) > 3.0
 
 
 def test_a_lever_arm_moves_the_place_that_is_seen_from(cruise):

@@ -1,4 +1,4 @@
-"""A simulated vehicle, the core, and a link with faults between them, all on one clock that waits for nobody."""
+"""A simulated vehicle, the core, and a link with faults between them, all on one clock that waits for no one."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from sidelong.sitl.simulation import Simulation
 from tests.sitl_vehicle import RATES_HZ, SitlVehicle
 
 _ID_BYTES, _MISSION_CURRENT = slice(7, 10), (42).to_bytes(3, "little")
-_AHEAD_S = 1.5  # a plan departs so long after it could be on board
+_AHEAD_S = 1.5  # a plan departs this long after it could be on board
 
 
 class Wandering:
@@ -167,9 +167,9 @@ class Flight(ClosedLoop[bytes]):
     def through(self):
         return super().arriving()
 
-    def hear(self, message):
+    def on_message(self, message):
         if message.name not in self.lost:
-            super().hear(message)
+            super().on_message(message)
 
     def expire(self):
         for observer in self.observers:

@@ -1,4 +1,4 @@
-"""Simulated vehicles, their cores and the coordinator on one clock that waits for nobody."""
+"""Simulated vehicles, their cores and the coordinator on one clock that waits for no one."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SYSTEM_TIME, DO_SET_ROI_LOCATION = 2, 195
 
 
 class Craft:
-    """One aircraft: a flight of the exchange's tests with a core that heeds the coordinator."""
+    """One aircraft: a flight of the exchange's tests with a core that follows the coordinator."""
 
     def __init__(self, member, flight):
         self.name, self.config, self.flight = member.name, member.config, flight
@@ -64,9 +64,9 @@ class Fleet:
         self.journal_path = tmp_path / "fleet.jsonl"
         header = Header("test", self.file.model_dump(mode="json"), plane, {})
         self.journal = JournalWriter(self.journal_path, header, pytest.fail)
-        self.said: list[str] = []
+        self.announced: list[str] = []
         self.coordination = Coordination(
-            self.coordinator, self.journal, lambda name, text: self.said.append(f"{name} {text}"), self._launch
+            self.coordinator, self.journal, lambda name, text: self.announced.append(f"{name} {text}"), self._launch
         )
         for craft in self.crafts:
             self._join(craft, plane)
@@ -82,13 +82,13 @@ class Fleet:
         )
         stepped = self.coordination.stepped(name)
 
-        def heard(event):
+        def received(event):
             outputs = step(event)
             if not craft.grounded:
                 stepped(event, outputs)
             return outputs
 
-        core.step = heard
+        core.step = received
         flight.core = core
 
         def clock_only(message):
@@ -148,7 +148,7 @@ class Fleet:
 
 @pytest.fixture(scope="module")
 def flown(fly, tmp_path_factory):
-    """Return a fleet after a flight in which the holder of the wanted side was lost."""
+    """Return a fleet after a flight in which the holder of the required side was lost."""
     fleet = Fleet(fly, tmp_path_factory.mktemp("fleet"))
     fleet.take_off()
     fleet.least_m = np.inf
@@ -167,7 +167,7 @@ def flown(fly, tmp_path_factory):
     return fleet
 
 
-def test_one_holds_the_wanted_side_and_the_other_the_opposite(flown):
+def test_one_holds_the_required_side_and_the_other_the_opposite(flown):
     assert sorted(flown.roles_before.values()) == [Role.OPPOSITE, Role.WANTED]
 
 
@@ -177,7 +177,9 @@ def test_they_stay_apart(flown):
 
 def test_the_other_takes_over_when_the_holder_is_lost(flown):
     assert flown.role(flown.other.name) is Role.WANTED
-    assert any(said.startswith(f"{flown.holder.name} is out: no message received") for said in flown.said)
+    assert any(
+        announced.startswith(f"{flown.holder.name} is out: no message received") for announced in flown.announced
+    )
     controller = flown.other.flight.core.controller
     assert controller.phase == "watching"
     assert controller.snapshot().side == flown.file.requirement.side
@@ -190,11 +192,11 @@ def test_the_coordinators_journal_replays_to_the_last_bit(flown):
     compared, difference = compare_coordination(coordinator_of(flown.file), records)
     assert difference is None
     assert compared > 200
-    spoilt = [record for record in records if not isinstance(record, SightingReported)]
-    assert compare_coordination(coordinator_of(flown.file), spoilt)[1] is not None
+    corrupted = [record for record in records if not isinstance(record, SightingReported)]
+    assert compare_coordination(coordinator_of(flown.file), corrupted)[1] is not None
 
 
-def test_each_core_replays_by_itself_to_the_last_bit(flown):
+def test_each_core_replays_on_its_own_to_the_last_bit(flown):
     plane = flown.crafts[0].flight.telemetry.plane
     for craft in flown.crafts:
         core = craft.make_core(plane)
@@ -209,10 +211,10 @@ def test_a_reserve_takes_over_before_the_aircraft_with_a_low_battery_leaves(fly,
     fleet.run(10.0)
     assert not south.flight.autopilot.armed
     fleet.charge("north", 25)
-    assert fleet.run(200.0, lambda: south.flight.has_control), fleet.said
-    assert any(said.startswith("south is wanted in the air: north") for said in fleet.said)
+    assert fleet.run(200.0, lambda: south.flight.has_control), fleet.announced
+    assert any(announced.startswith("south is wanted in the air: north") for announced in fleet.announced)
     assert north.flight.core.controller.phase == "watching"
-    assert fleet.run(200.0, lambda: north.flight.found(End)), fleet.said
+    assert fleet.run(200.0, lambda: north.flight.found(End)), fleet.announced
     assert [end.action for end in north.flight.found(End)] == ["return"]
     assert fleet.role("south") is Role.WANTED
     assert south.flight.core.controller.phase == "watching"
@@ -245,10 +247,10 @@ def divided(fly, tmp_path_factory):
 
 def test_each_target_has_its_aircraft_and_a_lost_one_is_replaced(divided):
     assert sorted(divided.targets_before.values()) == ["bike", "boat", "boat"]
-    beside_bike = [craft for craft in divided.crafts if divided.targets[craft.name] == "bike"]
-    (moved,) = (craft for craft in beside_bike if craft is not divided.lost)
-    assert f"{moved.name} goes to bike" in divided.said
-    assert f"{moved.name} its payload sees bike" in divided.said
+    next_to_bike = [craft for craft in divided.crafts if divided.targets[craft.name] == "bike"]
+    (moved,) = (craft for craft in next_to_bike if craft is not divided.lost)
+    assert f"{moved.name} goes to bike" in divided.announced
+    assert f"{moved.name} its payload sees bike" in divided.announced
     assert moved.flight.simulation.looks_at == 1
     now = moved.flight.core.controller.snapshot()
     assert (now.phase, now.target, now.turn_payload, now.side) == ("watching", "bike", False, "left")

@@ -1,4 +1,4 @@
-"""Flights over bad links: told as they are flown, yielded when another takes over, repeated to the last bit."""
+"""Flights over bad links: reported as they are flown, yielded when another takes over, repeated to the last bit."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_a_mission_after_one_that_px4_does_not_fly_is_started_as_soon_as_it_look
 @pytest.mark.parametrize(
     ("flavour", "seed", "for_s"), [("arduplane", 1, 100.0), ("px4", 1, 100.0), ("px4", 8, 160.0)]
 )
-def test_at_a_second_of_delay_every_switch_is_told_as_flown(in_the_air, flavour, seed, for_s):
+def test_at_a_second_of_delay_every_switch_is_reported_as_flown(in_the_air, flavour, seed, for_s):
     flight = in_the_air(flavour, seed=seed, faults=SLOW)
     flight.run(for_s)
     flight.spoil(LinkFaults())
@@ -90,14 +90,14 @@ def test_a_switch_is_confirmed_by_the_track_alone(in_the_air):
     assert not flight.found(Yield)
 
 
-def test_a_switch_that_is_never_heard_is_an_open_question_until_it_is_answered(in_the_air):
+def test_a_switch_that_is_never_received_is_an_open_question_until_it_is_answered(in_the_air):
     flight = in_the_air("arduplane")
     set_current = flight.autopilot.set_current_item
     flight.autopilot.set_current_item = lambda _index: False
     assert flight.run(60.0, lambda: statuses(flight, "failed"))
     assert statuses(flight, "unconfirmed") == statuses(flight, "failed")
     number = statuses(flight, "failed")[-1]
-    # It is taken after all, much later than anybody expected it.
+    # It is taken after all, much later than anyone expected it.
     set_current(flight.core._backend._change.layout.first)
     assert flight.run(10.0, lambda: number in statuses(flight, "departed"))
     assert not flight.found(Yield)
@@ -178,7 +178,7 @@ def test_a_plan_by_command_counts_with_the_links_delay_and_is_obeyed_at_its_time
 
 
 @pytest.mark.parametrize(("flavour", "guidance"), [("arduplane", "mission"), ("px4", "mission"), ("px4", "command")])
-def test_another_mode_is_somebody_else(in_the_air, flavour, guidance):
+def test_another_mode_is_another_station(in_the_air, flavour, guidance):
     flight = in_the_air(flavour, faults=BAD, guidance=guidance)
     flight.run(20.0)
     flight.simulation.pilot_takes_over()
@@ -186,7 +186,7 @@ def test_another_mode_is_somebody_else(in_the_air, flavour, guidance):
 
 
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])
-def test_another_stations_mission_is_somebody_else(in_the_air, flavour):
+def test_another_stations_mission_is_another_station(in_the_air, flavour):
     flight = in_the_air(flavour, faults=BAD)
     flight.run(20.0)
     items = flight.autopilot.mission.items()
@@ -230,14 +230,14 @@ def test_another_station_that_skips_waypoints_of_our_line_is_reported(in_the_air
 
 
 @pytest.mark.parametrize("flavour", ["arduplane", "px4"])
-def test_arming_that_is_in_progress_for_ever_is_given_up_and_disarmed(fly, flavour):
+def test_arming_that_is_in_progress_indefinitely_is_given_up_and_disarmed(fly, flavour):
     flight = fly(flavour, begin=False)
-    hear, lowered = flight.vehicle.take, mavlink.MAV_RESULT_IN_PROGRESS
+    on_message, lowered = flight.vehicle.take, mavlink.MAV_RESULT_IN_PROGRESS
 
     def take(message):
         if message.name == "COMMAND_ACK":
             message.fields["result"] = lowered
-        hear(message)
+        on_message(message)
 
     flight.vehicle.take = take
     flight.take_over()
@@ -275,11 +275,11 @@ def test_an_upload_under_way_stops_with_the_mode_change(in_the_air):
     assert flight.found(SendMessage)[-1].time_s < changed_s[0] + 2.0
 
 
-def test_the_autopilot_starts_anew(in_the_air):
+def test_the_autopilot_starts_again(in_the_air):
     flight = in_the_air("px4")
     flight.run(20.0)
     flight.simulation.reboot()
-    assert yielded(flight, 10.0)  # by its mode, or by its clock: whichever is heard first
+    assert yielded(flight, 10.0)  # by its mode, or by its clock: whichever is received first
 
 
 def test_another_station_moves_the_circle(in_the_air):

@@ -1,4 +1,4 @@
-"""Circles by command: whose circle the autopilot says it flies."""
+"""Circles by command: whose circle the autopilot reports it flies."""
 
 import math
 
@@ -34,7 +34,7 @@ def taken_over():
 
 
 def reported(backend, outbox, link_s, east_m):
-    """Let the autopilot report the circle that it flies; tell whether somebody else is suspected for good."""
+    """Let the autopilot report the circle that it flies; return whether another station is suspected for good."""
     outbox.begin(link_s, link_s)
     order = SETTINGS.order(plan_at(east_m).circle, plan_at(east_m))
     backend.receive(PositionTargetReported(link_s, link_s, order.x, order.y))
@@ -42,7 +42,7 @@ def reported(backend, outbox, link_s, east_m):
 
 
 def test_a_circle_of_ours_stays_ours_however_late_the_next_ones_arrive():
-    """A slow vehicle still flies the first one long after others were ordered, of which it has heard nothing yet."""
+    """A slow vehicle still flies the first one long after others were ordered that it has not received yet."""
     backend, outbox = taken_over()
     assert not reported(backend, outbox, 0.5, 0.0)
     for number in range(1, 21):
@@ -57,7 +57,7 @@ def test_a_circle_of_ours_stays_ours_however_late_the_next_ones_arrive():
         assert not reported(backend, outbox, number + 0.5, 0.0)
 
 
-def test_a_circle_of_nobody_here_is_somebody_elses():
+def test_a_circle_of_no_one_here_is_someone_elses():
     backend, outbox = taken_over()
     assert not reported(backend, outbox, 0.5, 0.0)
     assert [reported(backend, outbox, 1.0 + 0.5 * k, -700.0) for k in range(4)] == [False, False, True, True]

@@ -27,7 +27,7 @@ def test_an_id_proves_nothing_of_a_mission_that_may_or_may_not_have_been_written
     identity.written(9, 0, accepted=False)
     assert identity.is_open(9, 78)
     assert not identity.is_open(3, 77)
-    assert not identity.is_open(9, 0)  # without ids there is nothing to tell them apart by
+    assert not identity.is_open(9, 0)  # without ids there is nothing to distinguish them by
     identity.written(9, 78)
     assert not identity.is_open(9, 79)
     assert identity.is_ours(9, 78)

@@ -33,7 +33,7 @@ def resume(flight):
 
 
 def is_circling(flight):
-    """Tell whether sidelong has the aircraft, and it is on the circle that it was taken over on."""
+    """Return whether sidelong has the aircraft, and it is on the circle that it was taken over on."""
     aircraft, circle = flight.core.controller.aircraft, flight.found(ControlAcquired)[-1].circle
     off_m = math.hypot(aircraft.east_m - circle.east_m, aircraft.north_m - circle.north_m) - circle.radius_m
     return phase(flight) is Phase.WATCHING and abs(off_m) < ON_CIRCLE_M

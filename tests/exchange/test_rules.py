@@ -33,11 +33,11 @@ NOTICED_S = 20.0  # of the vehicle's time, on a link that is clean again
 
 
 class Rules:
-    """Watches one flight; an AssertionError says which rule it broke."""
+    """Watches one flight; an AssertionError reports which rule it broke."""
 
     def __init__(self, flight, raw_items) -> None:
         self.flight, self._raw_items = flight, raw_items
-        self.disturbed = False  # somebody else is at work
+        self.disturbed = False  # another station is at work
         self.yielded = self.ended = False
         self._uploaded = self._settled = 0
         self._ready: set[int] = set()
@@ -100,8 +100,8 @@ class Rules:
         on_it = passed and same_item(newest[-1], self._raw_items(self.flight.flown_line())[-1])
         assert not (same_line and on_it), f"item {fields['seq']} was set current again, {mission.index} is flown"
 
-    def told_as_flown(self) -> bool:
-        """Tell whether the plan that the picture shows ends in the circle that is flown."""
+    def reported_as_flown(self) -> bool:
+        """Return whether the plan that the picture shows ends in the circle that is flown."""
         present = self.flight.core.controller.present
         flown = self.flight.flown_line()[-1]
         east_m, north_m = self.flight.telemetry.plane.east_north_m(flown.latitude_deg, flown.longitude_deg)
@@ -182,7 +182,7 @@ class Exchange(RuleBasedStateMachine):
         flight.run(12.0)
         if not self.rules.disturbed:
             undecided = flight.core._backend._change is not None
-            assert undecided or self.rules.told_as_flown(), "the picture shows a plan that is not flown"
+            assert undecided or self.rules.reported_as_flown(), "the picture shows a plan that is not flown"
         again = flight.make_core(type(flight.planner)(flight.seed))
         for event, outputs in zip(flight.events, flight.outputs, strict=True):
             assert [encode(one) for one in again.step(event)] == [encode(one) for one in outputs], event

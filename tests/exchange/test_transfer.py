@@ -102,9 +102,9 @@ def test_a_part_is_written_and_the_rest_is_left_alone(transfer, raw_items, loss)
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.2])
-def test_px4_takes_a_list_whole_and_says_which(transfer, raw_items, loss):
+def test_px4_takes_a_list_whole_and_reports_which(transfer, raw_items, loss):
     took_s = []
-    for seed in range(9 if loss else 1):  # one draw of losses tells little: now and then one takes ten seconds
+    for seed in range(9 if loss else 1):  # one draw of losses means little: now and then one takes ten seconds
         faults = LinkFaults(loss, 0.1 if loss else 0.0, DELAY_S)
         done, items, seconds = transfer("px4", faults, seed, WHOLE, write(NEW, range(COUNT)))
         assert [one.result for one in done] == [ACCEPTED, ACCEPTED]
@@ -206,7 +206,7 @@ def reported(items, mission_id):
     [(COUNT - 1, True, 0.1), (COUNT - 2, False, 5.0)],
     ids=["one in doubt before", "a part of it"],
 )
-def test_what_may_be_another_acknowledgement_is_believed_only_by_the_items_on_board(
+def test_what_may_be_another_acknowledgement_is_accepted_only_by_the_items_on_board(
     requested, doubt_before, silent_s
 ):
     outbox = Outbox(0.0, 0.0)
@@ -259,7 +259,7 @@ def test_an_acknowledgement_is_of_all_items_where_their_last_requests_were_lost(
     assert upload.result is ACCEPTED
 
 
-def test_the_answer_to_the_last_item_tells_that_all_is_there_where_another_one_is_refused():
+def test_the_answer_to_the_last_item_reports_that_all_is_there_where_another_one_is_refused():
     """The last requests and the acknowledgement were lost; what is sent again is an error but for the last item."""
     outbox = Outbox(0.0, 0.0)
     upload = MissionWrite(outbox, QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0, {77})
@@ -274,7 +274,7 @@ def test_the_answer_to_the_last_item_tells_that_all_is_there_where_another_one_i
 
 
 def test_px4_that_receives_nothing_is_read():
-    """No answer to the last item follows: the list tells whether all is there."""
+    """No answer to the last item follows: the list reports whether all is there."""
     outbox = Outbox(0.0, 0.0)
     upload = MissionWrite(outbox, QUIRKS["px4"], NEW, range(COUNT), 8.0, lambda: 0, {77})
     upload.receive(MissionItemRequested(0.0, 0.05, COUNT - 2))
@@ -287,21 +287,21 @@ def test_px4_that_receives_nothing_is_read():
     assert upload.result is ACCEPTED
 
 
-def test_px4_acknowledges_a_part_after_an_outage_and_is_not_believed(fly, raw_items):
+def test_px4_acknowledges_a_part_after_an_outage_and_is_not_accepted(fly, raw_items):
     """It gives an upload up after 5 s of silence, and acknowledges the item that came last when that comes again."""
     flight = fly("px4", faults=LinkFaults(delay_s=0.025), begin=False)
-    put, hear, heard, end_s = flight.transmit, flight.hear, 7, flight.link_s + 6.0
+    put, on_message, received, end_s = flight.transmit, flight.on_message, 7, flight.link_s + 6.0
 
     def put_some(frame):
-        if flight.link_s > end_s or flight.sent[frame][1].get("seq", 0) <= heard:
+        if flight.link_s > end_s or flight.sent[frame][1].get("seq", 0) <= received:
             put(frame)
 
-    def hear_some(message):
-        asked_for_more = message.name == "MISSION_REQUEST_INT" and message.fields["seq"] > heard
+    def receive_some(message):
+        asked_for_more = message.name == "MISSION_REQUEST_INT" and message.fields["seq"] > received
         if flight.link_s > end_s or not asked_for_more:
-            hear(message)
+            on_message(message)
 
-    flight.transmit, flight.hear = put_some, hear_some
+    flight.transmit, flight.on_message = put_some, receive_some
     flight.core = Work(flight, lambda outbox: write(NEW, range(COUNT), 30.0)(outbox, QUIRKS["px4"], flight.link_s))
     flight.put(TimerExpired(0.0, flight.link_s))
     flight.run(0.3)

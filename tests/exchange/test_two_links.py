@@ -1,4 +1,4 @@
-"""Two bad links to one vehicle, cut in turn: no yield, and every switch is told as it is flown."""
+"""Two bad links to one vehicle, cut in turn: no yield, and every switch is reported as it is flown."""
 
 from __future__ import annotations
 

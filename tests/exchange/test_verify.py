@@ -1,4 +1,4 @@
-"""A replay tells another decision from another last digit."""
+"""A replay reports another decision from another last digit."""
 
 from __future__ import annotations
 

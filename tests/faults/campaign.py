@@ -18,7 +18,7 @@ from sidelong.app.value_cache import value_table
 from tests.faults.readers import TABLE, Reader, fault, readers
 
 CPU_MAX_S, MEMORY_MAX_BYTES = 5.0, 512 << 20
-_KEPT = 20  # faults told in full
+_KEPT = 20  # faults reported in full
 
 
 @dataclass(slots=True)
@@ -51,7 +51,7 @@ _folder: Path
 
 
 def _begin(table: bytes) -> None:
-    """Set a worker process up: from here on it may take so much more memory and no more."""
+    """Set a worker process up: from here on it may take this much more memory and no more."""
     global _folder  # noqa: PLW0603  # a worker's own
     _readers.update(readers(table))
     _folder = Path(tempfile.mkdtemp(prefix="sidelong-faults-"))
@@ -109,9 +109,9 @@ def run(
     batch: int = 100,
     progress: Callable[[float, int], object] = lambda _share, _wrong: None,
 ) -> list[Count]:
-    """Give each reader (or those of ``names``) so many damaged files; return what became of them.
+    """Give each reader (or those of ``names``) this many damaged files; return what became of them.
 
-    progress hears of the share that is done, and of how many were wrong.
+    progress receives of the share that is done, and of how many were wrong.
     """
     with tempfile.TemporaryDirectory() as folder:
         value_table(TABLE, directory=Path(folder))

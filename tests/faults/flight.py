@@ -81,7 +81,7 @@ class Flown:
     on_side: list[bool] = field(default_factory=list)
     outside_fence_m: float = 0.0
     decided: list[Decided] = field(default_factory=list)
-    told: list[tuple[float, str]] = field(default_factory=list)
+    announced: list[tuple[float, str]] = field(default_factory=list)
     health: list[tuple[float, HealthChanged]] = field(default_factory=list)
     unknown_s: float = 0.0
     wrongly_in_band_s: float = 0.0
@@ -158,11 +158,11 @@ class FaultedFlight(ClosedLoop[Message]):
                 case ControlAcquired():
                     self._acquired_s = now_s
                 case DecisionRecord():
-                    flown.decided.append(self._beside_truth(now_s, output.moves))
+                    flown.decided.append(self._relative_to_truth(now_s, output.moves))
                 case Announce():
-                    flown.told.append((now_s, output.text))
+                    flown.announced.append((now_s, output.text))
                 case HealthChanged():
-                    flown.told.append((now_s, output.text))
+                    flown.announced.append((now_s, output.text))
                     flown.health.append((now_s, output))
                 case Yield():
                     flown.yielded = flown.yielded or (now_s, output.reason)
@@ -182,7 +182,7 @@ class FaultedFlight(ClosedLoop[Message]):
                 ]
         return arriving
 
-    def _beside_truth(self, now_s: float, moved: bool) -> Decided:
+    def _relative_to_truth(self, now_s: float, moved: bool) -> Decided:
         controller = self.controller
         time_s = controller.time_s - self._boot_s
         clock_error_s = time_s - now_s
@@ -236,5 +236,5 @@ def _square_deg() -> list[tuple[float, float]]:
 
 
 def watched(flown: Flown, controller: StandoffController) -> bool:
-    """Tell whether the mission goes on."""
+    """Return whether the mission goes on."""
     return flown.yielded is None and flown.ended is None and controller.phase is Phase.WATCHING

@@ -1,4 +1,4 @@
-"""Flights with faults drawn at random, each beside the same flight without, judged by what must hold in all."""
+"""Flights with faults drawn at random, each next to the same flight without, judged by what must hold in all."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sidelong.mission.core.inputs import Input
 from tests.faults.flight import FLAVOURS, FaultedFlight, Flown, Scenario
 from tests.faults.flight_faults import BLINDING, EXPECTED_YIELDS, MISLEADING, Fault, drawn, yielding
 
-# A clock that is off by seconds, and all that is stamped by it with it, misleads nobody.
+# A clock that is off by seconds, and all that is stamped by it with it, misleads no one.
 OWN_ERROR_MAX_M, TARGET_ERROR_MAX_M, CLOCK_ERROR_MAX_S = 60.0, 60.0, 15.0
 RANGE_MIN_M, RANGE_MAX_M, RANGE_TOLERANCE_M = 100.0, 500.0, 5.0
 TARGET_SPEED_M_S = 6.0  # a target that turns round while it is not seen: twice its own
@@ -26,7 +26,7 @@ MISLED_RANGE_MIN_M, REPORTED_WITHIN_S, WRONG_SHARE_MAX = 80.0, 15.0, 0.02
 YIELD_WITHIN_S = 8.0
 STEP_MAX_S = 0.05
 _PAYLOAD_INPUTS = (Input.LASER, Input.GIMBAL, Input.SIGHTINGS)
-_TARGETS, _CAMPAIGN_TARGETS = 12, 96  # a fault meets one of so many; each is flown once without faults to compare
+_TARGETS, _CAMPAIGN_TARGETS = 12, 96  # a fault meets one of this many; each is flown once without faults to compare
 
 
 @dataclass(slots=True)
@@ -78,7 +78,7 @@ def judged(flown: Flown, beside: Flown, faults: Sequence[Fault], ending: str | N
         if abs(decided.clock_error_s) > CLOCK_ERROR_MAX_S:
             broken.append(f"decided at {decided.time_s:.1f} s on a clock {decided.clock_error_s:+.0f} s off")
     nearest_m, farthest_m = min(flown.range_m), max(flown.range_m)
-    # Nobody can follow a target that moves on while nothing is known.
+    # No one can follow a target that moves on while nothing is known.
     tolerance_m = RANGE_TOLERANCE_M + 0.5 * TARGET_SPEED_M_S * blind_s
     if nearest_m < (MISLED_RANGE_MIN_M if misled else RANGE_MIN_M - tolerance_m):
         broken.append(f"came within {nearest_m:.0f} m")
@@ -107,7 +107,7 @@ def misled_by(flown: Flown, beside: Flown, fault: Fault, *, alone: bool) -> Misl
 
 
 def _judged_misled(name: str, misled: Misled) -> list[str]:
-    """Judge what a flight says of itself; ``table`` counts those with other faults, too."""
+    """Judge what a flight reports of itself; ``table`` counts those with other faults, too."""
     broken = []
     if misled.alone and misled.reported_s > REPORTED_WITHIN_S:
         broken.append(f"{name} reported after {misled.reported_s:.1f} s")
@@ -151,7 +151,7 @@ def flight(
     faults, (ending_by, ending_s) = [*faults, *yielding(*ending)], ending
     what = "; ".join(f"{one.name} at {one.begin_s:.0f} s {one.what}".rstrip() for one in faults)
     verdict = Verdict(seed, flavour, tuple(one.name for one in faults), what)
-    beside = clean(scenario)
+    alongside = clean(scenario)
     loop = FaultedFlight(scenario, faults, time.thread_time)
     gc.collect()
     gc.freeze()  # what was loaded before is not searched again and again for garbage: 0.1 s each time
@@ -176,7 +176,7 @@ def _flight(order: tuple[int, str]) -> Verdict:
 
 
 def campaign(flights: int, first_seed: int, processes: int) -> Iterable[Verdict]:
-    """Yield the verdicts of so many flights, half of them of each flavour, on other targets than ``flight`` alone."""
+    """Yield the verdicts of this many flights, half of them of each flavour, on other targets than ``flight`` alone."""
     flavours = list(FLAVOURS)
     orders = [(first_seed + number, flavours[number % len(flavours)]) for number in range(flights)]
     if processes == 1:

@@ -12,13 +12,13 @@ from sidelong.app.link.message import Message
 
 Arriving = Iterator[tuple[float, Message]]
 Change = Callable[[Message, float, np.random.Generator], Arriving]
-"""What becomes of a message so long after the fault began: copies, each with its delay."""
+"""What becomes of a message this long after the fault began: copies, each with its delay."""
 
 EXPECTED_YIELDS = {"reboot": "has restarted", "second vehicle": "two vehicles", "pilot": "flight mode"}
 BLINDING = frozenset({"silence", "gps lost", "vehicle clock", "position silent", "heartbeat gone"})
 """Faults that leave nothing to decide on."""
 MISLEADING = frozenset({"stuck laser", "wrong flags", "wrong unit", "frozen gimbal", "second gimbal", "second laser"})
-"""Faults by which the payload reports another target than the one that is there."""
+"""Faults by which the payload reports another target than the actual one."""
 VEHICLE = ("GLOBAL_POSITION_INT", "ATTITUDE")
 PAYLOAD = ("DISTANCE_SENSOR", "GIMBAL_DEVICE_ATTITUDE_STATUS")
 _STATUS = ("GPS_RAW_INT", "EKF_STATUS_REPORT", "ESTIMATOR_STATUS")
@@ -197,7 +197,7 @@ def nonsense(rng: np.random.Generator, begin_s: float) -> Fault:
 
 
 def strangers(rng: np.random.Generator, begin_s: float) -> Fault:
-    """Let other components and systems say what is not theirs to say."""
+    """Let other components and systems say anything not theirs to say."""
 
     def change(message: Message, since_s: float, rng: np.random.Generator) -> Arriving:
         yield 0.0, message
@@ -271,7 +271,7 @@ _OTHER = 171  # the component of a second device
 
 
 def repeated(names: tuple[str, ...], field: str, noise: int = 0) -> Change:
-    """Repeat the first value of a field, with noise of so many units."""
+    """Repeat the first value of a field, with noise of this many units."""
     first: dict[str, object] = {}
 
     def change(message: Message, since_s: float, rng: np.random.Generator) -> Message:
@@ -387,7 +387,7 @@ HARMLESS = (
 )
 
 
-BESIDE = (payload_drift, payload_extremes)
+ALONGSIDE = (payload_drift, payload_extremes)
 
 
 def yielding(ending: str | None, ending_s: float) -> list[Fault]:
@@ -403,7 +403,7 @@ def drawn(seed: int, duration_s: float) -> tuple[list[Fault], tuple[str | None, 
     makers = [HARMLESS[at] for at in rng.choice(len(HARMLESS), number, replace=False)]
     faults = [make(rng, float(rng.uniform(20.0, 0.6 * duration_s))) for make in makers]
     # A place that comes right after a reported fault of the GPS is taken for the end of its drift: a jump that begins
-    # just then cannot be told from that.
+    # just then cannot be distinguished from that.
     lost = next((one for one in faults if one.name == "gps lost"), None)
     faults = [
         replace(one, begin_s=lost.begin_s + 40.0, end_s=lost.begin_s + 40.0 + one.end_s - one.begin_s)
@@ -411,10 +411,10 @@ def drawn(seed: int, duration_s: float) -> tuple[list[Fault], tuple[str | None, 
         else one
         for one in faults
     ]
-    beside = np.random.default_rng((seed, 6))  # apart: what was drawn before stays as it was
-    if beside.random() < 0.25:
-        make = BESIDE[beside.integers(len(BESIDE))]
-        faults.append(make(beside, float(beside.uniform(20.0, 0.6 * duration_s))))
+    alongside = np.random.default_rng((seed, 6))  # apart: what was drawn before stays as it was
+    if alongside.random() < 0.25:
+        make = ALONGSIDE[alongside.integers(len(ALONGSIDE))]
+        faults.append(make(alongside, float(alongside.uniform(20.0, 0.6 * duration_s))))
     inputs = np.random.default_rng((seed, 9))
     if inputs.random() < 0.35:
         make = INPUTS[inputs.integers(len(INPUTS))]

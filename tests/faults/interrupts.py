@@ -65,14 +65,14 @@ def left_of(interruption: Interruption, out: Path) -> tuple[str, list[str]]:
         text=True,
     )
     assert process.stdout is not None
-    said = []
+    announced = []
     if interruption.after is not None:
         for line in process.stdout:
-            said.append(line)
+            announced.append(line)
             if interruption.after in line:
                 break
     else:
-        while process.poll() is None and not _heeds_signals(process.pid):
+        while process.poll() is None and not _handles_signals(process.pid):
             time.sleep(0.01)
     timer = threading.Timer(interruption.after_s, process.send_signal, (interruption.signal,))
     timer.start()
@@ -83,18 +83,18 @@ def left_of(interruption: Interruption, out: Path) -> tuple[str, list[str]]:
     finally:
         timer.cancel()
         process.kill()
-    wrong = list(_wrongs(process.returncode, "".join(said) + rest, complaint.strip(), list(out.glob("2*"))))
+    wrong = list(_wrongs(process.returncode, "".join(announced) + rest, complaint.strip(), list(out.glob("2*"))))
     return f"{process.returncode} {complaint.strip()}", wrong
 
 
-def _heeds_signals(pid: int) -> bool:
+def _handles_signals(pid: int) -> bool:
     caught = re.search(r"SigCgt:\s*([0-9a-f]+)", Path(f"/proc/{pid}/status").read_text())
     return caught is not None and bool(int(caught[1], 16) >> (signal.SIGHUP - 1) & 1)
 
 
-def _wrongs(code: int, said: str, complaint: str, runs: list[Path]) -> list[str]:
+def _wrongs(code: int, announced: str, complaint: str, runs: list[Path]) -> list[str]:
     if code == 0 and not complaint:
-        return [] if "completed" in said else ["ended in order, and not by itself"]  # the signal came too late
+        return [] if "completed" in announced else ["ended in order, and not on its own"]  # the signal came too late
     wrong = [] if code == 130 else [f"exit code {code}"]
     if "Traceback" in complaint or "\n" in complaint:
         wrong.append(f"more than a sentence: {complaint[:500]}")
@@ -104,13 +104,13 @@ def _wrongs(code: int, said: str, complaint: str, runs: list[Path]) -> list[str]
         wrong.append(f"not a sentence that is known: {complaint[:500]}")
     if len(runs) != 1:
         return [*wrong, f"{len(runs)} run folders"]
-    if "outcome" not in said or str(runs[0]) not in said:
+    if "outcome" not in announced or str(runs[0]) not in announced:
         wrong.append("no summary")
     return wrong + _damages(runs[0])
 
 
 def _damages(run: Path) -> list[str]:
-    """Return what is not whole of a run's records."""
+    """Return anything not whole of a run's records."""
     wrong = []
     summary = run / "summary.json"
     if not summary.exists() or json.loads(summary.read_text())["outcome"] != "interrupted":

@@ -125,8 +125,8 @@ def _pmtiles() -> bytes:
 def _follow_target() -> bytes:
     beacon, three = mavlink.MAVLink(None, srcSystem=9), [0.0, 0.0, 0.0]
     place = (474_000_000, 85_000_000, 400.0)
-    told = mavlink.MAVLink_follow_target_message(1000, 1, *place, three, three, [1.0, *three], three, three, 0)
-    return told.pack(beacon)
+    announced = mavlink.MAVLink_follow_target_message(1000, 1, *place, three, three, [1.0, *three], three, three, 0)
+    return announced.pack(beacon)
 
 
 def _ulog() -> bytes:

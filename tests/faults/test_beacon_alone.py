@@ -1,4 +1,4 @@
-"""Whole flights on what a target's beacon tells: no laser, no gimbal."""
+"""Whole flights on what a target's beacon reports: no laser, no gimbal."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class BeaconLoop(FaultedFlight):
         self._beacon = None
         super().__init__(scenario)
         self._reported: list[TargetFixReading] = []
-        told = self.flown.told
+        announced = self.flown.announced
         self._beacon = BeaconInput(
             self.telemetry.plane,
             None,
             5.0,
             lambda: self.telemetry.now_s,
             self._reported.append,
-            lambda text: told.append((0.0, text)),
+            lambda text: announced.append((0.0, text)),
         )
         self._error_m = SIGMA_M * np.random.default_rng((scenario.seed, 5)).standard_normal(2)
 
@@ -57,7 +57,9 @@ def test_a_target_is_watched_by_its_beacon_alone(flavour):
     loop = BeaconLoop(Scenario(4, flavour, 300.0))
     flown = loop.fly()
     assert watched(flown, loop.controller)
-    assert [text for _, text in flown.told if "beacon" in text] == ["the beacon 30 reports the target's position"]
+    assert [text for _, text in flown.announced if "beacon" in text] == [
+        "the beacon 30 reports the target's position"
+    ]
     assert all(100.0 - 3 * SIGMA_M <= range_m <= 500.0 + 3 * SIGMA_M for range_m in flown.range_m)
     assert sum(decision.moved for decision in flown.decided) >= 1
     seen_m = [one.target_error_m for one in flown.decided if one.unseen_s < 2.0]

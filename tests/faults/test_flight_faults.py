@@ -1,4 +1,4 @@
-"""Flights that a payload, a clock, a neighbour or a link would mislead, each beside the same flight without."""
+"""Flights that a payload, a clock, a neighbour or a link would mislead, each next to the same flight without."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sidelong.mission.control.plausibility import Plausibility
 from tests.faults import flight_faults
 from tests.faults.flight import FaultedFlight, Scenario
 from tests.faults.flight_campaign import flight
-from tests.faults.flight_faults import BESIDE, HARMLESS, Fault, later, moved, only, with_fields
+from tests.faults.flight_faults import ALONGSIDE, HARMLESS, Fault, later, moved, only, with_fields
 
 BEGIN_S = 60.2  # a decision falls on it
 LOST_ON_SIDE_MAX = 2.0  # points
@@ -37,7 +37,7 @@ MISLEADING = [
 
 
 @pytest.mark.parametrize("one", MISLEADING, ids=lambda one: one.name)
-def test_a_single_wrong_word_misleads_nobody(one):
+def test_a_single_wrong_word_misleads_no_one(one):
     verdict = flight(3, "arduplane", [one], duration_s=110.0)
     assert not verdict.broken
     assert verdict.lost_on_side <= LOST_ON_SIDE_MAX
@@ -51,7 +51,7 @@ def test_without_the_door_each_of_them_would(monkeypatch):
         assert flight(3, "arduplane", [one], duration_s=110.0).broken
 
 
-@pytest.mark.parametrize("make", HARMLESS + BESIDE, ids=lambda make: make.__name__)
+@pytest.mark.parametrize("make", HARMLESS + ALONGSIDE, ids=lambda make: make.__name__)
 def test_a_fault_neither_misleads_nor_ends_a_flight(make):
     rng = np.random.default_rng(11)
     verdicts = [
@@ -73,22 +73,22 @@ def test_faults_that_come_together_do_not_either(seed):
     assert not verdict.broken, verdict.what
 
 
-def test_a_vehicles_clock_that_is_set_under_a_corrected_payload_misleads_nobody():
+def test_a_vehicles_clock_that_is_set_under_a_corrected_payload_misleads_no_one():
     # The payload has restarted, and its clock is corrected by the vehicle's, which is then set by 1.7 s and back.
     verdict = flight(20373, "px4")
     assert set(verdict.names) >= {"vehicle clock", "payload restart"}
     assert not verdict.broken, verdict.what
 
 
-def test_a_wrong_velocity_beside_complaints_of_the_ekf_misleads_nobody():
-    # It was believed, because after a complaint the place may have drifted, and led dead reckoning astray.
+def test_a_wrong_velocity_next_to_complaints_of_the_ekf_misleads_no_one():
+    # It was accepted, because after a complaint the place may have drifted, and led dead reckoning off.
     verdict = flight(1752, "arduplane")
     assert set(verdict.names) >= {"nonsense", "poor link"}
     assert not verdict.broken, verdict.what
 
 
-def test_a_place_that_drifted_unheard_misleads_nobody():
-    # GPS was lost in a silence: the first place after it was 100 m off, and GPS and EKF told so only a second later.
+def test_a_place_that_drifted_not_received_misleads_no_one():
+    # GPS was lost in a silence: the first place after it was 100 m off, and GPS and EKF reported it a second later.
     verdict = flight(110239, "px4")
     assert set(verdict.names) >= {"silence", "gps lost"}
     assert not verdict.broken, verdict.what
@@ -114,22 +114,22 @@ def test_the_same_flight_again_is_the_same_to_the_last_bit():
     faults = [replace(flight_faults.poor_link(np.random.default_rng(3), 10.0)), MISLEADING[3]]
     first, second = (FaultedFlight(scenario, faults).fly() for _ in range(2))
     assert first.range_m == second.range_m
-    assert first.told == second.told
+    assert first.announced == second.announced
 
 
-def test_what_is_refused_is_told_in_words():
-    told = FaultedFlight(Scenario(3, "arduplane", 90.0), [MISLEADING[0], MISLEADING[3]]).fly().told
-    texts = [text for _, text in told]
+def test_what_is_refused_is_reported_in_words():
+    announced = FaultedFlight(Scenario(3, "arduplane", 90.0), [MISLEADING[0], MISLEADING[3]]).fly().announced
+    texts = [text for _, text in announced]
     assert "the laser's clock (component 154) is 3600 s ahead: what it stamps is refused" in texts
     assert any("the position jumped by" in text and "dead reckoning" in text for text in texts)
 
 
-def test_a_longer_jump_holds_the_circle_and_says_so():
+def test_a_longer_jump_holds_the_circle_and_reports_so():
     jump = fault("2 km for 8 s", POSITION, lambda message: moved(message, -2000.0, 0.0), 8.0)
     flown = FaultedFlight(Scenario(3, "px4", 90.0), [jump]).fly()
     assert not [one for one in flown.decided if BEGIN_S + 3.3 < one.time_s < BEGIN_S + 7.9]
-    said = [text for _, text in flown.told]
-    assert any("holding the circle, nothing is decided on it" in text for text in said)
-    assert "the aircraft's position is accepted again" in said
+    texts = [text for _, text in flown.announced]
+    assert any("holding the circle, nothing is decided on it" in text for text in texts)
+    assert "the aircraft's position is accepted again" in texts
     assert max(one.own_error_m for one in flown.decided) < 15.0
     assert not math.isnan(flown.decided[-1].own_error_m)

@@ -24,7 +24,7 @@ SHORT = ("launch", "--planner", "paper", "--speed", "30", "--duration", "10", "-
 
 
 @pytest.mark.parametrize(
-    ("interruption", "said"),
+    ("interruption", "announced"),
     [
         (Interruption(signal.SIGHUP, 0.0), "130 sidelong: interrupted."),
         (Interruption(signal.SIGINT, 0.0, "checking"), "nothing was commanded; no records are kept."),
@@ -33,10 +33,10 @@ SHORT = ("launch", "--planner", "paper", "--speed", "30", "--duration", "10", "-
     ],
     ids=["loading", "checking", "climbing", "watching"],
 )
-def test_a_signal_ends_it_in_order(tmp_path, interruption, said):
+def test_a_signal_ends_it_in_order(tmp_path, interruption, announced):
     sentence, wrong = left_of(interruption, tmp_path)
     assert not wrong
-    assert said in sentence
+    assert announced in sentence
 
 
 def test_a_signal_breaks_off_what_is_computed_before_a_flight(tmp_path):
@@ -50,7 +50,7 @@ def test_a_signal_breaks_off_what_is_computed_before_a_flight(tmp_path):
         "--out",
         str(tmp_path / "runs"),
     ]
-    # Without a cache the value table is computed anew, and what computes it is compiled.
+    # Without a cache the value table is computed again, and what computes it is compiled.
     nowhere = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "NUMBA_CACHE_DIR": str(tmp_path / "numba")}
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | nowhere
@@ -68,7 +68,7 @@ def test_a_signal_breaks_off_what_is_computed_before_a_flight(tmp_path):
     assert not list((tmp_path / "runs").iterdir())
 
 
-def test_the_error_of_a_library_that_was_broken_off_is_not_told():
+def test_the_error_of_a_library_that_was_broken_off_is_not_reported():
     async def flown() -> None:
         life = Life(lambda: False, print)
         with life.heeding_signals(), life.computing():
@@ -95,7 +95,7 @@ def test_the_end_of_the_simulated_vehicle_ends_it(tmp_path):
     )
     assert process.stdout is not None
     try:
-        said = [next(line for line in process.stdout if "watched from now on" in line)]
+        announced = [next(line for line in process.stdout if "watched from now on" in line)]
         (simulator,) = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
         os.kill(int(simulator), signal.SIGKILL)
         rest, complaint = process.communicate(timeout=60.0)
@@ -105,7 +105,7 @@ def test_the_end_of_the_simulated_vehicle_ends_it(tmp_path):
     assert complaint == (
         "sidelong: the simulated vehicle has ended: it stopped with code -9; nothing flies any more.\n"
     )
-    assert "outcome" in "".join(said) + rest
+    assert "outcome" in "".join(announced) + rest
     (run,) = tmp_path.iterdir()
     assert json.loads((run / "summary.json").read_text())["outcome"].startswith("failed: the simulated vehicle")
 

@@ -89,10 +89,10 @@ def sealed(body: str) -> bytes:
     ids=["nested without end", "no fields", "fields are a list", "no name", "openings without end", "9 MB"],
 )
 def test_a_journal_line_that_is_none_is_passed_over(tmp_path, line):
-    path, said = tmp_path / "journal.jsonl", Announce(1.0, "track", "good")
-    path.write_bytes(HEADER + line + encode(said))
+    path, announced = tmp_path / "journal.jsonl", Announce(1.0, "track", "good")
+    path.write_bytes(HEADER + line + encode(announced))
     reader = JournalReader(path, JOURNAL_TYPES)
-    assert list(reader) == [said]
+    assert list(reader) == [announced]
     assert reader.damaged_lines
 
 

@@ -239,10 +239,10 @@ def _fleet(first: Settings, flown: Flown) -> tuple[list[Craft], Callable[[], Non
         craft = Craft(member.name, member.config, settings, plane, flown)
         craft.begins_s = craft.link_s + 20.0 * (count - number)  # the highest layer first
         craft.ready(in_fleet=True)
-        told = Participant(
+        announced = Participant(
             craft.name, craft.core.controller, craft.waiting.append, lambda one=craft: one.telemetry.now_s
         )
-        coordination.add(told)
+        coordination.add(announced)
         craft.listeners.append(coordination.stepped(craft.name))
         craft.vehicle.listeners.append(
             lambda message, name=craft.name: (

@@ -192,11 +192,11 @@ def deep_cost(table, futures, doubt, ahead, end, branches, horizon, prices, radi
         """The cost up to each second, without the table's at the end."""
         at = first + np.arange(len(x))
         dx, dy = x - futures.place[one, at, 0], y - futures.place[one, at, 1]
-        sin_f, cos_f, beside = futures.facing[one, at].T
+        sin_f, cos_f, alongside = futures.facing[one, at].T
         across, along = dx * cos_f - dy * sin_f, dx * sin_f + dy * cos_f
         sigma = np.hypot(doubt[0], doubt[1] * at)
         weight = np.exp(-(c.discount_per_s + hazard) * at)
-        rate = weight * cost_rate(c.cost, across, along, sigma, 1.0 + np.hypot(sigma, beside * along))
+        rate = weight * cost_rate(c.cost, across, along, sigma, 1.0 + np.hypot(sigma, alongside * along))
         return np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1])))), weight
 
     def turns(one, first, x, y, heading, weight, at):

@@ -31,7 +31,7 @@ def predictions(monkeypatch):
 
 
 @pytest.mark.parametrize("later_s", [3600.0, 4_294_967.0, 1e12])
-def test_an_estimate_far_ahead_takes_so_many_steps_and_no_more(predictions, later_s):
+def test_an_estimate_far_ahead_takes_this_many_steps_and_no_more(predictions, later_s):
     track = Track(TrackerSettings(filter="ekf"))
     track.add(Fix(100.0, 0.0, 0.0, 5.0))
     assert track.estimate(100.0 + later_s).quality is TrackQuality.LOST
@@ -45,7 +45,7 @@ def test_a_sighting_long_after_the_last_does_not_either(predictions):
     assert len(predictions) <= 65
 
 
-def test_late_sightings_repeat_so_many_and_no_more(predictions):
+def test_late_sightings_repeat_this_many_and_no_more(predictions):
     track = Track(TrackerSettings(filter="ekf"))
     for number in range(400):
         track.add(Fix(100.0 + 0.01 * number, 0.0, 0.0, 5.0))
@@ -56,7 +56,7 @@ def test_late_sightings_repeat_so_many_and_no_more(predictions):
 
 
 @pytest.mark.parametrize("far_m", [1e4, 1.5e7])
-def test_the_way_to_a_far_target_has_so_many_points_and_no_more(far_m):
+def test_the_way_to_a_far_target_has_this_many_points_and_no_more(far_m):
     aircraft = AircraftState(0.0, 0.0, 0.0, 0.3, 15.0, 0.0)
     target = TargetEstimate(0.0, far_m, 0.0, 1.0, 0.0, np.eye(4), TrackQuality.GOOD, 0.0)
     plan = approach(aircraft, target, Aircraft(15.0, 60.0), Requirement(100.0, 500.0, Side.LEFT, 3.0))
@@ -66,7 +66,7 @@ def test_the_way_to_a_far_target_has_so_many_points_and_no_more(far_m):
     assert math.hypot(path.east_m[-1] - end[0], path.north_m[-1] - end[1]) < 1e-6 * far_m + 0.1
 
 
-def test_so_many_ranges_wait_and_no_more():
+def test_this_many_ranges_wait_and_no_more():
     poses = PoseHistory()
     pairing = Pairing(TrackerSettings(), poses)
     for number in range(1000):

@@ -130,12 +130,12 @@ class Fleet:
         self.coordinator = self.new_coordinator()
         self.journal: list[FleetEvent] = []
         self.advice: dict[str, FleetAdvice] = {}  # the last of each aircraft
-        self.said: list[FleetAnnounce | LaunchRequested | RequirementChanged] = []
+        self.announced: list[FleetAnnounce | LaunchRequested | RequirementChanged] = []
         self.time_s = 0.0
         for one in vehicles:
-            self.tell(ClockReported(one.name, one.ahead_s, 0.0, 0.01))
+            self.put_event(ClockReported(one.name, one.ahead_s, 0.0, 0.01))
             for news in one.take(ControlAcquired(one.ahead_s, one.circle, "AUTO"), 0.0):
-                self.tell(news)
+                self.put_event(news)
 
     def new_coordinator(self) -> FleetCoordinator:
         self.judged: list[Aircraft] = []  # the aircraft as the coordinator takes them to be
@@ -148,25 +148,25 @@ class Fleet:
 
         return FleetCoordinator(self.members, [FleetTarget("boat", REQUIREMENT)], judge)
 
-    def tell(self, event: FleetEvent) -> None:
+    def put_event(self, event: FleetEvent) -> None:
         self.journal.append(event)
         for command in self.coordinator.step(event):
             if isinstance(command, Tell):
                 if isinstance(command.event, FleetAdvice):
                     self.advice[command.name] = command.event
                 for news in self.vehicles[command.name].take(command.event, self.time_s):
-                    self.tell(news)
+                    self.put_event(news)
             else:
-                self.said.append(command)
+                self.announced.append(command)
 
     def fly(self, duration_s: float, *absent: str) -> None:
         for _ in range(round(duration_s * 10)):
             self.time_s = round(self.time_s + 0.1, 6)
-            self.tell(Tick(self.time_s))
+            self.put_event(Tick(self.time_s))
             for name, vehicle in self.vehicles.items():
                 if name not in absent:
                     for news in vehicle.fly(self.time_s):
-                        self.tell(news)
+                        self.put_event(news)
 
     def role(self, name: str) -> Role:
         return self.coordinator.roles[name][1]
@@ -176,7 +176,7 @@ def pair(**other) -> Fleet:
     return Fleet(Vehicle("a", WEST, 100.0), Vehicle("b", EAST, -40.0, **{"height_m": 160.0, **other}))
 
 
-def test_each_is_told_its_side_and_decides_by_the_joint_estimate():
+def test_each_is_reported_its_side_and_decides_by_the_joint_estimate():
     fleet = pair()
     fleet.vehicles["b"].sees = False
     fleet.fly(20.0)
@@ -199,14 +199,14 @@ def test_all_go_by_one_course_also_who_comes_later():
     assert {judge.course_rad for judge in fleet.judges} == {fleet.advice["b"].course_rad}
 
 
-def test_the_one_left_takes_the_wanted_side_when_the_other_falls_silent():
+def test_the_one_left_takes_the_required_side_when_the_other_falls_silent():
     fleet = pair()
     fleet.fly(10.0)
     fleet.fly(8.0, "a")
     assert fleet.role("b") is Role.WANTED
-    assert any("no message received" in said.text for said in fleet.said if said.name == "a")
+    assert any("no message received" in announced.text for announced in fleet.announced if announced.name == "a")
     fleet.fly(5.0)
-    assert any(said.text == "is back" for said in fleet.said)
+    assert any(announced.text == "is back" for announced in fleet.announced)
 
 
 @pytest.mark.parametrize("off_s", [-11.0, 11.0])
@@ -214,14 +214,16 @@ def test_a_clock_that_is_set_wrong_for_a_while_is_no_silence(off_s):
     fleet = pair()
     fleet.fly(10.0)
     ahead_s = fleet.vehicles["a"].ahead_s
-    fleet.tell(ClockReported("a", fleet.time_s + ahead_s, fleet.time_s + off_s, 0.02))
+    fleet.put_event(ClockReported("a", fleet.time_s + ahead_s, fleet.time_s + off_s, 0.02))
     fleet.fly(5.0)
-    fleet.tell(ClockReported("a", fleet.time_s + ahead_s, fleet.time_s, 0.02))
+    fleet.put_event(ClockReported("a", fleet.time_s + ahead_s, fleet.time_s, 0.02))
     fleet.fly(20.0)
-    assert not any("is out" in said.text for said in fleet.said if isinstance(said, FleetAnnounce))
+    assert not any(
+        "is out" in announced.text for announced in fleet.announced if isinstance(announced, FleetAnnounce)
+    )
     fleet.fly(8.0, "a")
-    said = [said.text for said in fleet.said if said.name == "a"]
-    assert said == [
+    announced = [announced.text for announced in fleet.announced if announced.name == "a"]
+    assert announced == [
         f"its UTC jumped by {off_s:.1f} s: it is not used while it is off",
         "its UTC is used again",
         "is out: no message received for 6 s",
@@ -235,10 +237,10 @@ def test_jump_of_one_utc_is_reported_once_and_does_not_move_mission_time():
         fleet.fly(1.0)
         for one in fleet.vehicles.values():
             own_s = off_s if one.name == "a" else 0.0
-            fleet.tell(ClockReported(one.name, fleet.time_s + one.ahead_s, fleet.time_s + own_s, 0.02))
+            fleet.put_event(ClockReported(one.name, fleet.time_s + one.ahead_s, fleet.time_s + own_s, 0.02))
         assert fleet.advice["b"].time_s == pytest.approx(fleet.time_s - 80.0, abs=1.5)
-    said = [(one.name, one.text) for one in fleet.said if "UTC" in one.text]
-    assert said == [
+    announced = [(one.name, one.text) for one in fleet.announced if "UTC" in one.text]
+    assert announced == [
         ("a", "its UTC jumped by 3600.0 s: it is not used while it is off"),
         ("a", "its UTC is used again"),
     ]
@@ -282,38 +284,38 @@ def test_one_that_circles_about_the_target_does_not_take_the_side_from_one_that_
 def test_a_low_battery_gives_up_the_side_and_goes_home_once_another_one_watches():
     fleet = pair()
     fleet.fly(10.0)
-    fleet.tell(BatteryReported("a", 0.0, 0.25))
+    fleet.put_event(BatteryReported("a", 0.0, 0.25))
     fleet.fly(10.0)
     assert fleet.role("a") is fleet.role("b") is Role.WANTED  # b is still on the other side
     assert fleet.vehicles["a"].core.phase is Phase.WATCHING
     fleet = Fleet(Vehicle("a", WEST, 0.0), Vehicle("b", WEST - 30.0, 0.0, 160.0))
     fleet.fly(10.0)
     assert fleet.role("a") is Role.WANTED
-    fleet.tell(BatteryReported("a", 0.0, 0.25))
+    fleet.put_event(BatteryReported("a", 0.0, 0.25))
     fleet.fly(5.0)
     assert [command.action for command in fleet.vehicles["a"].commands if isinstance(command, End)] == ["return"]
     assert (fleet.role("b"), fleet.vehicles["b"].core.phase) == (Role.WANTED, Phase.WATCHING)
 
 
-def test_who_is_alone_asks_for_a_reserve_and_leaves_without_one_only_when_it_must():
+def test_whoever_is_alone_asks_for_a_reserve_and_leaves_without_one_only_when_it_must():
     alone = Fleet(Vehicle("a", WEST, 0.0), reserve="c")
     alone.fly(5.0)
-    alone.tell(ReliefRequested("a", alone.time_s))
+    alone.put_event(ReliefRequested("a", alone.time_s))
     alone.fly(5.0)
-    assert [said.name for said in alone.said if isinstance(said, LaunchRequested)] == ["c"]
+    assert [announced.name for announced in alone.announced if isinstance(announced, LaunchRequested)] == ["c"]
     assert alone.vehicles["a"].core.phase is Phase.WATCHING
-    alone.tell(BatteryReported("a", 0.0, 0.1))
+    alone.put_event(BatteryReported("a", 0.0, 0.1))
     alone.fly(2.0)
     assert [command.action for command in alone.vehicles["a"].commands if isinstance(command, End)] == ["return"]
 
 
-def test_who_has_watched_for_its_time_is_relieved_by_the_other():
+def test_whoever_has_watched_for_its_time_is_relieved_by_the_other():
     fleet = Fleet(Vehicle("a", WEST, 0.0), Vehicle("b", WEST - 30.0, 0.0, 160.0))
     fleet.members[0] = replace(fleet.members[0], endurance_s=20.0)
     fleet.coordinator = fleet.new_coordinator()
     for one in fleet.vehicles.values():
-        fleet.tell(ClockReported(one.name, 0.0, 0.0, 0.01))
-        fleet.tell(PlansReported(one.name, Plan(one.circle)))
+        fleet.put_event(ClockReported(one.name, 0.0, 0.0, 0.01))
+        fleet.put_event(PlansReported(one.name, Plan(one.circle)))
     fleet.fly(15.0)
     assert fleet.role("a") is Role.WANTED
     fleet.fly(10.0)
@@ -324,24 +326,24 @@ def test_who_has_watched_for_its_time_is_relieved_by_the_other():
 def test_a_persons_side_holds_for_all_at_once_and_is_not_taken_back():
     fleet = pair()
     fleet.fly(10.0)
-    fleet.tell(SideRequested(fleet.time_s, Side.RIGHT, "operator 1"))
+    fleet.put_event(SideRequested(fleet.time_s, Side.RIGHT, "operator 1"))
     fleet.fly(1.5)
     for _ in range(5):
         assert (fleet.role("a"), fleet.role("b")) == (Role.OPPOSITE, Role.WANTED)
         assert [one.core.snapshot().side for one in fleet.vehicles.values()] == [Side.LEFT, Side.RIGHT]
         fleet.fly(4.0)
-    changed = [said for said in fleet.said if isinstance(said, RequirementChanged)]
+    changed = [announced for announced in fleet.announced if isinstance(announced, RequirementChanged)]
     assert [(one.target, one.requirement) for one in changed] == [("boat", replace(REQUIREMENT, side=Side.RIGHT))]
 
 
-def test_a_band_that_one_core_took_up_holds_for_the_roles_and_leaves_the_wanted_side():
+def test_a_band_that_one_core_took_up_holds_for_the_roles_and_leaves_the_required_side():
     fleet = pair()
     fleet.fly(10.0)
-    fleet.tell(SideRequested(fleet.time_s, Side.RIGHT))
+    fleet.put_event(SideRequested(fleet.time_s, Side.RIGHT))
     for vehicle in fleet.vehicles.values():
         change = MissionChange(vehicle.core.time_s, radius_m=60.0, range_min_m=150.0)
         for news in vehicle.take(change, fleet.time_s):
-            fleet.tell(news)
+            fleet.put_event(news)
     fleet.fly(2.0)
     assert fleet.coordinator.requirement("boat") == replace(REQUIREMENT, range_min_m=150.0, side=Side.RIGHT)
     flown = {one.core.settings.aircraft.radius_m for one in fleet.vehicles.values()}
@@ -349,13 +351,13 @@ def test_a_band_that_one_core_took_up_holds_for_the_roles_and_leaves_the_wanted_
     assert (fleet.role("a"), fleet.role("b")) == (Role.OPPOSITE, Role.WANTED)
 
 
-def test_a_reserve_is_asked_for_when_nobody_is_left():
+def test_a_reserve_is_asked_for_when_no_one_is_left():
     fleet = Fleet(Vehicle("a", WEST, 0.0), Vehicle("b", EAST, 0.0, 160.0), reserve="c")
     fleet.fly(5.0)
     fleet.fly(8.0, "b")
-    assert not any(isinstance(said, LaunchRequested) for said in fleet.said)
+    assert not any(isinstance(announced, LaunchRequested) for announced in fleet.announced)
     fleet.fly(8.0, "a", "b")
-    assert [said.name for said in fleet.said if isinstance(said, LaunchRequested)] == ["c"]
+    assert [announced.name for announced in fleet.announced if isinstance(announced, LaunchRequested)] == ["c"]
 
 
 def test_aircraft_are_given_out_to_the_targets_and_a_lost_target_frees_its_own():
@@ -438,7 +440,7 @@ def test_aircraft_that_sinks_out_of_its_layer_raises_an_alarm_and_leaves_its_cir
     (reason,) = [one.text for one in upper.commands if isinstance(one, Announce) and "leaving" in one.text]
     assert reason.startswith("leaving the circle: a is only 4")
 
-    fleet.tell(PlansReported("b", Plan(circle)))  # it has departed, and circles there
+    fleet.put_event(PlansReported("b", Plan(circle)))  # it has departed, and circles there
     fleet.fly(10.0)
     assert alarm(fleet, "b") == ""
 
@@ -450,7 +452,7 @@ def test_reported_distance_below_the_required_one_always_raises_an_alarm():
     fleet.fly(5.0)
     assert (alarm(fleet, "a"), alarm(fleet, "b")) == ("", "")
     where = fleet.vehicles["a"].core.aircraft
-    fleet.tell(ForeignAircraftReported("system 9", fleet.time_s, where.east_m, where.north_m, 120.0, 0.0, 0.0))
+    fleet.put_event(ForeignAircraftReported("system 9", fleet.time_s, where.east_m, where.north_m, 120.0, 0.0, 0.0))
     fleet.fly(1.0)
     assert re.fullmatch(r"only \d\d m from system 9; 50 m are required", alarm(fleet, "a"))
     fleet.fly(10.0)
@@ -464,42 +466,42 @@ def test_another_program_on_the_same_fleet_is_reported_and_does_not_share_a_laye
     stolen = ExternalControl(taken.core.time_s, "another station has changed the mission")
     outputs = (stolen, *taken.core.step(stolen))
     for news in taken.reporter.after(taken.core, object(), outputs, fleet.time_s):
-        fleet.tell(news)
+        fleet.put_event(news)
     raised = []
     for height_m in [160.0] + 5 * [104.0] + 6 * [160.0]:
         report = ForeignAircraftReported("b", fleet.time_s, EAST, 0.0, height_m, 0.0, 15.0, member=True)
-        fleet.tell(report)
+        fleet.put_event(report)
         fleet.fly(1.0, "b")
         raised.append(alarm(fleet, "a"))
     text = "the height differs by only 4 m from that of b, which was yielded and may come here"
     assert set(raised) == {"", text}
     assert raised[0] == raised[-1] == ""
-    assert [said.text for said in fleet.said] == [
+    assert [announced.text for announced in fleet.announced] == [
         "is out: another station has changed the mission; make sure that only one program commands the fleet"
     ]
     assert [one.name for one in fleet.advice["a"].neighbours if one.ours] == []
 
 
-def test_a_foreign_aircraft_counts_as_an_obstacle_while_it_is_heard():
+def test_a_foreign_aircraft_counts_as_an_obstacle_while_it_is_received():
     fleet = pair()
     fleet.fly(5.0)
     core = fleet.vehicles["a"].core
     here = Plan(fleet.vehicles["a"].circle, None, core.time_s + 1.0)
     assert isinstance(core.cleared(here), Plan)
-    fleet.tell(ForeignAircraftReported("ICAO 4b1805", fleet.time_s, WEST - 200.0, 0.0, 110.0, math.pi / 2, 20.0))
+    fleet.put_event(ForeignAircraftReported("ICAO 4b1805", fleet.time_s, WEST - 200.0, 0.0, 110.0, math.pi / 2, 20.0))
     fleet.fly(1.5)
     assert "4b1805" in str(core.cleared(here))
     fleet.fly(40.0)
     assert isinstance(core.cleared(here), Plan)
 
 
-def test_a_payload_that_sees_something_else_is_told():
+def test_a_payload_that_sees_something_else_is_reported():
     fleet = Fleet(*(Vehicle(name, east_m, 0.0, 100.0 + 60.0 * k) for k, (name, east_m) in enumerate(
         (("a", WEST), ("b", EAST), ("c", EAST + 80.0)))))  # fmt: skip
     fleet.fly(10.0)
     fleet.vehicles["c"].shift_m = 60.0
     fleet.fly(15.0)
-    assert any("left out" in said.text for said in fleet.said if said.name == "c")
+    assert any("left out" in announced.text for announced in fleet.announced if announced.name == "c")
     estimate = fleet.coordinator.estimate("boat")
     assert estimate is not None
     assert math.hypot(estimate.east_m, estimate.north_m - TARGET_SPEED_M_S * estimate.time_s) < 2.0
@@ -523,7 +525,7 @@ def test_the_same_events_lead_to_the_same_commands():
     ("at", "costs_s", "given", "gained_s"),
     [
         (["x", "x", "y"], [[10, 90], [20, 80], [90, 10]], ["x", "x", "y"], 0.0),
-        (["x", "y", "y"], [[10, 90], [80, 20], [90, 10]], ["x", "y", "y"], 0.0),  # who is over may be with either
+        (["x", "y", "y"], [[10, 90], [80, 20], [90, 10]], ["x", "y", "y"], 0.0),  # whoever is over may be with either
         (["x", "x", "x"], [[10, 90], [20, 40], [10, 70]], ["x", "y", "x"], math.inf),
         (["x", "y", "y"], [[10, 90], [10, 60], [90, 10]], ["x", "x", "y"], 50.0),
         (["", "", ""], [[10, 90], [80, 20], [90, 10]], ["x", "y", "y"], math.inf),
@@ -538,7 +540,7 @@ def test_each_goes_where_a_side_is_left_for_it():
     left, right = RoleCosts(5.0, 60.0), RoleCosts(60.0, 5.0)
     own = [[left, left], [right, left], [left, right], [right, right]]  # on which side of x and y each of them is
     given, gained_s = spread_over(["x", "y"], own, ["x", "x", "y", "y"], 0.0)
-    assert gained_s == 55.0  # both beside y are on the same side of it
+    assert gained_s == 55.0  # both next to y are on the same side of it
     assert given in (["x", "y", "y", "x"], ["y", "x", "x", "y"])
     two_left = [[left, left], [left, left], [right, right], [right, right]]
     given, gained_s = spread_over(["x", "y"], two_left, ["x", "x", "y", "y"], 0.0)
@@ -547,15 +549,15 @@ def test_each_goes_where_a_side_is_left_for_it():
 
 
 def test_none_changes_its_target_for_less_than_a_change_costs():
-    def beside(*each_s: float) -> list[RoleCosts]:
+    def alongside(*each_s: float) -> list[RoleCosts]:
         return [RoleCosts(one_s, one_s) for one_s in each_s]
 
     targets = ["x", "y"]
-    assert spread_over(targets, [beside(30, 10), beside(10, 30)], ["x", "y"], 15.0) == (["y", "x"], 10.0)
-    assert spread_over(targets, [beside(24, 10), beside(10, 24)], ["x", "y"], 15.0) == (["x", "y"], 0.0)
-    assert spread_over(targets, [beside(5, 5)] * 4, ["y", "x", "x", "y"], 15.0) == (["y", "x", "x", "y"], 0.0)
-    # Also while another has to: of three beside x the one goes that is nearest to y, and the others stay.
-    uneven = [beside(10, 90), beside(10, 60), beside(10, 80), beside(20, 14)]
+    assert spread_over(targets, [alongside(30, 10), alongside(10, 30)], ["x", "y"], 15.0) == (["y", "x"], 10.0)
+    assert spread_over(targets, [alongside(24, 10), alongside(10, 24)], ["x", "y"], 15.0) == (["x", "y"], 0.0)
+    assert spread_over(targets, [alongside(5, 5)] * 4, ["y", "x", "x", "y"], 15.0) == (["y", "x", "x", "y"], 0.0)
+    # Also while another has to: of three next to x the one goes that is nearest to y, and the others stay.
+    uneven = [alongside(10, 90), alongside(10, 60), alongside(10, 80), alongside(20, 14)]
     assert spread_over(targets, uneven, ["x", "x", "x", "y"], 15.0) == (["x", "y", "x", "y"], math.inf)
-    # A target that nobody sees is none of these: who is with it is free, and goes where most is wanted.
-    assert spread_over(["x"], [beside(10), beside(90)], ["x", "z"], 15.0) == (["x", "x"], math.inf)
+    # A target that no one sees is none of these: whoever is with it is free, and goes where most is wanted.
+    assert spread_over(["x"], [alongside(10), alongside(90)], ["x", "z"], 15.0) == (["x", "x"], math.inf)

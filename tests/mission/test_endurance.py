@@ -12,7 +12,7 @@ from sidelong.mission.core.requirement import Wind
 
 
 def observed(lasts_s, until_s, reserve_percent=20.0, power=lambda _time_s: 1.0):
-    """Return the estimate of a battery that lasts so long, reported once a second in whole percent."""
+    """Return the estimate of a battery that lasts this long, reported once a second in whole percent."""
     endurance, charge = Endurance(reserve_percent), 100.0
     for second in range(int(until_s) + 1):
         endurance.take(float(second), float(int(charge)))

@@ -44,7 +44,7 @@ def test_each_cause_names_its_numbers(aircraft: Aircraft, requirement: Requireme
     assert fields <= {change.field for change in verdict.reasons}
 
 
-def test_a_reason_is_told_once_with_all_that_would_help() -> None:
+def test_a_reason_is_reported_once_with_all_that_would_help() -> None:
     verdict = feasibility(replace(AIRCRAFT, radius_m=8.0), replace(REQUIREMENT, range_max_m=110.0))
     tight, narrow = in_words(verdict.reasons[:5]).split("; ")
     assert tight.startswith("the circle is tighter than a bank of 45 degrees allows: radius_m must be at least ")

@@ -1,4 +1,4 @@
-"""Roles of several aircraft on one target, and what each decides beside the others."""
+"""Roles of several aircraft on one target, and what each decides next to the others."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side, Wind
 from sidelong.mission.fleet import cover_kernel as kernel
-from sidelong.mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_beside
+from sidelong.mission.fleet.roles import Candidate, RoleAssignment, RoleCosts, course_is_known, is_on_station
 from sidelong.mission.fleet.team import team_of
 from sidelong.mission.fleet.team_planner import TeamPlanner
 from sidelong.mission.fleet.watched_course import WatchedCourse
@@ -30,7 +30,7 @@ def costs(a: float, b: float, **of_b: bool) -> dict[str, Candidate]:
     return {"a": Candidate(RoleCosts(a, 1.0)), "b": Candidate(RoleCosts(b, 1.0), **of_b)}
 
 
-def test_the_cheapest_holds_the_wanted_side_and_the_other_waits_opposite():
+def test_the_cheapest_holds_the_required_side_and_the_other_waits_opposite():
     assert RoleAssignment().assign(0.0, costs(5.0, 2.0)) == {"b": Role.WANTED, "a": Role.OPPOSITE}
 
 
@@ -48,21 +48,21 @@ def test_a_gain_that_does_not_last_changes_nothing():
         assert roles.assign(float(t), costs(2.0, 0.5 if better and t else 5.0))["a"] is Role.WANTED
 
 
-def test_nobody_takes_the_side_who_does_not_watch_from_there_or_of_a_target_whose_course_nobody_knows():
+def test_no_one_takes_the_side_who_does_not_watch_from_there_or_of_a_target_whose_course_no_one_knows():
     roles = RoleAssignment()
     roles.assign(0.0, costs(2.0, 5.0))
     for t in range(1, 30):
-        assert roles.assign(float(t), costs(50.0, 2.0, beside=False))["a"] is Role.WANTED
+        assert roles.assign(float(t), costs(50.0, 2.0, on_station=False))["a"] is Role.WANTED
         assert roles.assign(float(t), costs(50.0, 2.0), course_known=False)["a"] is Role.WANTED
     for t in range(30, 33):
         roles.assign(float(t), costs(50.0, 2.0))
     assert roles.holder == "b"
     blind = RoleAssignment()
     blind.assign(0.0, costs(2.0, 5.0))
-    neither = {name: replace(one, beside=False) for name, one in costs(50.0, 2.0).items()}
+    neither = {name: replace(one, on_station=False) for name, one in costs(50.0, 2.0).items()}
     for t in range(1, 4):
         blind.assign(float(t), neither)
-    assert blind.holder == "b"  # nobody watches: who comes first holds it
+    assert blind.holder == "b"  # no one watches: who comes first holds it
 
 
 def test_the_next_hand_over_waits_until_plans_for_the_last_one_are_on_board():
@@ -88,10 +88,10 @@ def test_what_a_hand_over_hangs_on():
     north = going(0.0)
     requirement = replace(REQUIREMENT, side=Side.LEFT)
     state, _ = on_circle(-200.0, 0.0, clockwise=True)
-    assert is_beside(state, north, requirement, 0.0)
-    assert not is_beside(state, north, requirement, math.pi)
-    assert not is_beside(replace(state, east_m=-90.0, north_m=0.0), north, requirement, 0.0)
-    assert is_beside(state, north, requirement, None)  # a target that has not moved has no sides
+    assert is_on_station(state, north, requirement, 0.0)
+    assert not is_on_station(state, north, requirement, math.pi)
+    assert not is_on_station(replace(state, east_m=-90.0, north_m=0.0), north, requirement, 0.0)
+    assert is_on_station(state, north, requirement, None)  # a target that has not moved has no sides
     assert course_is_known(north)
     assert not course_is_known(replace(north, covariance=9.0 * np.eye(4)))
 
@@ -103,12 +103,12 @@ def test_a_holder_that_is_out_is_replaced_at_once(left):
     assert roles.assign(1.0, left)["b"] is Role.WANTED
 
 
-def test_somebody_always_holds_the_wanted_side():
+def test_someone_always_holds_the_required_side():
     roles = RoleAssignment()
     for t in range(200):
         present = [(k, name) for k, name in enumerate("abc", 1) if t // 7 % 4 != k]
-        told = {name: Candidate(RoleCosts(3.0 + math.sin(t * k), 1.0)) for k, name in present}
-        assert list(roles.assign(float(t), told).values()).count(Role.WANTED) >= 1
+        given = {name: Candidate(RoleCosts(3.0 + math.sin(t * k), 1.0)) for k, name in present}
+        assert list(roles.assign(float(t), given).values()).count(Role.WANTED) >= 1
 
 
 def test_the_course_whose_sides_count():
@@ -127,7 +127,7 @@ def test_the_course_whose_sides_count():
     assert course.course_rad == pytest.approx(0.0)  # held, whatever the estimate turns about
 
 
-# -- one aircraft's decisions beside another's -----------------------------------------------------------------------
+# -- one aircraft's decisions next to another's ---------------------------------------------------------------------
 
 AIRCRAFT = Aircraft(10.0, 50.0)
 TABLE = value_table(table_configuration(AIRCRAFT, REQUIREMENT))
@@ -165,8 +165,8 @@ def test_alone_it_decides_as_the_planner_of_one_does_and_one_of_a_fleet_at_its_p
     one = PredictivePlanner(AIRCRAFT, requirement, TABLE)
     one.price_share = price_share
     lone = one.decide(state, going(0.0), plan, Wind(), 0.5)
-    by_itself, told = planner(requirement=requirement), planner(requirement=requirement)
-    for team in (by_itself, advised(told, None, Role.WANTED, Side.LEFT)):
+    on_its_own, given = planner(requirement=requirement), planner(requirement=requirement)
+    for team in (on_its_own, advised(given, None, Role.WANTED, Side.LEFT)):
         mine = team.decide(state, going(0.0), plan, Wind(), 0.5)
         assert (mine.reason, mine.values) == (lone.reason, lone.values)
 
@@ -189,7 +189,7 @@ def test_moves_cost_less_and_gaps_more_where_a_target_crosses_much_of_the_band_i
     assert fast.opposite == pytest.approx(1.19, abs=0.02)
 
 
-def test_the_wanted_side_costs_most_where_it_is_farthest():
+def test_the_required_side_costs_most_where_it_is_farthest():
     team = planner()
     left = team.role_costs(*_looked(on_circle(-300.0, 0.0, True), going(0.0)))
     right = team.role_costs(*_looked(on_circle(300.0, 0.0, False), going(0.0)))
@@ -208,10 +208,10 @@ def flown_lap(team: TeamPlanner, other_east_m: float, role: Role, side: Side) ->
         circle = Circle(300.0, 4.0 * k, 50.0, True)
         state = AircraftState(100.0 + k, *circle.position_at_course(0.2 * k), 0.2 * k, 10.0, circle.curvature_per_m)
         other = Circle(other_east_m, 4.0 * k, 50.0, True)
-        beside = replace(state, east_m=state.east_m + other_east_m - 300.0)
+        on_station = replace(state, east_m=state.east_m + other_east_m - 300.0)
         target = replace(going(0.0), time_s=state.time_s, north_m=4.0 * k, last_sighting_s=state.time_s)
         team.advise(NeighbourPlanned(state.time_s, "b", Plan(other), None))
-        neighbour = Neighbour("b", beside, 160.0, ours=True, target="t")
+        neighbour = Neighbour("b", on_station, 160.0, ours=True, target="t")
         team.advise(FleetAdvice(state.time_s, "t", role, side, target, 100.0, (neighbour,)))
         found.append(team.decide(state, target, Plan(circle), Wind(), 0.5))
         if found[-1].plan is not None:
@@ -219,7 +219,7 @@ def flown_lap(team: TeamPlanner, other_east_m: float, role: Role, side: Side) ->
     return found
 
 
-def test_who_is_off_the_wanted_side_hurries_only_when_nobody_else_sees_it():
+def test_whoever_is_off_the_required_side_hurries_only_when_no_one_else_sees_it():
     alone = flown_lap(planner(), 360.0, Role.WANTED, Side.LEFT)
     assert alone[-1].plan is not None
     seen = flown_lap(planner(), -300.0, Role.OPPOSITE, Side.RIGHT)
@@ -293,7 +293,7 @@ def test_where_uploads_take_long_no_plan_ends_in_a_circle_that_leads_too_near_be
 @pytest.mark.parametrize(
     ("bearings_deg", "share"), [((0, 180), 0.0), ((0, 90), 0.25), ((0, 120, 240), 0.0), ((10, 20, 30), 160 / 360)]
 )
-def test_the_courses_that_nobody_covers_are_the_gap_beyond_half_a_turn(bearings_deg, share):
+def test_the_courses_that_no_one_covers_are_the_gap_beyond_half_a_turn(bearings_deg, share):
     first, *others = np.radians(bearings_deg)
     assert kernel.uncovered(float(first), np.array(others)) == pytest.approx(share, abs=1e-9)
 
@@ -306,7 +306,7 @@ def test_a_requirement_without_sides_is_refused():
 def test_who_comes_while_the_target_stands_counts_by_the_course_that_the_fleet_knows():
     standing = replace(going(0.0), velocity_north_m_s=0.0)
     state, plan = on_circle(250.0, 0.0, clockwise=False)
-    alone, told = planner(), planner()
+    alone, given = planner(), planner()
     assert alone.role_costs(state, standing, plan, Wind(), 0.5).regret_s < -15.0  # it presumes that it is on the left
-    told.advise(FleetAdvice(100.0, "t", Role.OPPOSITE, Side.RIGHT, standing, 100.0, (), course_rad=0.0))
-    assert told.role_costs(state, standing, plan, Wind(), 0.5).regret_s > 15.0
+    given.advise(FleetAdvice(100.0, "t", Role.OPPOSITE, Side.RIGHT, standing, 100.0, (), course_rad=0.0))
+    assert given.role_costs(state, standing, plan, Wind(), 0.5).regret_s > 15.0

@@ -1,4 +1,4 @@
-"""What a display is told of the vehicle and its payload."""
+"""What a display is shown of the vehicle and its payload."""
 
 from __future__ import annotations
 

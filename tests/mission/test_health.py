@@ -62,7 +62,7 @@ def test_aircraft_keeps_away_from_a_target_that_walks_towards_it_unseen(name, se
     begin_s = 60.0 + 7.0 * (seed % 5)
     flown = FaultedFlight(Scenario(seed, "arduplane", 240.0), [Fault(name, begin_s, math.inf, change)]).fly()
     assert min(flown.range_m) > 80.0
-    assert any(text.startswith("moving away: the target is not seen") for _, text in flown.told)
+    assert any(text.startswith("moving away: the target is not seen") for _, text in flown.announced)
 
 
 @pytest.mark.parametrize("name", ["range in a tenth", "flags of the vehicle frame", "flags of the body frame"])
@@ -90,7 +90,7 @@ def test_stuck_laser_is_found_while_the_aircraft_flies_straight_past_the_target(
     assert found_s[0] <= 9.0
 
 
-def test_reading_before_the_clock_is_known_is_not_silent_for_ever():
+def test_reading_before_the_clock_is_known_is_not_silent_indefinitely():
     health = Health()
     health.received(RangeReading(1.0, 200.0, Source("DISTANCE_SENSOR", 154)), -math.inf)
     assert health.changes(30.0, None, None) == ()
@@ -128,7 +128,7 @@ def test_silent_input_is_reported_once_and_its_return_as_well(names, input_):
     assert gone_s <= BEGIN_S + 7.0
     assert back.state is InputState.OK
     assert BEGIN_S + 30.0 <= back_s <= BEGIN_S + 32.0
-    assert not any("clock is" in text for at_s, text in flown.told if at_s > BEGIN_S)  # nobody else is blamed
+    assert not any("clock is" in text for at_s, text in flown.announced if at_s > BEGIN_S)  # no one else is blamed
     assert flown.yielded is None
     assert any(decided.time_s > BEGIN_S + 35.0 for decided in flown.decided)
 

@@ -22,8 +22,8 @@ def test_the_lines_of_the_readme_run(capsys):
     world: dict[str, object] = {}
     for block in re.findall(r"```python\n(.*?)```", LIBRARY.read_text(encoding="utf-8"), re.DOTALL):
         exec(block, world)  # that they run is what is tested
-    said, reason = capsys.readouterr().out.strip().splitlines()
-    assert re.fullmatch(r"[12]\.\d m/s at 1[12]\d m north", said)
+    announced, reason = capsys.readouterr().out.strip().splitlines()
+    assert re.fullmatch(r"[12]\.\d m/s at 1[12]\d m north", announced)
     assert reason.startswith(("moving", "staying"))
 
 

@@ -1,4 +1,4 @@
-"""A person changes what is flown: from the next decision on, and where the planner stays the circle is sent anew."""
+"""A person changes what is flown: from the next decision on, and where the planner stays the circle is sent again."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.mission.test_watch import HERE, RADIUS_M, SPEED_M_S, fly
 
 
 class Staying:
-    """Never moves; tells for what it was made."""
+    """Never moves; reports for what it was made."""
 
     def __init__(self, aircraft, requirement):
         self.aircraft, self.requirement = aircraft, requirement
@@ -63,13 +63,13 @@ def flown(controller, commands):
     return upload.plan
 
 
-def told(commands):
+def announced(commands):
     return [command.text for command in commands if isinstance(command, Announce)]
 
 
 def test_another_radius_is_flown_on_a_circle_that_touches_the_present_one(watching):
     controller, made = watching
-    before = told(controller.step(MissionChange(20.0, radius_m=80.0, who="operator at this machine")))
+    before = announced(controller.step(MissionChange(20.0, radius_m=80.0, who="operator at this machine")))
     assert before == ["operator: radius 80 m, from the next plan on"]
     assert made[-1].aircraft.radius_m == 80.0
     plan = flown(controller, fly(controller, 20.0, 21.0))
@@ -83,7 +83,7 @@ def test_another_height_is_sent_at_once_and_every_plan_carries_it(watching):
     controller, _ = watching
     controller.step(MissionChange(20.0, height_m=150.0))
     commands = fly(controller, 20.0, 21.0)
-    assert "150 m above home" in told(commands)[0]
+    assert "150 m above home" in announced(commands)[0]
     plan = flown(controller, commands)
     assert (plan.heights.to_m, plan.circle) == (150.0, HERE)
     assert controller.snapshot().height_m == 150.0
@@ -109,7 +109,9 @@ def test_a_change_that_breaks_a_fence_is_objected_to(watching):
 def test_while_holding_a_change_waits_for_resume(watching):
     controller, _ = watching
     controller.step(OperatorRequest(20.0, "hold"))
-    assert told(controller.step(MissionChange(20.0, radius_m=80.0))) == ["operator: radius 80 m, when you resume"]
+    assert announced(controller.step(MissionChange(20.0, radius_m=80.0))) == [
+        "operator: radius 80 m, when you resume"
+    ]
     assert not [c for c in fly(controller, 20.0, 23.0) if isinstance(c, UploadPlan)]
     controller.step(OperatorRequest(23.0, "resume"))
     assert [c.plan.circle.radius_m for c in fly(controller, 23.0, 24.5) if isinstance(c, UploadPlan)] == [80.0]
@@ -119,6 +121,6 @@ def test_nothing_is_changed_after_a_yield(watching):
     controller, made = watching
     controller.step(ModeReported(20.0, "RTL", True))
     assert controller.phase is Phase.YIELDED
-    (text,) = told(controller.step(MissionChange(20.0, radius_m=80.0)))
+    (text,) = announced(controller.step(MissionChange(20.0, radius_m=80.0)))
     assert text == "radius 80 m refused: the mission is yielded"
     assert made[-1].aircraft.radius_m == RADIUS_M

@@ -21,7 +21,7 @@ REQUIREMENT = Requirement(100.0, 500.0, Side.LEFT, 3.0, 1.0)
 def fly_straight(
     aircraft: Aircraft, requirement: Requirement, target_m_s: float, phase_rad: float
 ) -> tuple[list[float], int]:
-    """Return the ranges of 700 s beside a straight target, and how many moves were refused."""
+    """Return the ranges of 700 s next to a straight target, and how many moves were refused."""
     planner, plan = (
         PaperPlanner(aircraft, requirement),
         Plan(Circle(0.0, 100.0 + aircraft.radius_m, aircraft.radius_m, True)),

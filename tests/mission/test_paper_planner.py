@@ -79,7 +79,7 @@ def fly(
     noise_seed: int | None = None,
     uploads: Callable[[int], bool] = lambda number: True,
 ) -> Flight:
-    """Decide once a second, look twice a second. ``uploads`` tells which proposed plans the autopilot takes."""
+    """Decide once a second, look twice a second. ``uploads`` reports which proposed plans the autopilot takes."""
     rng = np.random.default_rng(noise_seed)
     plan, flight = Plan(circle), Flight()
     east_m, north_m = circle.position_at_course(start_course_rad)
@@ -155,13 +155,13 @@ def test_the_example_on_the_right_is_the_mirror_image() -> None:
     assert np.allclose(mirrored, left.places_m[: len(mirrored)], atol=1e-6)
 
 
-def test_it_says_why_it_moves() -> None:
+def test_it_reports_why_it_moves() -> None:
     assert fly_the_papers_example(1.0).moves[0].reason == (
         "moving 401 m east: in 32 s the target would be 565 m away"
     )
 
 
-# -- the demonstration: 15 m/s beside a walker --------------------------------------------------------------
+# -- the demonstration: 15 m/s next to a walker --------------------------------------------------------------
 
 AIRCRAFT = Aircraft(airspeed_m_s=15.0, radius_m=65.0)
 
@@ -233,9 +233,9 @@ def test_a_target_that_turned_back_is_watched_from_its_other_side_again() -> Non
 
     planner, circle = demonstration()
     flight = fly(planner, there_and_back, circle, 0.0, AIRCRAFT, 160.0, latency_s=0.5)
-    anew = flight.moves[0]
-    assert anew.reason.endswith("the circle is no longer on the target's left")
-    assert anew.plan is not None and anew.plan.circle.north_m == pytest.approx(-165.0, abs=1e-6)
+    restarted = flight.moves[0]
+    assert restarted.reason.endswith("the circle is no longer on the target's left")
+    assert restarted.plan is not None and restarted.plan.circle.north_m == pytest.approx(-165.0, abs=1e-6)
 
 
 def test_a_move_the_autopilot_did_not_take_is_proposed_again() -> None:

@@ -5,7 +5,7 @@ import pytest
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.feasibility import fits_band
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
-from sidelong.mission.paper.placement import circle_beside, circle_towards, shifted, stand_off_m
+from sidelong.mission.paper.placement import circle_next_to, circle_towards, shifted, stand_off_m
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 
@@ -15,13 +15,13 @@ def requirement(side: Side = Side.LEFT, range_max_m: float = 500.0) -> Requireme
 
 
 def test_left_of_a_target_that_drives_east_is_north_and_flown_clockwise() -> None:
-    circle = circle_beside(10.0, 20.0, math.pi / 2, AIRCRAFT, requirement())
+    circle = circle_next_to(10.0, 20.0, math.pi / 2, AIRCRAFT, requirement())
     assert (circle.east_m, circle.north_m) == pytest.approx((10.0, 170.0))
     assert (circle.radius_m, circle.clockwise) == (50.0, True)
 
 
 def test_right_of_a_target_that_drives_north_is_east_and_flown_counter_clockwise() -> None:
-    circle = circle_beside(0.0, 0.0, 0.0, AIRCRAFT, requirement(Side.RIGHT))
+    circle = circle_next_to(0.0, 0.0, 0.0, AIRCRAFT, requirement(Side.RIGHT))
     assert (circle.east_m, circle.north_m) == pytest.approx((150.0, 0.0))
     assert (circle.radius_m, circle.clockwise) == (50.0, False)
 

@@ -53,12 +53,12 @@ def gimbal(time_s: float) -> GimbalReading:
 
 
 class Flown:
-    """What the door let in and told."""
+    """What the door let in and reported."""
 
     def __init__(self) -> None:
         self.door = Plausibility(18.0)
         self.passed: list[Event] = []
-        self.told: list[str] = []
+        self.announced: list[str] = []
         self.doubts: list[str | None] = []
         self.clock_faults: set[str] = set()
 
@@ -66,10 +66,10 @@ class Flown:
         for event in events:
             if event is None:
                 continue
-            passed, told = self.door.admit(event)
+            passed, announced = self.door.admit(event)
             if passed is not None:
                 self.passed.append(passed)
-            self.told += [announcement.text for announcement in told]
+            self.announced += [announcement.text for announcement in announced]
             self.doubts.append(self.door.doubt)
             self.clock_faults.add(self.door.clock_fault)
         return self
@@ -114,7 +114,7 @@ PAYLOAD = (RangeReading, GimbalReading)
 
 def test_what_is_plausible_passes_unchanged(flown):
     assert len(flown.passed) == 400
-    assert not flown.told
+    assert not flown.announced
     assert flown.of(PositionReading) == [position(tick / 10) for tick in range(1000, 1100)]
 
 
@@ -122,34 +122,34 @@ def test_what_is_plausible_passes_unchanged(flown):
 
 
 @pytest.mark.parametrize("ahead_s", [3600.0, 30.0, 4_294_857.0, -60.0, -3600.0])
-def test_one_wrong_stamp_of_the_payload_is_refused_and_told(flown, ahead_s):
+def test_one_wrong_stamp_of_the_payload_is_refused_and_reported(flown, ahead_s):
     flown.give(laser(109.95 + ahead_s), gimbal(109.95 + ahead_s)).fly(110.0, 120.0)
     assert max(reading.time_s for reading in flown.of(RangeReading)) == pytest.approx(119.85)
     assert len(flown.of(RangeReading)) == 200
     way = "ahead" if ahead_s > 0 else "behind"
-    assert any("laser's clock" in text and way in text and "refused" in text for text in flown.told)
+    assert any("laser's clock" in text and way in text and "refused" in text for text in flown.announced)
 
 
 @pytest.mark.parametrize("ahead_s", [3600.0, -3600.0, 7.0, 2.0, -2.5, -1800.0])
-def test_a_payload_with_a_clock_of_its_own_is_corrected_and_told(flown, ahead_s):
+def test_a_payload_with_a_clock_of_its_own_is_corrected_and_reported(flown, ahead_s):
     flown.fly(110.0, 130.0, only(PAYLOAD, later(ahead_s)))
     corrected = [reading for reading in flown.of(RangeReading) if reading.time_s > 115.0]
     assert len(corrected) >= 140
     apart_s = [min(abs(reading.time_s - (tick / 10 - 0.05)) for tick in range(1100, 1300)) for reading in corrected]
     assert max(apart_s) < 0.06
-    assert any("laser's clock" in text and "corrected" in text for text in flown.told)
-    assert len(flown.told) <= 4
+    assert any("laser's clock" in text and "corrected" in text for text in flown.announced)
+    assert len(flown.announced) <= 4
 
 
-def test_a_payload_that_starts_anew_is_followed(flown):
+def test_a_payload_that_starts_again_is_followed(flown):
     flown.fly(110.0, 125.0, only(PAYLOAD, later(-105.0)))
     assert flown.of(RangeReading)[-1].time_s == pytest.approx(124.85, abs=0.06)
 
 
-def test_a_payload_that_comes_right_is_believed_at_once(flown):
+def test_a_payload_that_comes_right_is_accepted_at_once(flown):
     flown.fly(110.0, 125.0, only(PAYLOAD, later(3600.0))).fly(125.0, 140.0)
     assert len([reading for reading in flown.of(RangeReading) if reading.time_s >= 124.9]) >= 150
-    assert any("agrees with the aircraft's again" in text for text in flown.told)
+    assert any("agrees with the aircraft's again" in text for text in flown.announced)
 
 
 def test_a_payload_without_a_clock_is_taken_as_of_now(flown):
@@ -159,7 +159,7 @@ def test_a_payload_without_a_clock_is_taken_as_of_now(flown):
 
 def test_a_silent_vehicle_is_no_measure_of_the_payload(flown):
     flown.fly(110.0, 125.0, lambda event: None if isinstance(event, VEHICLE) else event)
-    assert not any("corrected" in text for text in flown.told)
+    assert not any("corrected" in text for text in flown.announced)
     assert max(reading.time_s for reading in flown.of(RangeReading)) < 112.2
 
 
@@ -175,7 +175,7 @@ def test_one_wrong_stamp_of_the_vehicle_is_refused(flown, ahead_s):
 
 
 @pytest.mark.parametrize("ahead_s", [3600.0, -1800.0, 45.0])
-def test_a_clock_that_is_wrong_for_seconds_is_told_and_not_followed(ahead_s):
+def test_a_clock_that_is_wrong_for_seconds_is_reported_and_not_followed(ahead_s):
     flown = Flown().fly(2000.0, 2010.0).fly(2010.0, 2020.0, only(VEHICLE, later(ahead_s)))
     assert max(reading.time_s for reading in flown.of(PositionReading)) < 2010.0
     assert any("nothing is decided on it" in fault for fault in flown.clock_faults)
@@ -210,15 +210,15 @@ def test_a_jump_is_no_flight_of_a_clock_that_goes_ahead(flown, jump_ends_s):
 
 def test_nothing_is_seen_from_a_place_whose_clock_stood_still(flown):
     flown.fly(110.0, 116.1, only(VEHICLE, later(-4.3)))
-    believed = flown.door.position.accepted
-    assert math.hypot(believed.east_m - position(116.0).east_m, believed.north_m - position(116.0).north_m) > 40.0
+    taken = flown.door.position.accepted
+    assert math.hypot(taken.east_m - position(116.0).east_m, taken.north_m - position(116.0).north_m) > 40.0
     assert not flown.door.place_is_known
     flown.fly(116.1, 118.0)
     assert flown.door.place_is_known
 
 
 @pytest.mark.parametrize(("silent_s", "restarted"), [(0.0, False), (7.1, True)])
-def test_who_has_started_anew_seconds_ago_has_moved_meanwhile(flown, silent_s, restarted):
+def test_whoever_has_started_again_seconds_ago_has_moved_in_the_meantime(flown, silent_s, restarted):
     begin_s = 110.0 + silent_s
     flown.fly(begin_s, begin_s + 6.0, only(VEHICLE, later(7.1 - begin_s)))
     assert bool(flown.of(YieldRequested)) is restarted
@@ -231,10 +231,10 @@ def test_no_place_is_bridged_from_a_clock_that_came_back_from_ahead(flown):
     for tick in range(1196, 1300):
         now_s = tick / 10
         flown.give(attitude(now_s), position(now_s))
-        believed, here = flown.door.position.accepted, position(now_s)
-        if now_s > 127.3 and math.hypot(believed.east_m - here.east_m, believed.north_m - here.north_m) > 30.0:
+        taken, here = flown.door.position.accepted, position(now_s)
+        if now_s > 127.3 and math.hypot(taken.east_m - here.east_m, taken.north_m - here.north_m) > 30.0:
             assert flown.door.doubt is not None
-    assert any("holding the circle" in text for text in flown.told)
+    assert any("holding the circle" in text for text in flown.announced)
 
 
 def test_the_clock_goes_on_after_a_silence(flown):
@@ -252,17 +252,17 @@ def test_a_slow_link_may_lose_a_message_or_two():
         if float(second) not in lost:
             flown.give(attitude(float(second)), position(float(second)), laser(second - 0.2))
     assert len(flown.of(PositionReading)) == len(flown.of(RangeReading)) == 26
-    assert not flown.told
+    assert not flown.announced
 
 
-def test_a_long_silence_takes_longer_to_believe(flown):
+def test_a_long_silence_takes_longer_to_accept(flown):
     flown.fly(1100.0, 1115.0)
     assert flown.of(PositionReading)[-1].time_s < 111.0
     flown.fly(1115.0, 1125.0)
     assert flown.of(PositionReading)[-1].time_s == 1124.9
 
 
-def test_an_autopilot_that_starts_anew_is_told_within_seconds(flown):
+def test_an_autopilot_that_starts_again_is_reported_within_seconds(flown):
     flown.fly(0.3, 1.5)
     assert not flown.of(YieldRequested)
     flown.fly(1.5, 3.5)
@@ -274,18 +274,18 @@ def test_an_autopilot_that_starts_anew_is_told_within_seconds(flown):
 
 @pytest.mark.parametrize("jump_m", [100.0, -1500.0, 10_000.0, 15_000_000.0])
 @pytest.mark.parametrize("length_s", [0.1, 1.5, 10.0])
-def test_a_jump_of_the_position_is_bridged_and_then_doubted(flown, jump_m, length_s):
+def test_a_jump_of_the_position_is_bridged_and_then_rejected(flown, jump_m, length_s):
     flown.fly(110.0, 110.0 + length_s, away(jump_m))
     assert off_the_path(flown.of(PositionReading)) < 5.0
     assert (flown.door.doubt is not None) == (length_s > 3.0)
     flown.fly(110.0 + length_s, 125.0)
     assert flown.of(PositionReading)[-1] == position(124.9)
     assert flown.door.doubt is None
-    assert "jumped by" in flown.told[0]
-    assert flown.told[-1] == "the aircraft's position is accepted again" or length_s < 3.0
+    assert "jumped by" in flown.announced[0]
+    assert flown.announced[-1] == "the aircraft's position is accepted again" or length_s < 3.0
 
 
-def test_with_the_velocity_lost_as_well_the_bank_tells_the_turn(flown):
+def test_with_the_velocity_lost_as_well_the_bank_reports_the_turn(flown):
     def nonsense(reading: PositionReading) -> PositionReading:
         return replace(reading, east_m=reading.east_m + 900.0, velocity_east_m_s=140.0, velocity_north_m_s=-80.0)
 
@@ -294,7 +294,7 @@ def test_with_the_velocity_lost_as_well_the_bank_tells_the_turn(flown):
     assert flown.fly(120.0, 121.0).of(PositionReading)[-1] == position(120.9)
 
 
-def test_a_new_place_that_holds_is_believed(flown):
+def test_a_new_place_that_holds_is_accepted(flown):
     flown.fly(110.0, 124.0, away(300.0))
     assert flown.door.doubt is not None
     flown.fly(124.0, 127.0, away(300.0))
@@ -302,17 +302,17 @@ def test_a_new_place_that_holds_is_believed(flown):
     assert flown.of(PositionReading)[-1].east_m == pytest.approx(position(126.9).east_m + 300.0)
 
 
-def test_after_a_silence_a_circling_aircraft_is_believed_where_it_circled(flown):
+def test_after_a_silence_a_circling_aircraft_is_accepted_where_it_circled(flown):
     flown.fly(133.0, 136.0)
     assert flown.of(PositionReading)[-1] == position(135.9)
     assert flown.door.doubt is None
-    assert not flown.told
+    assert not flown.announced
 
 
 def test_a_jump_that_meets_a_silence_is_still_a_jump(flown):
     flown.fly(133.0, 138.0, away(614.0))
     assert flown.door.doubt is not None
-    assert "jumped by" in flown.told[0]
+    assert "jumped by" in flown.announced[0]
     flown.fly(138.0, 160.0)
     assert flown.door.doubt is None
     assert flown.of(PositionReading)[-1] == position(159.9)
@@ -335,7 +335,7 @@ def test_a_jump_off_the_circle_during_a_silence_is_nothing_that_has_drifted(flow
     assert flown.of(PositionReading)[-1] == position(begin_s + 24.9)
 
 
-def test_a_new_place_is_not_believed_while_the_ekf_complains(flown):
+def test_a_new_place_is_not_accepted_while_the_ekf_complains(flown):
     for begin_s in range(110, 150):
         flown.give(NavigationReported(float(begin_s), "EKF", "the EKF sees a GPS glitch"))
         flown.fly(begin_s, begin_s + 1, away(300.0))
@@ -349,17 +349,17 @@ def test_the_first_place_is_given_up_for_one_that_more_agree_with():
 
 
 @pytest.mark.parametrize("source", ["GPS", "EKF"])
-def test_a_fault_that_is_reported_is_doubted_after_some_seconds_until_it_is_over(flown, source):
+def test_a_fault_that_is_reported_is_rejected_after_some_seconds_until_it_is_over(flown, source):
     flown.give(NavigationReported(110.0, source, "no fix")).fly(110.0, 112.0)
     assert flown.door.doubt is None
     flown.give(NavigationReported(112.0, source, "no fix")).fly(112.0, 114.0)
     assert flown.door.doubt == "no fix"
-    assert "no fix: holding the circle, nothing is decided on it" in flown.told
+    assert "no fix: holding the circle, nothing is decided on it" in flown.announced
     flown.give(NavigationReported(114.0, source)).fly(114.0, 115.0)
     assert flown.door.doubt is None
 
 
-def test_a_fault_lasts_by_the_clock_that_is_believed(flown):
+def test_a_fault_lasts_by_the_clock_that_is_accepted(flown):
     for begin_s in range(110, 116):
         flown.give(NavigationReported(begin_s + 42.7, "GPS", "no fix")).fly(begin_s, begin_s + 1)
     assert flown.door.doubt == "no fix"
@@ -384,13 +384,13 @@ def test_after_a_silence_nothing_is_seen_from_a_place_before_gps_and_ekf_have_sp
     assert flown.door.place_is_known
 
 
-def test_who_says_nothing_more_of_gps_and_ekf_is_not_waited_for_long(flown):
+def test_who_reports_nothing_more_of_gps_and_ekf_is_not_waited_for_long(flown):
     flown.give(NavigationReported(109.9, "GPS")).fly(130.0, 137.0)
     assert flown.door.place_is_known
-    assert not flown.told
+    assert not flown.announced
 
 
-def test_a_velocity_that_was_believed_wrongly_leads_nowhere(flown):
+def test_a_velocity_that_was_accepted_wrongly_leads_nowhere(flown):
     flown.give(NavigationReported(110.0, "EKF", "no position")).fly(110.0, 110.1)
     flown.give(NavigationReported(110.1, "EKF"))  # from now on the place may have drifted
     flown.give(attitude(110.1), replace(position(110.1), velocity_east_m_s=0.0, velocity_north_m_s=0.0))
@@ -428,7 +428,7 @@ def test_second_vehicle_that_is_seldom_received_is_reported(flown, change):
     for begin_s in range(110, 140):
         flown.give(change(position(begin_s + 0.02)))
         flown.fly(begin_s + 0.1, begin_s + 1)
-    assert any("a second vehicle may send with the same system id" in told for told in flown.told)
+    assert any("a second vehicle may send with the same system id" in announced for announced in flown.announced)
     assert not flown.of(YieldRequested)
 
 
@@ -464,13 +464,13 @@ def test_what_nothing_can_measure_is_no_reading(flown, event):
     "change",
     [{"height_m": 60_000.0}, {"velocity_east_m_s": 327.0}, {"velocity_up_m_s": -300.0}, {"north_m": 8e6}],
 )
-def test_a_position_that_no_aircraft_can_have_is_never_believed(flown, change):
+def test_a_position_that_no_aircraft_can_have_is_never_accepted(flown, change):
     flown.fly(110.0, 160.0, only(PositionReading, lambda reading: replace(reading, **change)))
     assert flown.door.doubt is not None
     assert not [reading for reading in flown.of(PositionReading) if abs(reading.height_m) > 1000.0]
 
 
-def test_so_many_sources_and_no_more_are_kept(flown):
+def test_this_many_sources_and_no_more_are_kept(flown):
     for component in range(200):
         flown.give(replace(laser(109.95), source=Source("DISTANCE_SENSOR", component, 1)))
     assert len({reading.source for reading in flown.of(RangeReading)}) <= 32

@@ -101,7 +101,7 @@ def side_share(relative, velocities, side):
     return float(np.mean(right > 0.0 if side is Side.RIGHT else right < 0.0))
 
 
-BESIDE = Circle(-250.0, 0.0, 50.0, clockwise=True)  # on the left of a target at the origin that moves north
+ALONGSIDE = Circle(-250.0, 0.0, 50.0, clockwise=True)  # on the left of a target at the origin that moves north
 
 
 @pytest.fixture
@@ -127,7 +127,7 @@ def assert_flyable(plan, present, aircraft, airframe, wind=CALM):
 
 
 def test_keeps_up_with_a_target_that_drives_straight(planner):
-    flight = Flight(planner, BESIDE, 0.0)
+    flight = Flight(planner, ALONGSIDE, 0.0)
     relative, velocities = flight.fly(straight((0.0, 4.0)), 600.0)
     range_m = np.hypot(*relative.T)
     assert range_m.min() > 100.0
@@ -145,7 +145,7 @@ def test_keeps_up_with_a_target_that_drives_straight(planner):
 )
 def test_a_target_that_turns_back_is_never_approached_or_crossed(planner, speed_m_s, turn_s, course_rad, turn_rad):
     planner = fresh(planner)
-    flight = Flight(planner, BESIDE, course_rad)
+    flight = Flight(planner, ALONGSIDE, course_rad)
     relative, velocities = flight.fly(turning_back((0.0, speed_m_s), turn_s, turn_rad), turn_s + 180.0)
     range_m = np.hypot(*relative.T)
     assert range_m.min() >= 100.0
@@ -164,7 +164,7 @@ def test_right_is_the_mirror_of_left(paper_aircraft, paper_requirement, paper_ta
     flights = []
     for side, sign in ((Side.LEFT, 1.0), (Side.RIGHT, -1.0)):
         requirement = replace(paper_requirement, side=side)
-        circle = replace(BESIDE, east_m=sign * BESIDE.east_m, clockwise=side.clockwise)
+        circle = replace(ALONGSIDE, east_m=sign * ALONGSIDE.east_m, clockwise=side.clockwise)
         flight = Flight(PredictivePlanner(paper_aircraft, requirement, paper_table), circle, sign * 0.7)
         relative, _ = flight.fly(turning_back((0.0, 4.0), 40.0), 120.0)
         flights.append(relative * (sign, 1.0))
@@ -172,7 +172,7 @@ def test_right_is_the_mirror_of_left(paper_aircraft, paper_requirement, paper_ta
 
 
 def test_a_change_under_way_is_continuous(planner, paper_aircraft):
-    flight = Flight(planner, BESIDE, 0.0)
+    flight = Flight(planner, ALONGSIDE, 0.0)
     while flight.present.transition is None:
         flight.fly(straight((0.0, 4.5)), 1.0)
     # The target turns back while the aircraft is on its way.
@@ -185,27 +185,27 @@ def test_a_change_under_way_is_continuous(planner, paper_aircraft):
     assert under_way >= 1
 
 
-def test_an_aircraft_beside_its_line_departs_from_the_line(planner, paper_aircraft, on_circle):
+def test_an_aircraft_next_to_its_line_departs_from_the_line(planner, paper_aircraft, on_circle):
     plans = 0
     for course_rad in np.linspace(0.0, 6.0, 25):
-        beside = on_circle(replace(BESIDE, radius_m=53.0), course_rad)
-        decision = planner.decide(beside, seen(0.0, (150.0, 100.0), (3.0, 0.0)), Plan(BESIDE), CALM, LATENCY_S)
+        alongside = on_circle(replace(ALONGSIDE, radius_m=53.0), course_rad)
+        decision = planner.decide(alongside, seen(0.0, (150.0, 100.0), (3.0, 0.0)), Plan(ALONGSIDE), CALM, LATENCY_S)
         if decision.plan is not None:
             plans += 1
-            assert_flyable(decision.plan, Plan(BESIDE), beside, paper_aircraft)
+            assert_flyable(decision.plan, Plan(ALONGSIDE), alongside, paper_aircraft)
     assert plans >= 3
 
 
 def test_an_aircraft_that_left_its_line_departs_from_where_it_is(planner):
     aircraft = AircraftState(0.0, -400.0, 300.0, math.pi, 10.0, 0.5)
-    decision = planner.decide(aircraft, seen(0.0, (0.0, 0.0), (0.0, 4.0)), Plan(BESIDE), CALM, 0.0)
+    decision = planner.decide(aircraft, seen(0.0, (0.0, 0.0), (0.0, 4.0)), Plan(ALONGSIDE), CALM, 0.0)
     path = decision.plan.transition
     assert (path.east_m[0], path.north_m[0]) == pytest.approx((-400.0, 300.0))
     assert path.curvature_per_m[0] == pytest.approx(1.0 / 50.0)
 
 
-def test_reasons_tell_what_would_happen(planner):
-    flight = Flight(planner, BESIDE, 0.0)
+def test_reasons_report_what_would_happen(planner):
+    flight = Flight(planner, ALONGSIDE, 0.0)
     flight.fly(straight((0.0, 5.0)), 100.0)
     moves = [reason for reason in flight.reasons if reason.startswith("moving")]
     stays = [reason for reason in flight.reasons if not reason.startswith("moving")]
@@ -218,11 +218,11 @@ def test_reasons_tell_what_would_happen(planner):
 def test_a_lost_target_is_not_moved_after(planner):
     aircraft = AircraftState(100.0, -300.0, 0.0, 0.0, 10.0, 0.02)
     lost = seen(100.0, (400.0, 0.0), (5.0, 0.0), quality=TrackQuality.LOST, last_sighting_s=70.0)
-    decision = planner.decide(aircraft, lost, Plan(BESIDE), CALM, LATENCY_S)
+    decision = planner.decide(aircraft, lost, Plan(ALONGSIDE), CALM, LATENCY_S)
     assert decision.plan is None
     assert decision.reason == "holding the circle: the target has not been seen for 30 s"
     unseen = seen(100.0, (400.0, 0.0), (5.0, 0.0), quality=TrackQuality.COASTING, last_sighting_s=39.0)
-    assert planner.decide(aircraft, unseen, Plan(BESIDE), CALM, LATENCY_S).plan is None
+    assert planner.decide(aircraft, unseen, Plan(ALONGSIDE), CALM, LATENCY_S).plan is None
 
 
 def test_uncertainty_keeps_the_aircraft_further_away(paper_aircraft, paper_requirement, paper_table):
@@ -241,7 +241,7 @@ def test_uncertainty_keeps_the_aircraft_further_away(paper_aircraft, paper_requi
 
 def test_either_side_takes_the_new_one_when_the_target_turns_back(paper_aircraft, paper_requirement, paper_table):
     planner = PredictivePlanner(paper_aircraft, watching_from(paper_requirement, "either"), paper_table)
-    flight = Flight(planner, BESIDE, 0.0)
+    flight = Flight(planner, ALONGSIDE, 0.0)
     relative, velocities = flight.fly(turning_back((0.0, 3.0), 60.0), 240.0)
     assert np.hypot(*relative.T).min() >= 100.0
     assert side_share(relative[120:], velocities[120:], Side.RIGHT) == 1.0
@@ -251,7 +251,7 @@ def test_either_side_takes_the_new_one_when_the_target_turns_back(paper_aircraft
 def test_a_wind_that_the_table_does_not_know_is_flown_in(paper_requirement, paper_table, paper_aircraft):
     aircraft = replace(paper_aircraft, radius_m=84.5)
     planner = PredictivePlanner(aircraft, paper_requirement, paper_table)
-    flight = Flight(planner, replace(BESIDE, radius_m=84.5), 0.0, Wind(3.0, 0.0))
+    flight = Flight(planner, replace(ALONGSIDE, radius_m=84.5), 0.0, Wind(3.0, 0.0))
     relative, velocities = flight.fly(straight((0.0, 4.0)), 400.0)
     assert np.hypot(*relative.T).min() >= 100.0
     assert np.hypot(*relative.T).max() <= 500.0
@@ -262,7 +262,9 @@ def test_a_wind_that_the_table_does_not_know_is_flown_in(paper_requirement, pape
 
 def test_too_strong_a_wind_is_a_reason_to_hold(planner):
     aircraft = AircraftState(0.0, -300.0, 0.0, 0.0, 10.0, 0.02)
-    decision = planner.decide(aircraft, seen(0.0, (0.0, 0.0), (0.0, 3.0)), Plan(BESIDE), Wind(11.0, 0.0), LATENCY_S)
+    decision = planner.decide(
+        aircraft, seen(0.0, (0.0, 0.0), (0.0, 3.0)), Plan(ALONGSIDE), Wind(11.0, 0.0), LATENCY_S
+    )
     assert decision.plan is None
     assert "wind" in decision.reason
 
@@ -272,8 +274,8 @@ def test_a_fence_leaves_the_next_best_move_or_none(paper_aircraft, paper_require
 
     def decisions(check):
         planner = PredictivePlanner(paper_aircraft, paper_requirement, paper_table, check=check)
-        states = [on_circle(BESIDE, course_rad) for course_rad in np.linspace(0.0, 6.0, 25)]
-        return [planner.decide(state, target, Plan(BESIDE), CALM, LATENCY_S) for state in states]
+        states = [on_circle(ALONGSIDE, course_rad) for course_rad in np.linspace(0.0, 6.0, 25)]
+        return [planner.decide(state, target, Plan(ALONGSIDE), CALM, LATENCY_S) for state in states]
 
     free = next(k for k, decision in enumerate(decisions(lambda plan: None)) if decision.plan is not None)
     wanted = decisions(lambda plan: None)[free].plan.circle
@@ -284,13 +286,15 @@ def test_a_fence_leaves_the_next_best_move_or_none(paper_aircraft, paper_require
     assert shut.reason == "staying: the circle crosses keep_out polygon 1"
 
 
-def test_an_overshooting_speed_is_not_believed(paper_aircraft, paper_requirement, paper_table, on_circle):
+def test_an_overshooting_speed_is_not_accepted(paper_aircraft, paper_requirement, paper_table, on_circle):
     """Right after a turn the estimate reads 7 m/s, give or take 1.5; the target can do 5."""
 
     def decide(speed_m_s, sigma_m):
         planner = PredictivePlanner(paper_aircraft, paper_requirement, paper_table)
         target = seen(0.0, (0.0, 0.0), (0.0, speed_m_s), sigma_m)
-        return planner.decide(on_circle(BESIDE, 1.0), target, Plan(BESIDE), CALM, LATENCY_S).values["move_cost_s"]
+        return planner.decide(on_circle(ALONGSIDE, 1.0), target, Plan(ALONGSIDE), CALM, LATENCY_S).values[
+            "move_cost_s"
+        ]
 
     assert decide(7.0, 15.0) == pytest.approx(decide(5.0, 15.0))
     assert decide(7.0, 1.0) != pytest.approx(decide(5.0, 1.0))
@@ -306,7 +310,9 @@ def test_the_table_of_a_requirement(paper_aircraft, paper_requirement):
     assert standing.target_speed_max_m_s > 0.0
 
 
-def test_moves_of_wide_circles_are_dear_but_never_so_dear_that_the_band_is_lost(paper_aircraft, paper_requirement):
+def test_moves_of_wide_circles_are_costly_but_never_so_costly_that_the_band_is_lost(
+    paper_aircraft, paper_requirement
+):
     in_fleet = replace(paper_requirement, fleet_size=2)
     alone, together = (
         [
@@ -324,13 +330,15 @@ def test_moves_of_wide_circles_are_dear_but_never_so_dear_that_the_band_is_lost(
 
 def begun(planner):
     """Fly until the planner has just departed; return the flight, with the target at 4.5 m/s to the north."""
-    flight = Flight(planner, BESIDE, 0.0)
+    flight = Flight(planner, ALONGSIDE, 0.0)
     while flight.present.transition is None:
         flight.fly(straight((0.0, 4.5)), 1.0)
     return flight
 
 
-def test_a_plan_just_begun_is_left_for_a_large_gain_only_and_says_so(paper_aircraft, paper_requirement, paper_table):
+def test_a_plan_just_begun_is_left_for_a_large_gain_only_and_reports_so(
+    paper_aircraft, paper_requirement, paper_table
+):
     """The target turns a little right after the departure."""
     left = {}
     for commit_cost in (0.0, 40.0):

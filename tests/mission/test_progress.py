@@ -32,13 +32,13 @@ def aircraft_at(point, cross_track_m=0.0):
 @settings(max_examples=150, deadline=None)
 @given(st.floats(-0.02, 0.02), st.floats(0.0, 300.0), st.floats(0.0, 1.5), st.floats(-6.0, 6.0))
 @example(0.017918201339188335, 181.0, 0.125, 6.0)
-def test_an_aircraft_beside_its_line_is_found_where_it_is(hold_per_m, length_m, share, cross_track_m):
+def test_an_aircraft_next_to_its_line_is_found_where_it_is(hold_per_m, length_m, share, cross_track_m):
     plan = transition(hold_per_m, length_m)
     arc_m = share * plan.transition.length_m
     point = point_at(plan, arc_m, aircraft_at(point_at(plan, 0.0, aircraft_at_origin())))
     aircraft = aircraft_at(point, cross_track_m)
     found = point_at(plan, nearest_arc_m(plan, aircraft), aircraft)
-    # Where the circle at the end passes beside the line, an aircraft between them may be found on either.
+    # Where the circle at the end passes next to the line, an aircraft between them may be found on either.
     off_m = math.hypot(found.east_m - aircraft.east_m, found.north_m - aircraft.north_m)
     assert off_m <= abs(cross_track_m) + 2.5
     assert abs(math.remainder(found.course_rad - point.course_rad, 2 * math.pi)) < 0.2

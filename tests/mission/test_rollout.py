@@ -165,13 +165,13 @@ def test_lines_that_were_kept_cost_the_same(paper_aircraft, paper_requirement):
 
 
 def going_straight(scene, motions):
-    """One future of a steady velocity, its first sample alone: it goes on for ever."""
+    """One future of a steady velocity, its first sample alone: it goes on indefinitely."""
     every = winding(scene, motions, WISH, fresh_memory(1.0), STRAIGHT)
     return Futures(*every[:2], *(np.ascontiguousarray(a[:, :1]) for a in every[2:]))
 
 
 def with_future(one, samples, weight=1.0):
-    """The future of a steady velocity again, sampled so often."""
+    """The future of a steady velocity again, sampled this often."""
     k = np.arange(samples)[:, None]
     place = np.repeat(one.place[0], samples, axis=0)
     place[:, :2] += k * one.step_s * place[:, 2:]
@@ -244,9 +244,9 @@ def test_the_watch_course_turns_to_the_velocity_over_its_horizon(paper_aircraft,
         np.testing.assert_allclose(future.place[0, 10, :2], (side * 40.0, 0.0), atol=1e-9)
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.913, 0.92), (1.004, 1.0), (1.08, 1.08), (0.5, 0.84)])
+@pytest.mark.parametrize(("share", "given"), [(0.913, 0.92), (1.004, 1.0), (1.08, 1.08), (0.5, 0.84)])
 @pytest.mark.parametrize("wind", [CALM, Wind(2.0, -1.0)])
-def test_lines_are_foretold_at_the_airspeed_that_is_flown(paper_aircraft, share, told, wind):
+def test_lines_are_predicted_at_the_airspeed_that_is_flown(paper_aircraft, share, given, wind):
     """10 m/s are wanted. Each second on circles it flies another airspeed: in steps of 2 %, within 16 %."""
     memory, craft, found = fresh_memory(1.0), craft_of(paper_aircraft), []
     present = Plan(Circle(-220.0, 90.0, 60.0, clockwise=True))
@@ -258,7 +258,7 @@ def test_lines_are_foretold_at_the_airspeed_that_is_flown(paper_aircraft, share,
         now = Situation(*place, target, *line_of(present), wind.east_m_s, wind.north_m_s, 0.0, 0.0)
         found.append(scene_of(now, 5.0, craft, WISH, memory).air.airspeed_m_s)
     assert found[0] == 10.0
-    assert found[-1] == pytest.approx(10.0 * told)
+    assert found[-1] == pytest.approx(10.0 * given)
 
 
 def test_a_turn_is_predicted_with_the_straight_way_first(paper_aircraft, paper_requirement):
@@ -317,9 +317,9 @@ def test_the_look_two_moves_deep_costs_what_the_plain_one_does(paper_aircraft, p
     assert (end > 0) is under_way
     ramp, seconds, terms = sharpness_per_m2(paper_aircraft, 10.0), no_seconds(), table.configuration.cost.terms
     lay_out_seconds(seconds, scene.radius_m, scene.turn_radius_m, ramp, 10.0)
-    foretold = foretold_of(futures, scene.doubt, table.arrays, table.values.min(axis=(1, 2, 3)).astype(float), 0.0)
+    predicted = foretold_of(futures, scene.doubt, table.arrays, table.values.min(axis=(1, 2, 3)).astype(float), 0.0)
     for (line, ends), branches in (((ahead, end), STAY_BRANCHES), (moved, MOVE_BRANCHES)):
-        second = Second(foretold, terms, table.arrays, seconds, 3.0, 5.0, 15.0, room_for(futures, scene.air))
+        second = Second(predicted, terms, table.arrays, seconds, 3.0, 5.0, 15.0, room_for(futures, scene.air))
         found = deep_cost(line, ends, branches, scene, second, np.inf)
         assert deep_cost(line, ends, branches, scene, second, found + 0.1) == found
         assert found - 5.0 <= deep_cost(line, ends, branches, scene, second, found - 5.0) <= found

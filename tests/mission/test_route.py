@@ -42,7 +42,7 @@ def _along_corner(speed_m_s: float, aside_m: float, seconds: int) -> list[tuple[
     return path
 
 
-def test_target_beside_its_route_is_followed_round_the_corner() -> None:
+def test_target_next_to_its_route_is_followed_round_the_corner() -> None:
     found = _follow(_corner(), _along_corner(4.0, 6.0, 120))
     assert all(one.on_route for one in found[15:])
     assert found[110].along_m == pytest.approx(440.0, abs=15.0)

@@ -26,7 +26,7 @@ def assert_flyable(path):
     assert np.all(np.diff(path.arc_m) > 0.0)
     assert np.all(np.abs(path.curvature_per_m) <= 1.0 / RADIUS_M + 1e-9)
     assert np.all(np.abs(np.diff(path.curvature_per_m)) <= RAMP * np.diff(path.arc_m) + 1e-12)
-    # The sampled line really has the curvature it tells.
+    # The sampled line really has the curvature it reports.
     turned = 0.5 * (path.curvature_per_m[1:] + path.curvature_per_m[:-1]) * np.diff(path.arc_m)
     np.testing.assert_allclose(np.diff(path.course_rad), turned, atol=1e-9)
     chord = np.hypot(np.diff(path.east_m), np.diff(path.north_m))
@@ -101,7 +101,7 @@ def test_a_quarter_circle_comes_out():
 
 
 @pytest.mark.parametrize(("radius_m", "turn_m"), [(80.0, 40.0), (40.0, 25.43), (20.0, 20.0)])
-def test_a_transition_turns_as_tightly_as_told_where_the_bank_allows(radius_m, turn_m):
+def test_a_transition_turns_as_tightly_as_reported_where_the_bank_allows(radius_m, turn_m):
     aircraft = Aircraft(12.0, radius_m)
     assert turn_radius_m(aircraft, 12.0, 1.0) == radius_m
     assert turn_radius_m(aircraft, 12.0, 0.5) == pytest.approx(turn_m, abs=0.05)

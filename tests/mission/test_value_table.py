@@ -13,12 +13,12 @@ SMALL = TableConfiguration(10.0, 50.0, 50.0, 0.0008, 5.0, WatchCost.inside(100.0
 SECTOR = replace(SMALL, cost=WatchCost.inside(100.0, 500.0, math.radians(60.0)), follows_course=False)
 
 
-def test_values_are_lowest_beside_the_target_on_the_side(paper_table):
+def test_values_are_lowest_next_to_the_target_on_the_side(paper_table):
     motion = paper_table.under((0.0, 4.0))
-    beside = float(motion.value(-250.0, 0.0, 0.0))
-    assert 0.0 < beside < float(motion.value(-120.0, 0.0, 0.0))
-    assert beside < float(motion.value(-470.0, 0.0, 0.0))
-    assert float(motion.value(250.0, 0.0, 0.0)) > beside + 15.0  # it takes about half a minute to come round
+    alongside = float(motion.value(-250.0, 0.0, 0.0))
+    assert 0.0 < alongside < float(motion.value(-120.0, 0.0, 0.0))
+    assert alongside < float(motion.value(-470.0, 0.0, 0.0))
+    assert float(motion.value(250.0, 0.0, 0.0)) > alongside + 15.0  # it takes about half a minute to come round
     assert float(motion.value(-50.0, 0.0, 0.0)) > 100.0
 
 
@@ -46,7 +46,7 @@ def test_the_table_interpolates_between_its_nodes_and_speeds(paper_table):
 
 
 def test_the_table_agrees_with_roll_outs_from_it(paper_table):
-    """Bellman's equation, by another road: the best roll-out from a place costs what the table says of it."""
+    """Bellman's equation, by another road: the best roll-out from a place costs what the table reports of it."""
     c = paper_table.configuration
     rng = np.random.default_rng(1)
     for speed_m_s in (0.0, 2.5, 5.0):
@@ -82,7 +82,7 @@ def test_what_never_changes_is_expected_after_any_turn():
         np.testing.assert_allclose(expected_after_turn(configuration, values), 7.0, rtol=1e-5)
 
 
-def test_the_key_tells_configurations_apart():
+def test_the_key_reports_configurations_apart():
     keys = {
         SMALL.key(),
         replace(SMALL, airspeed_m_s=11.0).key(),

@@ -1,4 +1,4 @@
-"""The control step's rules, with the real tracker and a planner that says what it is told."""
+"""The control step's rules, with the real tracker and a planner that reports what it is reported."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_only_one_plan_is_under_way():
     assert len(kinds(engaged(controller, 30.0), UploadPlan)) == 1
 
 
-def test_a_plan_ready_too_late_is_dropped_and_decided_anew():
+def test_a_plan_ready_too_late_is_dropped_and_decided_again():
     controller = make(Scripted([THERE, THERE], ahead_s=1.0))
     (prepare,) = kinds(engaged(controller, 5.0), UploadPlan)
     commands = controller.step(PlanStatus(prepare.plan.departure_s + 5.0, prepare.number, "ready"))
@@ -157,7 +157,7 @@ def test_the_latency_expected_follows_the_links_delay():
     controller.step(RoundTripReported(3.0, 0.1))
     assert controller.snapshot().latency_s == 1.0  # one slow answer is not remembered
     controller.latency.note(2.0)
-    assert controller.snapshot().latency_s == pytest.approx(2.1)  # the first tells at once
+    assert controller.snapshot().latency_s == pytest.approx(2.1)  # the first reports at once
     for _ in range(5):
         controller.latency.note(0.4)
     assert controller.snapshot().latency_s == pytest.approx(0.5)
@@ -213,8 +213,8 @@ def test_a_late_plan_departs_while_the_aircraft_is_near_its_line(late_s, straigh
         prepare.plan, transition=Path(arc, east_m, north_m, course, np.full(100, curvature_per_m))
     )
     fly(controller, 3.0, departure_s + late_s)
-    told = controller.step(PlanStatus(departure_s + late_s, prepare.number, "ready"))
-    assert bool(kinds(told, ActivatePlan)) is departs
+    announced = controller.step(PlanStatus(departure_s + late_s, prepare.number, "ready"))
+    assert bool(kinds(announced, ActivatePlan)) is departs
 
 
 def test_a_failed_plan_leaves_the_present_one():
@@ -251,7 +251,7 @@ def test_an_aircraft_that_leaves_its_transition_is_sent_to_the_circle():
     assert again.plan.transition is None
 
 
-def test_an_aircraft_that_orbits_a_waypoint_beside_its_line_is_sent_to_the_circle():
+def test_an_aircraft_that_orbits_a_waypoint_next_to_its_line_is_sent_to_the_circle():
     controller = make(Scripted([THERE], ahead_s=1.0))
     (prepare,) = kinds(engaged(controller, 3.0), UploadPlan)
     orbit_m = RADIUS_M / 4
@@ -344,7 +344,7 @@ def test_a_late_position_does_not_turn_back_the_clock():
     assert controller.snapshot().time_s == pytest.approx(4.9)
 
 
-def test_the_link_is_told_of():
+def test_the_link_is_shown_of():
     controller = make(Scripted())
     assert "lost" in controller.step(LinkReported(1.0, False))[0].text
     assert "back" in controller.step(LinkReported(2.0, True))[0].text

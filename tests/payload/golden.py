@@ -23,7 +23,7 @@ SIYI_REQUESTS = (
     ("greatest zoom", 0x16, "", 0, "55 66 01 00 00 00 00 16 b2 a6"),
 )
 # Captured from a ZR10 (unit tests of a QGroundControl fork, UnipodMt11ProtocolTest): the gimbal numbers its replies
-# by itself. The first answers a zoom request, the second the configuration: follow mode, mounted the right way up.
+# on its own. The first answers a zoom request, the second the configuration: follow mode, mounted the right way up.
 SIYI_CAPTURED = ("55 66 02 02 00 1b 5a 18 05 02 54 a9", "55 66 02 06 00 bb 18 0a 00 00 00 02 01 01 1a b6")
 
 # Viewpro ViewLink protocol V3.4.9 (worked examples, as quoted in public programs) and V3.3.3: name, id, data, frame.

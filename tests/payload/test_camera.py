@@ -27,7 +27,7 @@ def telemetry_with(**fields) -> tuple[Telemetry, list[GimbalReading]]:
         math.cos(half_yaw) * math.sin(half_pitch),
         math.sin(half_yaw) * math.cos(half_pitch),
     ]
-    told = [
+    announced = [
         (
             "GLOBAL_POSITION_INT",
             1,
@@ -37,7 +37,7 @@ def telemetry_with(**fields) -> tuple[Telemetry, list[GimbalReading]]:
         ("GIMBAL_DEVICE_ATTITUDE_STATUS", 154, {"q": q, "flags": 92, "gimbal_device_id": 0}),
         ("CAMERA_TRACKING_IMAGE_STATUS", 100, {"tracking_status": 1, "tracking_mode": 1} | fields),
     ]
-    events = [telemetry.event(message(name, part, time_boot_ms=5000, **one)) for name, part, one in told]
+    events = [telemetry.event(message(name, part, time_boot_ms=5000, **one)) for name, part, one in announced]
     return telemetry, [one for one in events if isinstance(one, GimbalReading)]
 
 

@@ -42,17 +42,17 @@ def test_driver_alone_publishes_mavlink_of_component_154(kind, free_port, tmp_pa
             "payload", f"{kind}://127.0.0.1:{port}", "--to", to, "--duration", 2, "--json", tmp_path / "payload.json"
         )
         assert done.returncode == 0, done.stderr
-        parser, heard = mavlink.MAVLink(None), {}
+        parser, received = mavlink.MAVLink(None), {}
         udp.setblocking(False)
         with contextlib.suppress(BlockingIOError):
             while True:
                 for message in parser.parse_buffer(udp.recv(4096)) or ():
-                    heard[message.get_type()] = message
-    assert heard.keys() >= {"HEARTBEAT", "DISTANCE_SENSOR", "GIMBAL_DEVICE_ATTITUDE_STATUS"}
-    assert {message.get_srcComponent() for message in heard.values()} == {154}
+                    received[message.get_type()] = message
+    assert received.keys() >= {"HEARTBEAT", "DISTANCE_SENSOR", "GIMBAL_DEVICE_ATTITUDE_STATUS"}
+    assert {message.get_srcComponent() for message in received.values()} == {154}
     status = json.loads((tmp_path / "payload.json").read_text())
-    assert heard["DISTANCE_SENSOR"].current_distance == pytest.approx(100.0 * status["range_m"], abs=500.0)
-    assert heard["DISTANCE_SENSOR"].orientation == 100
+    assert received["DISTANCE_SENSOR"].current_distance == pytest.approx(100.0 * status["range_m"], abs=500.0)
+    assert received["DISTANCE_SENSOR"].orientation == 100
     assert status["missing"] == []
 
 

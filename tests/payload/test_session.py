@@ -71,7 +71,7 @@ def test_pause_of_this_program_is_not_reported_as_loss():
     assert wired.reports == []
 
 
-def test_status_tells_rates_and_model():
+def test_status_reports_rates_and_model():
     wired = Wired("siyi", delay_s=0.03)
     wired.run(10.0, SEES)
     status = wired.session.status(wired.now_s)

@@ -1,4 +1,4 @@
-"""A driver and a simulated payload at the two ends of a wire with a delay, on one clock that waits for nobody."""
+"""A driver and a simulated payload at the two ends of a wire with a delay, on one clock that waits for no one."""
 
 from __future__ import annotations
 

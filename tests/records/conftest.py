@@ -13,7 +13,7 @@ STEP_US = 10_000
 
 
 class Sender:
-    """Packs messages as system 1. ``i`` numbers them, so that each frame is told from the others by its content."""
+    """Packs messages as system 1. ``i`` numbers them, so that each frame differs from the others by its content."""
 
     def __init__(self, *, version: int = 2, signed: bool = False, component: int = 1) -> None:
         self._version = version

@@ -53,7 +53,7 @@ def test_gpsbabel_reads_it(tmp_path, wanted):
     assert rows[1].split(",")[1].startswith("-35.36")
 
 
-def test_an_export_that_is_broken_off_leaves_the_file_of_before(tmp_path, monkeypatch):
+def test_an_export_that_is_broken_off_leaves_the_file_from_earlier(tmp_path, monkeypatch):
     out = tmp_path / "out.mcap"
     out.write_bytes(b"before")
 

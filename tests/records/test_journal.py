@@ -138,7 +138,7 @@ SIGHTED = Sighting(1.5, 300.0, -0.5, 0.25, 0.75, 0.01, 0.02, -50.0, 20.0, 80.0, 
     ],
     ids=["sighting", "fix", "neighbour"],
 )
-def test_the_quick_way_tells_types_apart_by_their_fields(event):
+def test_the_quick_way_reports_types_apart_by_their_fields(event):
     line = encode(event)
     fields_of_it = line[line.index(b'"fields":') + len(b'"fields":') : line.rindex(b',"crc32"')]
     assert encode(journal._decode(type(event))(fields_of_it)) == line
@@ -222,7 +222,7 @@ def test_damage_costs_only_the_lines_it_hits_and_is_counted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"no journal\n", b"\x00" * 1000, encode(HEADER)[:-5], encode(Inner(1.0, 1))]
+    "content", ["b", b"no journal\n", b"\x00" * 1000, encode(HEADER)[:-5], encode(Inner(1.0, 1))]
 )
 def test_a_file_without_a_header_is_an_input_error(tmp_path, content):
     (tmp_path / "j.jsonl").write_bytes(content)
@@ -260,8 +260,8 @@ def test_a_journal_of_the_first_format_is_read_in_todays_words(tmp_path):
         b'"north_m":1.0,"radius_m":50.0,"clockwise":true},"transition":null,"departure_s":0.0},'
         b'"wind":{"east_m_s":0.0,"north_m_s":0.0},"reason":"why"}'
     )
-    said = b'{"event":"Announce","fields":{"time_s":2.0,"kind":"swap","text":"plan 2 was not taken"}'
-    lines = (header, swap, prepare, said)
+    announced = b'{"event":"Announce","fields":{"time_s":2.0,"kind":"swap","text":"plan 2 was not taken"}'
+    lines = (header, swap, prepare, announced)
     path.write_bytes(b"".join(line + b',"crc32":"%08x"}\n' % zlib.crc32(line) for line in lines))
     read = list(JournalReader(path, (PlanStatus, UploadPlan, Announce)))
     assert read[0] == PlanStatus(1.0, 2, "ready")
@@ -269,6 +269,6 @@ def test_a_journal_of_the_first_format_is_read_in_todays_words(tmp_path):
     assert read[2] == Announce(2.0, "plan", "plan 2 was not taken")
 
 
-def test_what_format_2_said_of_plans_at_first_is_read_in_todays_words(tmp_path):
+def test_what_format_2_reported_of_plans_at_first_is_read_in_todays_words(tmp_path):
     path = written(tmp_path / "journal.jsonl", [Announce(2.0, "swap", "plan 2 was not taken")])
     assert list(JournalReader(path, (Announce,))) == [Announce(2.0, "plan", "plan 2 was not taken")]

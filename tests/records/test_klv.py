@@ -35,7 +35,7 @@ def packets(path: Path) -> list[dict[int, str]]:
 
 @pytest.fixture
 def flown(tmp_path) -> list[dict[int, str]]:
-    """Five seconds eastward, banked to the right, beside a target that stands 200 m to the south."""
+    """Five seconds eastward, banked to the right, next to a target that stands 200 m to the south."""
     log = KlvLog(tmp_path / "flight.klv", "a flight", PLANE, Tracker(TrackerSettings()), BOOTED, 488.0)
     laser, gimbal = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
     down_rad = math.atan2(120.0, 200.0)
@@ -56,7 +56,7 @@ def flown(tmp_path) -> list[dict[int, str]]:
     return packets(tmp_path / "flight.klv")
 
 
-def test_the_metadata_says_where_everything_was(flown):
+def test_the_metadata_reports_where_everything_was(flown):
     last = {tag: float(value) for tag, value in flown[-1].items() if tag not in {2, 3, 10, 12}}
     assert (last[13], last[14]) == pytest.approx((47.4, 8.5), abs=1e-6)
     assert last[15] == pytest.approx(488.0 + 120.0, abs=0.5)

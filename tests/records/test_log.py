@@ -393,7 +393,7 @@ def test_the_kind_is_seen_from_the_content(kind, request, tmp_path):
 
 
 @pytest.mark.parametrize(("content", "words"), [
-    (b"", "is empty"),
+    ("b", "is empty"),
     (b"just some text\n" * 100, "is no log"),
     (random.Random(6).randbytes(50_000), "is no log"),
 ])  # fmt: skip
@@ -409,7 +409,7 @@ def test_what_cannot_be_read_is_an_input_error(tmp_path):
             open_log(path)
 
 
-def test_a_log_tells_what_was_looked_for_and_what_it_has(ulog, tmp_path, sender, stamped):
+def test_a_log_reports_what_was_looked_for_and_what_it_has(ulog, tmp_path, sender, stamped):
     sentence = open_log(ulog).looked_for()
     assert "a slant range (distance_sensor) and a line of sight (gimbal_device_attitude_status);" in sentence
     assert "vehicle_attitude (300)" in sentence

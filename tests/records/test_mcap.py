@@ -36,7 +36,7 @@ LINE = Line(*(np.array([0.0, 100.0, 200.0]) for _ in range(5)))
 
 
 def flight(log: McapLog) -> None:
-    """Ten seconds beside a target that stands 200 m north, 120 m below."""
+    """Ten seconds next to a target that stands 200 m north, 120 m below."""
     laser, gimbal = Source("DISTANCE_SENSOR", 154, 1, 100), Source("GIMBAL_DEVICE_ATTITUDE_STATUS", 154)
     down_rad = math.atan2(120.0, 200.0)
     sight = (math.cos(down_rad / 2), 0.0, -math.sin(down_rad / 2), 0.0)
@@ -92,7 +92,7 @@ def test_every_kind_of_thing_has_its_topic(messages):
         "/circle/map": 2,
         "/plan": 1,
         "/plan/map": 1,
-        "/said": 1,
+        "/announcements": 1,
         "/health": 1,
         "/route/map": 1,
     }
@@ -116,7 +116,7 @@ def test_the_aircraft_points_along_its_course(messages):
     assert orientation == pytest.approx({"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}, abs=1e-12)
     fix = messages["/aircraft/fix"][0][2]
     assert (fix["latitude"], fix["longitude"], fix["altitude"]) == (47.4, 8.5, 488.0 + 120.0)
-    assert fix["position_covariance_type"] == 0  # unknown: the vehicle does not tell it
+    assert fix["position_covariance_type"] == 0  # unknown: the vehicle does not report it
 
 
 def test_the_target_comes_with_its_covariance(messages):
@@ -201,7 +201,7 @@ def test_the_layout_shows_topics_that_are_there(messages):
         *panels["3D!scene"]["topics"],
         *panels["map!map"]["topicColors"],
         panels["map!map"]["followTopic"],
-        panels["RosOut!said"]["topicToRender"],
+        panels["RosOut!announcements"]["topicToRender"],
     }
     assert shown <= set(messages)
     plotted = [path["value"] for name in panels if name.startswith("Plot!") for path in panels[name]["paths"]]
@@ -209,7 +209,7 @@ def test_the_layout_shows_topics_that_are_there(messages):
         assert field in messages[topic][-1][2]
 
 
-def test_without_the_package_it_says_how_to_get_it(tmp_path, monkeypatch):
+def test_without_the_package_it_reports_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with pytest.raises(InputError, match=r"-m pip install mcap\."):
         McapWriter(tmp_path / "flight.mcap", None)

@@ -97,11 +97,13 @@ def test_a_full_disk_ends_the_recording_with_one_sentence_and_not_the_flight(tmp
 
 def test_a_backlog_that_no_disk_takes_ends_the_recording(tmp_path, monkeypatch):
     monkeypatch.setattr(appender, "_BACKLOG_MAX_BYTES", 1000)
-    told: list[str] = []
-    with Appender(tmp_path / "flight.tlog", told.append) as log:
+    announced: list[str] = []
+    with Appender(tmp_path / "flight.tlog", announced.append) as log:
         log.append(bytes(1001))
         log.append(b"late")
-    assert told == [f"recording has ended: the disk of {tmp_path / 'flight.tlog'} is too slow; the flight goes on."]
+    assert announced == [
+        f"recording has ended: the disk of {tmp_path / 'flight.tlog'} is too slow; the flight goes on."
+    ]
     assert (tmp_path / "flight.tlog").read_bytes() == b""
 
 
@@ -137,22 +139,22 @@ def test_a_kill_at_any_moment_leaves_both_records_readable_to_the_last_second(tm
     assert process.stdin is not None
     assert process.stdout is not None
     try:
-        told_s = []
+        announced_s = []
         for _ in range(events):
-            told_s.append(float(process.stdout.readline()))
+            announced_s.append(float(process.stdout.readline()))
             process.stdin.write("\n")
     finally:
         process.kill()
     with process:
-        told_s += [float(line) for line in process.stdout]
+        announced_s += [float(line) for line in process.stdout]
     assert process.returncode == -signal.SIGKILL
     read_s = [event.time_s for event in JournalReader(tmp_path / "journal.jsonl", [Announce])]
     received_s = [m.received_s for m in read_tlog(tmp_path / "flight.tlog")]
-    assert read_s[: len(told_s)] == told_s[: len(read_s)]
-    assert received_s[: len(told_s)] == pytest.approx(told_s[: len(received_s)], abs=1e-6)
-    if told_s[-1] - told_s[0] > 1.0:
-        assert told_s[-1] - read_s[-1] < 1.0
-        assert told_s[-1] - received_s[-1] < 1.0
+    assert read_s[: len(announced_s)] == announced_s[: len(read_s)]
+    assert received_s[: len(announced_s)] == pytest.approx(announced_s[: len(received_s)], abs=1e-6)
+    if announced_s[-1] - announced_s[0] > 1.0:
+        assert announced_s[-1] - read_s[-1] < 1.0
+        assert announced_s[-1] - received_s[-1] < 1.0
 
 
 @pytest.mark.parametrize(

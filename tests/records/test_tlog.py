@@ -1,4 +1,4 @@
-"""Reading telemetry logs, whole and damaged, beside pymavlink's own reader."""
+"""Reading telemetry logs, whole and damaged, next to pymavlink's own reader."""
 
 from __future__ import annotations
 
@@ -163,9 +163,9 @@ def test_a_stamp_that_is_none_takes_the_time_of_the_frame_before(tmp_path, sende
 
 def test_progress_ends_at_one(tmp_path, sender, stamped):
     path = write(tmp_path / "a.tlog", stamped(sender().mixture(10)))
-    told: list[float] = []
-    list(read_tlog(path, WANTED, told.append))
-    assert told[-1] == 1.0
+    announced: list[float] = []
+    list(read_tlog(path, WANTED, announced.append))
+    assert announced[-1] == 1.0
 
 
 def test_only_a_file_with_a_whole_frame_is_a_tlog(tmp_path, sender, stamped):

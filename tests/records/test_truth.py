@@ -1,4 +1,4 @@
-"""The truth beside a simulated flight."""
+"""The truth next to a simulated flight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The time of day by the vehicle's clock, told by frames that pymavlink packed, in a tlog that pymavlink reads."""
+"""The time of day by the vehicle's clock, from frames that pymavlink packed, in a tlog that pymavlink reads."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def test_the_wall_counts_until_the_vehicle_has_spoken(sender):
 
 def test_a_wrong_stamp_and_a_restart_cost_no_order(sender):
     pack = sender()
-    boots_s = [100.0, 101.0, 3701.0, 102.0, 103.0, 0.5, 1.5]  # an hour ahead once; then the vehicle starts anew
-    told = stamps_s([(pack.attitude(round(1000 * boot_s)), float(i)) for i, boot_s in enumerate(boots_s)])
-    assert told == sorted(told)
-    assert told == pytest.approx([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    boots_s = [100.0, 101.0, 3701.0, 102.0, 103.0, 0.5, 1.5]  # an hour ahead once; then the vehicle starts again
+    announced = stamps_s([(pack.attitude(round(1000 * boot_s)), float(i)) for i, boot_s in enumerate(boots_s)])
+    assert announced == sorted(announced)
+    assert announced == pytest.approx([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
 
 
 def test_messages_that_overtake_one_another_do_not_set_it_back(sender):

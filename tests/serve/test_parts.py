@@ -52,7 +52,7 @@ def requests(triggers, messages):
 @pytest.mark.parametrize(
     ("pulses_us", "found"),
     [
-        ((2000, 2000, 2000), []),  # up already when it is first heard
+        ((2000, 2000, 2000), []),  # up already when it is first received
         ((1000, 2000, 2000, 1000, 2000), ["watch", "release", "watch"]),
         ((1000, 1500, 1500, 2000, 1500, 1690, 1310, 1000), ["watch", "release"]),  # the middle changes nothing
         ((1000, 0, 2000, 2000), []),  # the transmitter came back with the switch up
@@ -73,8 +73,8 @@ def test_a_mode_requests_when_a_person_selects_it():
 
 def test_a_ground_stations_command_requests_once():
     triggers = Triggers(ControlSection(aux_function=300), VEHICLE)
-    told = [aux(2.0), aux(2.0, 1.0), aux(1.0, 1.5), aux(0.0, 2.0), aux(2.0, 9.0), aux(2.0, 20.0)]
-    assert requests(triggers, told) == ["watch", "release", "watch", "watch"]
+    announced = [aux(2.0), aux(2.0, 1.0), aux(1.0, 1.5), aux(0.0, 2.0), aux(2.0, 9.0), aux(2.0, 20.0)]
+    assert requests(triggers, announced) == ["watch", "release", "watch", "watch"]
     assert requests(triggers, [aux(2.0, 40.0, function=301), aux(2.0, 41.0, target=8)]) == []
     assert requests(Triggers(ControlSection(), VEHICLE), [aux(2.0), rc(1000), rc(2000), beat(5)]) == []
 
@@ -100,21 +100,21 @@ def test_the_oldest_runs_make_room_and_nothing_else_is_touched(tmp_path):
 
 
 def test_records_that_cannot_be_opened_stop_no_watch(tmp_path):
-    told: list[str] = []
+    announced: list[str] = []
     folder = RunFolder.create(tmp_path, NOW)
     folder.tlog.symlink_to("/dev/full")
     folder.journal.symlink_to("/dev/full")
     plane = LocalPlane(47.4, 8.5)
-    with closing(Recording(folder, Config(), told.append, required=False)) as recording:
+    with closing(Recording(folder, Config(), announced.append, required=False)) as recording:
         recording.frame(b"\xfe\x00\x00\x01\x01\x00\x00\x00")
         recording.begin(plane, (47.4, 8.5), "ArduPlane", 400.0)
         assert recording.begun
         recording.event(ModeReported(1.0, "AUTO", True))
         assert "takes no records" in recording.lost
-    assert any("goes on without this record" in text for text in told)
+    assert any("goes on without this record" in text for text in announced)
     with (
         pytest.raises(InputError, match="takes no records"),
-        closing(Recording(folder, Config(), told.append)) as other,
+        closing(Recording(folder, Config(), announced.append)) as other,
     ):
         other.begin(plane, (47.4, 8.5))
 
@@ -174,7 +174,7 @@ def test_an_answer_that_is_no_json_is_an_error(path):
         answering.join()
 
 
-def test_the_service_manager_hears_of_readiness_and_life(tmp_path, monkeypatch):
+def test_the_service_manager_receives_of_readiness_and_life(tmp_path, monkeypatch):
     notify("READY=1")  # without a manager nothing happens
     address = str(tmp_path / "notify")
     monkeypatch.setenv("NOTIFY_SOCKET", address)
@@ -188,9 +188,9 @@ def test_the_service_manager_hears_of_readiness_and_life(tmp_path, monkeypatch):
             alive = asyncio.create_task(feed_watchdog())
             loop = asyncio.get_running_loop()
             manager.setblocking(False)
-            heard = [await loop.sock_recv(manager, 100) for _ in range(3)]
+            received = [await loop.sock_recv(manager, 100) for _ in range(3)]
             alive.cancel()
-            return heard
+            return received
 
         assert asyncio.run(live()) == [b"WATCHDOG=1"] * 3
 

@@ -16,7 +16,7 @@ RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 
 
 class Ground:
-    """One station. Everything it hears is kept in ``heard``, in order."""
+    """One station. Everything it receives is kept in ``received``, in order."""
 
     def __init__(
         self, simulation: Simulation, address: object = "ground", system_id: int = 255, component_id: int = 190
@@ -25,7 +25,7 @@ class Ground:
         self.address = address
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._parser = mavlink.MAVLink(None)
-        self.heard: list[Any] = []
+        self.received: list[Any] = []
         self.frames: list[bytes] = []
         self.peers: list[Ground] = [self]  # all stations of this simulation; they share the list
         simulation.connect(address)
@@ -45,7 +45,7 @@ class Ground:
             if ground is None:
                 continue
             ground.frames.append(data)
-            ground.heard.extend(ground._parser.parse_buffer(data) or ())
+            ground.received.extend(ground._parser.parse_buffer(data) or ())
 
     def run(self, seconds: float) -> None:
         self.simulation.advance(self.simulation.time_s + seconds)
@@ -59,12 +59,14 @@ class Ground:
 
     def all(self, kind: str, component: int | None = None) -> list[Any]:
         return [
-            m for m in self.heard if m.get_type() == kind and (component is None or m.get_srcComponent() == component)
+            m
+            for m in self.received
+            if m.get_type() == kind and (component is None or m.get_srcComponent() == component)
         ]
 
     def last(self, kind: str, component: int | None = None) -> Any:
         messages = self.all(kind, component)
-        assert messages, f"no {kind} was heard"
+        assert messages, f"no {kind} was received"
         return messages[-1]
 
     def texts(self) -> list[str]:
@@ -91,10 +93,10 @@ class Ground:
         return self._result_of(message, command)
 
     def _result_of(self, message: Any, command: int) -> int | None:
-        before = len(self.heard)
+        before = len(self.received)
         self.send(message)
         self.run(0.1)
-        results = [m.result for m in self.heard[before:] if m.get_type() == "COMMAND_ACK" and m.command == command]
+        results = [m.result for m in self.received[before:] if m.get_type() == "COMMAND_ACK" and m.command == command]
         return results[-1] if results else None
 
     def set_mode(self, mode: int) -> int | None:
@@ -133,11 +135,11 @@ class Ground:
     def upload(self, items: list[Any], limit_s: float = 20.0) -> int:
         """Answer every request as MAVSDK does, and return the result of the MISSION_ACK."""
         mission_type = items[0].mission_type if items else 0
-        seen = len(self.heard)
+        seen = len(self.received)
         self.send(mavlink.MAVLink_mission_count_message(1, 1, len(items), mission_type))
         end_s = self.simulation.time_s + limit_s
         while self.simulation.time_s < end_s:
-            fresh, seen = self.heard[seen:], len(self.heard)
+            fresh, seen = self.received[seen:], len(self.received)
             for message in fresh:
                 if message.get_type() == "MISSION_ACK":
                     return int(message.type)
@@ -147,17 +149,17 @@ class Ground:
         raise AssertionError("no MISSION_ACK")
 
     def download(self, mission_type: int = 0) -> list[Any]:
-        before = len(self.heard)
+        before = len(self.received)
         self.send(mavlink.MAVLink_mission_request_list_message(1, 1, mission_type))
         self.run(0.04)
-        counts = [m.count for m in self.heard[before:] if m.get_type() == "MISSION_COUNT"]
+        counts = [m.count for m in self.received[before:] if m.get_type() == "MISSION_COUNT"]
         assert counts, "no MISSION_COUNT"
         for sequence in range(counts[-1]):
             self.send(mavlink.MAVLink_mission_request_int_message(1, 1, sequence, mission_type))
             self.run(0.04)
         self.send(mavlink.MAVLink_mission_ack_message(1, 1, mavlink.MAV_MISSION_ACCEPTED, mission_type))
         self.run(0.04)
-        items = [m for m in self.heard[before:] if m.get_type() == "MISSION_ITEM_INT"]
+        items = [m for m in self.received[before:] if m.get_type() == "MISSION_ITEM_INT"]
         return sorted({m.seq: m for m in items}.values(), key=lambda m: m.seq)
 
     def mission(self, *flown: Any) -> list[Any]:
@@ -170,7 +172,7 @@ class Ground:
         return items
 
     def fly(self, *flown: Any) -> None:
-        """Upload, arm, start; PX4 is told to do without a landing."""
+        """Upload, arm, start; PX4 is ordered to do without a landing."""
         vehicle = self.simulation.vehicle
         self.run(max(0.0, vehicle.ready_s + 1.0 - vehicle.now_s))
         if self.simulation.settings.flavour == Flavour.PX4:
@@ -210,11 +212,11 @@ def simulate() -> Callable[..., Simulation]:
 def station() -> Callable[..., Ground]:
     """Return what makes a ground station of a simulation, further ones of the same simulation included."""
 
-    def make(simulation: Simulation, *, beside: Ground | None = None, **changes: Any) -> Ground:
+    def make(simulation: Simulation, *, alongside: Ground | None = None, **changes: Any) -> Ground:
         ground = Ground(simulation, **changes)
-        if beside is not None:
-            beside.peers.append(ground)
-            ground.peers = beside.peers
+        if alongside is not None:
+            alongside.peers.append(ground)
+            ground.peers = alongside.peers
         return ground
 
     return make

@@ -207,7 +207,7 @@ def test_with_the_failsafe_on_it_returns_after_five_seconds_and_stays(ground):
 
 def test_only_the_heartbeats_of_the_configured_station_count(simulate, station):
     ground = station(simulate(payload=None))
-    other = station(ground.simulation, beside=ground, address="other", system_id=190)
+    other = station(ground.simulation, alongside=ground, address="other", system_id=190)
     circling(ground)
     ground.simulation.vehicle.parameters.set("FS_GCS_ENABL", 1)
     ground.simulation.vehicle.parameters.set("FS_LONG_ACTN", 1)

@@ -1,4 +1,4 @@
-"""Somebody's own simulator program: its command line, its life and its end."""
+"""Someone's own simulator program: its command line, its life and its end."""
 
 import math
 import stat
@@ -28,7 +28,7 @@ def test_arduplane_is_met_over_tcp_with_the_payload_on_its_third_port(tmp_path):
     assert run.command[1:9] == ["--model", "plane", "--speedup", "3", "--home", "47.0,8.0,400.0,353", "-I", "2"]
 
 
-def test_px4_is_met_over_udp_and_finds_its_start_files_beside_it(tmp_path):
+def test_px4_is_met_over_udp_and_finds_its_start_files_next_to_it(tmp_path):
     run = run_of(Flavour.PX4, tmp_path / "bin" / "px4", tmp_path / "work", 1, 5.0, None)
     assert (run.url, run.payload_url) == ("udpin://127.0.0.1:14541", "udpout://127.0.0.1:18571")
     assert run.command[1:] == ["-i", "1", "-d", "-w", str(tmp_path / "work"), str(tmp_path / "etc")]
@@ -47,18 +47,18 @@ def test_the_wind_is_given_as_each_program_takes_it(tmp_path):
     assert from_m_s == pytest.approx([0.0, -4.0], abs=1e-9)
 
 
-def test_what_cannot_be_run_is_told(tmp_path):
+def test_what_cannot_be_run_is_reported(tmp_path):
     with pytest.raises(BinaryError, match="no program that can be run"):
         Binary(Flavour.PX4, tmp_path / "px4", 1.0, None)
 
 
 def test_it_ends_with_us_and_its_folder_too(tmp_path):
-    told = tmp_path / "told"
-    binary = program(tmp_path / "arduplane", f"pwd > {told}\nsleep 60")
+    announced = tmp_path / "reported"
+    binary = program(tmp_path / "arduplane", f"pwd > {announced}\nsleep 60")
     with Binary(Flavour.ARDUPLANE, binary, 1.0, None) as running:
-        while not (told.exists() and told.read_text()):
+        while not (announced.exists() and announced.read_text()):
             assert not running.ended
-        folder = Path(told.read_text().strip())
+        folder = Path(announced.read_text().strip())
         assert folder.is_dir()
     assert running.ended
     assert not folder.exists()
@@ -75,13 +75,13 @@ def test_its_folder_stays_where_its_logs_are_wanted(tmp_path):
     assert log.is_relative_to(tmp_path / "kept")
 
 
-def test_a_folder_for_logs_that_cannot_be_made_is_told(tmp_path):
+def test_a_folder_for_logs_that_cannot_be_made_is_reported(tmp_path):
     binary = program(tmp_path / "arduplane", "sleep 60")
     with pytest.raises(BinaryError, match="cannot keep its logs"):
         Binary(Flavour.ARDUPLANE, binary, 1.0, None, logs=binary / "kept")
 
 
-def test_the_command_tells_why_a_program_has_ended(tmp_path):
+def test_the_command_reports_why_a_program_has_ended(tmp_path):
     binary = program(tmp_path / "arduplane", "echo no such model; exit 3")
     done = subprocess.run(
         [sys.executable, "-m", "sidelong.sitl", "--binary", binary],

@@ -31,7 +31,7 @@ def flown(simulate, station):
     ground.command_long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 1e5)
     ground.fly(ground.takeoff(80.0), ground.loiter(200.0, 200.0, 80.0, 80.0))
     ground.run(90.0)
-    measured = [m for message in ground.heard for m in companion.handle(message)]
+    measured = [m for message in ground.received for m in companion.handle(message)]
     return ground, companion, rows, measured
 
 
@@ -57,11 +57,11 @@ def test_it_waits_for_home(simulate, station):
     companion = Companion(EXACT, WALK, seed=1)
     ground.run(15.0)
     assert companion.wants_home
-    assert not [m for message in ground.heard for m in companion.handle(message)]
+    assert not [m for message in ground.received for m in companion.handle(message)]
 
 
 @pytest.mark.parametrize("url", ["127.0.0.1:14550", "serial:///dev/ttyS0:57600", "tcpout://127.0.0.1"])
-def test_a_wrong_url_is_told(url):
+def test_a_wrong_url_is_reported(url):
     with pytest.raises(CompanionError, match="must look like"):
         accompany(Companion(EXACT, WALK, seed=1), url)
 
@@ -102,9 +102,9 @@ def test_it_waits_for_a_vehicle_and_joins_it_again_after_it_has_gone():
                 link, _ = server.accept()
                 link.settimeout(5.0)
                 link.sendall(vehicle_heartbeat(7))
-                heard = link.recv(4096)
-                while b"\x07\x9a" not in heard:  # speaks as component 154 of system 7
-                    heard += link.recv(4096)
+                received = link.recv(4096)
+                while b"\x07\x9a" not in received:  # speaks as component 154 of system 7
+                    received += link.recv(4096)
                 link.close()
     finally:
         done.set()
@@ -117,7 +117,7 @@ def test_it_waits_for_a_vehicle_and_joins_it_again_after_it_has_gone():
 
 @contextmanager
 def met_by_udp(**options):
-    """Yield what a vehicle receives from a payload that has heard its heartbeat, frame by frame."""
+    """Yield what a vehicle receives from a payload that has received its heartbeat, frame by frame."""
     done, ready = threading.Event(), []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         vehicle.bind(("127.0.0.1", 0))
@@ -139,7 +139,7 @@ def met_by_udp(**options):
     assert ready == [7]
 
 
-def test_it_speaks_first_to_a_vehicle_that_answers_whom_it_has_heard():
+def test_it_speaks_first_to_a_vehicle_that_answers_whom_it_has_received():
     with met_by_udp() as frames:
         assert any(frame[5:7] == b"\x07\x9a" for frame in frames)  # system and component that it speaks as
 
@@ -173,11 +173,11 @@ def test_the_target_goes_on_from_where_it_is_when_the_vehicle_reboots(flown):
     ground, companion, rows, _ = flown
     before = rows[-1]
     ground.simulation.reboot()
-    heard = len(ground.heard)
+    received = len(ground.received)
     ground.run(4.0)
     ground.command_long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 1e5)
     ground.run(3.0)
-    for message in ground.heard[heard:]:
+    for message in ground.received[received:]:
         companion.handle(message)
     after = rows[-1]
     assert after.time_s < before.time_s

@@ -31,7 +31,7 @@ def test_every_command_of_qgroundcontrols_start_up_is_answered(ground):
     for message_id in (mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, mavlink.MAVLINK_MSG_ID_HOME_POSITION):
         assert ground.command_long(REQUEST_MESSAGE, message_id) == mavlink.MAV_RESULT_ACCEPTED
     for message_id in (PROTOCOL_VERSION, MODES, METADATA, CAMERA, GIMBAL_MANAGER):
-        # What there is not is said not to be there, so that QGroundControl goes on at once.
+        # What there is not is reported not to be there, so that QGroundControl goes on at once.
         assert ground.command_long(REQUEST_MESSAGE, message_id, 1.0) is not None
     for message_id in (mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT):
         assert ground.command_long(SET_INTERVAL, message_id, 500_000) is not None
@@ -39,7 +39,7 @@ def test_every_command_of_qgroundcontrols_start_up_is_answered(ground):
         assert ground.command_long(command, 1.0) == mavlink.MAV_RESULT_UNSUPPORTED
 
 
-def test_modes_origin_and_logs_are_told_as_the_real_ones_do(ground, flavour):
+def test_modes_origin_and_logs_are_reported_as_the_real_ones_do(ground, flavour):
     assert ground.command_long(REQUEST_MESSAGE, MODES) == mavlink.MAV_RESULT_ACCEPTED
     modes = ground.all("AVAILABLE_MODES")
     assert [mode.mode_index for mode in modes] == list(range(1, modes[0].number_modes + 1))
@@ -57,7 +57,7 @@ def test_modes_origin_and_logs_are_told_as_the_real_ones_do(ground, flavour):
     assert [ground.command_long(command, CAMERA, 1.0) for command in (REQUEST_MESSAGE, SET_INTERVAL)] == results
 
 
-def test_the_air_and_the_forces_of_a_bank_are_told_to_who_asks(ground):
+def test_the_air_and_the_forces_of_a_bank_are_ordered_to_who_asks(ground):
     assert (
         ground.command_long(SET_INTERVAL, mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, 500_000) == mavlink.MAV_RESULT_ACCEPTED
     )
@@ -68,7 +68,7 @@ def test_the_air_and_the_forces_of_a_bank_are_told_to_who_asks(ground):
     assert imu[-1].abs_pressure == pytest.approx(1013.25 * math.exp(-imu[-1].pressure_alt / 8434.0), rel=0.003)
 
 
-def test_only_px4_tells_what_is_wrong_with_a_parameter(ground, flavour):
+def test_only_px4_reports_what_is_wrong_with_a_parameter(ground, flavour):
     radius = b"NAV_LOITER_RAD" if flavour is Flavour.PX4 else b"WP_LOITER_RAD"
     ground.send(mavlink.MAVLink_param_request_read_message(1, 1, b"NO_SUCH", -1))
     ground.send(mavlink.MAVLink_param_set_message(1, 1, b"NO_SUCH", 1.0, mavlink.MAV_PARAM_TYPE_REAL32))
@@ -78,7 +78,7 @@ def test_only_px4_tells_what_is_wrong_with_a_parameter(ground, flavour):
     assert errors == ([1, 1, 7] if flavour is Flavour.PX4 else [])
 
 
-def test_parameters_missions_fences_and_rally_points_are_told(ground):
+def test_parameters_missions_fences_and_rally_points_are_reported(ground):
     ground.send(mavlink.MAVLink_param_request_list_message(1, 1))
     for mission_type in (0, 1, 2):
         ground.send(mavlink.MAVLink_mission_request_list_message(1, 1, mission_type))

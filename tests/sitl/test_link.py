@@ -44,7 +44,7 @@ def test_a_serial_line_carries_what_its_rate_allows_and_loses_what_finds_no_room
     assert link.take(10.01) == ["later"]
 
 
-def test_it_tells_when_the_next_is_due():
+def test_it_reports_when_the_next_is_due():
     link = FaultyLink(LinkFaults(delay_s=0.5), np.random.default_rng(1))
     assert link.next_s == float("inf")
     link.put("a", 1.0)

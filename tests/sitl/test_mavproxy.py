@@ -1,4 +1,4 @@
-"""MAVProxy itself beside the simulated vehicle: a whole session of it, without an error."""
+"""MAVProxy itself next to the simulated vehicle: a whole session of it, without an error."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = [
 SPEED = 10
 MODULES = "log,wp,rally,fence,param,arm,mode,misc,cmdlong"
 ANSWER_S = 20.0
-# PX4 tells no health of a geofence that is off, which MAVProxy calls a breach with every PX4.
+# PX4 reports no health of a geofence that is off, which MAVProxy calls a breach with every PX4.
 ERROR = re.compile(r"error|timed out|failed|unable|denied|unsupported|unexpected|traceback|exception", re.IGNORECASE)
 
 WAYPOINTS = """QGC WPL 110
@@ -42,7 +42,7 @@ MODES = {  # of PX4, MAVProxy's own `mode NAME` never leaves it
 
 
 class Session:
-    """MAVProxy at its prompt. ``lines`` is all that it has said."""
+    """MAVProxy at its prompt. ``lines`` is all that it has reported."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self.process, self.lines = process, []

@@ -148,7 +148,7 @@ def test_a_csv_track_is_read(tmp_path, text):
         ("a.gpx", "<gpx></gpx>", "two"),
     ],
 )
-def test_what_is_no_track_is_told_by_name(tmp_path, name, text, word):
+def test_what_is_no_track_is_reported_by_name(tmp_path, name, text, word):
     file = tmp_path / name
     file.write_text(text)
     with pytest.raises(TrackError, match=word) as caught:
@@ -156,6 +156,6 @@ def test_what_is_no_track_is_told_by_name(tmp_path, name, text, word):
     assert str(file) in str(caught.value)
 
 
-def test_a_missing_file_is_told(tmp_path):
+def test_a_missing_file_is_reported(tmp_path):
     with pytest.raises(TrackError, match="cannot be read"):
         read_track(tmp_path / "none.gpx")

@@ -11,7 +11,7 @@ from sidelong.sitl.cli import run
 from sidelong.sitl.pace import Pace
 
 
-def test_it_waits_for_who_is_behind_but_not_for_who_is_silent():
+def test_it_waits_for_whoever_is_behind_but_not_for_whoever_is_silent():
     pace = Pace(speed=20.0)
     assert pace.limit_s(0.0) == math.inf
     pace.follow(100.0, now_s=5.0)

@@ -55,9 +55,9 @@ def test_the_list_is_complete(simulate, station, flavour):
     assert len({m.param_id for m in values}) == len(values) == values[0].param_count
 
 
-def test_a_change_is_obeyed_and_told_to_all(simulate, station):
+def test_a_change_is_obeyed_and_reported_to_all(simulate, station):
     ground = station(simulate(payload=None))
-    other = station(ground.simulation, beside=ground, address="other", system_id=250)
+    other = station(ground.simulation, alongside=ground, address="other", system_id=250)
     ground.fly(ground.takeoff(60.0), ground.loiter(300.0, 0.0, 100.0, 60.0))
     ground.run(60.0)
     ground.send(mavlink.MAVLink_param_set_message(1, 1, b"AIRSPEED_CRUISE", 19.0, mavlink.MAV_PARAM_TYPE_REAL32))

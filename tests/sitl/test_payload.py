@@ -78,11 +78,11 @@ def test_a_change_of_one_noise_leaves_the_dropouts_alone(change):
     assert usual == changed
 
 
-@pytest.mark.parametrize(("range_m", "heard"), [(654.0, True), (660.0, False), (0.5, False)])
-def test_the_laser_ends_where_its_message_ends(range_m, heard):
+@pytest.mark.parametrize(("range_m", "received"), [(654.0, True), (660.0, False), (0.5, False)])
+def test_the_laser_ends_where_its_message_ends(range_m, received):
     exact = PayloadSettings(range_sigma_m=0.0, outlier_fraction=0.0, dropout_fraction=0.0)
     measured = measurements(exact, 10, Sight(range_m, 0.0, 0.0))
-    assert bool(of_kind(measured, "DISTANCE_SENSOR")) is heard
+    assert bool(of_kind(measured, "DISTANCE_SENSOR")) is received
     assert len(of_kind(measured, "GIMBAL_DEVICE_ATTITUDE_STATUS")) == 10
 
 
@@ -138,7 +138,7 @@ def test_the_measurement_belongs_to_the_position_of_its_stamp(simulate, station)
         assert abs(error_rad) < 1e-5
 
 
-def test_px4_repeats_the_range_as_its_own_beside_its_downward_sensor(simulate, station):
+def test_px4_repeats_the_range_as_its_own_next_to_its_downward_sensor(simulate, station):
     ground = station(simulate(flavour=Flavour.PX4))
     ground.run(30.0)
     own = ground.all("DISTANCE_SENSOR", 1)
@@ -161,7 +161,7 @@ def test_arduplane_has_no_range_sensor_of_its_own(simulate, station):
 def test_without_payload_component_154_is_silent(simulate, station):
     ground = station(simulate(payload=None))
     ground.run(10.0)
-    assert not [m for m in ground.heard if m.get_srcComponent() == 154]
+    assert not [m for m in ground.received if m.get_srcComponent() == 154]
 
 
 def test_the_laser_can_fail_alone(simulate, station):

@@ -74,21 +74,21 @@ def test_a_mission_without_landing_is_acknowledged_but_not_flown(ground):
 
 
 @pytest.mark.parametrize(
-    ("away_m", "height_m", "said"),
+    ("away_m", "height_m", "announced"),
     [
         (75.0, 40.0, "the landing point must be outside the orbit radius"),
         (300.0, 40.0, "the landing glide slope is steeper than the vehicle setting of 5.0 degrees"),
         (700.0, 0.0, "the approach waypoint must be above the landing point"),
     ],
 )
-def test_a_landing_no_plane_can_fly_is_acknowledged_and_then_refused(ground, away_m, height_m, said):
+def test_a_landing_no_plane_can_fly_is_acknowledged_and_then_refused(ground, away_m, height_m, announced):
     ground.run(10.0)
     approach = ground.item(0, mavlink.MAV_CMD_NAV_LOITER_TO_ALT, away_m, 0.0, height_m, (0.0, 80.0, 0.0, 0.0))
     begin, _, land = landing(ground)
     items = ground.mission(ground.takeoff(60.0), ground.loiter(300.0, 300.0, 80.0, 60.0), begin, approach, land)
     assert ground.upload(items) == ACCEPTED
     ground.run(0.1)
-    assert any(said[:30] in text for text in ground.texts())
+    assert any(announced[:30] in text for text in ground.texts())
     assert ground.command_long(mavlink.MAV_CMD_MISSION_START) == mavlink.MAV_RESULT_DENIED
 
 
@@ -171,10 +171,10 @@ def test_unknown_items_are_refused(ground, command):
 
 def test_partial_writes_are_ignored(ground):
     circling(ground)
-    heard = len(ground.all("MISSION_REQUEST_INT"))
+    received = len(ground.all("MISSION_REQUEST_INT"))
     ground.send(mavlink.MAVLink_mission_write_partial_list_message(1, 1, 1, 1, 0))
     ground.run(1.0)
-    assert len(ground.all("MISSION_REQUEST_INT")) == heard
+    assert len(ground.all("MISSION_REQUEST_INT")) == received
 
 
 def test_items_come_back_with_integer_frames_and_their_radius_unrounded(ground):
@@ -204,7 +204,7 @@ def test_command_int_is_above_sea_level_in_any_frame(ground, frame):
     assert ground.simulation.vehicle.navigator.goal.height_m == height_m
 
 
-def test_an_orbit_is_flown_in_hold_and_told(ground):
+def test_an_orbit_is_flown_in_hold_and_reported(ground):
     circling(ground)
     assert orbit(ground, 600.0, 300.0, -70.0) == ACCEPTED
     ground.run(40.0)

@@ -13,7 +13,7 @@ ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
 @pytest.fixture(params=list(Flavour))
 def pair(request, simulate, station):
     ground = station(simulate(flavour=request.param))
-    return ground, station(ground.simulation, beside=ground, address="other", system_id=250)
+    return ground, station(ground.simulation, alongside=ground, address="other", system_id=250)
 
 
 def interval(ground, message_id, hertz):
@@ -42,7 +42,7 @@ def test_every_frame_has_a_right_checksum(pair):
     ground, _ = pair
     ground.run(30.0)
     assert not ground.all("BAD_DATA")
-    assert len(ground.heard) == len(ground.frames)
+    assert len(ground.received) == len(ground.frames)
 
 
 def test_a_rate_is_changed_for_the_station_that_asks(pair):
@@ -94,9 +94,9 @@ def test_commands_for_another_vehicle_are_passed_on_and_not_obeyed(pair):
     assert other.last("COMMAND_LONG").get_srcSystem() == 255
 
 
-def test_a_companion_is_heard_by_stations_that_have_spoken(pair, station):
+def test_a_companion_is_received_by_stations_that_have_spoken(pair, station):
     ground, other = pair
-    companion = station(ground.simulation, beside=ground, address="companion", system_id=1, component_id=191)
+    companion = station(ground.simulation, alongside=ground, address="companion", system_id=1, component_id=191)
     gps = mavlink.MAVLink_named_value_float_message(0, b"hello", 1.0)
     companion.send(gps)
     ground.run(0.1)
@@ -104,21 +104,21 @@ def test_a_companion_is_heard_by_stations_that_have_spoken(pair, station):
     ground.heartbeat()
     companion.send(gps)
     ground.run(0.1)
-    heard = ground.last("NAMED_VALUE_FLOAT")
-    assert (heard.get_srcSystem(), heard.get_srcComponent()) == (1, 191)
+    received = ground.last("NAMED_VALUE_FLOAT")
+    assert (received.get_srcSystem(), received.get_srcComponent()) == (1, 191)
     assert not other.all("NAMED_VALUE_FLOAT")
 
 
-def test_a_station_that_came_by_itself_is_forgotten_after_a_minute_of_silence(pair, station):
+def test_a_station_that_came_on_its_own_is_forgotten_after_a_minute_of_silence(pair, station):
     ground, _ = pair
-    stranger = station(ground.simulation, beside=ground, address="stranger")
+    stranger = station(ground.simulation, alongside=ground, address="stranger")
     ground.simulation.vehicle.radio.stations["stranger"].expected = False
     stranger.heartbeat()
     ground.run(100.0)
     assert "stranger" not in ground.simulation.vehicle.radio.stations
     stranger.heartbeat()
     ground.run(2.0)
-    assert stranger.heard[-1].get_srcSystem() == 1
+    assert stranger.received[-1].get_srcSystem() == 1
 
 
 def test_timesync_and_ping_are_answered(pair):

@@ -68,7 +68,9 @@ def test_the_truth_file_has_the_columns_of_the_recorded_ones(simulate, tmp_path)
     assert HEADER.startswith("time_boot_s,target_east_m,target_north_m,target_lat_deg,target_lon_deg,uav_lat_deg,")
     assert lines[0].count(",") == lines[1].count(",") == 15
     assert lines[10].startswith("1.000,250.000,300.000,")
-    assert all(line.endswith(",,") for line in lines[1:])  # no ground is known: neither clearance nor sight is told
+    assert all(
+        line.endswith(",,") for line in lines[1:]
+    )  # no ground is known: neither clearance nor sight is reported
     assert len(lines) == 31
 
 
@@ -87,12 +89,12 @@ def test_the_pilot_can_take_over(simulate, station, flavour, taken_over):
     ground.simulation.pilot_takes_over()
     ground.run(2.0)
     assert ground.mode() == taken_over
-    assert not any(m.get_type() == "COMMAND_ACK" for m in ground.heard[-30:])
+    assert not any(m.get_type() == "COMMAND_ACK" for m in ground.received[-30:])
 
 
 def test_another_station_can_change_the_mode(simulate, station):
     ground, _ = flight(simulate, station)
-    other = station(ground.simulation, beside=ground, address="other", system_id=250)
+    other = station(ground.simulation, alongside=ground, address="other", system_id=250)
     other.set_mode(12)
     ground.run(1.5)
     assert ground.mode() == 12
@@ -104,9 +106,9 @@ def test_a_reboot_in_flight_is_silence_a_new_clock_and_the_old_mission(simulate,
     ground.command_long(511, 30, 50_000.0)
     height_m = ground.simulation.vehicle.craft.height_m
     ground.simulation.reboot()
-    heard = len(ground.heard)
+    received = len(ground.received)
     ground.run(1.9)
-    assert len(ground.heard) == heard
+    assert len(ground.received) == received
     ground.run(10.0)
     assert ground.last("GLOBAL_POSITION_INT").time_boot_ms < 11_000
     assert ground.simulation.vehicle.armed

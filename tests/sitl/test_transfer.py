@@ -61,7 +61,7 @@ def test_a_silent_upload_is_given_up_and_another_can_begin(ground, station):
 
 
 def test_a_second_uploader_is_turned_away(ground, station):
-    other = station(ground.simulation, beside=ground, address="other", system_id=250)
+    other = station(ground.simulation, alongside=ground, address="other", system_id=250)
     ground.send(count_message(3))
     ground.run(0.1)
     other.send(count_message(2))
@@ -71,7 +71,7 @@ def test_a_second_uploader_is_turned_away(ground, station):
     assert not other.all(REQUESTS[ground.simulation.settings.flavour])
 
 
-def test_a_doubled_item_is_told_by_arduplane_and_ignored_by_px4(ground):
+def test_a_doubled_item_is_reported_by_arduplane_and_ignored_by_px4(ground):
     items = plan(ground)
     ground.send(count_message(len(items)))
     ground.run(0.04)
@@ -121,7 +121,7 @@ def test_px4_is_read_in_order_and_any_item_out_of_its_turn_ends_it(simulate, sta
     assert acknowledgements == ([] if asked == answered else [mavlink.MAV_MISSION_ERROR])
 
 
-def test_px4_heeds_nothing_else_while_it_is_read(simulate, station):
+def test_px4_follows_nothing_else_while_it_is_read(simulate, station):
     ground = station(simulate(flavour=Flavour.PX4, payload=None))
     ground.run(10.0)
     ground.upload(plan(ground))
@@ -137,7 +137,7 @@ def test_px4_heeds_nothing_else_while_it_is_read(simulate, station):
     assert ground.upload(plan(ground)) == ACCEPTED
 
 
-def test_px4_says_in_words_only_that_it_clears_nothing_while_any_list_is_read(simulate, station):
+def test_px4_reports_in_words_only_that_it_clears_nothing_while_any_list_is_read(simulate, station):
     ground = station(simulate(flavour=Flavour.PX4, payload=None))
     ground.run(10.0)
     ground.upload(plan(ground))
@@ -203,10 +203,10 @@ def test_an_empty_upload_clears(ground):
 def test_an_upload_completes_over_a_link_that_loses_every_fifth_packet(ground, seed):
     rng = random.Random(seed)
     items = plan(ground)
-    seen = len(ground.heard)
+    seen = len(ground.received)
     ground.send(count_message(len(items)))
     for _ in range(3000):
-        fresh, seen = ground.heard[seen:], len(ground.heard)
+        fresh, seen = ground.received[seen:], len(ground.received)
         for message in fresh:
             if rng.random() < 0.2:
                 continue

@@ -47,7 +47,7 @@ def test_their_sensors_have_noise_of_their_own(pair):
     assert [row.laser_valid for row in rows[0]] != [row.laser_valid for row in rows[1]]
 
 
-def test_a_vehicle_that_is_lost_says_and_hears_nothing():
+def test_a_vehicle_that_is_lost_reports_and_receives_nothing():
     simulation = Simulation(Settings())
     simulation.connect("ground")
     simulation.lost_s = 5.0

@@ -72,7 +72,7 @@ def ground(hills_folder: Path, plane: LocalPlane) -> Ground:
 class LaserOut:
     """A target of straight legs and stops over hills, circled 280 m away, 140 m above where it began.
 
-    The tracker is told elevation data with an error of their own; from OUT_S on there is no range any more.
+    The tracker is reported elevation data with an error of their own; from OUT_S on there is no range any more.
     """
 
     true: Ground
@@ -82,12 +82,12 @@ class LaserOut:
         """Return the RMSE over the minute without a range, m, and the share of it within the 95 % ellipse."""
         rng = np.random.default_rng(seed)
         error_m = gaussian_filter(rng.standard_normal(self.true.heights_m.shape), 3.0)
-        told = replace(self.true, heights_m=self.true.heights_m + (4.0 / error_m.std() * error_m).astype(np.float32))
+        given = replace(self.true, heights_m=self.true.heights_m + (4.0 / error_m.std() * error_m).astype(np.float32))
         begin_m = self._somewhere(rng)
         target = RandomTarget(rng, 200.0, 3.0, (30.0, 90.0))
         tracker = Tracker(TrackerSettings(filter=filter_name))
         if grounded:
-            tracker.stand_on(told)
+            tracker.stand_on(given)
         yaw_rad, pitch_rad = rng.normal(0.0, math.radians(0.5), 2)
         phase_rad, height_m = rng.uniform(0.0, 2.0 * math.pi), self.true.height_m(*begin_m) + 140.0
         squares, inside, last = [], [], None

@@ -51,7 +51,7 @@ def test_what_no_tile_knows_is_void(ground: Ground) -> None:
 
 
 def test_neighbouring_tiles_join_without_a_seam(tmp_path: Path) -> None:
-    """A plane that rises by 1 m a post: two tiles of 3 seconds, one of 1 second, told by the same formula."""
+    """A plane that rises by 1 m a post: two tiles of 3 seconds, one of 1 second, reported by the same formula."""
 
     def write(name: str, latitude_deg: int, longitude_deg: int, side: int) -> None:
         north = latitude_deg + 1 - np.arange(side) / (side - 1)
@@ -97,7 +97,7 @@ def test_heights_that_no_place_has_count_as_void(tmp_path: Path, tile_heights: n
     assert data.height_above_sea_m(37.0 - 421 * STEP_DEG, -85.0 + 821 * STEP_DEG) == tile_heights[421, 821]
 
 
-def test_beside_a_void_nothing_is_known(tmp_path: Path, tile_heights: np.ndarray) -> None:
+def test_next_to_a_void_nothing_is_known(tmp_path: Path, tile_heights: np.ndarray) -> None:
     tile = tile_heights.copy()
     tile[500, 900] = -32768
     tile.astype(">i2").tofile(tmp_path / "N36W085.hgt")
@@ -140,22 +140,22 @@ def test_a_hundred_fine_tiles_take_no_more_memory_than_the_window(tmp_path: Path
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 400_000
 
 
-def test_the_command_tells_coverage_and_voids(hills_folder: Path, tile_heights: np.ndarray, tmp_path: Path) -> None:
+def test_the_command_reports_coverage_and_voids(hills_folder: Path, tile_heights: np.ndarray, tmp_path: Path) -> None:
     summary = tmp_path / "coverage.json"
     arguments = ["terrain", str(hills_folder), "--bounds", "36,-85,37,-83", "--json", str(summary)]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
-    told = json.loads(summary.read_text())
+    given = json.loads(summary.read_text())
     share = float((tile_heights > -500).mean())
-    assert told["covered"] == pytest.approx(share / 2.0, rel=0.01)
-    assert told["void"] == pytest.approx((1.0 - share) / 2.0, rel=0.01)
-    assert told["tiles"][0]["min_height_m"] == 236
-    assert told["tiles"][0]["max_height_m"] == 1076
+    assert given["covered"] == pytest.approx(share / 2.0, rel=0.01)
+    assert given["void"] == pytest.approx((1.0 - share) / 2.0, rel=0.01)
+    assert given["tiles"][0]["min_height_m"] == 236
+    assert given["tiles"][0]["max_height_m"] == 1076
     assert "N36W085.hgt" in result.output
     assert "% without a tile" in result.output
 
 
-@pytest.mark.parametrize("bounds", ["36,-85,37", "37,-85,36,-84", "a,b,c,d", "36,-85,37,-185"])
+@pytest.mark.parametrize("bounds", ["36,-85,37", "37,-85,36,-84", "a, b, c, d", "36,-85,37,-185"])
 def test_bounds_that_are_none_are_one_sentence(hills_folder: Path, bounds: str) -> None:
     result = CliRunner().invoke(app, ["terrain", str(hills_folder), "--bounds", bounds])
     assert isinstance(result.exception, InputError)
@@ -189,7 +189,7 @@ def hills_geotiff(path: Path, tile_heights: np.ndarray) -> None:
     write_geotiff(path, part, "EPSG:4326", corner, -32768.0)
 
 
-def test_a_geotiff_tells_the_same_ground_as_the_tile(
+def test_a_geotiff_reports_the_same_ground_as_the_tile(
     ground: Ground, tile_heights: np.ndarray, tmp_path: Path, plane: LocalPlane
 ) -> None:
     hills_geotiff(tmp_path / "hills.tif", tile_heights)
@@ -319,7 +319,7 @@ def test_scales_and_feet_are_heeded(tmp_path: Path) -> None:
 
 
 def test_ten_billion_pixels_are_not_unpacked(tmp_path: Path) -> None:
-    """A sparse file of a megabyte; a place in it is told, all of it is not."""
+    """A sparse file of a megabyte; a place in it is reported, all of it is not."""
     rasterio = pytest.importorskip("rasterio")
     path, side = tmp_path / "a.tif", 100_000
     corner = rasterio.transform.from_origin(10.0, 41.0, 1e-5, 1e-5)
@@ -333,7 +333,7 @@ def test_ten_billion_pixels_are_not_unpacked(tmp_path: Path) -> None:
 
 
 def test_a_fine_geotiff_is_thinned_out_while_it_is_read(tmp_path: Path) -> None:
-    """5,000 x 5,000 pixels of 2 m; a window of all of it at 20 m is what a plane tells."""
+    """5,000 x 5,000 pixels of 2 m; a window of all of it at 20 m is what a plane reports."""
     transform = pytest.importorskip("rasterio.transform")
     step_deg = 2.0 / 111_320.0
     count = 3000

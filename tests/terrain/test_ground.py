@@ -8,7 +8,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from sidelong.estimators.terrain.ground import Ground
 
-# A tilted plane, which bilinear posts tell exactly, with a wall 300 m long and 80 m high across it.
+# A tilted plane, which bilinear posts report exactly, with a wall 300 m long and 80 m high across it.
 STEP_M = 50.0
 EAST, NORTH = np.meshgrid(np.arange(61) * STEP_M - 1500.0, np.arange(61) * STEP_M - 1500.0)
 
@@ -31,7 +31,7 @@ def test_heights_are_bilinear(ground: Ground) -> None:
     assert ground.heights_at_m(*places) == pytest.approx(reference(places[::-1].T), abs=1e-3)
 
 
-def test_a_patch_tells_slope_and_doubt(ground: Ground) -> None:
+def test_a_patch_reports_slope_and_doubt(ground: Ground) -> None:
     patch = PLANE.patch(123.0, -321.0)
     assert patch is not None
     assert (patch.slope_east, patch.slope_north) == pytest.approx((0.1, -0.05), abs=1e-6)

@@ -125,7 +125,7 @@ def test_at_one_height_a_plan_is_rejected_if_and_only_if_ground_near_it_is_too_h
         (flat_with((200.0, 0.0, math.nan)), "the transition leads over ground of unknown height"),
     ],
 )
-def test_what_is_in_the_way_is_said_in_the_words_of_fences(ground: Ground, words: str) -> None:
+def test_what_is_in_the_way_is_reported_in_the_words_of_fences(ground: Ground, words: str) -> None:
     start = AircraftState(0.0, 0.0, 0.0, math.pi / 2, AIRSPEED_M_S, 0.0)
     circle = Circle(350.0, -50.0, 50.0, True)
     plan = Plan(circle, turn_straight_turn(start, circle, 50.0))
@@ -164,11 +164,11 @@ def test_items_carry_the_heights_of_the_plan() -> None:
     circle = Circle(600.0, -50.0, 50.0, True)
     plan = Plan(circle, turn_straight_turn(start, circle, 50.0), heights=HeightProfile(100.0, 160.0, 0.14))
     items = plan_items(plan, LocalPlane(*HOME_DEG), 999.0, 30.0)
-    told = [item.height_m for item in items]
-    assert told[-1] == 160.0
-    assert all(100.0 <= height_m <= 160.0 for height_m in told)
-    assert told == sorted(told)
-    assert len(set(told)) > 1
+    given = [item.height_m for item in items]
+    assert given[-1] == 160.0
+    assert all(100.0 <= height_m <= 160.0 for height_m in given)
+    assert given == sorted(given)
+    assert len(set(given)) > 1
 
 
 def test_an_aircraft_about_at_its_height_is_at_it() -> None:

@@ -31,7 +31,9 @@ def walled() -> Ground:
 
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
 @pytest.mark.parametrize("course_deg", [0.0, 140.0, -75.0])
-def test_the_cost_of_a_place_is_what_the_line_of_sight_says(ground: Ground, course_deg: float, mirror: float) -> None:
+def test_the_cost_of_a_place_is_what_the_line_of_sight_reports(
+    ground: Ground, course_deg: float, mirror: float
+) -> None:
     """Over real hills, in any frame: clear by more than the doubt costs nothing, hidden by more costs the whole."""
     rng = np.random.default_rng(7)
     field, course_rad = SightField(ground, 700.0), math.radians(course_deg)

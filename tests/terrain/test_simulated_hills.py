@@ -55,11 +55,11 @@ def test_both_see_and_do_not_see_the_same(hills: Hills, ground: Ground) -> None:
     assert agreed > 290
 
 
-@pytest.mark.parametrize(("height_m", "heard"), [(0.0, True), (10.0, False)])
+@pytest.mark.parametrize(("height_m", "expected"), [(0.0, True), (10.0, False)])
 def test_a_payload_for_another_vehicle_is_tried_out_on_the_ground(
-    hills_folder: Path, height_m: float, heard: bool
+    hills_folder: Path, height_m: float, expected: bool
 ) -> None:
-    """Hills between do not keep it from being heard before take-off; in the air they do."""
+    """Hills between do not keep it from being received before take-off; in the air they do."""
     companion = Companion(
         PayloadSettings(dropout_fraction=0.0), target_motion(TargetSettings(start_m=OPEN_M), 1), 1, hills_folder
     )
@@ -72,7 +72,7 @@ def test_a_payload_for_another_vehicle_is_tried_out_on_the_ground(
     ):
         (received,) = listener.parse_buffer(message.pack(vehicle))
         measured = companion.handle(received)
-    assert bool(measured) is heard
+    assert bool(measured) is expected
 
 
 def test_without_tiles_the_ground_is_flat() -> None:
@@ -84,12 +84,12 @@ def test_without_tiles_the_ground_is_flat() -> None:
 @pytest.mark.parametrize(
     ("home_deg", "words"), [((47.4, 8.5), "no height of home"), ((36.05, -84.95), "no height of home")]
 )
-def test_a_home_without_ground_is_told(hills_folder: Path, home_deg: tuple[float, float], words: str) -> None:
+def test_a_home_without_ground_is_reported(hills_folder: Path, home_deg: tuple[float, float], words: str) -> None:
     with pytest.raises(HillsError, match=words):
         Hills(hills_folder, HomePlane(*home_deg))
 
 
-def test_damaged_tiles_are_told(tmp_path: Path) -> None:
+def test_damaged_tiles_are_reported(tmp_path: Path) -> None:
     (tmp_path / "N36W085.hgt").write_bytes(bytes(1000))
     with pytest.raises(HillsError, match="damaged"):
         Hills(tmp_path, HomePlane(*HOME_DEG))
@@ -114,25 +114,25 @@ def simulated(hills_folder: Path, target_m: tuple[float, float]) -> tuple[list[T
     rows: list[TruthRow] = []
     simulation.on_truth = rows.append
     parser = mavlink.MAVLink(None)
-    told: list[str] = []
+    given: list[str] = []
     for second in range(1, 41):
         simulation.advance(float(second))
         for _, data in simulation.take():
-            told += [message.get_type() for message in parser.parse_buffer(data) or ()]
-    return rows, told
+            given += [message.get_type() for message in parser.parse_buffer(data) or ()]
+    return rows, given
 
 
 def test_what_is_hidden_is_not_measured(hills_folder: Path) -> None:
-    rows, told = simulated(hills_folder, HIDDEN_M)
+    rows, given = simulated(hills_folder, HIDDEN_M)
     assert not any(row.in_sight for row in rows[-200:])
-    assert "GIMBAL_DEVICE_ATTITUDE_STATUS" not in told[-500:]
-    assert "DISTANCE_SENSOR" not in told[-500:]
-    rows, told = simulated(hills_folder, OPEN_M)
+    assert "GIMBAL_DEVICE_ATTITUDE_STATUS" not in given[-500:]
+    assert "DISTANCE_SENSOR" not in given[-500:]
+    rows, given = simulated(hills_folder, OPEN_M)
     assert all(row.in_sight for row in rows[-200:])
-    assert "DISTANCE_SENSOR" in told[-500:]
+    assert "DISTANCE_SENSOR" in given[-500:]
 
 
-def test_truth_tells_clearance_and_sight(hills_folder: Path, hills: Hills, tmp_path: Path) -> None:
+def test_truth_reports_clearance_and_sight(hills_folder: Path, hills: Hills, tmp_path: Path) -> None:
     rows, _ = simulated(hills_folder, OPEN_M)
     last = rows[-1]
     assert last.clearance_m == pytest.approx(last.aircraft_m[2] - hills.height_m(*last.aircraft_m[:2]))

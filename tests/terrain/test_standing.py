@@ -118,8 +118,8 @@ def test_a_line_of_sight_alone_places_a_standing_target(ground: Ground) -> None:
     patch = TILTED.patch(*place[:2])
     assert patch is not None
     level_m = math.hypot(500.0, 50.0)
-    told_m = math.hypot(patch.sigma_m, 0.006 * level_m * (1.0 + fall**2))
-    assert math.sqrt(along @ covariance[:2, :2] @ along) == pytest.approx(told_m / (fall + slope), rel=0.05)
+    reported_m = math.hypot(patch.sigma_m, 0.006 * level_m * (1.0 + fall**2))
+    assert math.sqrt(along @ covariance[:2, :2] @ along) == pytest.approx(reported_m / (fall + slope), rel=0.05)
 
 
 def test_with_the_laser_out_for_a_minute_the_track_lives_on_angles(laser_out) -> None:

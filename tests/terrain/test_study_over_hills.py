@@ -30,7 +30,7 @@ def table():
 def test_over_hills_the_clearance_is_kept_and_on_flat_ground_nothing_is_hidden(ground: Ground, table) -> None:
     for number in range(2):
         flown = run_over(replace(SETTINGS, hills=hills_of(ground)), number, table)
-        assert flown.min_clearance_m >= 45.0  # the kinematic aircraft flies some metres beside its line
+        assert flown.min_clearance_m >= 45.0  # the kinematic aircraft flies some metres next to its line
         assert flown.time_in_sight <= flown.time_in_sight_where_possible <= 1.0
     flat = replace(ground, heights_m=np.zeros_like(ground.heights_m))
     flown = run_over(replace(SETTINGS, hills=hills_of(flat)), 0, table)
@@ -92,21 +92,21 @@ def test_wrong_options_are_one_sentence(hills_folder: Path, options: list[str], 
     assert words in str(result.exception)
 
 
-def test_a_study_over_hills_is_kept_and_goes_on_and_tells_both_ways(hills_folder: Path, tmp_path: Path) -> None:
+def test_a_study_over_hills_is_kept_and_goes_on_and_reports_both_ways(hills_folder: Path, tmp_path: Path) -> None:
     summary, store, report, rows = (tmp_path / name for name in ("hills.json", "hills.db", "hills.html", "hills.csv"))
     arguments = ["study", "--terrain", str(hills_folder), "--home", "36.59,-84.24", "--runs", "1", "--duration", "30"]
     arguments += ["--jobs", "1", "--json", str(summary), "--store", str(store)]
     result = CliRunner().invoke(app, [*arguments, "--sweep", "study.terrain=known"])
     assert result.exit_code == 0, result.output
     assert "least height over ground" in result.output
-    told = json.loads(summary.read_text())["planners"]["predictive"]
-    assert 0.0 <= told["time_in_sight"]["mean"] <= 1.0
+    given = json.loads(summary.read_text())["planners"]["predictive"]
+    assert 0.0 <= given["time_in_sight"]["mean"] <= 1.0
     result = CliRunner().invoke(app, [*arguments, "--report", str(report), "--export", str(rows)])
     assert result.exit_code == 0, result.output
     assert "1 of 2 runs are in" in result.output
     known, ignored = json.loads(summary.read_text())["designs"]
     assert (known["swept"], ignored["swept"]) == ({"study.terrain": "known"}, {"study.terrain": "ignored"})
-    assert known["planners"]["predictive"] == told
+    assert known["planners"]["predictive"] == given
     assert math.isfinite(ignored["planners"]["predictive"]["min_clearance_m"]["worst"])
     assert "time_in_sight" in rows.read_text().splitlines()[0]
     assert "Time in sight, %" in report.read_text()

@@ -33,8 +33,8 @@ def request(mask: int = EVERY, spacing_m: int = 100, corner_e7: tuple[int, int] 
 
 def test_each_post_has_the_height_of_its_place(hills_folder: Path) -> None:
     data = ElevationData(hills_folder)
-    told = list(answers(request(), data))
-    assert [one["gridbit"] for one in told] == list(range(56))
+    given = list(answers(request(), data))
+    assert [one["gridbit"] for one in given] == list(range(56))
     rng = np.random.default_rng(1)
     for bit, post in zip(rng.integers(0, 56, 60).tolist(), rng.integers(0, 16, 60).tolist(), strict=True):
         north_m = 100.0 * (4 * (bit // 8) + post // 4)
@@ -44,10 +44,10 @@ def test_each_post_has_the_height_of_its_place(hills_folder: Path) -> None:
             latitude_deg + math.degrees(north_m / 6_378_100.0),
             longitude_deg + math.degrees(east_m / (6_378_100.0 * math.cos(math.radians(latitude_deg)))),
         )
-        assert told[bit]["data"][post] == pytest.approx(there_m, abs=1.5)
+        assert given[bit]["data"][post] == pytest.approx(there_m, abs=1.5)
 
 
-def test_only_what_is_asked_for_and_known_is_told(hills_folder: Path) -> None:
+def test_only_what_is_asked_for_and_known_is_reported(hills_folder: Path) -> None:
     data = ElevationData(hills_folder)
     assert [one["gridbit"] for one in answers(request(1 << 5 | 1 << 40), data)] == [5, 40]
     assert list(answers(request(corner_e7=(361_000_000, -849_000_000)), data)) == []  # void
@@ -94,14 +94,14 @@ def test_a_plane_without_heights_asks_and_then_reports_the_ground_below(hills_fo
     home_m = data.height_above_sea_m(*HOME_DEG)
     simulation = Simulation(Settings(home=Home(*HOME_DEG, home_m), terrain=hills_folder, payload=None))
     simulation.connect("ground")
-    heard, speaks = mavlink.MAVLink(None), mavlink.MAVLink(None, 255, 190)
+    received, speaks = mavlink.MAVLink(None), mavlink.MAVLink(None, 255, 190)
     stream = mavlink.MAVLink_request_data_stream_message(1, 1, mavlink.MAV_DATA_STREAM_EXTRA3, 2, 1)
     simulation.receive("ground", stream.pack(speaks))
     requests, reports = 0, []
     for second in range(1, 21):
         simulation.advance(float(second))
         for _, sent in simulation.take():
-            for one in heard.parse_buffer(sent) or ():
+            for one in received.parse_buffer(sent) or ():
                 if one.get_type() == "TERRAIN_REPORT":
                     reports.append(one)
                 elif one.get_type() == "TERRAIN_REQUEST":
@@ -122,13 +122,13 @@ def test_the_autopilots_own_data_are_compared_before_the_flight(
     class Silent:
         system_id = 1
 
-    told_m = ElevationData(hills_folder).height_above_sea_m(*HOME_DEG) + off_m
+    reported_m = ElevationData(hills_folder).height_above_sea_m(*HOME_DEG) + off_m
     lat, lon = (round(1e7 * degrees) for degrees in HOME_DEG)
-    fields = {"lat": lat, "lon": lon, "spacing": spacing, "terrain_height": told_m}
+    fields = {"lat": lat, "lon": lon, "spacing": spacing, "terrain_height": reported_m}
     vehicle = Silent()
     vehicle.latest = latest(TERRAIN_REPORT=fields)  # type: ignore[attr-defined]
     config = Config(terrain={"folder": str(hills_folder)})  # type: ignore[arg-type]
     found = checks(config, vehicle, ArduPlane(), ParameterTable((), None, {}), None, ())  # type: ignore[arg-type]
     compared = [check for check in found if check.name == "terrain data"]
     assert [check.ready for check in compared] == ready
-    assert all(f"{told_m:.0f} m by the autopilot" in check.found for check in compared)
+    assert all(f"{reported_m:.0f} m by the autopilot" in check.found for check in compared)

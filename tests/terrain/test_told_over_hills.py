@@ -1,4 +1,4 @@
-"""What is told of a flight over hills without a truth: sight and clearance in the summary, contours on the map."""
+"""What is shown of a flight over hills without a truth: sight and clearance in the summary, contours on the map."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def snapshot(time_s: float, aircraft_m: tuple[float, float, float], target_m: tu
     )
 
 
-def test_sight_and_clearance_are_told_without_a_truth() -> None:
+def test_sight_and_clearance_are_reported_without_a_truth() -> None:
     heights_m = np.zeros((41, 41), np.float32)
     heights_m[:, 20] = 80.0  # a ridge along the middle, 20 m to either side
     ground = Ground(heights_m, -400.0, -400.0, 20.0, 20.0)

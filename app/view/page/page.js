@@ -36,7 +36,7 @@ function clock(timeS) {
 
 // -- data from the flight ------------------------------------------------------------------------------------
 
-function hear(update) {
+function receive(update) {
   heardAt = performance.now();
   if (update.restart) {
     map.forget();
@@ -49,7 +49,7 @@ function hear(update) {
   map.addTrail(update.trail);
   for (const sample of update.series ?? []) map.addTarget(sample.target_m);
   plots.add(update.series ?? []);
-  for (const [timeS, kind, text] of update.said) {
+  for (const [timeS, kind, text] of update.announcements) {
     say(timeS, kind, text);
     if (kind === "operator" && !update.restart) answer(text);
   }
@@ -388,7 +388,7 @@ byId("engineers").addEventListener("toggle", () => plots.draw());
 
 buttons();
 const stream = new EventSource("events");
-stream.onmessage = (event) => hear(JSON.parse(event.data));
+stream.onmessage = (event) => receive(JSON.parse(event.data));
 stream.onerror = () => {
   if (over) stream.close(); // the server has ended: do not reconnect
 };

@@ -17,7 +17,7 @@ CLEARANCE_M = 50.0
 
 @pytest.mark.parametrize(("range_m", "height_m"), [(300.0, 100.0), (500.0, 100.0)])
 def test_four_thousand_places(ground: Ground, range_m: float, height_m: float) -> None:
-    """Circles of 50 m beside a target anywhere: flown at one height over the target, and as they are planned."""
+    """Circles of 50 m next to a target anywhere: flown at one height over the target, and as they are planned."""
     rng = np.random.default_rng(1)
     heights = FlightHeights(ground, HeightRules(height_m, "ground", CLEARANCE_M, 15.0))
     around_rad = np.linspace(0.0, 2.0 * math.pi, 400)
@@ -50,7 +50,7 @@ def test_four_thousand_places(ground: Ground, range_m: float, height_m: float) -
     print(
         f"\n{range_m:.0f} m / {height_m:.0f} m: one height over the target: {low / 40:.1f} % below the clearance, "
         f"{hit / 40:.1f} % hit, {blocked / 40:.1f} % blocked; planned: least {min(planned_m):.1f} m, "
-        f"{np.mean(np.array(planned_m) < CLEARANCE_M) * 100:.1f} % below, {refused} refused (void beside)"
+        f"{np.mean(np.array(planned_m) < CLEARANCE_M) * 100:.1f} % below, {refused} refused (void next to)"
     )
     assert min(planned_m) >= CLEARANCE_M
 

@@ -49,7 +49,7 @@ def test_twenty_minutes_above_the_ground(tmp_path, flavour, hills_folder):
     events = JournalReader(run / "journal.jsonl", JOURNAL_TYPES)
     begin_s = next(event.time_s for event in events if isinstance(event, ControlAcquired))
     in_sight, clearance_m = read_truth(truth_file).over_ground(begin_s)
-    told = reported(run / "flight.tlog", begin_s)
+    given = reported(run / "flight.tlog", begin_s)
     summary = json.loads((tmp_path / "summary.json").read_text())
     print(
         f"\n{flavour:9} load {os.getloadavg()[0]:.1f}: in sight {in_sight:.3f}, least height over ground "
@@ -59,10 +59,10 @@ def test_twenty_minutes_above_the_ground(tmp_path, flavour, hills_folder):
     assert clearance_m >= CLEARANCE_M - SPARE_M
     if flavour == "arduplane":
         data = elevation_data(hills_folder)
-        off_m = [height_m - data.height_above_sea_m(*place) for place, height_m, _ in told]
-        least_m = min(above_m for _, _, above_m in told)
+        off_m = [height_m - data.height_above_sea_m(*place) for place, height_m, _ in given]
+        least_m = min(above_m for _, _, above_m in given)
         print(
-            f"{len(told)} TERRAIN_REPORTs: least height over ground {least_m:.1f} m, heights differ from ours by "
+            f"{len(given)} TERRAIN_REPORTs: least height over ground {least_m:.1f} m, heights differ from ours by "
             f"{statistics.pstdev(off_m, 0.0):.1f} m (RMS), at most {max(map(abs, off_m)):.1f} m"
         )
         assert least_m >= CLEARANCE_M - SPARE_M
