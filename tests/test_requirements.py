@@ -44,3 +44,20 @@ def test_nothing_is_missing_that_a_plain_install_and_its_build_take(pinned):
         assert name in pinned, f"{one} is missing: {REMEDY}"
         assert pinned[name] in one.specifier, f"{one}: {REMEDY}"
         wanted += [] if name == "setuptools" else map(Requirement, requires(name) or [])
+
+
+def test_the_security_document_lists_every_package_that_users_install():
+    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    assert sorted(re.findall(r"^\| ([a-z0-9]+) \| [^|]+ \| [^|]+ \|$", text, re.MULTILINE)) == _names(
+        project["dependencies"]
+    )
+    listed = {}
+    for names, packages in re.findall(r"^\| (`[^|]+`) \| ([^|]+) \|$", text, re.MULTILINE):
+        listed |= dict.fromkeys(re.findall(r"`(\w+)`", names), sorted(re.findall(r"([a-z0-9]+) \(", packages)))
+    assert listed == {name: _names(extras[name]) for name in extras if name not in ("dev", "docs", "bench")}
+
+
+def _names(requirements: list[str]) -> list[str]:
+    return sorted(Requirement(line).name for line in requirements)
