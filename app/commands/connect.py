@@ -113,7 +113,7 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
         vehicle, autopilot = session.vehicle, session.autopilot
         await ask_for_streams(vehicle)
         sources, delays, inputs = SourceRates(vehicle), _Delays(config, vehicle), InputHealth(config, vehicle)
-        rates = await sources.heard(listen_s, config.sharing)
+        rates = await sources.received(listen_s, config.sharing)
         inputs.close()
         sources.close()
         delays.close()

@@ -215,7 +215,7 @@ class Flight:
         few = is_slow(link.connections) if link.few_messages is None else link.few_messages
         # In parallel: over a slow link each waits for its answers. Rates may be confirmed later.
         self._request_streams = partial(ask_for_streams, self._vehicle, few, self._terrain is not None)
-        self._beside.add(asyncio.create_task(self._request_streams()))
+        self._alongside.add(asyncio.create_task(self._request_streams()))
         sources, inputs = SourceRates(self._vehicle), InputHealth(self._config, self._vehicle)
         parameters, _ = await asyncio.gather(
             read_table(self._vehicle, self._autopilot, self._release), home_of(self._vehicle)

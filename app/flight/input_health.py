@@ -38,13 +38,13 @@ class InputHealth:
         self._telemetry, self._door = Telemetry(vehicle.system_id), Plausibility()
         self._health = Health(self._tracker.parent_from_mount)
         self._tick_s = -math.inf
-        vehicle.listeners.append(self._hear)
+        vehicle.listeners.append(self._on_message)
 
     def close(self) -> None:
         """Listen no more."""
-        self._vehicle.listeners.remove(self._hear)
+        self._vehicle.listeners.remove(self._on_message)
 
-    def _hear(self, message: Message) -> None:
+    def _on_message(self, message: Message) -> None:
         event = self._telemetry.event(message)
         if event is not None:
             self._take(event)

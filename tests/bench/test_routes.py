@@ -4,7 +4,7 @@
     python -m pytest -s tests/bench/test_routes.py
 
 Modes: none; own (the track's path simplified to 5 m and displaced by 3 to 8 m, speeds and stops unknown); reversed,
-shifted (by 60 m) and other (that of another track) are wrong; next to (NAME.route.csv next to each track). departures:
+shifted (by 60 m) and other (that of another track) are wrong; alongside (each NAME.route.csv). departures:
 the target follows its route and leaves it at a random moment; the rest of its path is turned by 30 to 150 degrees.
 """
 
@@ -23,7 +23,7 @@ from sidelong.app.study.benchmark import CLASSES, AircraftClass
 from sidelong.app.study.flight import CompiledFlight
 from sidelong.app.study.judging import judged
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
-from sidelong.app.study.routes import own_route, route_beside
+from sidelong.app.study.routes import own_route, route_next_to
 from sidelong.app.study.run import aircraft_on, first_circle, run, sensed_by
 from sidelong.app.study.scene import scene
 from sidelong.app.study.settings import PlannerName, StudySettings
@@ -38,7 +38,7 @@ from sidelong.mission.route.route import Route
 from tests.bench.size import size
 
 OWN = Path(__file__).parents[2] / "app" / "study" / "tracks"
-MODES = ("none", "own", "reversed", "shifted", "other", "beside")
+MODES = ("none", "own", "reversed", "shifted", "other", "alongside")
 SHIFT_M, STEP_S, LEAST_M = 60.0, 0.5, 95.0
 # A departure: followed for this long before it, flown on for this long; counted once the target is this far off the
 # route and stays there until the report is due.

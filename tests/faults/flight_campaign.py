@@ -63,13 +63,13 @@ class Misled:
     nearest_m: float
 
 
-def judged(flown: Flown, beside: Flown, faults: Sequence[Fault], ending: str | None, ending_s: float) -> list[str]:
-    """Return what a flight broke, in words; ``beside``: the same flight without faults."""
+def judged(flown: Flown, alongside: Flown, faults: Sequence[Fault], ending: str | None, ending_s: float) -> list[str]:
+    """Return what a flight broke, in words; ``alongside``: the same flight without faults."""
     blind_s = sum(one.end_s - one.begin_s for one in faults if one.name in BLINDING)  # nothing could be decided
     misled = [one for one in faults if one.name in MISLEADING]
     broken = []
     if misled:  # it follows a wrong target until the fault is found, and then none
-        broken = _judged_misled(misled[0].name, misled_by(flown, beside, misled[0], alone=len(faults) == 1))
+        broken = _judged_misled(misled[0].name, misled_by(flown, alongside, misled[0], alone=len(faults) == 1))
     for decided in flown.decided if not misled else ():
         if not decided.own_error_m <= OWN_ERROR_MAX_M:
             broken.append(f"decided at {decided.time_s:.1f} s on a place {decided.own_error_m:.0f} m off")
@@ -91,7 +91,7 @@ def judged(flown: Flown, beside: Flown, faults: Sequence[Fault], ending: str | N
     return broken[:4] + _judged_yield(flown, ending, ending_s)
 
 
-def misled_by(flown: Flown, beside: Flown, fault: Fault, *, alone: bool) -> Misled:
+def misled_by(flown: Flown, alongside: Flown, fault: Fault, *, alone: bool) -> Misled:
     """Return how far a fault of the payload misled a flight.
 
     After a turn of the target the claimed side is wrong for some seconds without any fault: these are subtracted.
@@ -101,7 +101,7 @@ def misled_by(flown: Flown, beside: Flown, fault: Fault, *, alone: bool) -> Misl
         alone,
         reported_s[0] - fault.begin_s if reported_s else math.inf,
         flown.wrongly_in_band_s / flown.scenario.duration_s,
-        max(flown.wrongly_on_side_s - beside.wrongly_on_side_s, 0.0) / flown.scenario.duration_s,
+        max(flown.wrongly_on_side_s - alongside.wrongly_on_side_s, 0.0) / flown.scenario.duration_s,
         min(flown.range_m),
     )
 
@@ -161,12 +161,12 @@ def flight(
     except Exception:  # whatever it is, it is what is looked for
         verdict.broken.append(traceback.format_exc(limit=-3))
         return verdict
-    verdict.broken = judged(flown, beside, faults, ending_by, ending_s)
+    verdict.broken = judged(flown, alongside, faults, ending_by, ending_s)
     misleading = [one for one in faults if one.name in MISLEADING]
     if misleading:
-        verdict.misled = misled_by(flown, beside, misleading[0], alone=len(faults) == 1)
-    both = min(len(flown.on_side), len(beside.on_side))
-    verdict.lost_on_side = 100.0 * (statistics.mean(beside.on_side[:both]) - statistics.mean(flown.on_side[:both]))
+        verdict.misled = misled_by(flown, alongside, misleading[0], alone=len(faults) == 1)
+    both = min(len(flown.on_side), len(alongside.on_side))
+    verdict.lost_on_side = 100.0 * (statistics.mean(alongside.on_side[:both]) - statistics.mean(flown.on_side[:both]))
     verdict.slowest_step_s = flown.slowest_step_s
     return verdict
 
@@ -176,7 +176,7 @@ def _flight(order: tuple[int, str]) -> Verdict:
 
 
 def campaign(flights: int, first_seed: int, processes: int) -> Iterable[Verdict]:
-    """Yield the verdicts of this many flights, half of them of each flavour, on other targets than ``flight`` alone."""
+    """Yield the verdicts of this many flights, half of each flavour, on other targets than ``flight`` alone."""
     flavours = list(FLAVOURS)
     orders = [(first_seed + number, flavours[number % len(flavours)]) for number in range(flights)]
     if processes == 1:
