@@ -376,6 +376,17 @@ class ControlSection(Section):
     """Run folders older than this are deleted, days."""
 
 
+class DisplaySection(Section):
+    """How the live map shows values; each page can choose others."""
+
+    units: Literal["metric", "nautical", "imperial"] = "metric"
+    """metric: m, m/s; nautical: feet, nautical miles, knots; imperial: feet, miles, miles per hour."""
+    coordinates: Literal["degrees", "dms", "utm", "mgrs"] = "degrees"
+    """Positions in decimal degrees, in degrees, minutes and seconds, or in the UTM or MGRS grid."""
+    times: Literal["local", "utc"] = "local"
+    """Time of day."""
+
+
 class SimulationSection(Section):
     """The simulated vehicle that is flown when no link is given."""
 
@@ -409,6 +420,7 @@ class Config(Section):
     route: RouteSection = RouteSection()  # type: ignore[call-arg]
     sharing: SharingSection = SharingSection()  # type: ignore[call-arg]
     control: ControlSection = ControlSection()  # type: ignore[call-arg]
+    display: DisplaySection = DisplaySection()
     simulation: SimulationSection = SimulationSection()  # type: ignore[call-arg]
 
     _radius_fits: bool = PrivateAttr(False)

@@ -71,7 +71,7 @@ class AlarmWatch:
 
     def describe(self, status: VehicleStatus) -> VehicleStatus:
         """Return the vehicle's status with its alarms and its endurance."""
-        return replace(status, alarms=self.active, endurance_s=self.left_s, home_s=self.home_s)
+        return replace(status, alarms=self.active, endurance_s=self.left_s, home_s=self.home_s, home_m=self._home_m)
 
     def acknowledge(self, wish: AlarmReported) -> None:
         """Take an operator's acknowledgement."""

@@ -20,6 +20,7 @@ class VehicleStatus:
 
     gps: the fix in words. link_percent: share of the frames sent to this station that arrived over the link in use;
     round_trip_s: its round-trip time. endurance_s: flight time left until the battery's reserve; home_s: to home.
+    home_m: home in the local plane, east and north.
     alarms: those that are raised.
     """
 
@@ -31,6 +32,7 @@ class VehicleStatus:
     round_trip_s: float | None = None
     endurance_s: float | None = None
     home_s: float | None = None
+    home_m: tuple[float, float] | None = None
     alarms: tuple[Alarm, ...] = ()
 
 

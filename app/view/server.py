@@ -41,6 +41,7 @@ _MEDIA = {
     "plots.js": "text/javascript",
     "alarms.js": "text/javascript",
     "watch.js": "text/javascript",
+    "units.js": "text/javascript",
 }
 _HEADERS = {
     "Content-Security-Policy": (

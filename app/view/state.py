@@ -73,6 +73,7 @@ def setting(
         "keep_in": outlines(config.fences.keep_in),
         "keep_out": outlines(config.fences.keep_out),
         "name": name,
+        "display": config.display.model_dump(),
         "route": [] if route is None else [_rounded(*point) for point in route.outline_m(_ROUTE_POINTS).tolist()],
         "origin": None if plane is None else _origin(plane),
     }

@@ -34,11 +34,14 @@ FENCES = {
 }
 
 
-STATUS = VehicleStatus(19, 10.9, "3D, 11 satellites", True, 97, 0.12, endurance_s=1200.0, home_s=100.0)
+STATUS = VehicleStatus(
+    19, 10.9, "3D, 11 satellites", True, 97, 0.12, endurance_s=1200.0, home_s=100.0, home_m=(-200.0, 50.0)
+)
 LOST = Alarm(
     "target", "the target has not been seen for 33 s; it flies home in 267 s", "point the camera", 100.0, 267.0
 )
 
+PRIMES = {0x2032: "'", 0x2033: '"'}
 SEEN = replace(LOST, key="laser", acknowledged=True)
 
 
@@ -232,8 +235,8 @@ def test_what_is_flown_is_changed_after_one_question(page, display):
     got: list[MissionChange] = []
     display.begin(PLANE, got.append)
     page.get_by_role("button", name="Change…").click()
-    assert page.get_by_label("Radius of the circle, m").input_value() == "50"
-    page.get_by_label("Radius of the circle, m").fill("80")
+    assert page.get_by_label("Radius of the circle, m", exact=True).input_value() == "50"
+    page.get_by_label("Radius of the circle, m", exact=True).fill("80")
     page.get_by_label("Side: ").fill("120-200")
     page.get_by_role("button", name="Change", exact=True).click()
     page.locator("#ask", has_text="radius 80 m instead of 50 m, side 120-200 instead of left").wait_for()
@@ -581,9 +584,103 @@ def test_a_request_is_pending_until_it_is_answered_and_replaces_an_older_refusal
 
 def test_the_form_knows_the_limits(page):
     page.get_by_role("button", name="Change…").click()
-    radius = page.get_by_label("Radius of the circle, m")
+    radius = page.get_by_label("Radius of the circle, m", exact=True)
     assert (radius.get_attribute("min"), radius.get_attribute("max")) == ("10", "2000")
     radius.fill("5")
     page.get_by_role("button", name="Change", exact=True).click()
     assert page.locator("#change").is_visible()  # the browser refuses it
     page.locator("#change").get_by_role("button", name="Leave as it is").click()
+
+
+# -- units, positions, keys -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("at_deg", "epsg"),
+    [
+        ((47.4, 8.5), 32632),
+        ((60.0, 5.0), 32632),  # Norway
+        ((78.2, 15.6), 32633),  # Svalbard
+        ((-33.9, 18.4), 32734),
+        ((0.5, -60.3), 32620),
+    ],
+)
+def test_utm_is_that_of_proj(page, at_deg, epsg):
+    pyproj = pytest.importorskip("pyproj")
+    east_m, north_m = pyproj.Transformer.from_crs(4326, epsg, always_xy=True).transform(*reversed(at_deg))
+    grid = page.evaluate("async (at) => (await import('./units.js')).utm(...at)", list(at_deg))
+    assert grid["zone"] == epsg % 100
+    assert (grid["east"], grid["north"]) == pytest.approx((east_m, north_m), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("coordinates", "text"),
+    [
+        ("degrees", "42.000000, -93.000000"),
+        ("dms", "42°00'00.0\"N 093°00'00.0\"W"),
+        ("utm", "15T 500000 4649776"),
+        ("mgrs", "15T WG 00000 49776"),  # the example of the package mgrs: 15TWG0000049776
+    ],
+)
+def test_a_position_is_shown_in_each_format(page, coordinates, text):
+    shown = page.evaluate(
+        "async (one) => { const u = await import('./units.js'); u.choose('coordinates', one);"
+        "return u.position([42, -93]); }",
+        coordinates,
+    )
+    assert shown.translate(PRIMES) == text
+
+
+def test_units_are_chosen_by_key_and_kept(page, display, snapshots):
+    metres = float(page.locator("#key-tiles dd").first.inner_text().split()[0])
+    page.keyboard.press("u")
+    feet, unit = page.locator("#key-tiles dd").first.inner_text().split()
+    assert unit == "ft"
+    assert float(feet) == pytest.approx(metres / 0.3048, abs=2.0)
+    assert "ft" in page.locator("#band span").inner_text()
+    page.keyboard.press("p")
+    place = page.locator(".place[data-of=target]").inner_text().translate(PRIMES)
+    assert re.fullmatch(r"""target 47°\d\d'\d\d\.\d"N 008°\d\d'\d\d\.\d"E""", place)
+    page.reload()
+    page.locator("#key-tiles dd", has_text="ft").first.wait_for()
+
+
+def test_a_change_typed_in_feet_is_sent_in_metres(page, display, snapshots):
+    got = []
+    display.begin(PLANE, got.append)
+    page.keyboard.press("u")
+    page.keyboard.press("c")
+    radius = page.get_by_label("Radius of the circle, ft")
+    assert float(radius.input_value()) == pytest.approx(snapshots[-1][0].radius_m / 0.3048, abs=0.1)
+    radius.fill("300")
+    page.get_by_role("button", name="Change", exact=True).click()
+    page.locator("#question", has_text="radius 300 ft instead of").wait_for()
+    page.keyboard.press("y")
+    while not got:
+        display.pump()
+    assert isinstance(got[0], MissionChange)
+    assert got[0].radius_m == pytest.approx(91.44)
+    assert got[0].range_min_m is None  # not touched by the rounding of another unit
+
+
+def test_the_mission_is_held_by_two_keys(page, display):
+    got = []
+    display.begin(PLANE, got.append)
+    page.keyboard.press("h")
+    page.locator("#ask").wait_for()
+    page.keyboard.press("y")
+    while not got:
+        display.pump()
+    assert got[0].action == "hold"
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (390, 844)], ids="{0[0]}".format)
+def test_help_lists_the_keys_and_the_map_shows_home(browser, display, size):
+    with opened(browser, display, size) as page:
+        assert page.locator("#map .home").is_visible()
+        page.keyboard.press("?")
+        assert page.locator("#help").get_by_text("acknowledge the first alarm").is_visible()
+        page.get_by_label("Units").select_option("imperial")
+        assert Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa"]}).violations_count == 0
+        page.keyboard.press("Escape")
+        page.locator("#key-tiles dd", has_text="ft").first.wait_for()

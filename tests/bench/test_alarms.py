@@ -120,13 +120,14 @@ def flown(seed: int) -> Flown:
 def test_what_the_page_shows_is_true_and_no_alarm_is_false():
     flights = [flown(seed) for seed in range(FLIGHTS)]
     known_s = sum(one.known_s for one in flights)
+    misses = []
     for name in ("band", "side"):
         wrong = sum(one.wrong_s[name] for one in flights) / known_s
         longest_s = max(one.longest_s[name] for one in flights)
         print(f"{name}: wrong for {100.0 * wrong:.2f} % of {known_s:.0f} s, longest {longest_s:.1f} s")
-        assert wrong <= 0.01
-        assert longest_s <= 5.0
+        late = [seed for seed, one in enumerate(flights) if one.longest_s[name] > 5.0]
+        misses += [f"{name}: {100.0 * wrong:.2f} %, over 5 s in flights {late}"] if wrong > 0.01 or late else []
     raised = Counter(key for one in flights for key, _ in one.alarms)
     false = Counter(key for one in flights for key, supported in one.alarms if not supported)
     print(f"{len(flights)} flights, {dict(raised)} alarms raised, {dict(false)} without support by the truth")
-    assert not false
+    assert (misses, dict(false)) == ([], {})

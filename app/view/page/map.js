@@ -1,3 +1,5 @@
+import { length, lengthOf, lengthUnit, metresOfLength, position, roundLength } from "./units.js";
+
 // The map: metres east and north in one scaled group, symbols and words in pixels above it.
 
 const NS = document.querySelector("svg").namespaceURI;
@@ -79,6 +81,9 @@ export class FlightMap {
     this.scales = svg("g", {}, root);
     this.symbols = svg("g", {}, root);
     this.others = svg("g", {}, this.symbols);
+    this.home = svg("g", { class: "home" }, this.symbols);
+    svg("circle", { r: 9 }, this.home);
+    svg("text", { "text-anchor": "middle", y: 5 }, this.home).textContent = "H";
     this.target = svg("circle", { class: "target", r: 5 }, this.symbols);
     this.aircraft = svg("path", { class: "aircraft", d: AIRCRAFT }, this.symbols);
     this.words = svg("text", { class: "label" }, this.symbols);
@@ -214,14 +219,14 @@ export class FlightMap {
     const [east, north] = this.metres(event);
     const { origin } = this.setting;
     const place = origin
-      ? `${(origin.latitude_deg + north / origin.north_m_per_deg).toFixed(5)}, ${(origin.longitude_deg + east / origin.east_m_per_deg).toFixed(5)}`
-      : `${Math.round(east)} m east, ${Math.round(north)} m north`;
+      ? position(degreesOf(origin, east, north).reverse(), 5)
+      : `${length(east)} east, ${length(north)} north`;
     const [from, to] = this.measured.length > 1 ? this.measured : [this.measured[0], [east, north]];
     let measured = "";
     if (from) {
       const [de, dn] = [to[0] - from[0], to[1] - from[1]];
       const bearing = Math.round((Math.atan2(de, dn) * 180) / Math.PI + 360) % 360;
-      measured = `  ${Math.round(Math.hypot(de, dn))} m, bearing ${String(bearing).padStart(3, "0")}°`;
+      measured = `  ${length(Math.hypot(de, dn))}, bearing ${String(bearing).padStart(3, "0")}°`;
       this.measureLine.setAttribute("points", points([from, to]));
     }
     this.cursor.hidden = false;
@@ -264,6 +269,9 @@ export class FlightMap {
     this.plan(state?.coming, this.coming, this.comingLine);
     this.plan(state?.what_if?.proposed, this.whatIf, this.whatIfLine);
     this.drawTarget(state, x, y);
+    const home = state?.vehicle?.home_m;
+    this.home.toggleAttribute("hidden", !home);
+    if (home) this.home.setAttribute("transform", `translate(${x(home[0])} ${y(home[1])})`);
     const aircraft = state?.aircraft;
     this.aircraft.toggleAttribute("hidden", !aircraft);
     const placed = (one) => `translate(${x(one.at_m[0])} ${y(one.at_m[1])}) rotate(${(one.course_rad * 180) / Math.PI})`;
@@ -292,7 +300,7 @@ export class FlightMap {
   // Name and height next to an aircraft, on the side where there is room.
   nameOf(one, name, x, y) {
     const words = svg("text", { class: "label", x: x(one.at_m[0]) + 12, y: y(one.at_m[1]) + 4 }, this.others);
-    words.textContent = one.height_m === null ? name : `${name}, ${Math.round(one.height_m)} m`;
+    words.textContent = one.height_m === null ? name : `${name}, ${length(one.height_m)}`;
     if (x(one.at_m[0]) + 12 + words.getComputedTextLength() > this.root.clientWidth) {
       words.setAttribute("x", x(one.at_m[0]) - 12);
       words.setAttribute("text-anchor", "end");
@@ -396,9 +404,9 @@ export class FlightMap {
   }
 
   drawGrid(width, height, { east, north, scale }, x, y) {
-    const rough = GRID_PX / scale;
+    const rough = lengthOf(GRID_PX / scale);
     const power = 10 ** Math.floor(Math.log10(rough));
-    const step = [1, 2, 5, 10].map((k) => k * power).find((size) => size >= rough);
+    const step = metresOfLength([1, 2, 5, 10].map((k) => k * power).find((size) => size >= rough));
     const parts = [];
     const words = [];
     const word = (text, attributes) => {
@@ -407,27 +415,25 @@ export class FlightMap {
     };
     for (let e = Math.ceil((east - width / 2 / scale) / step) * step; x(e) < width; e += step) {
       parts.push(svg("path", { class: "grid", d: `M${x(e)} 0V${height}` }));
-      if (x(e) > 60 && x(e) < width - 70) word(Math.round(e), { x: x(e), y: height - 6, "text-anchor": "middle" });
+      if (x(e) > 60 && x(e) < width - 70) word(Math.round(lengthOf(e)), { x: x(e), y: height - 6, "text-anchor": "middle" });
     }
     for (let n = Math.ceil((north - height / 2 / scale) / step) * step; y(n) > 0; n += step) {
       parts.push(svg("path", { class: "grid", d: `M0 ${y(n)}H${width}` }));
-      if (y(n) > 40 && y(n) < height - 24) word(Math.round(n), { x: 6, y: y(n) + 4 });
+      if (y(n) > 40 && y(n) < height - 24) word(Math.round(lengthOf(n)), { x: 6, y: y(n) + 4 });
     }
     this.drawScale(width, height, scale, words, word);
-    word("east, m", { x: width - 8, y: height - 6, "text-anchor": "end" });
-    word("north, m", { x: 6, y: 16 });
+    word(`east, ${lengthUnit()}`, { x: width - 8, y: height - 6, "text-anchor": "end" });
+    word(`north, ${lengthUnit()}`, { x: 6, y: 16 });
     this.grid.replaceChildren(...parts);
     this.scales.replaceChildren(...words);
   }
 
   // The scale bar, of a round length, and the north arrow.
   drawScale(width, height, scale, words, word) {
-    const rough = SCALE_PX / scale;
-    const power = 10 ** Math.floor(Math.log10(rough));
-    const size = [5, 2, 1].map((k) => k * power).find((length) => length <= rough) ?? power;
+    const [size, text] = roundLength(SCALE_PX / scale);
     const [right, below] = [width - 14, height - 44];
     words.push(svg("path", { class: "scale", d: `M${right - size * scale} ${below - 5}v5H${right}v-5` }));
-    word(size >= 1000 ? `${size / 1000} km` : `${size} m`, { x: right, y: below - 8, "text-anchor": "end" });
+    word(text, { x: right, y: below - 8, "text-anchor": "end" });
     words.push(svg("path", { class: "north", d: `M${width - 22} 34l6 -18l6 18l-6 -5Z` }));
     word("N", { x: width - 16, y: 48, "text-anchor": "middle" });
   }

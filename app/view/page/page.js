@@ -4,6 +4,7 @@ import { AlarmList } from "./alarms.js";
 import { FlightMap } from "./map.js";
 import { Plots } from "./plots.js";
 import { ReplayBar } from "./replay.js";
+import { CHOICES, choose, configure, display, length, lengthOf, lengthUnit, metresOfLength, next, position, speed, timeOfDay } from "./units.js";
 import { showWatch } from "./watch.js";
 
 const byId = (id) => document.getElementById(id);
@@ -63,14 +64,13 @@ function receive(update) {
 
 function set(setting) {
   map.setting = plots.setting = setting;
+  configure(setting.display);
+  showDisplay();
   map.drawFixed();
   byId("legend").querySelector(".route").hidden = !setting.route?.length;
   byId("legend").querySelector(".fence").hidden = !(setting.keep_in.length + setting.keep_out.length);
   byId("name").textContent = byId("name").title = setting.name;
   byId("buttons").hidden = byId("mute").hidden = Boolean(setting.replay);
-  for (const [name, [least, most]] of Object.entries(setting.limits ?? {})) {
-    Object.assign(byId("change").querySelector(`[name=${name}]`), { min: least, max: most });
-  }
   for (const name of setting.fleet ?? []) relief(name);
   if (setting.replay) {
     bar.set(setting.replay, startS);
@@ -148,7 +148,7 @@ function keyTiles() {
   const { target, vehicle } = state;
   const look = (good) => (good === false ? "bad" : "");
   return [
-    ["range", known(target?.range_m, (v) => `${Math.round(v)} m`), look(target?.in_band)],
+    ["range", known(target?.range_m, (v) => length(v)), look(target?.in_band)],
     ["off abeam", known(target?.angle_rad, (v) => `${Math.round((v * 180) / Math.PI)}°`), look(target?.on_side)],
     ["time on side", share(state.share_on_side), ""],
     ["time in band", share(state.share_in_band), ""],
@@ -162,7 +162,7 @@ function keyTiles() {
 function progress({ route }) {
   if (!route) return [];
   const end = route.on && route.to_end_s !== null ? `, ${duration(route.to_end_s)} to go` : "";
-  return [["route", route.on ? `${route.along_m} of ${route.length_m} m${end}` : "off route", route.on ? "" : "warn"]];
+  return [["route", route.on ? `${lengthOf(route.along_m).toFixed()} of ${length(route.length_m)}${end}` : "off route", route.on ? "" : "warn"]];
 }
 
 const duration = (s) => (s < 90 ? `${s} s` : s < 3600 ? `${Math.round(s / 60)} min` : `${(s / 3600).toFixed(1)} h`);
@@ -178,13 +178,13 @@ function leaves(vehicle) {
 function tiles() {
   const { target, aircraft, vehicle } = state;
   return [
-    ["target's speed", target ? `${Math.hypot(...target.velocity_m_s).toFixed(1)} m/s` : "–", ""],
+    ["target's speed", target ? speed(Math.hypot(...target.velocity_m_s)) : "–", ""],
     ["target's course", moves(target) ? known(target.course_rad, (v) => `${degrees(v)}°`) : "–", ""],
     ["course made good", known(target?.watch_course_rad, (v) => `${degrees(v)}°`), ""],
-    ["known within", target ? `${target.ellipse[0].toFixed(1)} m` : "–", ""],
-    ["ground speed", aircraft ? `${aircraft.ground_speed_m_s.toFixed(1)} m/s` : "–", ""],
-    ["height", known(aircraft?.height_m, (v) => `${Math.round(v)} m`), ""],
-    ["wind", `${Math.hypot(...state.wind_m_s).toFixed(1)} m/s`, ""],
+    ["known within", target ? length(target.ellipse[0], 1) : "–", ""],
+    ["ground speed", aircraft ? speed(aircraft.ground_speed_m_s) : "–", ""],
+    ["height", known(aircraft?.height_m, (v) => length(v)), ""],
+    ["wind", speed(Math.hypot(...state.wind_m_s)), ""],
     ...(vehicle ? [
       ["voltage", known(vehicle.battery_v, (v) => `${v.toFixed(1)}\u00a0V`), ""],
       ["GPS", known(vehicle.gps, (v) => v), vehicle.gps_good === false ? "bad" : ""],
@@ -204,7 +204,7 @@ function innerTiles() {
     ["sightings", `${state.sightings}, ${state.rejected} refused`, ""],
     ["upload takes", known(state.latency_s, (v) => `${v.toFixed(2)} s`), ""],
     ["NIS", known(state.nis, (v) => v.toFixed(1)), state.nis > 7.81 ? "warn" : ""],
-    ["95 % within", state.target ? `${state.target.ellipse[0].toFixed(1)} m` : "–", ""],
+    ["95 % within", state.target ? length(state.target.ellipse[0], 1) : "–", ""],
   ];
 }
 
@@ -245,7 +245,7 @@ function places() {
   for (const button of document.querySelectorAll(".place")) {
     const at = state[button.dataset.of]?.at_deg;
     button.disabled = !at;
-    button.value = at ? at.map((v) => v.toFixed(6)).join(", ") : "";
+    button.value = at ? position(at) : "";
     button.textContent = `${called(button.dataset.of)} ${button.value || "–"}`;
   }
 }
@@ -303,6 +303,8 @@ function buttons() {
 
 setInterval(() => {
   showPending();
+  byId("day").hidden = Boolean(map.setting.replay);
+  byId("day").textContent = timeOfDay(new Date());
   const silent = performance.now() - heardAt;
   const news = byId("news");
   news.hidden = !over && silent < SILENT_MS;
@@ -328,13 +330,24 @@ function asked(question) {
 function changed() {
   const dialog = byId("change");
   const form = dialog.querySelector("form");
-  for (const name of Object.keys(CHANGES)) form.elements[name].value = state.asked[name];
+  const before = {};
+  for (const name of Object.keys(CHANGES)) {
+    const field = form.elements[name];
+    const value = state.asked[name];
+    before[name] = field.value = name === "side" ? value : String(Number(lengthOf(value).toFixed(1)));
+    if (name === "side") continue;
+    const [least, most] = map.setting.limits[name];
+    // A limit that is rounded inwards is never refused afterwards.
+    Object.assign(field, { min: Math.ceil(10 * lengthOf(least)) / 10, max: Math.floor(10 * lengthOf(most)) / 10 });
+  }
+  for (const unit of form.querySelectorAll(".unit")) unit.textContent = lengthUnit();
   dialog.returnValue = "no";
   dialog.showModal();
   return new Promise((done) => {
     dialog.addEventListener("close", () => {
-      const given = (name) => (name === "side" ? form.elements[name].value : Number(form.elements[name].value));
-      const names = Object.keys(CHANGES).filter((name) => given(name) !== state.asked[name]);
+      const typed = (name) => form.elements[name].value;
+      const given = (name) => (name === "side" ? typed(name) : Number(metresOfLength(Number(typed(name))).toFixed(3)));
+      const names = Object.keys(CHANGES).filter((name) => typed(name) !== before[name]);
       const values = Object.fromEntries(names.map((name) => [name, given(name)]));
       done(dialog.returnValue === "yes" && names.length ? values : null);
     }, { once: true });
@@ -344,7 +357,7 @@ function changed() {
 byId("change").querySelector("button[value=no]").addEventListener("click", () => byId("change").close("no"));
 
 function described(values) {
-  const unit = (value) => (typeof value === "number" ? `${value} m` : value);
+  const unit = (value) => (typeof value === "number" ? `${Number(lengthOf(value).toFixed(1))} ${lengthUnit()}` : value);
   return Object.entries(values).map(([name, value]) => `${CHANGES[name]} ${unit(value)} instead of ${unit(state.asked[name])}`);
 }
 
@@ -375,6 +388,41 @@ byId("buttons").addEventListener("click", async ({ target: button }) => {
   const question = side ? `Watch from the target's ${side} instead?` : ask;
   if (!(await asked(question))) return;
   press(name ? { action, name } : { action, side });
+});
+
+// -- units, positions, keys -----------------------------------------------------------------------------------
+
+function showDisplay() {
+  for (const select of byId("help").querySelectorAll("select")) select.value = display[select.name];
+  map.drawFixed();
+  draw();
+}
+
+for (const select of byId("help").querySelectorAll("select")) {
+  select.append(...Object.entries(CHOICES[select.name]).map(([value, text]) => new Option(text, value)));
+  select.addEventListener("change", () => { choose(select.name, select.value); showDisplay(); });
+}
+byId("help-button").addEventListener("click", () => byId("help").showModal());
+
+// Keys of buttons do what the button does: those of the mission ask first.
+const click = (selector) => { const button = document.querySelector(selector); if (button && !button.disabled && !button.closest("[hidden]")) button.click(); };
+const KEYS = {
+  h: () => click("[data-action=hold]"), r: () => click("[data-action=resume]"), s: () => click("[data-action=side]"),
+  c: () => click("[data-action=change]"), a: () => click("#alarms button.seen:not([hidden])"), m: () => click("#mute"),
+  d: () => click("#measure"), f: () => map.follow(), "+": () => map.zoomAt([0, 0], 1.3), "-": () => map.zoomAt([0, 0], 1 / 1.3),
+  u: () => { next("units"); showDisplay(); }, p: () => { next("coordinates"); showDisplay(); },
+  t: () => { next("times"); showDisplay(); }, "?": () => byId("help").showModal(),
+};
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.altKey || event.metaKey || event.repeat || event.defaultPrevented) return;
+  if (byId("ask").open) {
+    if (event.key === "y" || event.key === "n") byId("ask").close(event.key === "y" ? "yes" : "no");
+    return;
+  }
+  if (document.querySelector("dialog[open]") || event.target.closest("input, select")) return;
+  if (!Object.hasOwn(KEYS, event.key)) return;
+  event.preventDefault();
+  KEYS[event.key]();
 });
 
 byId("places").addEventListener("click", async ({ target: button }) => {

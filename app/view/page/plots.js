@@ -1,6 +1,7 @@
 // Small plots of the last minutes, one below the other over the same time.
 
 import { svg } from "./map.js";
+import { lengthOf, lengthUnit } from "./units.js";
 
 const SPAN_S = 180;
 const LEFT_PX = 34;
@@ -9,8 +10,8 @@ const degrees = (radians) => (radians === null || radians === undefined ? null :
 // lines: [sample -> value or null, name]; range: [least, most] from the setting and what is shown.
 const PLOTS = [
   {
-    title: "range, m", digits: 0, lines: [[(s) => s.range_m, ""]],
-    shade: (setting) => setting.band_m, range: (setting, most) => [0, Math.max(1.08 * setting.band_m[1], most)],
+    title: "range", unit: lengthUnit, digits: 0, lines: [[(s) => (s.range_m === null || s.range_m === undefined ? null : lengthOf(s.range_m)), ""]],
+    shade: (setting) => setting.band_m.map(lengthOf), range: (setting, most) => [0, Math.max(1.08 * lengthOf(setting.band_m[1]), most)],
   },
   {
     title: "angle from abeam, °", digits: 0, lines: [[(s) => degrees(s.angle_rad), ""]], wraps: true,
@@ -44,7 +45,8 @@ class Plot {
     this.kind = kind;
     const figure = document.createElement("figure");
     const caption = document.createElement("figcaption");
-    caption.append(kind.title);
+    this.title = document.createTextNode(kind.title);
+    caption.append(this.title);
     kind.lines.forEach(([, name], k) => {
       if (!name) return;
       const key = document.createElement("span");
@@ -66,6 +68,7 @@ class Plot {
 
   draw(samples, setting) {
     const { kind } = this;
+    if (kind.unit) this.title.data = `${kind.title}, ${kind.unit()}`;
     const width = this.svg.clientWidth;
     const height = this.svg.clientHeight;
     if (!width || !samples.length || !setting.band_m) return;

@@ -1,5 +1,7 @@
 // The main indicator: whether the target is within the range band and the aircraft on the required side.
 
+import { length, lengthOf } from "./units.js";
+
 const degrees = (radians) => Math.round((radians * 180) / Math.PI);
 
 function indicator(root, known, good, states, facts) {
@@ -21,10 +23,10 @@ export function showWatch(band, side, state, setting) {
   const { target, asked } = state;
   const inBand = target?.in_band ?? null;
   const onSide = target?.on_side ?? null;
-  const range = target ? `${Math.round(target.range_m)} m` : "unknown";
+  const range = target ? length(target.range_m) : "unknown";
   const why = state.unknown && inBand === null ? ` (${state.unknown})` : "";
   indicator(band, inBand !== null, inBand, ["In band", "Out of band", "Band unknown"],
-    `required: ${asked.range_min_m} to ${asked.range_max_m} m; now: ${range}${why}`);
+    `required: ${Math.round(lengthOf(asked.range_min_m))} to ${length(asked.range_max_m)}; now: ${range}${why}`);
   const now = target ? place(target, state.side, setting.sector_rad) : "unknown";
   indicator(side, onSide !== null, onSide, ["On side", "Off side", "Side unknown"], `required: ${asked.side}; now: ${now}`);
 }
