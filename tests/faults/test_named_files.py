@@ -181,5 +181,5 @@ def test_a_short_row_costs_that_row_only(tmp_path):
 
 @pytest.mark.parametrize("read", [open_log, read_track])
 def test_a_folder_is_no_file(tmp_path, read):
-    with pytest.raises((InputError, TrackError), match="no file"):
+    with pytest.raises((InputError, TrackError), match="not a file"):
         read(tmp_path)
