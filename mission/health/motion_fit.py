@@ -213,6 +213,7 @@ class MotionFit:
         times_s = np.array([one.time_s for one in samples])
         sighted_m = np.array([one.sighted_m for one in samples])
         residual_m, own_residual_m = self._residuals_of_hypotheses_m(times_s, sighted_m)
+        as_reported_m = float(_residuals_m(times_s, sighted_m[:, None, :])[0])  # fitted as the others are
         if established != SOUND:
             if established.factor != 1.0 and not math.isnan(off_level):
                 return SOUND if unit_is_right else established
