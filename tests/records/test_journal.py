@@ -222,7 +222,7 @@ def test_damage_costs_only_the_lines_it_hits_and_is_counted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content", ["b", b"no journal\n", b"\x00" * 1000, encode(HEADER)[:-5], encode(Inner(1.0, 1))]
+    "content", [b"", b"no journal\n", b"\x00" * 1000, encode(HEADER)[:-5], encode(Inner(1.0, 1))]
 )
 def test_a_file_without_a_header_is_an_input_error(tmp_path, content):
     (tmp_path / "j.jsonl").write_bytes(content)

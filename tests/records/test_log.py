@@ -393,7 +393,7 @@ def test_the_kind_is_seen_from_the_content(kind, request, tmp_path):
 
 
 @pytest.mark.parametrize(("content", "words"), [
-    ("b", "is empty"),
+    (b"", "is empty"),
     (b"just some text\n" * 100, "is no log"),
     (random.Random(6).randbytes(50_000), "is no log"),
 ])  # fmt: skip
