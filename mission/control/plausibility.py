@@ -218,8 +218,10 @@ class Plausibility:
                     source: (since_s + clock.shift_s, latest_s + clock.shift_s, what)
                     for source, (since_s, latest_s, what) in self._faults.items()
                 }
+                self._good_s = {source: good_s + clock.shift_s for source, good_s in self._good_s.items()}
             if clock.restarted:
                 self.position = PositionCheck()
+                self._faults, self._good_s, self._awaited_s = {}, {}, {}  # they carry times of the old clock
                 self._yield = YieldRequested(stamp_s, "the autopilot has restarted")
             return True
         return False

@@ -269,6 +269,16 @@ def test_an_autopilot_that_starts_again_is_reported_within_seconds(flown):
     assert [event.reason for event in flown.of(YieldRequested)] == ["the autopilot has restarted"]
 
 
+def test_the_ekf_of_a_restarted_autopilot_recovers_without_a_jump():
+    flown = Flown()
+    for second in (*range(100, 130), *range(40)):
+        fault = "the EKF does not know its position" if second < 25 else ""
+        flown.give(attitude(second), position(second), NavigationReported(float(second), "EKF", fault))
+    assert flown.of(YieldRequested)
+    assert not [text for text in flown.told if "jumped" in text]
+    assert flown.door.doubt is None
+
+
 # -- the place ---------------------------------------------------------------------------------------------
 
 
