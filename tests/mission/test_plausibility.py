@@ -275,7 +275,7 @@ def test_the_ekf_of_a_restarted_autopilot_recovers_without_a_jump():
         fault = "the EKF does not know its position" if second < 25 else ""
         flown.give(attitude(second), position(second), NavigationReported(float(second), "EKF", fault))
     assert flown.of(YieldRequested)
-    assert not [text for text in flown.told if "jumped" in text]
+    assert not [text for text in flown.announced if "jumped" in text]
     assert flown.door.doubt is None
 
 
