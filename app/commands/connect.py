@@ -16,10 +16,10 @@ from sidelong.app.config import Config, load_config
 from sidelong.app.errors import InputError
 from sidelong.app.event_loop import run
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
-from sidelong.app.flight.flight import connected
 from sidelong.app.flight.input_health import InputHealth
 from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.preflight import Check, checks
+from sidelong.app.flight.session import connected
 from sidelong.app.flight.source_rates import SourceRates
 from sidelong.app.flight.source_use import describe_use
 from sidelong.app.flight.streams import ask_for_streams

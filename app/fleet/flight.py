@@ -31,10 +31,11 @@ from sidelong.app.fleet.foreign import ForeignAircraft
 from sidelong.app.fleet.planner import planner_in_fleet
 from sidelong.app.fleet.summary import FleetSummary, FlownAircraft, summarise_fleet
 from sidelong.app.flight.display import FlightDisplay
-from sidelong.app.flight.flight import Flight, Sharing, connected
+from sidelong.app.flight.flight import Flight, Sharing
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.link_log import link_log
 from sidelong.app.flight.recording import beginning
+from sidelong.app.flight.session import connected
 from sidelong.app.flight.simulated import SimulatedVehicles
 from sidelong.app.link.discovery import SETTLING_S
 from sidelong.app.link.key_file import KeyInUse, key_in_use

@@ -7,7 +7,7 @@ import contextlib
 import gc
 import math
 import time
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,9 +19,7 @@ from sidelong.app.analysis.score import Moment
 from sidelong.app.analysis.summary import Summary, SummaryCollector, summarise
 from sidelong.app.analysis.truth import Truth
 from sidelong.app.assembly import mission_controller_of, route_given, route_of_mission, settle, winds_m_s
-from sidelong.app.autopilots.autopilot import Autopilot
 from sidelong.app.autopilots.parameter import ParameterTable, RequiredParameter
-from sidelong.app.autopilots.release import Release
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.alarm_watch import AlarmWatch
@@ -33,29 +31,22 @@ from sidelong.app.flight.outputs import open_beacon, outputs
 from sidelong.app.flight.payload_input import PayloadRunner
 from sidelong.app.flight.point_gimbal import GimbalPointer
 from sidelong.app.flight.point_payload import PayloadPointer
-from sidelong.app.flight.preflight import autopilot_of, check_release, check_takeover, checks
+from sidelong.app.flight.preflight import check_takeover, checks
 from sidelong.app.flight.recording import Recording
 from sidelong.app.flight.resumption import Resumption
 from sidelong.app.flight.round_trip import RoundTripWatch
+from sidelong.app.flight.session import Session
 from sidelong.app.flight.source_rates import SourceRates
 from sidelong.app.flight.streams import StreamKeeper, ask_for_streams, is_slow
 from sidelong.app.flight.terrain_server import TerrainServer
 from sidelong.app.flight.wind_tables import WindTables
-from sidelong.app.link.discovery import SETTLING_S
-from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.link import LinkError
-from sidelong.app.link.mavsdk_link import FrameListener, MavsdkLink
 from sidelong.app.link.other_mission import read_mission
 from sidelong.app.link.parameters import ParameterWatch, read_table, temporary_parameters
-from sidelong.app.link.queries import home_of, is_flying, mode_of, release_of
-from sidelong.app.link.senders import SenderCheck
+from sidelong.app.link.queries import home_of, is_flying, mode_of
 from sidelong.app.link.status_texts import StatusText
-from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.link.transport import Transport
-from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.link.vehicle_status import VehicleStatus, vehicle_status
 from sidelong.app.planners.registry import planner_by_name
-from sidelong.app.shutdown import ends_within
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.controller import StandoffController
@@ -72,7 +63,6 @@ from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.outbox import TakeoverFailed
 from sidelong.mission.exchange.reports import TakeoverRequested
 
-_CLOSE_S = 30.0
 _LISTEN_S = 1.0
 _POLL_S = 0.1
 _RESUMED_WITHIN_S = 4.0
@@ -93,18 +83,6 @@ class Sharing:
     turn_payload: bool = False
 
 
-@dataclass(slots=True)
-class Session:
-    """A connected vehicle and what is known of it."""
-
-    vehicle: Vehicle
-    autopilot: Autopilot
-    release: Release | None  # of its firmware; None: not reported
-    telemetry: Telemetry
-    senders: SenderCheck
-    background: set[asyncio.Task[None]]  # background tasks that end with the connection
-
-
 @dataclass(frozen=True, slots=True)
 class _Ready:
     """A vehicle that was checked: its plane, its home, and what is borrowed of its parameters for the flight."""
@@ -113,61 +91,6 @@ class _Ready:
     home: Home
     parameters: tuple[RequiredParameter, ...]
     table: ParameterTable
-
-
-@contextlib.asynccontextmanager
-async def connected(
-    urls: Sequence[str],
-    timeout_s: float,
-    on_frame: FrameListener | None = None,
-    key: Path | KeyInUse | None = None,
-    note: Callable[[str], object] = lambda _text: None,
-    system_id: int | None = None,
-    settling_s: float = SETTLING_S,
-    open_transport: Callable[[str], Transport] | None = None,
-) -> AsyncIterator[Session]:
-    """Connect to one vehicle over one or several links, ``urls``. note: receives link faults, from any thread.
-
-    system_id selects the vehicle if there are several; settling_s is how long to listen for others; open_transport
-    opens URLs that other links use as well. Raises InputError if there is no vehicle, none that sidelong supports, or
-    several and none is selected.
-    """
-    senders = SenderCheck()
-
-    def frame(data: bytes) -> None:
-        if len(urls) == 1:  # each link has numbers of its own
-            senders.frame(data)
-        if on_frame is not None:
-            on_frame(data)
-
-    link = await MavsdkLink.open(
-        urls,
-        timeout_s,
-        frame,
-        key=key,
-        on_trouble=note,
-        system_id=system_id,
-        settling_s=settling_s,
-        open_transport=open_transport,
-    )
-    senders.system_id = link.system_id
-    vehicle = Vehicle(link)
-    vehicle.listeners.append(senders.message)
-    background = {asyncio.create_task(vehicle.run())}
-    try:
-        if await vehicle.received("HEARTBEAT", timeout_s) is None:
-            raise InputError(f"{' and '.join(urls)}: the autopilot stopped talking; check the link.")
-        autopilot, release = autopilot_of(vehicle), await release_of(vehicle)
-        remark = check_release(autopilot, release)
-        if remark is not None:
-            note(f"{remark}.")
-        yield Session(vehicle, autopilot, release, Telemetry(vehicle.system_id), senders, background)
-    finally:
-        with ends_within(_CLOSE_S, "closing the link"):
-            await link.close()
-        for task in background:
-            task.cancel()
-        await asyncio.gather(*background, return_exceptions=True)
 
 
 class Flight:

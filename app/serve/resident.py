@@ -25,10 +25,11 @@ from sidelong.app.assembly import controller_of
 from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, InputError
 from sidelong.app.flight.display import FlightDisplay
-from sidelong.app.flight.flight import Session, Sharing, connected
+from sidelong.app.flight.flight import Sharing
 from sidelong.app.flight.life import Life
 from sidelong.app.flight.payload_input import payload_input
 from sidelong.app.flight.recording import Recording
+from sidelong.app.flight.session import Session, connected
 from sidelong.app.flight.single import FlightEnded, fly_single
 from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message

@@ -7,8 +7,8 @@ import time
 
 from sidelong.app.config import Config
 from sidelong.app.errors import InputError
-from sidelong.app.flight.flight import Session
 from sidelong.app.flight.preflight import check_takeover, checks
+from sidelong.app.flight.session import Session
 from sidelong.app.flight.source_rates import SourceRates
 from sidelong.app.flight.streams import ask_for_streams, is_slow
 from sidelong.app.link.message import Message

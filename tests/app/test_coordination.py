@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections import defaultdict
 
 import pytest
@@ -96,6 +95,7 @@ def test_a_clock_goes_on_where_its_stamps_begin_again():
 def test_timesync_counts_half_the_round_trip_and_only_where_there_is_no_utc(monkeypatch):
     wall = [1000.0]
     monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.monotonic", lambda: wall[0])
+    monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.time", lambda: UTC_S)
     reader = VehicleClockReader("a", lambda: 30.0)
     asked_ns = 999_600_000_000
     answer = message("TIMESYNC", tc1=30_000_000_000, ts1=asked_ns)
@@ -103,7 +103,7 @@ def test_timesync_counts_half_the_round_trip_and_only_where_there_is_no_utc(monk
     wall[0], answer.fields["ts1"] = 1004.0, 1_003_600_000_000
     announced = reader.report(answer)
     assert announced.time_s == pytest.approx(30.0)
-    assert announced.mission_time_s == pytest.approx(time.time() - 0.2, abs=0.1)
+    assert announced.mission_time_s == pytest.approx(UTC_S - 0.2)
     assert announced.sigma_s >= 0.2
     assert reader.report(message("TIMESYNC", tc1=0, ts1=asked_ns)) is None  # a question
     assert reader.report(message("TIMESYNC", tc1=1, ts1=asked_ns - 10**12)) is None  # an answer to another station
@@ -191,12 +191,13 @@ def test_utc_that_comes_late_does_not_move_mission_time(pair, monkeypatch):
 def test_without_either_the_positions_report_the_clock_by_their_arrival(monkeypatch):
     wall = [1000.0]
     monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.monotonic", lambda: wall[0])
+    monkeypatch.setattr("sidelong.app.fleet.vehicle_clock.time.time", lambda: UTC_S)
     reader = VehicleClockReader("a", lambda: 30.0)
     position = message("GLOBAL_POSITION_INT", time_boot_ms=30_000)
     assert reader.report(position) is None
     wall[0] += 11.0
     announced = reader.report(position)
-    assert (announced.time_s, announced.mission_time_s) == (30.0, pytest.approx(time.time(), abs=5.0))
+    assert (announced.time_s, announced.mission_time_s) == (30.0, pytest.approx(UTC_S))
     assert announced.sigma_s >= 0.5
     assert reader.report(message("SYSTEM_TIME", time_unix_usec=int(UTC_S * 1e6), time_boot_ms=30_000)) is not None
     assert reader.report(position) is None

@@ -29,8 +29,9 @@ from rich.console import Console
 
 from sidelong.app.assembly import controller_of
 from sidelong.app.config import Config
-from sidelong.app.flight.flight import Flight, connected
+from sidelong.app.flight.flight import Flight
 from sidelong.app.flight.recording import Recording
+from sidelong.app.flight.session import connected
 from sidelong.app.flight.simulated import SimulatedVehicles
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.app.view.address import Address

@@ -1,0 +1,102 @@
+"""The connection to one vehicle, and what is known of it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sidelong.app.autopilots.autopilot import Autopilot
+from sidelong.app.autopilots.release import Release
+from sidelong.app.errors import InputError
+from sidelong.app.flight.preflight import autopilot_of, check_release
+from sidelong.app.link.discovery import SETTLING_S
+from sidelong.app.link.key_file import KeyInUse
+from sidelong.app.link.mavsdk_link import FrameListener, MavsdkLink
+from sidelong.app.link.queries import release_of
+from sidelong.app.link.senders import SenderCheck
+from sidelong.app.link.telemetry import Telemetry
+from sidelong.app.link.transport import Transport
+from sidelong.app.link.vehicle import Vehicle
+from sidelong.app.shutdown import ends_within
+
+_CLOSE_S = 30.0
+
+
+@dataclass(slots=True)
+class Session:
+    """A connected vehicle and what is known of it."""
+
+    vehicle: Vehicle
+    autopilot: Autopilot
+    release: Release | None  # of its firmware; None: not reported
+    telemetry: Telemetry
+    senders: SenderCheck
+    background: set[asyncio.Task[None]]  # background tasks that end with the connection
+
+
+@contextlib.asynccontextmanager
+async def connected(
+    urls: Sequence[str],
+    timeout_s: float,
+    on_frame: FrameListener | None = None,
+    key: Path | KeyInUse | None = None,
+    note: Callable[[str], object] = lambda _text: None,
+    system_id: int | None = None,
+    settling_s: float = SETTLING_S,
+    open_transport: Callable[[str], Transport] | None = None,
+) -> AsyncIterator[Session]:
+    """Connect to one vehicle over one or several links.
+
+    Args:
+        urls: URL of each link.
+        timeout_s: How long to wait for a vehicle, s.
+        on_frame: Receives each frame.
+        key: Signing key.
+        note: Receives link faults, from any thread.
+        system_id: Selects the vehicle if there are several.
+        settling_s: How long to listen for other vehicles, s.
+        open_transport: Opens URLs that other links use as well.
+
+    Raises:
+        InputError: There is no vehicle, none that sidelong supports, or several and none is selected.
+
+    """
+    senders = SenderCheck()
+
+    def frame(data: bytes) -> None:
+        if len(urls) == 1:  # each link has numbers of its own
+            senders.frame(data)
+        if on_frame is not None:
+            on_frame(data)
+
+    link = await MavsdkLink.open(
+        urls,
+        timeout_s,
+        frame,
+        key=key,
+        on_trouble=note,
+        system_id=system_id,
+        settling_s=settling_s,
+        open_transport=open_transport,
+    )
+    senders.system_id = link.system_id
+    vehicle = Vehicle(link)
+    vehicle.listeners.append(senders.message)
+    background = {asyncio.create_task(vehicle.run())}
+    try:
+        if await vehicle.received("HEARTBEAT", timeout_s) is None:
+            raise InputError(f"{' and '.join(urls)}: the autopilot stopped talking; check the link.")
+        autopilot, release = autopilot_of(vehicle), await release_of(vehicle)
+        remark = check_release(autopilot, release)
+        if remark is not None:
+            note(f"{remark}.")
+        yield Session(vehicle, autopilot, release, Telemetry(vehicle.system_id), senders, background)
+    finally:
+        with ends_within(_CLOSE_S, "closing the link"):
+            await link.close()
+        for task in background:
+            task.cancel()
+        await asyncio.gather(*background, return_exceptions=True)
