@@ -13,12 +13,11 @@ from sidelong.app.autopilots.parameter import Parameter, Purpose, RequiredParame
 from sidelong.app.autopilots.release import Release
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import CircleOrder, Home, ProtocolQuirks
-from sidelong.mission.exchange.raw_item import RawItem, raw_item
 from sidelong.mission.exchange.reports import PositionTargetReported, VehicleReport
 from sidelong.mission.exchange.vehicle_command import VehicleCommand
 from sidelong.mission.geometry.wind import STILL_AIR
-from sidelong.mission.upload.items import Item
 from sidelong.mission.upload.line_tracking import LineTracking
+from sidelong.mission.upload.mission_item import MissionItem, e7
 
 _CUSTOM_MODE_ENABLED = 1
 _AUTO, _RTL = 10, 11
@@ -98,34 +97,32 @@ class ArduPlane:
             required_parameters.append(RequiredParameter("ARMING_MIS_ITEMS", items, allowed, why))
         return tuple(required_parameters)
 
-    def head(self, home: Home) -> tuple[RawItem, ...]:
+    def head(self, home: Home) -> tuple[MissionItem, ...]:
         # Whatever is put at 0 is silently replaced by home: put home there.
         return (
-            RawItem(
+            MissionItem(
                 _mav.MAV_CMD_NAV_WAYPOINT,
                 _mav.MAV_FRAME_GLOBAL,
                 0.0,
                 0.0,
                 0.0,
                 0.0,
-                round(home.latitude_deg * 1e7),
-                round(home.longitude_deg * 1e7),
+                *e7((home.latitude_deg, home.longitude_deg)),
                 home.altitude_m,
             ),
         )
 
-    def tail(self, home: Home) -> tuple[RawItem, ...]:
+    def tail(self, home: Home) -> tuple[MissionItem, ...]:
         return ()
 
     def tracking(self, airspeed_m_s: float, wind: Wind = STILL_AIR) -> LineTracking:
         # The first waypoint counts as reached at once, a little late or early; the leg from it on is flown.
         return LineTracking(airspeed_m_s, wind)
 
-    def raw(self, item: Item) -> RawItem:
-        raw = raw_item(item)
+    def stored(self, item: MissionItem) -> MissionItem:
         if item.command == _mav.MAV_CMD_NAV_LOITER_UNLIM:
-            return replace(raw, param3=float(round(raw.param3)))
-        return raw
+            return replace(item, param3=float(round(item.param3)))
+        return item
 
     def arm(self) -> VehicleCommand:
         return VehicleCommand(_mav.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))

@@ -14,12 +14,11 @@ from sidelong.app.autopilots.parameter import Parameter, Purpose, RequiredParame
 from sidelong.app.autopilots.release import Release
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import CircleOrder, Home, ProtocolQuirks
-from sidelong.mission.exchange.raw_item import RawItem, raw_item
 from sidelong.mission.exchange.reports import OrbitReported, VehicleReport
 from sidelong.mission.exchange.vehicle_command import VehicleCommand
 from sidelong.mission.geometry.wind import STILL_AIR
-from sidelong.mission.upload.items import Item
 from sidelong.mission.upload.line_tracking import LineTracking
+from sidelong.mission.upload.mission_item import MissionItem, e7
 
 _CUSTOM_MODE_ENABLED = 1
 _AUTO, _MISSION, _RTL = 4, 4, 5
@@ -89,20 +88,20 @@ class Px4:
             required_parameters.append(RequiredParameter("MIS_TKO_LAND_REQ", landing, _WANTS_LANDING, why))
         return tuple(required_parameters)
 
-    def head(self, home: Home) -> tuple[RawItem, ...]:
+    def head(self, home: Home) -> tuple[MissionItem, ...]:
         return ()
 
-    def tail(self, home: Home) -> tuple[RawItem, ...]:
+    def tail(self, home: Home) -> tuple[MissionItem, ...]:
         # MIS_TKO_LAND_REQ 2, the fixed-wing default, drops a mission without a landing to HOLD. The circle before
         # it never completes, so these items are only reached if a landing is commanded: a straight approach
         # to home from the south, flat enough and outside the circle where it begins, as PX4 demands.
-        x, y = round(home.latitude_deg * 1e7), round(home.longitude_deg * 1e7)
+        x, y = e7((home.latitude_deg, home.longitude_deg))
         south_x = x - round(_APPROACH_M / _METRES_PER_DEGREE * 1e7)
         frame, nan = _mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, float("nan")
         return (
-            RawItem(_mav.MAV_CMD_DO_LAND_START, _mav.MAV_FRAME_MISSION, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0),
-            RawItem(_mav.MAV_CMD_NAV_LOITER_TO_ALT, frame, 0.0, 80.0, 0.0, 1.0, south_x, y, _APPROACH_HEIGHT_M),
-            RawItem(_mav.MAV_CMD_NAV_LAND, frame, 0.0, 0.0, 0.0, nan, x, y, 0.0),
+            MissionItem(_mav.MAV_CMD_DO_LAND_START, _mav.MAV_FRAME_MISSION, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0),
+            MissionItem(_mav.MAV_CMD_NAV_LOITER_TO_ALT, frame, 0.0, 80.0, 0.0, 1.0, south_x, y, _APPROACH_HEIGHT_M),
+            MissionItem(_mav.MAV_CMD_NAV_LAND, frame, 0.0, 0.0, 0.0, nan, x, y, 0.0),
         )
 
     def tracking(self, airspeed_m_s: float, wind: Wind = STILL_AIR) -> LineTracking:
@@ -117,8 +116,8 @@ class Px4:
             first_is_line=False,
         )
 
-    def raw(self, item: Item) -> RawItem:
-        return raw_item(item)
+    def stored(self, item: MissionItem) -> MissionItem:
+        return item
 
     def arm(self) -> VehicleCommand:
         return VehicleCommand(_mav.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))

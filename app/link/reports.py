@@ -13,7 +13,6 @@ from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
 from sidelong.app.link.vehicle import Vehicle
 from sidelong.mission.core.events import ModeReported
 from sidelong.mission.exchange.outbox import MISSION
-from sidelong.mission.exchange.raw_item import RawItem
 from sidelong.mission.exchange.reports import (
     CommandAcknowledged,
     MissionAcknowledged,
@@ -25,6 +24,7 @@ from sidelong.mission.exchange.reports import (
     PositionTargetReported,
     VehicleReport,
 )
+from sidelong.mission.upload.mission_item import MissionItem
 
 Fields = Mapping[str, Any]
 _ANSWERS = {
@@ -93,9 +93,9 @@ def _mission_request(fields: Fields, time_s: float, link_s: float) -> MissionIte
 
 
 def _mission_item(fields: Fields, time_s: float, link_s: float) -> MissionItemReported:
-    values: dict[str, Any] = {field.name: fields[field.name] for field in dataclasses.fields(RawItem)}
+    values: dict[str, Any] = {field.name: fields[field.name] for field in dataclasses.fields(MissionItem)}
     values.update({name: math.nan for name, value in values.items() if value is None})
-    return MissionItemReported(time_s, link_s, int(fields["seq"]), RawItem(**values))
+    return MissionItemReported(time_s, link_s, int(fields["seq"]), MissionItem(**values))
 
 
 def _mission_ack(fields: Fields, time_s: float, link_s: float) -> MissionAcknowledged:

@@ -14,7 +14,8 @@ from xml.etree import ElementTree as Xml
 from sidelong.app.errors import InputError
 from sidelong.app.records.animation import animated_svg
 from sidelong.app.records.track import ROUTE_POINTS, Flight, ring, sigma_m
-from sidelong.mission.upload.items import FRAME_GLOBAL, NAV_WAYPOINT, Item
+from sidelong.mission.upload.items import FRAME_GLOBAL, NAV_WAYPOINT
+from sidelong.mission.upload.mission_item import MissionItem, e7
 from sidelong.mission.upload.plan_file import plan_file
 
 _GPX = "http://www.topografix.com/GPX/1/1"
@@ -85,14 +86,15 @@ def _plan(flight: Flight) -> str:
 def _waypoints(flight: Flight) -> str:
     assert flight.mission is not None  # export() looks
     # Mission Planner treats the first line as home, whatever it contains.
-    home = Item(NAV_WAYPOINT, FRAME_GLOBAL, *flight.degrees(0.0, 0.0), height_m=flight.home_altitude_m or 0.0)
+    x, y = e7(flight.degrees(0.0, 0.0))
+    home = MissionItem(NAV_WAYPOINT, FRAME_GLOBAL, 0.0, 0.0, 0.0, 0.0, x, y, flight.home_altitude_m or 0.0)
     lines = ["QGC WPL 110"]
     for sequence, item in enumerate((home, *flight.mission.items)):
         parameters = (item.param1, item.param2, item.param3, item.param4)
         values = (
             *(sequence, int(sequence == 0), item.frame, item.command),
-            *(f"{value:.8f}" for value in (*parameters, item.latitude_deg, item.longitude_deg)),
-            *(f"{item.height_m:.6f}", int(item.autocontinue)),
+            *(f"{value:.8f}" for value in (*parameters, *item.latitude_longitude_deg)),
+            *(f"{item.z:.6f}", int(item.autocontinue)),
         )
         lines.append("\t".join(map(str, values)))
     return "\n".join(lines) + "\n"

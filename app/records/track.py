@@ -13,7 +13,7 @@ from sidelong.estimators.sensing.readings import PositionReading
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.route.route import Route
 from sidelong.mission.upload.fences import Outline
-from sidelong.mission.upload.items import Item
+from sidelong.mission.upload.mission_item import MissionItem
 
 _RING_CORNERS = 72
 ROUTE_POINTS = 2000  # of a route in a file
@@ -23,7 +23,7 @@ ROUTE_POINTS = 2000  # of a route in a file
 class Mission:
     """Items without a home item, the fences (outlines in the plane), and the MAV_AUTOPILOT."""
 
-    items: Sequence[Item]
+    items: Sequence[MissionItem]
     airspeed_m_s: float
     mav_autopilot: int
     keep_in: Sequence[Outline] = ()

@@ -26,7 +26,7 @@ from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.core.requirement import Wind
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.layout import MissionLayout
-from sidelong.mission.exchange.raw_item import RawItem
+from sidelong.mission.upload.items import circle_item
 from sidelong.mission.upload.line_tracking import LineTracking, Point
 from sidelong.sitl.arduplane.mission import ArduPlaneMission
 from sidelong.sitl.arduplane.vehicle import QUIRKS as ARDUPLANE_QUIRKS
@@ -212,25 +212,13 @@ class KinematicVehicle:
     def _store_first_mission(self) -> None:
         """Store the circle that is flown at the start, as an earlier upload would have."""
         circle, start = self._start.circle, self._start
-        latitude_deg, longitude_deg = start.plane.latitude_longitude_deg(circle.east_m, circle.north_m)
-        signed_m = circle.radius_m if circle.clockwise else -circle.radius_m
-        loiter = RawItem(
-            mavlink.MAV_CMD_NAV_LOITER_UNLIM,
-            mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-            0.0,
-            0.0,
-            signed_m,
-            0.0,
-            round(latitude_deg * 1e7),
-            round(longitude_deg * 1e7),
-            start.height_m,
-        )
+        loiter = circle_item(circle, start.plane, start.height_m)
         head, tail = self._autopilot.head(start.home), self._autopilot.tail(start.home)
         layout = MissionLayout((*head, loiter, *tail), len(head), len(head), len(head) + 1, self._autopilot.min_items)
         items = layout.filled().items
         self.mission.begin(len(items))
-        for index, raw in enumerate(items):
-            item = Item(raw.command, raw.frame, (raw.param1, raw.param2, raw.param3, raw.param4), raw.x, raw.y, raw.z)
+        for index, i in enumerate(items):
+            item = Item(i.command, i.frame, (i.param1, i.param2, i.param3, i.param4), i.x, i.y, i.z)
             self.mission.put(index, item, current=index == len(head))
         if isinstance(self.mission, ArduPlaneMission):
             self.mission.finish()

@@ -8,9 +8,9 @@ from enum import StrEnum
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.exchange.layout import MissionLayout
 from sidelong.mission.exchange.outbox import CANCELLED, Outbox
-from sidelong.mission.exchange.raw_item import at_place
 from sidelong.mission.exchange.reports import MissionCountReported, PositionTargetReported
 from sidelong.mission.geometry.progress import nearest_arc_m, off_track, point_at
+from sidelong.mission.upload.mission_item import at_place
 
 _SENDS = 5
 _MIN_AGAIN_S, _AGAIN_ROUND_TRIPS = 0.4, 2.0

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from sidelong.mission.core.requirement import Wind
-from sidelong.mission.exchange.raw_item import RawItem
 from sidelong.mission.exchange.reports import VehicleReport
 from sidelong.mission.exchange.vehicle_command import VehicleCommand
 from sidelong.mission.geometry.wind import STILL_AIR
-from sidelong.mission.upload.items import Item
 from sidelong.mission.upload.line_tracking import LineTracking
+from sidelong.mission.upload.mission_item import MissionItem
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +79,7 @@ class AutopilotDialect(Protocol):
         """How long its mission is kept at least, see ``MissionLayout``."""
         ...
 
-    def head(self, home: Home) -> tuple[RawItem, ...]:
+    def head(self, home: Home) -> tuple[MissionItem, ...]:
         """Return the items at the beginning of every mission.
 
         Args:
@@ -89,7 +88,7 @@ class AutopilotDialect(Protocol):
         """
         ...
 
-    def tail(self, home: Home) -> tuple[RawItem, ...]:
+    def tail(self, home: Home) -> tuple[MissionItem, ...]:
         """Return the items that close every mission without ever being reached.
 
         Args:
@@ -108,7 +107,7 @@ class AutopilotDialect(Protocol):
         """
         ...
 
-    def raw(self, item: Item) -> RawItem:
+    def stored(self, item: MissionItem) -> MissionItem:
         """Return the item as this autopilot stores it.
 
         Args:

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from sidelong.mission.exchange.raw_item import RawItem
+from sidelong.mission.upload.mission_item import MissionItem
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class MissionLayout:
     min_items: it is kept that long, so that a new line finds places to be written to without a new list.
     """
 
-    items: tuple[RawItem, ...]
+    items: tuple[MissionItem, ...]
     head: int
     first: int
     end: int
@@ -35,7 +35,7 @@ class MissionLayout:
         """Return whether an item belongs to the present path."""
         return self.first <= seq < self.end
 
-    def line(self) -> tuple[RawItem, ...]:
+    def line(self) -> tuple[MissionItem, ...]:
         """Return the items of the present line."""
         return self.items[self.first : self.end]
 
@@ -48,7 +48,7 @@ class MissionLayout:
         """
         return replace(self, first=index) if index in self else self
 
-    def with_line(self, line: Sequence[RawItem]) -> MissionLayout:
+    def with_line(self, line: Sequence[MissionItem]) -> MissionLayout:
         """Return the mission with the present path in place and another path as the next one.
 
         Args:
@@ -69,7 +69,7 @@ class MissionLayout:
         missing = self.min_items - len(self.items)
         return replace(self, items=(*self.items, *(self.items[self.end - 1 : self.end] * missing)))
 
-    def closed_by(self, tail: Sequence[RawItem]) -> MissionLayout:
+    def closed_by(self, tail: Sequence[MissionItem]) -> MissionLayout:
         """Return the mission with items at its end that are never reached (PX4 wants a landing).
 
         Args:

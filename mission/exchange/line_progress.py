@@ -10,7 +10,7 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState
 from sidelong.mission.exchange.layout import MissionLayout
-from sidelong.mission.exchange.raw_item import RawItem
+from sidelong.mission.upload.mission_item import MissionItem
 
 _NEAR_M = 100.0  # off its line, an aircraft passes a waypoint at such a distance
 SWITCH_M = 15.0  # so far before a waypoint the next one may be flown to
@@ -78,5 +78,5 @@ def is_skipped(layout: MissionLayout, seq: int, aircraft: AircraftState, plane: 
     return math.hypot(east_m - aircraft.east_m, north_m - aircraft.north_m) > _NEAR_M + flown_m
 
 
-def _place(item: RawItem, plane: LocalPlane) -> tuple[float, float]:
+def _place(item: MissionItem, plane: LocalPlane) -> tuple[float, float]:
     return plane.east_north_m(item.x * 1e-7, item.y * 1e-7)

@@ -20,7 +20,6 @@ from sidelong.mission.exchange.mission_upload import MissionUpload
 from sidelong.mission.exchange.mission_write import WriteResult
 from sidelong.mission.exchange.outbox import Outbox
 from sidelong.mission.exchange.plan_backend import BackendSettings
-from sidelong.mission.exchange.raw_item import RawItem
 from sidelong.mission.exchange.reports import (
     MissionCountReported,
     MissionCurrentReported,
@@ -30,6 +29,7 @@ from sidelong.mission.exchange.reports import (
 )
 from sidelong.mission.geometry.wind import STILL_AIR
 from sidelong.mission.upload.items import NAV_LOITER_UNLIM, NAV_WAYPOINT, UnflyableError, plan_items
+from sidelong.mission.upload.mission_item import MissionItem
 
 _LATE_MAX_S = 5.0
 _FIRST_UPLOAD_S, _UPLOAD_S, _USELESS_S, _READ_S = 30.0, 8.0, 2.0, 5.0
@@ -97,7 +97,7 @@ class MissionItemBackend:
 
     # -- the first mission ---------------------------------------------------------------------------------
 
-    def load(self, plan: Plan, lead_in: tuple[RawItem, ...] = ()) -> None:
+    def load(self, plan: Plan, lead_in: tuple[MissionItem, ...] = ()) -> None:
         """Upload the first mission.
 
         Args:
@@ -163,7 +163,7 @@ class MissionItemBackend:
         """Index of the item that is flown, as reported last."""
         return self._current.seq if self._current is not None else None
 
-    def line(self, plan: Plan, wind: Wind = STILL_AIR) -> tuple[RawItem, ...]:
+    def line(self, plan: Plan, wind: Wind = STILL_AIR) -> tuple[MissionItem, ...]:
         """Return the items of a plan as the autopilot stores them.
 
         Args:
@@ -177,7 +177,7 @@ class MissionItemBackend:
         settings = self._settings
         tracking = self._dialect.tracking(settings.airspeed_m_s, wind)
         items = plan_items(plan, settings.plane, settings.height_m, settings.tolerance_m, tracking)
-        return tuple(self._dialect.raw(item) for item in items)
+        return tuple(self._dialect.stored(item) for item in items)
 
     def take_control(self) -> None:
         """Begin to detect other operators: sidelong has control of the vehicle now."""

@@ -11,13 +11,13 @@ from sidelong.mission.exchange.layout import MissionLayout
 from sidelong.mission.exchange.mission_read import MissionRead
 from sidelong.mission.exchange.outbox import ExternalControl, Outbox
 from sidelong.mission.exchange.ownership import MissionIdentity, Suspicion
-from sidelong.mission.exchange.raw_item import RawItem, at_place, same_item, same_items
 from sidelong.mission.exchange.reports import (
     MissionCurrentReported,
     MissionItemReported,
     PositionTargetReported,
     VehicleReport,
 )
+from sidelong.mission.upload.mission_item import MissionItem, at_place, same_item, same_items
 
 _AUDIT_S, _AUDIT_AGAIN_S = 3.0, 0.6  # between two looks at the item that is flown
 _READ_S = 30.0
@@ -39,7 +39,7 @@ class MissionOwnership:
         self._reports, self._contents = Suspicion(), Suspicion()
         self._identity = MissionIdentity()
         # The latest uploads, and whether they were accepted: after one in doubt the next's id may be that one's.
-        self._written: deque[tuple[tuple[RawItem, ...], bool]] = deque(maxlen=_WRITTEN_MAX)
+        self._written: deque[tuple[tuple[MissionItem, ...], bool]] = deque(maxlen=_WRITTEN_MAX)
         self._read: MissionRead | None = None
         self._read_of = (0, 0)  # total and id that were reported in the meantime
         self._reads_unlike = 0  # of that mission, in a row
@@ -104,7 +104,7 @@ class MissionOwnership:
         """
         self._identity.writing = items - self._quirks.home_at_zero
 
-    def written(self, items: tuple[RawItem, ...], mission_id: int, accepted: bool) -> None:
+    def written(self, items: tuple[MissionItem, ...], mission_id: int, accepted: bool) -> None:
         """Register a mission that was written, or may have been.
 
         Args:

@@ -12,13 +12,13 @@ import math
 
 from sidelong.mission.exchange.dialect import ProtocolQuirks
 from sidelong.mission.exchange.outbox import DENIED, ERROR, Outbox
-from sidelong.mission.exchange.raw_item import RawItem
 from sidelong.mission.exchange.reports import (
     MissionAcknowledged,
     MissionCountReported,
     MissionItemReported,
     VehicleReport,
 )
+from sidelong.mission.upload.mission_item import MissionItem
 
 _AGAIN_S, _AGAIN_ROUND_TRIPS = 0.25, 2.0
 _SLOWER, _SLOWEST = 1.25, 2.0
@@ -38,11 +38,11 @@ class MissionRead:
         self._disturbed = 0
         self._count: int | None = None
         self._read_of = 0  # number of items of the mission with mission_id
-        self._read: dict[int, RawItem] = {}
+        self._read: dict[int, MissionItem] = {}
         self._due_s = math.inf
         self._asked_s, self._repeats = outbox.link_s, 0
         self.done = False
-        self.items: tuple[RawItem, ...] | None = None
+        self.items: tuple[MissionItem, ...] | None = None
         self.mission_id = 0
         self._ask()
 

@@ -10,8 +10,8 @@ from sidelong.mission.exchange.layout import MissionLayout
 from sidelong.mission.exchange.mission_ownership import MissionOwnership
 from sidelong.mission.exchange.mission_write import MissionWrite, WriteResult
 from sidelong.mission.exchange.outbox import Outbox
-from sidelong.mission.exchange.raw_item import RawItem
 from sidelong.mission.exchange.reports import VehicleReport
+from sidelong.mission.upload.mission_item import MissionItem
 
 _DURATION_WEIGHT = 0.5
 _LOSES_UPLOADS = 5  # number of uploads for which a link that lost items is treated as lossy
@@ -26,7 +26,7 @@ class MissionUpload:
     def __init__(self, outbox: Outbox, dialect: AutopilotDialect, home: Home, ownership: MissionOwnership) -> None:
         self._outbox, self._quirks, self._ownership = outbox, dialect.quirks, ownership
         self._tail = dialect.tail(home)
-        self._onboard: tuple[RawItem | None, ...] = ()  # None where a failed upload leaves doubt
+        self._onboard: tuple[MissionItem | None, ...] = ()  # None where a failed upload leaves doubt
         self._write: MissionWrite | None = None
         self._layout: MissionLayout | None = None
         self._result: WriteResult | None = None
@@ -45,7 +45,7 @@ class MissionUpload:
         """When ``expire`` is to be called, on the link's clock; -inf: at once, inf: never."""
         return self._write.next_timer_s if self._write is not None else math.inf
 
-    def adopted(self, items: tuple[RawItem, ...]) -> None:
+    def adopted(self, items: tuple[MissionItem, ...]) -> None:
         """Register the items that were read from the vehicle.
 
         Args:

@@ -15,13 +15,13 @@ from enum import StrEnum
 from sidelong.mission.exchange.dialect import ProtocolQuirks
 from sidelong.mission.exchange.mission_read import MissionRead
 from sidelong.mission.exchange.outbox import ACCEPTED, CANCELLED, DENIED, ERROR, INVALID_SEQUENCE, NO_SPACE, Outbox
-from sidelong.mission.exchange.raw_item import RawItem, same_item, same_items
 from sidelong.mission.exchange.reports import (
     MissionAcknowledged,
     MissionItemReported,
     MissionItemRequested,
     VehicleReport,
 )
+from sidelong.mission.upload.mission_item import MissionItem, same_item, same_items
 
 # Retransmission timeout: a constant at first, a multiple of the round trip once that is known.
 _AGAIN_S, _MIN_AGAIN_S, _AGAIN_ROUND_TRIPS = 0.25, 0.1, 2.0
@@ -65,7 +65,7 @@ class MissionWrite:
         self,
         outbox: Outbox,
         quirks: ProtocolQuirks,
-        items: Sequence[RawItem],
+        items: Sequence[MissionItem],
         changed: range,
         deadline_s: float,
         marked: Callable[[], int],
@@ -86,7 +86,7 @@ class MissionWrite:
         self._over = False  # the vehicle has reported that it is not receiving a mission
         self._awaited = changed.start
         self._refusals, self._refused = 0, False
-        self._onboard: dict[int, RawItem] = {}
+        self._onboard: dict[int, MissionItem] = {}
         self._read: MissionRead | None = None
         self._sent_s = self._due_s = 0.0
         self._requested_s = -math.inf

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from sidelong.mission.core.events import Announce, ControlAcquired, PlanStatus, YieldRequested
-from sidelong.mission.exchange.raw_item import RawItem
+from sidelong.mission.upload.mission_item import MissionItem
 
 MISSION = 0  # MAV_MISSION_TYPE_MISSION
 ACCEPTED, ERROR, DENIED, CANCELLED = 0, 1, 14, 15  # of MAV_MISSION_RESULT
@@ -103,7 +103,7 @@ class Outbox:
         for _ in range(2):
             self.send_mission("MISSION_ACK", type=ACCEPTED)
 
-    def send_item(self, seq: int, item: RawItem, current: bool) -> None:
+    def send_item(self, seq: int, item: MissionItem, current: bool) -> None:
         """Send MISSION_ITEM_INT.
 
         Args:
@@ -112,7 +112,7 @@ class Outbox:
             current: Whether it becomes the current item.
 
         """
-        self.send_mission("MISSION_ITEM_INT", seq=seq, current=int(current), **asdict(item))
+        self.send("MISSION_ITEM_INT", seq=seq, current=int(current), **asdict(item), mission_type=MISSION)
 
     def report(self, event: Derived | Announce | TakeoverFailed) -> None:
         """Report to the control step, or to the operator.

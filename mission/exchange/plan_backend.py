@@ -11,6 +11,7 @@ from sidelong.mission.core.events import ActivatePlan, UploadPlan
 from sidelong.mission.core.plan import AircraftState, Plan
 from sidelong.mission.exchange.dialect import CircleOrder, Home
 from sidelong.mission.exchange.reports import VehicleReport
+from sidelong.mission.upload.mission_item import e7
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +37,8 @@ class BackendSettings:
 
         """
         height_m = plan.circle_height_m(self.height_m)
-        latitude_deg, longitude_deg = self.plane.latitude_longitude_deg(circle.east_m, circle.north_m)
         return CircleOrder(
-            round(latitude_deg * 1e7),
-            round(longitude_deg * 1e7),
+            *e7(self.plane.latitude_longitude_deg(circle.east_m, circle.north_m)),
             height_m,
             self.home.altitude_m + height_m,
             circle.radius_m if circle.clockwise else -circle.radius_m,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sidelong.mission.exchange.raw_item import RawItem
+from sidelong.mission.upload.mission_item import MissionItem
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class MissionItemReported:
     time_s: float
     link_s: float
     seq: int
-    item: RawItem
+    item: MissionItem
 
 
 @dataclass(frozen=True, slots=True)

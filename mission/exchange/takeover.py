@@ -19,9 +19,9 @@ from sidelong.mission.exchange.mission_write import WriteResult
 from sidelong.mission.exchange.orbit_command import OrbitCommandBackend
 from sidelong.mission.exchange.outbox import Outbox, TakeoverFailed
 from sidelong.mission.exchange.plan_backend import BackendSettings
-from sidelong.mission.exchange.raw_item import RawItem
 from sidelong.mission.exchange.reports import CommandAcknowledged, TakeoverRequested, VehicleReport
 from sidelong.mission.exchange.vehicle_command import CommandExchange, VehicleCommand, describe_result
+from sidelong.mission.upload.mission_item import MissionItem, e7
 
 _TAKE_OFF, _RELATIVE = 22, 3  # MAV_CMD_NAV_TAKEOFF, MAV_FRAME_GLOBAL_RELATIVE_ALT
 _RUN_PREARM_CHECKS = 401  # reports by STATUSTEXT what prevents arming
@@ -300,7 +300,7 @@ class Takeover:
         self._note("taking off")
         yield from self._until_circling(first, _TAKE_OFF_WITHIN_S)
 
-    def _load(self, first: Plan, lead_in: tuple[RawItem, ...]) -> Script:
+    def _load(self, first: Plan, lead_in: tuple[MissionItem, ...]) -> Script:
         self._missions.load(first, lead_in)
         while self._missions.load_result is None:
             yield
@@ -309,11 +309,10 @@ class Takeover:
                 f"the first mission was not taken ({self._missions.load_result}); nothing was commanded"
             )
 
-    def _take_off_item(self) -> RawItem:
-        home = self._vehicle.home
-        place = round(home.latitude_deg * 1e7), round(home.longitude_deg * 1e7)
+    def _take_off_item(self) -> MissionItem:
+        place = e7((self._vehicle.home.latitude_deg, self._vehicle.home.longitude_deg))
         height_m = min(_TAKE_OFF_HEIGHT_M, self._vehicle.height_m)
-        return RawItem(_TAKE_OFF, _RELATIVE, 15.0, 0.0, 0.0, math.nan, *place, height_m)
+        return MissionItem(_TAKE_OFF, _RELATIVE, 15.0, 0.0, 0.0, math.nan, *place, height_m)
 
     def _arm(self) -> Script:
         self._note("arming")

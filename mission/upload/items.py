@@ -10,8 +10,6 @@ needs no one again, and an upload behind it moves nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from sidelong.estimators.frames import LocalPlane
@@ -19,6 +17,7 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import HeightProfile, Plan
 from sidelong.mission.upload.line_tracking import LineTracking
+from sidelong.mission.upload.mission_item import MissionItem, e7
 from sidelong.mission.upload.waypoints import lay_out
 
 # MAV_CMD and MAV_FRAME of common.xml.
@@ -30,23 +29,7 @@ class UnflyableError(ValueError):
     """No few waypoints make the autopilot fly the transition closely enough."""
 
 
-@dataclass(frozen=True, slots=True)
-class Item:
-    """MISSION_ITEM_INT in our units. height_m is above home, or above the ellipsoid's sea level in FRAME_GLOBAL."""
-
-    command: int
-    frame: int
-    latitude_deg: float
-    longitude_deg: float
-    height_m: float
-    param1: float = 0.0
-    param2: float = 0.0
-    param3: float = 0.0
-    param4: float = 0.0
-    autocontinue: bool = True
-
-
-def circle_item(circle: Circle, plane: LocalPlane, height_m: float) -> Item:
+def circle_item(circle: Circle, plane: LocalPlane, height_m: float) -> MissionItem:
     """Return an unlimited loiter; param3 is the radius, negative counter-clockwise.
 
     Args:
@@ -55,18 +38,14 @@ def circle_item(circle: Circle, plane: LocalPlane, height_m: float) -> Item:
         height_m: Height above home, m.
 
     """
-    return Item(
-        NAV_LOITER_UNLIM,
-        FRAME_GLOBAL_RELATIVE_ALT,
-        *plane.latitude_longitude_deg(circle.east_m, circle.north_m),
-        height_m,
-        param3=circle.radius_m if circle.clockwise else -circle.radius_m,
-    )
+    signed_m = circle.radius_m if circle.clockwise else -circle.radius_m
+    x, y = e7(plane.latitude_longitude_deg(circle.east_m, circle.north_m))
+    return MissionItem(NAV_LOITER_UNLIM, FRAME_GLOBAL_RELATIVE_ALT, 0.0, 0.0, signed_m, 0.0, x, y, height_m)
 
 
 def plan_items(
     plan: Plan, plane: LocalPlane, height_m: float, tolerance_m: float, tracking: LineTracking | None = None
-) -> tuple[Item, ...]:
+) -> tuple[MissionItem, ...]:
     """Return the mission items of a plan: the waypoints of its transition, as few as possible, and its circle.
 
     param2 of a waypoint is its acceptance radius.
@@ -92,12 +71,15 @@ def plan_items(
             f"the autopilot would fly {layout.deviation_m:.0f} m off the transition; tolerance_m is {tolerance_m:.0f}"
         )
     waypoints = (
-        Item(
+        MissionItem(
             NAV_WAYPOINT,
             FRAME_GLOBAL_RELATIVE_ALT,
-            *plane.latitude_longitude_deg(east_m, north_m),
+            0.0,
+            float(round(tracking.switch_m)),
+            0.0,
+            0.0,
+            *e7(plane.latitude_longitude_deg(east_m, north_m)),
             _height_nearby_m(plan.transition, plan.heights, east_m, north_m, height_m),
-            param2=float(round(tracking.switch_m)),
         )
         for east_m, north_m in layout.waypoints
     )

@@ -9,14 +9,15 @@ from typing import Any
 
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.upload.fences import Outline
-from sidelong.mission.upload.items import FRAME_GLOBAL, Item
+from sidelong.mission.upload.items import FRAME_GLOBAL
+from sidelong.mission.upload.mission_item import MissionItem
 
 _ALTITUDE_MODE_RELATIVE, _ALTITUDE_MODE_ABSOLUTE = 1, 2
 _FIXED_WING = 1  # MAV_TYPE
 
 
 def plan_file(
-    items: Sequence[Item],
+    items: Sequence[MissionItem],
     plane: LocalPlane,
     home_altitude_m: float,
     airspeed_m_s: float,
@@ -64,21 +65,20 @@ def plan_file(
     return json.dumps(document, indent=4, allow_nan=False) + "\n"
 
 
-def _simple_item(number: int, item: Item) -> dict[str, Any]:
+def _simple_item(number: int, item: MissionItem) -> dict[str, Any]:
     params = (item.param1, item.param2, item.param3, item.param4)
     return {
         "type": "SimpleItem",
         "doJumpId": number,
         "command": item.command,
         "frame": item.frame,
-        "autoContinue": item.autocontinue,
+        "autoContinue": bool(item.autocontinue),
         "params": [
             *(None if math.isnan(param) else param for param in params),
-            item.latitude_deg,
-            item.longitude_deg,
-            item.height_m,
+            *item.latitude_longitude_deg,
+            item.z,
         ],
-        "Altitude": item.height_m,
+        "Altitude": item.z,
         "AltitudeMode": _ALTITUDE_MODE_ABSOLUTE if item.frame == FRAME_GLOBAL else _ALTITUDE_MODE_RELATIVE,
         "AMSLAltAboveTerrain": None,
     }

@@ -13,14 +13,15 @@ from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.geometry.transition import abcd
-from sidelong.mission.upload.items import Item, circle_item, plan_items
+from sidelong.mission.upload.items import circle_item, plan_items
+from sidelong.mission.upload.mission_item import MissionItem
 from sidelong.mission.upload.plan_file import plan_file
 
 PLANE = LocalPlane(47.4, 8.5)
 OUTLINE = [(-900.0, -900.0), (900.0, -900.0), (900.0, 900.0), (-900.0, 900.0)]
 
 
-def items() -> tuple[Item, ...]:
+def items() -> tuple[MissionItem, ...]:
     present, new = Circle(0.0, 100.0, 65.0, False), Circle(430.0, 100.0, 65.0, False)
     return (circle_item(present, PLANE, 80.0), *plan_items(Plan(new, abcd(present, new)), PLANE, 80.0, 15.0))
 
@@ -56,6 +57,5 @@ def test_mavsdk_reads_the_items_back(autopilot: str, tmp_path: Path) -> None:
     for item, raw in zip(items(), read, strict=True):
         assert (raw.command, raw.frame, raw.autocontinue) == (item.command, item.frame, 1)
         assert (raw.param2, raw.param3) == (item.param2, item.param3)
-        assert raw.x == pytest.approx(item.latitude_deg * 1e7, abs=1.0)
-        assert raw.y == pytest.approx(item.longitude_deg * 1e7, abs=1.0)
+        assert (raw.x, raw.y) == pytest.approx((item.x, item.y), abs=1.0)
         assert raw.z == pytest.approx(80.0)

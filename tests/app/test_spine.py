@@ -51,14 +51,13 @@ FORMS = (
     "_Change",
     "Path",
     "Layout",
-    "Item",
-    "RawItem",
+    "MissionItem",
     "MissionLayout",
     "SendMessage",
 )
-"""In the order of the path. With the frame at both of its ends they are 17."""
+"""In the order of the path. With the frame at both of its ends they are 16."""
 
-MOST = {Flavour.ARDUPLANE: (25, 66), Flavour.PX4: (26, 67)}
+MOST = {Flavour.ARDUPLANE: (25, 65), Flavour.PX4: (25, 65)}
 """Files and functions."""
 
 Function = tuple[str, str]

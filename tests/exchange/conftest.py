@@ -26,9 +26,9 @@ from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import ControlAcquired, UploadPlan
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
 from sidelong.mission.exchange.dialect import Home
-from sidelong.mission.exchange.raw_item import RawItem
 from sidelong.mission.geometry.approach import turn_straight_turn
 from sidelong.mission.geometry.progress import nearest_arc_m, point_at
+from sidelong.mission.upload.mission_item import MissionItem
 from sidelong.sitl.protocol.link import LinkFaults
 from sidelong.sitl.settings import Flavour, Settings, TargetSettings
 from sidelong.sitl.simulation import Simulation
@@ -266,11 +266,13 @@ class TwoLinkFlight(Flight):
 
 
 @pytest.fixture(scope="session")
-def raw_items() -> Callable[[list], list[RawItem]]:
+def raw_items() -> Callable[[list], list[MissionItem]]:
     """Return what makes a vehicle's items comparable with ours."""
 
     def made(items):
-        return [RawItem(i.command, i.frame, *i.params, i.latitude_e7, i.longitude_e7, i.altitude_m) for i in items]
+        return [
+            MissionItem(i.command, i.frame, *i.params, i.latitude_e7, i.longitude_e7, i.altitude_m) for i in items
+        ]
 
     return made
 

@@ -6,20 +6,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sidelong.mission.exchange.layout import MissionLayout
-from sidelong.mission.exchange.raw_item import RawItem
+from sidelong.mission.upload.mission_item import MissionItem
 
 WAYPOINT, LOITER, HOME = 16, 17, 99
 
 
-def item(command: int, tag: int) -> RawItem:
-    return RawItem(command, 3, 0.0, 0.0, 60.0, 0.0, tag, tag, 100.0)
+def item(command: int, tag: int) -> MissionItem:
+    return MissionItem(command, 3, 0.0, 0.0, 60.0, 0.0, tag, tag, 100.0)
 
 
-def line(tag: int, waypoints: int) -> tuple[RawItem, ...]:
+def line(tag: int, waypoints: int) -> tuple[MissionItem, ...]:
     return (*(item(WAYPOINT, 1000 * tag + k) for k in range(waypoints)), item(LOITER, 1000 * tag + 500))
 
 
-def flown_from(stored: list[RawItem], index: int) -> list[RawItem]:
+def flown_from(stored: list[MissionItem], index: int) -> list[MissionItem]:
     """What a vehicle flies that starts at an index: on through the list until a circle that never completes."""
     flown = []
     for one in stored[index:]:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from sidelong.mission.exchange.ownership import MissionIdentity
-from sidelong.mission.exchange.raw_item import RawItem, same_item
+from sidelong.mission.upload.mission_item import MissionItem, same_item
 
 
 def test_a_list_that_is_being_written_item_by_item_is_ours_at_each_length():
@@ -34,7 +34,7 @@ def test_an_id_proves_nothing_of_a_mission_that_may_or_may_not_have_been_written
 
 
 def test_a_take_off_that_px4_has_stored_is_still_ours():
-    sent = RawItem(22, 3, 15.0, 0.0, 0.0, float("nan"), 473977419, 85455938, 50.0)
+    sent = MissionItem(22, 3, 15.0, 0.0, 0.0, float("nan"), 473977419, 85455938, 50.0)
     assert same_item(sent, replace(sent, frame=6, param1=0.0))
     assert not same_item(sent, replace(sent, x=sent.x + 1000))
     assert not same_item(replace(sent, command=17), replace(sent, command=17, param1=0.0))

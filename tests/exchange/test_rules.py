@@ -16,7 +16,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from sidelong.app.records.journal import encode
 from sidelong.mission.core.events import ActivatePlan, ControlAcquired, End, PlanStatus, UploadPlan, Yield
 from sidelong.mission.exchange.outbox import SendMessage
-from sidelong.mission.exchange.raw_item import same_item
+from sidelong.mission.upload.mission_item import same_item
 from sidelong.sitl.protocol.link import LinkFaults
 
 EXAMPLES, STEPS = int(os.environ.get("EXAMPLES", "12")), int(os.environ.get("STEPS", "6"))

@@ -10,7 +10,6 @@ from sidelong.app.autopilots.registry import AUTOPILOTS
 from sidelong.mission.exchange.mission_read import MissionRead
 from sidelong.mission.exchange.mission_write import MissionWrite, WriteResult
 from sidelong.mission.exchange.outbox import Outbox
-from sidelong.mission.exchange.raw_item import RawItem, same_item, same_items
 from sidelong.mission.exchange.reports import (
     MissionAcknowledged,
     MissionCountReported,
@@ -18,6 +17,7 @@ from sidelong.mission.exchange.reports import (
     MissionItemRequested,
     TimerExpired,
 )
+from sidelong.mission.upload.mission_item import MissionItem, same_item, same_items
 from sidelong.sitl.protocol.link import LinkFaults
 
 ACCEPTED, DENIED, TIMEOUT = WriteResult
@@ -27,7 +27,7 @@ DELAY_S = 0.025
 
 
 def circle(tag):
-    return RawItem(17, 6, 0.0, 0.0, 60.0 + tag % 20, 0.0, 470_000_000 + tag, 80_000_000 - tag, 100.0)
+    return MissionItem(17, 6, 0.0, 0.0, 60.0 + tag % 20, 0.0, 470_000_000 + tag, 80_000_000 - tag, 100.0)
 
 
 OLD = tuple(circle(seq) for seq in range(COUNT))

@@ -25,9 +25,9 @@ PRESENT, NEW = Circle(0.0, 100.0, 65.0, True), Circle(430.0, 100.0, 65.0, True)
 
 def test_a_circle_is_a_loiter_without_end_with_a_signed_radius() -> None:
     item = circle_item(Circle(100.0, -200.0, 62.5, False), PLANE, 80.0)
-    assert (item.command, item.frame, item.height_m) == (NAV_LOITER_UNLIM, FRAME_GLOBAL_RELATIVE_ALT, 80.0)
+    assert (item.command, item.frame, item.z) == (NAV_LOITER_UNLIM, FRAME_GLOBAL_RELATIVE_ALT, 80.0)
     assert item.param3 == -62.5
-    assert PLANE.east_north_m(item.latitude_deg, item.longitude_deg) == pytest.approx((100.0, -200.0))
+    assert PLANE.east_north_m(*item.latitude_longitude_deg) == pytest.approx((100.0, -200.0), abs=0.01)
     assert circle_item(PRESENT, PLANE, 80.0).param3 == 65.0
 
 
@@ -53,7 +53,7 @@ def test_arduplane_reaches_the_first_waypoint_at_the_departure_and_px4_can_still
         (px4(15.0), 30.0, 45.0),
     ):
         first = plan_items(Plan(NEW, path), PLANE, 80.0, 15.0, tracking)[0]
-        first_m = PLANE.east_north_m(first.latitude_deg, first.longitude_deg)
+        first_m = PLANE.east_north_m(*first.latitude_longitude_deg)
         assert min_m < math.dist(first_m, (path.east_m[0], path.north_m[0])) < max_m
 
 

@@ -98,7 +98,7 @@ def test_its_items_are_the_missions() -> None:
     assert [item["doJumpId"] for item in written] == list(range(1, len(ITEMS) + 1))
     for item, record in zip(ITEMS, written, strict=True):
         assert (record["type"], record["command"], record["frame"]) == ("SimpleItem", item.command, item.frame)
-        assert record["params"] == [0.0, item.param2, item.param3, 0.0, item.latitude_deg, item.longitude_deg, 80.0]
+        assert record["params"] == [0.0, item.param2, item.param3, 0.0, *item.latitude_longitude_deg, 80.0]
         assert (record["Altitude"], record["AltitudeMode"], record["autoContinue"]) == (80.0, 1, True)
 
 

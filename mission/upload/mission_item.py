@@ -6,16 +6,25 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sidelong.mission.upload.items import Item
-
 _TAKE_OFF = 22  # MAV_CMD_NAV_TAKEOFF
 _COMPARED_METRES_AS_DEGREES_E7 = 3  # stored coordinates may lose the last digit on the way
 _COMPARED_PARAM = 0.6  # ArduPlane keeps whole metres of radius
 
 
 @dataclass(frozen=True, slots=True)
-class RawItem:
-    """One mission item exactly as MISSION_ITEM_INT carries it (param NaN: unused)."""
+class MissionItem:
+    """One mission item exactly as MISSION_ITEM_INT carries it.
+
+    Attributes:
+        command: MAV_CMD.
+        frame: MAV_FRAME.
+        param1: Parameters of the command; NaN: unused.
+        x: Latitude, 1e-7 degrees.
+        y: Longitude, 1e-7 degrees.
+        z: Altitude in ``frame``, m.
+        autocontinue: Whether the next item follows.
+
+    """
 
     command: int
     frame: int
@@ -28,29 +37,24 @@ class RawItem:
     z: float
     autocontinue: int = 1
 
+    @property
+    def latitude_longitude_deg(self) -> tuple[float, float]:
+        """Position, degrees."""
+        return self.x / 1e7, self.y / 1e7
 
-def raw_item(item: Item) -> RawItem:
-    """Return an item in the units of MISSION_ITEM_INT, without changes for any autopilot.
+
+def e7(latitude_longitude_deg: tuple[float, float]) -> tuple[int, int]:
+    """Return a position as fields x and y of MISSION_ITEM_INT.
 
     Args:
-        item: The mission item.
+        latitude_longitude_deg: Latitude and longitude, degrees.
 
     """
-    return RawItem(
-        command=item.command,
-        frame=item.frame,
-        param1=item.param1,
-        param2=item.param2,
-        param3=item.param3,
-        param4=item.param4,
-        x=round(item.latitude_deg * 1e7),
-        y=round(item.longitude_deg * 1e7),
-        z=item.height_m,
-        autocontinue=int(item.autocontinue),
-    )
+    latitude_deg, longitude_deg = latitude_longitude_deg
+    return round(latitude_deg * 1e7), round(longitude_deg * 1e7)
 
 
-def at_place(x: int, y: int, item: RawItem) -> bool:
+def at_place(x: int, y: int, item: MissionItem) -> bool:
     """Return whether an item's position is in units of 1e-7 degrees.
 
     Args:
@@ -62,7 +66,7 @@ def at_place(x: int, y: int, item: RawItem) -> bool:
     return max(abs(x - item.x), abs(y - item.y)) <= _COMPARED_METRES_AS_DEGREES_E7
 
 
-def same_item(a: RawItem, b: RawItem) -> bool:
+def same_item(a: MissionItem, b: MissionItem) -> bool:
     """Return whether two items are equal up to the vehicle's rounding; PX4 does not store a take-off's pitch.
 
     Args:
@@ -81,7 +85,7 @@ def same_item(a: RawItem, b: RawItem) -> bool:
     )
 
 
-def same_items(sent: Sequence[RawItem], onboard: Sequence[RawItem]) -> bool:
+def same_items(sent: Sequence[MissionItem], onboard: Sequence[MissionItem]) -> bool:
     """Return whether the vehicle stores what was sent, up to its own rounding.
 
     Args:
