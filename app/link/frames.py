@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from mmap import mmap
+
 from fastcrc import crc16
 from pymavlink.dialects.v20 import all as dialect
 
@@ -89,7 +91,13 @@ class FrameSplitter:
         return found
 
 
-def _size(data: bytes, at: int) -> int | None:
+def frame_at(data: bytes | mmap, at: int) -> Frame | None:
+    """Return the whole frame that begins at ``at``, None where there is none."""
+    size = _size(data, at)
+    return Frame(data[at : at + size]) if size and at + size <= len(data) and _whole(data, at) else None
+
+
+def _size(data: bytes | mmap, at: int) -> int | None:
     """Return how long the frame at ``at`` is, 0 where it can be none, None where too little of it is there."""
     if len(data) < at + 3:
         return None
@@ -100,7 +108,7 @@ def _size(data: bytes, at: int) -> int | None:
     return 12 + data[at + 1] + _SIGNATURE_BYTES * data[at + 2]
 
 
-def _whole(data: bytes, at: int) -> bool:
+def _whole(data: bytes | mmap, at: int) -> bool:
     is_v2 = data[at] == _MARKER_V2
     message_id = int.from_bytes(data[at + 7 : at + 10], "little") if is_v2 else data[at + 5]
     end = at + (10 if is_v2 else 6) + data[at + 1]

@@ -14,7 +14,7 @@ from sidelong.app.records.dataflash import MAGIC as DATAFLASH_MAGIC
 from sidelong.app.records.dataflash import dataflash_contents, read_dataflash
 from sidelong.app.records.entry import Entry, Translator
 from sidelong.app.records.px4_entries import Px4Messages
-from sidelong.app.records.tlog import is_tlog, read_tlog, summary
+from sidelong.app.records.tlog import is_tlog, read_tlog, tlog_contents
 from sidelong.app.records.ulog import MAGIC as ULOG_MAGIC
 from sidelong.app.records.ulog import read_ulog, ulog_contents
 from sidelong.app.records.windows import Progress
@@ -92,21 +92,8 @@ def _unreadable(path: Path, error: OSError | ValueError) -> InputError:
 
 
 def _tlog(path: Path) -> Log:
-    return Log(
-        path,
-        "tlog",
-        ("DISTANCE_SENSOR", "RANGEFINDER"),
-        ("GIMBAL_DEVICE_ATTITUDE_STATUS",),
-        read_tlog,
-        _tlog_contents,
-    )
-
-
-def _tlog_contents(path: Path, progress: Progress | None) -> Counter[str]:
-    counts: Counter[str] = Counter()
-    for (name, _, _), count in summary(path, progress).items():
-        counts[name] += count
-    return counts
+    names = ("DISTANCE_SENSOR", "RANGEFINDER"), ("GIMBAL_DEVICE_ATTITUDE_STATUS",)
+    return Log(path, "tlog", *names, read_tlog, tlog_contents)
 
 
 def _ulog(path: Path) -> Log:

@@ -10,8 +10,7 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as dialect
 
-from sidelong.app.records import windows
-from sidelong.app.records.tlog import is_tlog, read_tlog, summary
+from sidelong.app.records.tlog import is_tlog, read_tlog, tlog_contents
 
 WANTED = ("ATTITUDE", "DISTANCE_SENSOR", "STATUSTEXT")
 
@@ -84,7 +83,7 @@ def test_versions_and_components_may_mix(tmp_path, sender, stamped):
     ]
     path = write(tmp_path / "a.tlog", stamped(frames))
     assert [m[2] for m in messages(path)] == [1, 154, 2] * 100
-    assert summary(path) == {("ATTITUDE", 1, 1): 100, ("DISTANCE_SENSOR", 1, 154): 100, ("ATTITUDE", 1, 2): 100}
+    assert tlog_contents(path) == {"ATTITUDE": 200, "DISTANCE_SENSOR": 100}
 
 
 def test_garbage_between_frames_costs_no_frame(tmp_path, sender, stamped):
@@ -144,14 +143,6 @@ def test_a_frame_inside_another_is_its_content(tmp_path, sender, stamped):
     path = write(tmp_path / "a.tlog", stamped([sender().attitude(1), sender().tunnel(inner), sender().attitude(2)]))
     assert [m[0] for m in messages(path)] == ["ATTITUDE", "ATTITUDE"]
     assert [m[0] for m in messages(path, None)] == ["ATTITUDE", "TUNNEL", "ATTITUDE"]
-
-
-def test_frames_on_the_seams_of_the_windows_are_read_once(tmp_path, sender, stamped, monkeypatch):
-    path = write(tmp_path / "a.tlog", stamped(sender().mixture(400)))
-    at_once = messages(path)
-    for window_bytes in (301, 1000, 4096):
-        monkeypatch.setattr(windows, "WINDOW_BYTES", window_bytes)
-        assert messages(path) == at_once
 
 
 def test_a_stamp_that_is_none_takes_the_time_of_the_frame_before(tmp_path, sender, stamped):
