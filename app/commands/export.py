@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
@@ -23,7 +22,7 @@ from sidelong.app.records.mcap import LAYOUT, McapLog
 from sidelong.app.records.mcap_writer import McapWriter
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
 from sidelong.app.records.track import Flight, Mission
-from sidelong.app.report.sources import Flown, feed, read_flight
+from sidelong.app.report.sources import Flown, Sink, feed, read_flight
 from sidelong.mission.core.plan import Plan
 from sidelong.mission.upload.items import plan_items
 
@@ -49,58 +48,61 @@ def export(
 
 
 def write_export(source: Path, wanted: Format, out: Path | None = None, config: Path | None = None) -> None:
-    """Write a run folder or log in a format and print the file's name. Raises InputError."""
-    if FleetFolder(source).journal.is_file():
+    """Write a run folder or log in a format and print the file's name. Raises InputError.
+
+    The tracks of all aircraft of a fleet go into one file, formats of one aircraft into each aircraft's folder.
+    """
+    fleet = FleetFolder(source)
+    sources = {"": source}
+    if fleet.journal.is_file():
         if config is not None:
             raise InputError(f"{source} is the run of a fleet: --config is for the folder of one aircraft in it.")
-        _write_fleet(FleetFolder(source), wanted, out)
-        return
+        sources = {path.parent.name: path.parent for path in sorted(fleet.path.glob("*/journal.jsonl"))}
+        if wanted in MISSIONS or wanted is Format.KLV:
+            if out is not None:
+                raise InputError(
+                    f"{wanted} is of one aircraft: leave out --out, or give the folder of one of {fleet.path}."
+                )
+            for one in sources.values():
+                write_export(one, wanted)
+            return
+        if not sources:
+            raise InputError(f"{fleet.path} holds no flight of an aircraft.")
     if out is None:
         out = source / f"flight.{wanted}" if source.is_dir() else source.with_suffix(f".{wanted}")
-    with share_progress(f"reading {source.name}") as progress:
-        flown = read_flight(source, config=config, progress=progress, target_needed=False)
-    # A run folder's tlog holds what its journal lacks: the autopilot, home and the time of day.
-    context = LogContext.of(open_log(RunFolder.open(source).tlog if source.is_dir() else source))
+    aircraft = [_aircraft(name, path, config) for name, path in sources.items()]
     with _whole(out) as partial:
         if wanted is Format.MCAP:
-            _write_mcap(source, flown, context, partial)
+            _write_mcap(aircraft, partial)
         elif wanted is Format.KLV:
-            _write_klv(source, flown, context, partial)
+            _write_klv(aircraft[0], partial)
         else:
-            write([_flight(flown, context)], wanted, partial)
+            write([_flight(one) for one in aircraft], wanted, partial)
     console.print(f"{wanted}: {out}", soft_wrap=True)
-    if wanted is Format.MCAP:
+    if wanted is Format.MCAP and not fleet.journal.is_file():
         console.print(f"a layout for Foxglove (Import from file...): {LAYOUT}", soft_wrap=True)
 
 
-def _write_fleet(folder: FleetFolder, wanted: Format, out: Path | None) -> None:
-    """Write the tracks of all aircraft into one file; write single-aircraft formats into each aircraft's folder."""
-    sources = {path.parent.name: path.parent for path in sorted(folder.path.glob("*/journal.jsonl"))}
-    if wanted in MISSIONS or wanted is Format.KLV:
-        if out is not None:
-            raise InputError(
-                f"{wanted} is of one aircraft: leave out --out, or give the folder of one of {folder.path}."
-            )
-        for source in sources.values():
-            write_export(source, wanted)
-        return
-    out = folder.path / f"flight.{wanted}" if out is None else out
-    flown = {}
-    for name, source in sources.items():
-        with share_progress(f"reading {name}") as progress:
-            flown[name] = read_flight(source, progress=progress, target_needed=False)
-    contexts = {name: LogContext.of(open_log(RunFolder(source).tlog)) for name, source in sources.items()}
-    if not flown:
-        raise InputError(f"{folder.path} holds no flight of an aircraft.")
-    with _whole(out) as partial:
-        if wanted is Format.MCAP:
-            with contextlib.closing(McapWriter(partial, None)) as writer:
-                for name, source in sources.items():
-                    prefixed = writer.prefixed(f"/{name}", contexts[name].booted)
-                    _feed_mcap(source, flown[name], contexts[name], prefixed, name)
-        else:
-            write([replace(_flight(one, contexts[name]), label=name) for name, one in flown.items()], wanted, partial)
-    console.print(f"{wanted}: {out}", soft_wrap=True)
+class _Aircraft(NamedTuple):
+    """One aircraft's flight. name: in a fleet, else ''."""
+
+    name: str
+    source: Path
+    flown: Flown
+    context: LogContext
+
+    def feed(self, sink: Sink) -> None:
+        """Feed all events and commands of the flight to the sink."""
+        with share_progress(f"writing {self.name or self.source.name}") as progress:
+            feed(self.source, sink, progress)
+
+
+def _aircraft(name: str, source: Path, config: Path | None) -> _Aircraft:
+    with share_progress(f"reading {name or source.name}") as progress:
+        flown = read_flight(source, config=config, progress=progress, target_needed=False)
+    # A run folder's tlog holds what its journal lacks: the autopilot, home and the time of day.
+    context = LogContext.of(open_log(RunFolder.open(source).tlog if source.is_dir() else source))
+    return _Aircraft(name, source, flown, context)
 
 
 @contextlib.contextmanager
@@ -122,32 +124,24 @@ def _whole(out: Path) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
 
 
-def _write_mcap(source: Path, flown: Flown, context: LogContext, out: Path) -> None:
-    with contextlib.closing(McapWriter(out, context.booted)) as writer:
-        _feed_mcap(source, flown, context, writer, "aircraft")
+def _write_mcap(aircraft: list[_Aircraft], out: Path) -> None:
+    with contextlib.closing(McapWriter(out)) as writer:
+        for one in aircraft:
+            tracker, plane = tracker_of(one.flown.config), one.flown.history.plane
+            one.feed(McapLog(writer, plane, tracker, one.context.booted, one.context.home_altitude_m, one.name))
 
 
-def _feed_mcap(source: Path, flown: Flown, context: LogContext, writer: McapWriter, name: str) -> None:
-    log = McapLog(writer, flown.history.plane, tracker_of(flown.config), context.home_altitude_m, name)
-    with share_progress(f"writing {name}") as progress:
-        feed(source, log, progress)
+def _write_klv(one: _Aircraft, out: Path) -> None:
+    booted, home_altitude_m, flown = one.context.booted, one.context.home_altitude_m, one.flown
+    if booted is None or home_altitude_m is None:
+        raise InputError(f"{one.source} does not contain the time of day or the altitude of home, which KLV needs.")
+    log = KlvLog(out, flown.name, flown.history.plane, tracker_of(flown.config), booted, home_altitude_m)
+    with contextlib.closing(log):
+        one.feed(log)
 
 
-def _write_klv(source: Path, flown: Flown, context: LogContext, out: Path) -> None:
-    if context.booted is None or context.home_altitude_m is None:
-        raise InputError(f"{source} does not contain the time of day or the altitude of home, which KLV needs.")
-    log = KlvLog(
-        out, flown.name, flown.history.plane, tracker_of(flown.config), context.booted, context.home_altitude_m
-    )
-    try:
-        with share_progress(f"writing {out.name}") as progress:
-            feed(source, log, progress)
-    finally:
-        log.close()
-
-
-def _flight(flown: Flown, context: LogContext) -> Flight:
-    history, settings = flown.history, flown.config
+def _flight(one: _Aircraft) -> Flight:
+    history, settings, context = one.flown.history, one.flown.config, one.context
     mission = None
     if history.circles:
         departed = [change.plan for change in history.plan_changes if change.departed_s is not None]
@@ -157,7 +151,7 @@ def _flight(flown: Flown, context: LogContext) -> Flight:
         fences = history.asked.keep_in, history.asked.keep_out
         mission = Mission(items, settings.aircraft.airspeed_m_s, context.autopilot.mav_autopilot, *fences)
     return Flight(
-        flown.name,
+        one.flown.name,
         history.plane,
         history.positions,
         history.estimates,
@@ -165,6 +159,7 @@ def _flight(flown: Flown, context: LogContext) -> Flight:
         mission,
         context.booted,
         context.home_altitude_m,
-        targets=history.targets,
-        route=history.route,
+        one.name,
+        history.targets,
+        history.route,
     )

@@ -5,20 +5,23 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
 
+import numpy as np
+
 from sidelong.app.errors import InputError
 from sidelong.app.records.animation import animated_svg
-from sidelong.app.records.track import ROUTE_POINTS, Flight, ring, sigma_m
+from sidelong.app.records.track import ROUTE_POINTS, Flight, Track, ring
+from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.upload.items import FRAME_GLOBAL, NAV_WAYPOINT
 from sidelong.mission.upload.mission_item import MissionItem, e7
 from sidelong.mission.upload.plan_file import plan_file
 
-_GPX = "http://www.topografix.com/GPX/1/1"
 _KML = "http://www.opengis.net/kml/2.2"
 _KML_COLOURS = {"aircraft": "ff0080ff", "target": "ff0000ff", "circle": "ffffaa00", "route": "8000d7ff"}
 _KML_EXTENSION = "http://www.google.com/kml/ext/2.2"
@@ -118,9 +121,17 @@ def _csv(flights: Sequence[Flight]) -> str:
 
 
 def _rows(flight: Flight) -> Iterator[dict[str, Any]]:
-    def row(what: str, time_s: float, east_m: float, north_m: float, **values: Any) -> dict[str, Any]:
-        latitude_deg, longitude_deg = flight.degrees(east_m, north_m)
-        return {
+    moments: list[tuple[str, float, Any, dict[str, Any]]] = [
+        ("circle", since_s, circle, {"clockwise": int(circle.clockwise)}) for since_s, circle in flight.circles
+    ]
+    moments += [("aircraft", one.time_s, one, {}) for one in flight.aircraft]
+    for name, estimates in flight.of_targets().items():
+        moments += [(name, e.time_s, e, {"sigma_m": _sigma_m(e), "quality": e.quality.value}) for e in estimates]
+    for what, time_s, one, own in moments:
+        latitude_deg, longitude_deg = flight.degrees(one.east_m, one.north_m)
+        measured = ("height_m", "velocity_east_m_s", "velocity_north_m_s", "radius_m")
+        values = own | {name: getattr(one, name) for name in measured if hasattr(one, name)}
+        yield {
             "time_s": round(time_s, 6),
             "utc": flight.utc(time_s) or "",
             "what": flight.named(what),
@@ -129,37 +140,10 @@ def _rows(flight: Flight) -> Iterator[dict[str, Any]]:
             **{name: round(value, 3) if isinstance(value, float) else value for name, value in values.items()},
         }
 
-    for since_s, circle in flight.circles:
-        yield row(
-            "circle",
-            since_s,
-            circle.east_m,
-            circle.north_m,
-            radius_m=circle.radius_m,
-            clockwise=int(circle.clockwise),
-        )
-    for p in flight.aircraft:
-        yield row(
-            "aircraft",
-            p.time_s,
-            p.east_m,
-            p.north_m,
-            height_m=p.height_m,
-            velocity_east_m_s=p.velocity_east_m_s,
-            velocity_north_m_s=p.velocity_north_m_s,
-        )
-    for name, estimates in flight.of_targets().items():
-        for e in estimates:
-            yield row(
-                name,
-                e.time_s,
-                e.east_m,
-                e.north_m,
-                velocity_east_m_s=e.velocity_east_m_s,
-                velocity_north_m_s=e.velocity_north_m_s,
-                sigma_m=sigma_m(e),
-                quality=e.quality.value,
-            )
+
+def _sigma_m(estimate: TargetEstimate) -> float:
+    """Return the standard deviation of the position along its worst direction."""
+    return math.sqrt(np.linalg.eigvalsh(estimate.covariance[:2, :2])[-1])
 
 
 # -- maps ---------------------------------------------------------------------------------------------------
@@ -170,166 +154,109 @@ def _geojson(flights: Sequence[Flight]) -> str:
     return json.dumps({"type": "FeatureCollection", "features": features}, separators=(",", ":")) + "\n"
 
 
-def _features(flight: Flight) -> list[dict[str, Any]]:
+def _features(flight: Flight) -> Iterator[dict[str, Any]]:
     def feature(name: str, kind: str, coordinates: list[Any], **properties: Any) -> dict[str, Any]:
         return {
             "type": "Feature",
-            "properties": {"name": flight.named(name), **properties},
+            "properties": {"name": name, **properties},
             "geometry": {"type": kind, "coordinates": coordinates},
         }
 
-    def line(name: str, moments: list[tuple[float, list[float]]]) -> dict[str, Any]:
-        times_s = [time_s for time_s, _ in moments]
-        utc = [flight.utc(time_s) for time_s in times_s] if flight.booted else None
-        return feature(name, "LineString", [place for _, place in moments], time_s=times_s, utc=utc)
+    def places(points_m: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+        return [flight.degrees(*point)[::-1] for point in points_m]
 
-    def place(east_m: float, north_m: float, *height_m: float) -> list[float]:
-        latitude_deg, longitude_deg = flight.degrees(east_m, north_m)
-        return [longitude_deg, latitude_deg, *(round(value, 3) for value in height_m)]
-
-    # Heights are above home where its altitude is not known; the property states it.
-    base_m = flight.home_altitude_m
-    aircraft = line(
-        "aircraft",
-        [(p.time_s, place(p.east_m, p.north_m, p.height_m + (base_m or 0.0))) for p in flight.aircraft],
-    )
-    aircraft["properties"]["height_above"] = "home" if base_m is None else "sea level"
-    features = [aircraft]
+    for track in flight.tracks():
+        utc = [flight.utc(place.time_s) for place in track.places] if flight.booted else None
+        line = [(one.longitude_deg, one.latitude_deg, *one.height_m) for one in track.places]
+        drawn = feature(track.name, "LineString", line, time_s=[one.time_s for one in track.places], utc=utc)
+        if track.kind == "aircraft":  # heights are above home where its altitude is not known
+            drawn["properties"]["height_above"] = "home" if flight.home_altitude_m is None else "sea level"
+        if len(line) > 1:
+            yield drawn
     if flight.route is not None:
-        route_m = flight.route.outline_m(ROUTE_POINTS).tolist()
-        features.append(feature("route", "LineString", [place(*point) for point in route_m]))
-    for name, estimates in flight.of_targets().items():
-        if len(estimates) > 1:
-            features.append(line(name, [(e.time_s, place(e.east_m, e.north_m)) for e in estimates]))
+        yield feature(flight.named("route"), "LineString", places(flight.route.outline_m(ROUTE_POINTS).tolist()))
     for since_s, circle in flight.circles:
-        corners = [place(*corner) for corner in ring(circle)]
+        corners = places(ring(circle))
         # A polygon's outer ring runs counter-clockwise (RFC 7946).
         outer = corners[::-1] if circle.clockwise else corners
-        features.append(
-            feature(
-                "circle",
-                "Polygon",
-                [outer],
-                since_s=since_s,
-                since_utc=flight.utc(since_s),
-                radius_m=circle.radius_m,
-                clockwise=circle.clockwise,
-            )
-        )
-    return features
+        circled = {"radius_m": circle.radius_m, "clockwise": circle.clockwise}
+        since = {"since_s": since_s, "since_utc": flight.utc(since_s)}
+        yield feature(flight.named("circle"), "Polygon", [outer], **since, **circled)
 
 
 def _gpx(flights: Sequence[Flight]) -> str:
-    root = Xml.Element("gpx", {"xmlns": _GPX, "version": "1.1", "creator": "sidelong"})
+    from gpxpy.gpx import GPX, GPXTrack, GPXTrackPoint, GPXTrackSegment  # noqa: PLC0415  # only needed here
+
+    document = GPX()
+    document.creator = "sidelong"
     for flight in flights:
-        _gpx_tracks(root, flight)
-    return _document(root)
-
-
-def _gpx_tracks(root: Xml.Element, flight: Flight) -> None:
-    base_m = flight.home_altitude_m
-    aircraft = [
-        (p.time_s, p.east_m, p.north_m, None if base_m is None else base_m + p.height_m) for p in flight.aircraft
-    ]
-    tracks: dict[str, list[tuple[float, float, float, float | None]]] = {"aircraft": aircraft}
-    for name, estimates in flight.of_targets().items():
-        tracks[name] = [(e.time_s, e.east_m, e.north_m, None) for e in estimates]
-    for name, moments in tracks.items():
-        if not moments:
-            continue
-        track = Xml.SubElement(root, "trk")
-        Xml.SubElement(track, "name").text = flight.named(name)
-        segment = Xml.SubElement(track, "trkseg")
-        for time_s, east_m, north_m, altitude_m in moments:
-            latitude_deg, longitude_deg = flight.degrees(east_m, north_m)
-            position = {"lat": f"{latitude_deg:.8f}", "lon": f"{longitude_deg:.8f}"}
-            point = Xml.SubElement(segment, "trkpt", position)
-            if altitude_m is not None:
-                Xml.SubElement(point, "ele").text = f"{altitude_m:.3f}"
-            utc = flight.utc(time_s)
-            if utc is not None:
-                Xml.SubElement(point, "time").text = utc
+        for track in flight.tracks():
+            segment = GPXTrackSegment()
+            for one in track.places:
+                above_sea_m = one.height_m[0] if one.height_m and flight.home_altitude_m is not None else None
+                point = GPXTrackPoint(one.latitude_deg, one.longitude_deg, above_sea_m, flight.at(one.time_s))
+                segment.points.append(point)
+            made = GPXTrack(track.name)
+            made.segments.append(segment)
+            document.tracks.append(made)
+    return str(document.to_xml()) + "\n"
 
 
 def _kml(flights: Sequence[Flight]) -> str:
     root = Xml.Element("kml", {"xmlns": _KML, "xmlns:gx": _KML_EXTENSION})
-    document = Xml.SubElement(root, "Document")
-    Xml.SubElement(document, "name").text = flights[0].name
+    document = _child(root, "Document")
+    _child(document, "name", flights[0].name)
     for name, colour in _KML_COLOURS.items():
-        style = Xml.SubElement(Xml.SubElement(document, "Style", {"id": name}), "LineStyle")
-        Xml.SubElement(style, "color").text = colour
-        Xml.SubElement(style, "width").text = "2"
+        style = _child(_child(document, "Style", id=name), "LineStyle")
+        _child(style, "color", colour)
+        _child(style, "width", "2")
     for flight in flights:
-        _kml_flight(document, flight)
-    return _document(root)
-
-
-def _kml_flight(document: Xml.Element, flight: Flight) -> None:
-    # Heights are above home: over hills they mean something above the sea only.
-    base_m = flight.home_altitude_m
-    _kml_track(
-        document,
-        flight,
-        "aircraft",
-        "aircraft",
-        "relativeToGround" if base_m is None else "absolute",
-        [(p.time_s, p.east_m, p.north_m, (base_m or 0.0) + p.height_m) for p in flight.aircraft],
-    )
-    for name, estimates in flight.of_targets().items():
-        places_m = [(e.time_s, e.east_m, e.north_m, 0.0) for e in estimates]
-        _kml_track(document, flight, "target", name, "clampToGround", places_m)
-    if flight.route is not None:
-        name = f"{flight.named('route')}, {flight.route.length_m:.0f} m"
-        _kml_line(document, flight, "route", name, flight.route.outline_m(ROUTE_POINTS).tolist())
-    for since_s, circle in flight.circles:
-        name = f"{flight.named('circle')} from {since_s:.1f} s, radius {circle.radius_m:.0f} m"
-        _kml_line(document, flight, "circle", name, ring(circle))
-
-
-def _kml_line(
-    document: Xml.Element, flight: Flight, style: str, name: str, points_m: Iterable[tuple[float, float]]
-) -> None:
-    line = Xml.SubElement(_kml_mark(document, style, name), "LineString")
-    places = (flight.degrees(*point) for point in points_m)
-    Xml.SubElement(line, "coordinates").text = " ".join(f"{lon:.8f},{lat:.8f}" for lat, lon in places)
+        for track in flight.tracks():
+            _kml_track(_kml_mark(document, track.kind, track.name), flight, track)
+        lines = [
+            ("circle", f"from {since_s:.1f} s, radius {one.radius_m:.0f} m", ring(one))
+            for since_s, one in flight.circles
+        ]
+        if flight.route is not None:
+            lines.insert(
+                0, ("route", f"{flight.route.length_m:.0f} m", flight.route.outline_m(ROUTE_POINTS).tolist())
+            )
+        for kind, about, points_m in lines:
+            line = _child(_kml_mark(document, kind, f"{flight.named(kind)} {about}"), "LineString")
+            places = (flight.degrees(*point) for point in points_m)
+            _child(line, "coordinates", " ".join(f"{lon:.8f},{lat:.8f}" for lat, lon in places))
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
 
 
 def _kml_mark(document: Xml.Element, style: str, name: str) -> Xml.Element:
-    mark = Xml.SubElement(document, "Placemark")
-    Xml.SubElement(mark, "name").text = name
-    Xml.SubElement(mark, "styleUrl").text = f"#{style}"
+    mark = _child(document, "Placemark")
+    _child(mark, "name", name)
+    _child(mark, "styleUrl", f"#{style}")
     return mark
 
 
-def _kml_track(
-    document: Xml.Element,
-    flight: Flight,
-    style: str,
-    name: str,
-    altitude_mode: str,
-    moments: list[tuple[float, float, float, float]],
-) -> None:
+def _kml_track(mark: Xml.Element, flight: Flight, track: Track) -> None:
     """Add a track that can be played back, or a plain line where the time of day is not known."""
-    if not moments:
-        return
-    mark = _kml_mark(document, style, flight.named(name))
-    track = Xml.SubElement(mark, "LineString" if flight.booted is None else "gx:Track")
-    Xml.SubElement(track, "altitudeMode").text = altitude_mode
-    places = []
-    for _, east_m, north_m, height_m in moments:
-        latitude_deg, longitude_deg = flight.degrees(east_m, north_m)
-        places.append((f"{longitude_deg:.8f}", f"{latitude_deg:.8f}", f"{height_m:.2f}"))
+    line = _child(mark, "LineString" if flight.booted is None else "gx:Track")
+    # Heights are above home: over hills they mean something above the sea only.
+    aloft = "relativeToGround" if flight.home_altitude_m is None else "absolute"
+    _child(line, "altitudeMode", aloft if track.kind == "aircraft" else "clampToGround")
+    places = [
+        (f"{one.longitude_deg:.8f}", f"{one.latitude_deg:.8f}", f"{sum(one.height_m):.2f}") for one in track.places
+    ]
     if flight.booted is None:
-        Xml.SubElement(track, "coordinates").text = " ".join(map(",".join, places))
+        _child(line, "coordinates", " ".join(map(",".join, places)))
         return
-    for time_s, *_ in moments:
-        Xml.SubElement(track, "when").text = flight.utc(time_s)
+    for one in track.places:
+        _child(line, "when", flight.utc(one.time_s))
     for place in places:
-        Xml.SubElement(track, "gx:coord").text = " ".join(place)
+        _child(line, "gx:coord", " ".join(place))
 
 
-def _document(root: Xml.Element) -> str:
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
+def _child(parent: Xml.Element, tag: str, text: str | None = None, **attributes: str) -> Xml.Element:
+    child = Xml.SubElement(parent, tag, attributes)
+    child.text = text
+    return child
 
 
 _MISSION_WRITERS: dict[Format, Callable[[Flight], str]] = {Format.PLAN: _plan, Format.WAYPOINTS: _waypoints}

@@ -10,10 +10,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable
+from dataclasses import asdict
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
-from sidelong.app.records.mcap_scene import Place, ball, line, scene
-from sidelong.app.records.mcap_writer import McapWriter
+from sidelong.app.records.mcap_scene import Place, ball, line
+from sidelong.app.records.mcap_writer import McapWriter, stamp
 from sidelong.app.records.sensing import Sensing
 from sidelong.app.records.track import ROUTE_POINTS, ring
 from sidelong.estimators.estimate import TargetEstimate
@@ -44,13 +47,15 @@ _LEVEL_INFO = 2  # of foxglove.Log
 _HEIGHT_SIGMA_M = 10.0
 _HEIGHT_WEIGHT = 0.05  # of a new sighting in the target's height
 _ELLIPSE_CORNERS = 36
+_EPOCH = datetime.fromtimestamp(0, UTC)
 
 
 class McapLog:
     """Takes a flight's events and commands in order and writes them to ``out``.
 
-    The estimates are those of ``tracker``, which is fed with the readings. home_altitude_m is above sea level: where
-    it is not known, altitudes are those above home. name: of the aircraft's frame, where several are in one file.
+    The estimates are those of ``tracker``, which is fed with the readings. booted is when the vehicle's clock was
+    zero; without it times count from 1970. home_altitude_m is above sea level: where it is not known, altitudes are
+    those above home. name: of the aircraft, before its topics and of its frame, where several are in one file.
     """
 
     def __init__(
@@ -58,10 +63,13 @@ class McapLog:
         out: McapWriter,
         plane: LocalPlane,
         tracker: Tracker,
+        booted: datetime | None = None,
         home_altitude_m: float | None = None,
-        name: str = "aircraft",
+        name: str = "",
     ) -> None:
-        self._out, self._frame = out, name
+        self._out, self._frame = out, name or "aircraft"
+        self._prefix = f"/{name}" if name else ""
+        self._boot_ns = ((booted or _EPOCH) - _EPOCH) // timedelta(microseconds=1) * 1000
         self._plane, self._sensing = plane, Sensing(tracker)
         self._home_altitude_m = home_altitude_m or 0.0
         self._aircraft: Place = (0.0, 0.0, 0.0)
@@ -97,10 +105,10 @@ class McapLog:
                 self._plan(command)
             case Announce():
                 logged = {"level": _LEVEL_INFO, "message": command.text, "name": command.kind, "file": "", "line": 0}
-                self._out.write("/announcements", "foxglove.Log", command.time_s, logged)
+                self._write("/announcements", "foxglove.Log", command.time_s, logged)
             case HealthChanged():
                 health = {"input": command.input, "state": command.state, "text": command.text}
-                self._out.write("/health", "sidelong.Health", command.time_s, health)
+                self._write("/health", "sidelong.Health", command.time_s, health)
 
     def _position(self, p: PositionReading) -> None:
         attitude = self._sensing.attitude
@@ -113,9 +121,9 @@ class McapLog:
             "translation": place,
             "rotation": rotation,
         }
-        self._out.write("/tf", "foxglove.FrameTransform", p.time_s, transform)
+        self._write("/tf", "foxglove.FrameTransform", p.time_s, transform)
         pose = {"position": place, "orientation": rotation}
-        self._out.write("/aircraft", "foxglove.PoseInFrame", p.time_s, {"frame_id": "plane", "pose": pose})
+        self._write("/aircraft", "foxglove.PoseInFrame", p.time_s, {"frame_id": "plane", "pose": pose})
         self._fix("/aircraft/fix", p.time_s, self._aircraft, None)
         numbers = {
             "height_m": p.height_m,
@@ -124,7 +132,7 @@ class McapLog:
             "velocity_up_m_s": p.velocity_up_m_s,
             **dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), map(math.degrees, angles), strict=True)),
         }
-        self._out.write("/aircraft/numbers", "sidelong.Aircraft", p.time_s, numbers)
+        self._write("/aircraft/numbers", "sidelong.Aircraft", p.time_s, numbers)
 
     def _sightings(self, outcomes: Iterable[SightingOutcome]) -> None:
         for outcome in outcomes:
@@ -141,11 +149,10 @@ class McapLog:
                 numbers["bearing_deg"] = math.degrees(seen.bearing_rad)
                 numbers["depression_deg"] = math.degrees(seen.depression_rad)
                 place = seen.east_m, seen.north_m, seen.height_m
-                stamp = self._out.stamp(seen.time_s)
-                self._scene(seen.time_s, line("sight", stamp, [self._aircraft, place]))
+                self._scene(seen.time_s, line("sight", [self._aircraft, place]))
                 if outcome.accepted:
                     self._target_height_m += _HEIGHT_WEIGHT * (seen.height_m - self._target_height_m)
-            self._out.write("/sighting", "sidelong.Sighting", seen.time_s, numbers)
+            self._write("/sighting", "sidelong.Sighting", seen.time_s, numbers)
 
     def _target(self, estimate: TargetEstimate) -> None:
         self._progress(estimate)
@@ -158,14 +165,14 @@ class McapLog:
             "covariance": [value for row in covariance for value in row],
             "quality": estimate.quality.value,
         }
-        self._out.write("/target", "sidelong.Target", estimate.time_s, numbers)
+        self._write("/target", "sidelong.Target", estimate.time_s, numbers)
         place = estimate.east_m, estimate.north_m, self._target_height_m
         (ee, en, *_), (ne, nn, *_) = covariance[:2]
         self._fix("/target/fix", estimate.time_s, place, [ee, en, 0.0, ne, nn, 0.0, 0.0, 0.0, _HEIGHT_SIGMA_M**2])
-        ellipse, stamp = estimate.ellipse_95, self._out.stamp(estimate.time_s)
+        ellipse = estimate.ellipse_95
         outline = ellipse.outline(_ELLIPSE_CORNERS)
         edge = [(place[0] + east_m, place[1] + north_m, place[2]) for east_m, north_m in outline]
-        self._scene(estimate.time_s, ball("target", stamp, place), line("ellipse", stamp, edge))
+        self._scene(estimate.time_s, ball("target", place), line("ellipse", edge))
         east_m, north_m = self._aircraft[0] - place[0], self._aircraft[1] - place[1]
         watch = {
             "range_m": math.hypot(east_m, north_m),
@@ -173,7 +180,7 @@ class McapLog:
             "target_speed_m_s": estimate.speed_m_s,
             "bearing_from_course_deg": math.degrees(wrap_rad(math.atan2(east_m, north_m) - estimate.course_rad)),
         }
-        self._out.write("/watch", "sidelong.Watch", estimate.time_s, watch)
+        self._write("/watch", "sidelong.Watch", estimate.time_s, watch)
 
     def _progress(self, estimate: TargetEstimate) -> None:
         progress = None if self._follower is None else self._follower.update(estimate)
@@ -187,7 +194,7 @@ class McapLog:
             "speed_m_s": progress.speed_m_s,
             "to_end_s": progress.to_end_s,
         }
-        self._out.write("/route", "sidelong.Route", estimate.time_s, numbers)
+        self._write("/route", "sidelong.Route", estimate.time_s, numbers)
 
     def _fix(self, topic: str, time_s: float, place: Place, covariance: list[float] | None) -> None:
         latitude_deg, longitude_deg = self._plane.latitude_longitude_deg(*place[:2])
@@ -199,10 +206,10 @@ class McapLog:
             "position_covariance": covariance or [0.0] * 9,
             "position_covariance_type": _COVARIANCE_APPROXIMATED if covariance else _COVARIANCE_UNKNOWN,
         }
-        self._out.write(topic, "foxglove.LocationFix", time_s, fix)
+        self._write(topic, "foxglove.LocationFix", time_s, fix)
 
     def _circle(self, time_s: float, circle: Circle) -> None:
-        self._out.write("/circle", "sidelong.Circle", time_s, _circle_numbers(circle))
+        self._write("/circle", "sidelong.Circle", time_s, asdict(circle))
         self._line("circle", time_s, ring(circle))
 
     def _plan(self, prepared: UploadPlan) -> None:
@@ -212,9 +219,9 @@ class McapLog:
             "departure_s": plan.departure_s,
             "reason": prepared.reason,
             "length_m": plan.transition_m,
-            "circle": _circle_numbers(plan.circle),
+            "circle": asdict(plan.circle),
         }
-        self._out.write("/plan", "sidelong.Plan", prepared.time_s, numbers)
+        self._write("/plan", "sidelong.Plan", prepared.time_s, numbers)
         way = list(zip(plan.transition.east_m, plan.transition.north_m, strict=True)) if plan.transition else []
         self._line("plan", prepared.time_s, [*way, *ring(plan.circle)])
 
@@ -227,21 +234,19 @@ class McapLog:
         ]
         feature = {"type": "Feature", "properties": {}, "geometry": {"type": "LineString", "coordinates": places}}
         geojson = {"geojson": json.dumps({"type": "FeatureCollection", "features": [feature]})}
-        self._out.write(f"/{name}/map", "foxglove.GeoJSON", time_s, geojson)
+        self._write(f"/{name}/map", "foxglove.GeoJSON", time_s, geojson)
         up_m = self._aircraft[2] if height_m is None else height_m
-        self._scene(time_s, line(name, self._out.stamp(time_s), ((*corner, up_m) for corner in corners)))
+        self._scene(time_s, line(name, ((*corner, up_m) for corner in corners)))
 
     def _scene(self, time_s: float, *entities: dict[str, object]) -> None:
-        self._out.write("/scene", "foxglove.SceneUpdate", time_s, scene(list(entities)))
+        stamped = [{"timestamp": stamp(self._nanoseconds(time_s)), **entity} for entity in entities]
+        self._write("/scene", "foxglove.SceneUpdate", time_s, {"deletions": [], "entities": stamped})
 
+    def _write(self, topic: str, schema: str, time_s: float, values: dict[str, Any]) -> None:
+        self._out.write(self._prefix + topic, schema, self._nanoseconds(time_s), values)
 
-def _circle_numbers(circle: Circle) -> dict[str, float | bool]:
-    return {
-        "east_m": circle.east_m,
-        "north_m": circle.north_m,
-        "radius_m": circle.radius_m,
-        "clockwise": circle.clockwise,
-    }
+    def _nanoseconds(self, time_s: float) -> int:
+        return self._boot_ns + round(time_s * 1e9)
 
 
 def _plane_from_body(roll_rad: float, pitch_rad: float, yaw_rad: float) -> dict[str, float]:

@@ -24,11 +24,10 @@ _LINE_PIXELS = {"sight": 1.0}
 _BALL_M = 4.0
 
 
-def line(name: str, stamp: dict[str, int], places: Iterable[Place]) -> dict[str, Any]:
+def line(name: str, places: Iterable[Place]) -> dict[str, Any]:
     """Return the entity ``name`` as a line through the places, in the frame ``plane``."""
     return _entity(
         name,
-        stamp,
         lines=[
             {
                 "type": _LINE_STRIP,
@@ -44,20 +43,14 @@ def line(name: str, stamp: dict[str, int], places: Iterable[Place]) -> dict[str,
     )
 
 
-def ball(name: str, stamp: dict[str, int], place: Place) -> dict[str, Any]:
+def ball(name: str, place: Place) -> dict[str, Any]:
     """Return the entity ``name`` as a ball at the place."""
     sphere = {"pose": _pose(place), "size": _xyz((_BALL_M, _BALL_M, _BALL_M)), "color": _colour(name)}
-    return _entity(name, stamp, spheres=[sphere])
+    return _entity(name, spheres=[sphere])
 
 
-def scene(entities: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return a foxglove.SceneUpdate that puts the entities in the place of those of their names."""
-    return {"deletions": [], "entities": entities}
-
-
-def _entity(name: str, stamp: dict[str, int], **shapes: list[dict[str, Any]]) -> dict[str, Any]:
+def _entity(name: str, **shapes: list[dict[str, Any]]) -> dict[str, Any]:
     return {
-        "timestamp": stamp,
         "frame_id": "plane",
         "id": name,
         "lifetime": _FOREVER,

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from copy import copy
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from sidelong.app.errors import missing_package
 
 _UNSTAMPED = frozenset({"foxglove.GeoJSON", "foxglove.SceneUpdate"})
-_EPOCH = datetime.fromtimestamp(0, UTC)
 
 
 def mcap_writer_class() -> Any:
@@ -25,40 +22,26 @@ def mcap_writer_class() -> Any:
 
 
 class McapWriter:
-    """Replaces ``path``. booted is when the vehicle's clock was zero; without it times count from 1970.
+    """Replaces ``path``.
 
     Raises InputError when the package mcap is not installed, OSError when the file cannot be written.
     """
 
-    def __init__(self, path: Path, booted: datetime | None) -> None:
+    def __init__(self, path: Path) -> None:
         writer = mcap_writer_class()
-        self._prefix, self._boot_ns = "", _boot_ns(booted)
         self._file = path.open("wb")
         self._writer = writer(self._file)
         self._writer.start()
         self._channels: dict[str, int] = {}
 
-    def prefixed(self, prefix: str, booted: datetime | None) -> McapWriter:
-        """Return another one that writes the same file: a vehicle of its own clock, topics that begin with prefix."""
-        other = copy(self)
-        other._prefix, other._boot_ns = prefix, _boot_ns(booted)
-        return other
-
-    def stamp(self, time_s: float) -> dict[str, int]:
-        """Return a time of the vehicle's clock as Foxglove's schemas have it."""
-        sec, nsec = divmod(self._nanoseconds(time_s), 10**9)
-        return {"sec": sec, "nsec": nsec}
-
-    def write(self, topic: str, schema: str, time_s: float, values: dict[str, Any]) -> None:
-        """Add a message, with its time in it where the schema has one."""
-        topic = self._prefix + topic
-        message = _without_nan(values if schema in _UNSTAMPED else {"timestamp": self.stamp(time_s), **values})
+    def write(self, topic: str, schema: str, time_ns: int, values: dict[str, Any]) -> None:
+        """Add a message, with its time in it (ns since 1970) where the schema has one."""
+        message = _without_nan(values if schema in _UNSTAMPED else {"timestamp": stamp(time_ns), **values})
         if topic not in self._channels:
             described = json.dumps(_schema(message)).encode()
             schema_id = self._writer.register_schema(schema, "jsonschema", described)
             self._channels[topic] = self._writer.register_channel(topic, "json", schema_id)
         data = json.dumps(message, separators=(",", ":")).encode()
-        time_ns = self._nanoseconds(time_s)
         self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
 
     def close(self) -> None:
@@ -66,12 +49,10 @@ class McapWriter:
         self._writer.finish()
         self._file.close()
 
-    def _nanoseconds(self, time_s: float) -> int:
-        return self._boot_ns + round(time_s * 1e9)
 
-
-def _boot_ns(booted: datetime | None) -> int:
-    return ((booted or _EPOCH) - _EPOCH) // timedelta(microseconds=1) * 1000
+def stamp(time_ns: int) -> dict[str, int]:
+    """Return a time as Foxglove's schemas have it."""
+    return dict(zip(("sec", "nsec"), divmod(time_ns, 10**9), strict=True))
 
 
 def _schema(value: Any) -> dict[str, Any]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from typing import NamedTuple
 
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.frames import LocalPlane
@@ -28,6 +29,26 @@ class Mission:
     mav_autopilot: int
     keep_in: Sequence[Outline] = ()
     keep_out: Sequence[Outline] = ()
+
+
+class Place(NamedTuple):
+    """Where something was at a time. height_m: above sea level or, if home's altitude is unknown, above home.
+
+    It is empty for a target, which is on the ground.
+    """
+
+    time_s: float
+    latitude_deg: float
+    longitude_deg: float
+    height_m: tuple[float, ...]
+
+
+class Track(NamedTuple):
+    """A line that was travelled; kind: "aircraft" or "target"."""
+
+    kind: str
+    name: str
+    places: list[Place]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +83,26 @@ class Flight:
             found.setdefault(name or "target", []).append(estimate)
         return found
 
+    def tracks(self) -> Iterator[Track]:
+        """Yield the aircraft's track, then those of the targets that were seen."""
+        base_m = self.home_altitude_m or 0.0
+        flown = [
+            Place(one.time_s, *self.degrees(one.east_m, one.north_m), (round(base_m + one.height_m, 3),))
+            for one in self.aircraft
+        ]
+        yield Track("aircraft", self.named("aircraft"), flown)
+        for name, estimates in self.of_targets().items():
+            places = [Place(one.time_s, *self.degrees(one.east_m, one.north_m), ()) for one in estimates]
+            yield Track("target", self.named(name), places)
+
+    def at(self, time_s: float) -> datetime | None:
+        """Return the time of day at a time of the vehicle's clock."""
+        return None if self.booted is None else self.booted + timedelta(seconds=time_s)
+
     def utc(self, time_s: float) -> str | None:
         """Return a time of the vehicle's clock as ISO 8601 in UTC, to the millisecond."""
-        if self.booted is None:
-            return None
-        moment = self.booted + timedelta(seconds=time_s)
-        return moment.replace(tzinfo=None).isoformat(timespec="milliseconds") + "Z"
+        moment = self.at(time_s)
+        return None if moment is None else moment.replace(tzinfo=None).isoformat(timespec="milliseconds") + "Z"
 
     def degrees(self, east_m: float, north_m: float) -> tuple[float, float]:
         """Return (latitude, longitude), rounded to the millimetre."""
@@ -80,9 +115,3 @@ def ring(circle: Circle) -> list[tuple[float, float]]:
     turn = 1.0 if circle.clockwise else -1.0
     corners = [circle.position_at_course(turn * math.tau * corner / _RING_CORNERS) for corner in range(_RING_CORNERS)]
     return [*corners, corners[0]]
-
-
-def sigma_m(estimate: TargetEstimate) -> float:
-    """Return the standard deviation of the position along its worst direction."""
-    (a, b), (_, d) = estimate.covariance[:2, :2].tolist()
-    return math.sqrt((a + d) / 2.0 + math.hypot((a - d) / 2.0, b))

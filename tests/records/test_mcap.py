@@ -66,8 +66,8 @@ def flight(log: McapLog) -> None:
 
 @pytest.fixture
 def messages(tmp_path) -> dict[str, list]:
-    with closing(McapWriter(tmp_path / "flight.mcap", BOOTED)) as writer:
-        flight(McapLog(writer, PLANE, Tracker(TrackerSettings()), HOME_ALTITUDE_M))
+    with closing(McapWriter(tmp_path / "flight.mcap")) as writer:
+        flight(McapLog(writer, PLANE, Tracker(TrackerSettings()), BOOTED, HOME_ALTITUDE_M))
     found: dict[str, list] = {}
     with (tmp_path / "flight.mcap").open("rb") as file:
         for schema, channel, message in mcap_reader.make_reader(file).iter_messages():
@@ -212,4 +212,4 @@ def test_the_layout_shows_topics_that_are_there(messages):
 def test_without_the_package_it_reports_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with pytest.raises(InputError, match=r"-m pip install mcap\."):
-        McapWriter(tmp_path / "flight.mcap", None)
+        McapWriter(tmp_path / "flight.mcap")
