@@ -20,8 +20,8 @@ from sidelong.app.fleet.summary import (
     summarise_fleet,
 )
 from sidelong.app.records.journal import JournalReader
+from sidelong.app.records.mapped_file import Progress
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
-from sidelong.app.records.windows import Progress
 from sidelong.app.report.results import read_summary
 from sidelong.app.report.sources import Flown, read_flight
 from sidelong.app.section import validated

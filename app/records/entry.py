@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from itertools import groupby
+from itertools import groupby, islice
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sidelong.app.link.message import Message
+from sidelong.app.records.mapped_file import Progress
 
 _ABSURD = 1e10
 _JUMP_US = 60_000_000
 _CREDIBLE = 10  # entries this many together are no damage
+_STRETCH = 20_000
 _LATEST_US = 10**13  # no vehicle has been up for longer than four months
 
 
@@ -27,7 +29,21 @@ class Entry(NamedTuple):
     fields: Mapping[str, Any]
 
 
-def in_order(entries: Iterable[Entry]) -> list[Entry]:
+def in_order(entries: Iterator[tuple[float, Entry]], progress: Progress) -> Iterator[Entry]:
+    """Yield the entries of a log in order of time, stretch by stretch, without those whose time stamp is damaged.
+
+    Args:
+        entries: with the share of the file that is read.
+        progress: called with that share.
+
+    """
+    while stretch := list(islice(entries, _STRETCH)):
+        progress(stretch[-1][0])
+        yield from _sorted([entry for _, entry in stretch])
+    progress(1.0)
+
+
+def _sorted(entries: list[Entry]) -> list[Entry]:
     """Return the entries of a stretch of a log in order of time, without those whose time stamp is damaged.
 
     These logs have no checksums: a damaged stamp shows only in standing alone or with few, a minute or more from all

@@ -26,8 +26,8 @@ import numpy as np
 
 from sidelong.app.errors import InputError
 from sidelong.app.records.appender import Appender
+from sidelong.app.records.mapped_file import Progress, unseen
 from sidelong.app.records.old_formats import OLDEST_FORMAT, upgraded
-from sidelong.app.records.windows import Progress
 from sidelong.estimators.frames import LocalPlane
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ class JournalReader:
     is of no known type.
     """
 
-    def __init__(self, path: Path, types: Collection[type], progress: Progress | None = None) -> None:
+    def __init__(self, path: Path, types: Collection[type], progress: Progress = unseen) -> None:
         self.path, self._progress = path, progress
         self._types = {kind.__name__: kind for kind in (Header, *types)}
         self.damaged_lines = 0
@@ -205,7 +205,7 @@ class JournalReader:
                         yield record
                     if body is None or record is None or len(body) + _CHECKSUM_BYTES < len(line):
                         self.damaged_lines += line.endswith(b"\n")
-                    if self._progress and number % _PROGRESS_LINES == 0:
+                    if number % _PROGRESS_LINES == 0:
                         self._progress(file.tell() / size)
         except OSError as error:
             raise InputError(f"{self.path} cannot be read: {error.strerror}.") from error

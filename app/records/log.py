@@ -13,15 +13,15 @@ from sidelong.app.records.ardupilot_entries import ArdupilotMessages
 from sidelong.app.records.dataflash import MAGIC as DATAFLASH_MAGIC
 from sidelong.app.records.dataflash import dataflash_contents, read_dataflash
 from sidelong.app.records.entry import Entry, Translator
+from sidelong.app.records.mapped_file import Progress, unseen
 from sidelong.app.records.px4_entries import Px4Messages
 from sidelong.app.records.tlog import is_tlog, read_tlog, tlog_contents
 from sidelong.app.records.ulog import MAGIC as ULOG_MAGIC
 from sidelong.app.records.ulog import read_ulog, ulog_contents
-from sidelong.app.records.windows import Progress
 
 _NAMED_AT_MOST = 20
 
-MessageReader = Callable[[Path, Collection[str], Progress | None], Iterator[Message]]
+MessageReader = Callable[[Path, Collection[str], Progress], Iterator[Message]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,25 +33,25 @@ class Log:
     range_names: tuple[str, ...]
     gimbal_names: tuple[str, ...]
     _messages: MessageReader
-    _contents: Callable[[Path, Progress | None], Counter[str]]
+    _contents: Callable[[Path], Counter[str]]
 
-    def messages(self, wanted: Collection[str], progress: Progress | None = None) -> Iterator[Message]:
+    def messages(self, wanted: Collection[str], progress: Progress = unseen) -> Iterator[Message]:
         """Yield the messages of the ``wanted`` names in order; raises InputError when the file cannot be read."""
         try:
             yield from self._messages(self.path, wanted, progress)
         except OSError as error:
             raise _unreadable(self.path, error) from error
 
-    def contents(self, progress: Progress | None = None) -> Counter[str]:
+    def contents(self) -> Counter[str]:
         """Return how often the log has what, in the words of its kind."""
         try:
-            return self._contents(self.path, progress)
+            return self._contents(self.path)
         except OSError as error:
             raise _unreadable(self.path, error) from error
 
-    def looked_for(self, progress: Progress | None = None) -> str:
+    def looked_for(self) -> str:
         """Return what a sighting of the target needs and what the log has instead, as an end of a sentence."""
-        counts = self.contents(progress).most_common()
+        counts = self.contents().most_common()
         named = ", ".join(f"{name} ({count})" for name, count in counts[:_NAMED_AT_MOST])
         others = f" and {len(counts) - _NAMED_AT_MOST} others" if len(counts) > _NAMED_AT_MOST else ""
         return (
@@ -107,9 +107,9 @@ def _dataflash(path: Path) -> Log:
 
 
 def _translated(
-    translator: Callable[[], Translator], entries: Callable[[Path, Collection[str], Progress | None], Iterator[Entry]]
+    translator: Callable[[], Translator], entries: Callable[[Path, Collection[str], Progress], Iterator[Entry]]
 ) -> MessageReader:
-    def messages(path: Path, wanted: Collection[str], progress: Progress | None) -> Iterator[Message]:
+    def messages(path: Path, wanted: Collection[str], progress: Progress) -> Iterator[Message]:
         one = translator()
         every = one.messages(entries(path, one.names, progress))
         return (message for message in every if message.name in wanted)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from sidelong.app.errors import InputError
 from sidelong.app.text_file import read_text
@@ -49,27 +49,79 @@ def check_space(parent: Path, duration_s: float, aircraft: int, warn: Callable[[
         warn(f"{parent}: {free / 1e6:.0f} MB are free, but the records will need about {needed / 1e6:.0f} MB")
 
 
-@dataclass(frozen=True, slots=True)
-class RunFolder:
-    """Names of what is in a run's folder; which of them exist depends on the run and on how it ended."""
+class _File:
+    """A file of a folder, by its name."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, folder: _Folder, _kind: type) -> Path:
+        return folder.path / self._name
+
+
+@dataclass(frozen=True)
+class _Folder:
+    """Names of what is in a folder; which of them exist depends on the run and on how it ended."""
 
     path: Path
+    summary = _File("summary.json")
 
-    @property
-    def journal(self) -> Path:
-        return self.path / "journal.jsonl"
+    @classmethod
+    def create(cls, parent: Path, now: datetime) -> Self:
+        """Make a new folder in ``parent`` (made if missing), named by the time in UTC and never one that exists.
 
-    @property
-    def tlog(self) -> Path:
-        return self.path / "flight.tlog"
+        Raises InputError when it cannot be made.
+        """
+        stamp = now.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
+        with _making(parent):
+            parent.mkdir(parents=True, exist_ok=True)
+            for attempt in count(1):
+                folder = cls(parent / (stamp if attempt == 1 else f"{stamp}-{attempt}"))
+                with contextlib.suppress(FileExistsError):
+                    folder.path.mkdir()
+                    return folder.prepared()
+        raise AssertionError("unreachable: counting does not end")
 
-    @property
-    def truth(self) -> Path:
-        return self.path / "truth.csv"
+    def prepared(self) -> Self:
+        """Return the folder with the subfolders that are written into. Raises OSError."""
+        return self
 
-    @property
-    def summary(self) -> Path:
-        return self.path / "summary.json"
+    def read_summary(self) -> dict[str, Any]:
+        """Return the summary; raises InputError when the run did not get as far as writing one."""
+        remedy = "the run has not ended in order; without this file its figures are made of the journal"
+        text = read_text(self.summary, _SUMMARY_MAX_BYTES, remedy)
+        try:
+            summary = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"{self.summary}: is no JSON; {remedy}.") from error
+        if not isinstance(summary, dict):
+            raise InputError(f"{self.summary}: is no summary of a run; {remedy}.")
+        return summary
+
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Write the summary whole or not at all."""
+        partial = self.summary.with_suffix(".partial")
+        with partial.open("w", encoding="utf-8") as file:
+            json.dump(summary, file, indent=2)
+            file.write("\n")
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(self.summary)
+
+
+class RunFolder(_Folder):
+    """What the run of one aircraft leaves."""
+
+    journal = _File("journal.jsonl")
+    tlog = _File("flight.tlog")
+    truth = _File("truth.csv")
+    links = _File("links.csv")
+    config = _File("config.toml")
+    plans = _File("plans")
+
+    def prepared(self) -> Self:
+        self.plans.mkdir(parents=True)
+        return self
 
     def truncated(self) -> str:
         """Return why the journal ends before the flight did, '' if it does not."""
@@ -77,33 +129,6 @@ class RunFolder:
             return "the program was killed, the disk was full, or the flight still goes on"
         lost = self.read_summary().get("records_lost", "")
         return lost if isinstance(lost, str) else ""
-
-    @property
-    def links(self) -> Path:
-        return self.path / "links.csv"
-
-    @property
-    def config(self) -> Path:
-        return self.path / "config.toml"
-
-    @property
-    def plans(self) -> Path:
-        return self.path / "plans"
-
-    @staticmethod
-    def create(parent: Path, now: datetime) -> RunFolder:
-        """Make a new folder in ``parent`` (made if missing), named by the time in UTC and never one that exists.
-
-        Raises InputError when it cannot be made.
-        """
-        return RunFolder._made(_new_folder(parent, now))
-
-    @staticmethod
-    def _made(path: Path) -> RunFolder:
-        run = RunFolder(path)
-        with _making(path.parent):
-            run.plans.mkdir(parents=True)
-        return run
 
     @staticmethod
     def open(path: Path) -> RunFolder:
@@ -115,69 +140,16 @@ class RunFolder:
             raise InputError(f"{path} is no run folder: it has no {run.journal.name}.")
         return run
 
-    def write_summary(self, summary: Mapping[str, Any]) -> None:
-        """Write the summary whole or not at all."""
-        _write_summary(self.summary, summary)
 
-    def read_summary(self) -> dict[str, Any]:
-        """Return the summary; raises InputError when the run did not get as far as writing one."""
-        return _read_summary(self.summary)
+class FleetFolder(_Folder):
+    """What the run of a fleet leaves: a run folder for each aircraft, and what is of all of them."""
 
-
-@dataclass(frozen=True, slots=True)
-class FleetFolder:
-    """Names of what the run of a fleet leaves: a run folder for each aircraft, and what is of all of them."""
-
-    path: Path
-
-    @property
-    def journal(self) -> Path:
-        return self.path / "fleet.jsonl"
-
-    @property
-    def summary(self) -> Path:
-        return self.path / "summary.json"
-
-    @staticmethod
-    def create(parent: Path, now: datetime) -> FleetFolder:
-        """Make a new folder in ``parent``, as ``RunFolder.create`` does."""
-        return FleetFolder(_new_folder(parent, now))
+    journal = _File("fleet.jsonl")
 
     def make(self, name: str) -> RunFolder:
         """Make an aircraft's run folder. Raises InputError when it cannot be made."""
-        return RunFolder._made(self.path / name)
-
-    def read_summary(self) -> dict[str, Any]:
-        """Return the summary, as ``RunFolder.read_summary`` does."""
-        return _read_summary(self.summary)
-
-    def write_summary(self, summary: Mapping[str, Any]) -> None:
-        """Write the summary whole or not at all."""
-        _write_summary(self.summary, summary)
-
-
-def _read_summary(path: Path) -> dict[str, Any]:
-    remedy = "the run has not ended in order; without this file its figures are made of the journal"
-    text = read_text(path, _SUMMARY_MAX_BYTES, remedy)
-    try:
-        summary = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no JSON; {remedy}.") from error
-    if not isinstance(summary, dict):
-        raise InputError(f"{path}: is no summary of a run; {remedy}.")
-    return summary
-
-
-def _new_folder(parent: Path, now: datetime) -> Path:
-    stamp = now.astimezone(UTC).strftime("%Y%m%dT%H%M%SZ")
-    with _making(parent):
-        parent.mkdir(parents=True, exist_ok=True)
-        for attempt in count(1):
-            path = parent / (stamp if attempt == 1 else f"{stamp}-{attempt}")
-            with contextlib.suppress(FileExistsError):
-                path.mkdir()
-                return path
-    raise AssertionError("unreachable: counting does not end")
+        with _making(self.path):
+            return RunFolder(self.path / name).prepared()
 
 
 @contextlib.contextmanager
@@ -188,13 +160,3 @@ def _making(parent: Path) -> Iterator[None]:
         raise InputError(
             f"no run folder can be made in {parent} ({error.strerror}); give a folder of your own to --out."
         ) from error
-
-
-def _write_summary(path: Path, summary: Mapping[str, Any]) -> None:
-    partial = path.with_suffix(".partial")
-    with partial.open("w", encoding="utf-8") as file:
-        json.dump(summary, file, indent=2)
-        file.write("\n")
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)

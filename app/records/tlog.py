@@ -6,7 +6,6 @@ The content of a whole frame (a log sent over the link, a tunnel) is not searche
 
 from __future__ import annotations
 
-import mmap
 import re
 import struct
 from collections import Counter
@@ -17,7 +16,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from sidelong.app.link.frames import Frame, frame_at
 from sidelong.app.link.message import Message
-from sidelong.app.records.windows import Progress
+from sidelong.app.records.mapped_file import Progress, mapped, unseen
 
 _MARKER = re.compile(rb"[\xfd\xfe]")
 _STAMP = struct.Struct(">Q")
@@ -26,12 +25,10 @@ _PROGRESS_FRAMES = 1000
 _NAMES: dict[int, str] = {number: kind.msgname for number, kind in dialect.mavlink_map.items()}
 
 
-def _frames(path: Path, progress: Progress | None) -> Iterator[tuple[float, Frame]]:
+def _frames(path: Path, progress: Progress = unseen) -> Iterator[tuple[float, Frame]]:
     """Yield the whole frames with their stamps, s; where a stamp is not credible, that of the frame before."""
-    if path.stat().st_size == 0:
-        return  # cannot be mapped
     received_s, at, count = 0.0, 0, 0
-    with path.open("rb") as opened, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as data:
+    with mapped(path) as data:
         while found := _MARKER.search(data, at):
             frame = frame_at(data, found.start())
             if frame is None:
@@ -43,15 +40,12 @@ def _frames(path: Path, progress: Progress | None) -> Iterator[tuple[float, Fram
             yield received_s, frame
             at = found.start() + len(frame.data)
             count += 1
-            if progress and count % _PROGRESS_FRAMES == 0:
+            if count % _PROGRESS_FRAMES == 0:
                 progress(at / len(data))
-    if progress:
-        progress(1.0)
+    progress(1.0)
 
 
-def read_tlog(
-    path: Path, wanted: Collection[str] | None = None, progress: Progress | None = None
-) -> Iterator[Message]:
+def read_tlog(path: Path, wanted: Collection[str] | None = None, progress: Progress = unseen) -> Iterator[Message]:
     """Yield the messages of the ``wanted`` names (None: all defined ones) in file order.
 
     Damaged and cut frames are passed over, those of a definition that pymavlink does not know as well. Raises
@@ -66,11 +60,11 @@ def read_tlog(
             yield Message(name, *frame.source, fields, received_s)
 
 
-def tlog_contents(path: Path, progress: Progress | None = None) -> Counter[str]:
+def tlog_contents(path: Path) -> Counter[str]:
     """Return how many whole frames of each message the file has."""
-    return Counter(_NAMES[frame.message_id] for _, frame in _frames(path, progress))
+    return Counter(_NAMES[frame.message_id] for _, frame in _frames(path))
 
 
 def is_tlog(path: Path) -> bool:
     """Return whether there is a whole frame in the file."""
-    return next(_frames(path, None), None) is not None
+    return next(_frames(path), None) is not None

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.stats import chi2
 
-from sidelong.app.analysis.score import allowed_rad
+from sidelong.app.analysis.score import Samples, allowed_rad
 from sidelong.app.report import series
 from sidelong.app.report.history import FloatArray, History
 from sidelong.app.report.html import Drawing
@@ -27,7 +27,7 @@ _POINTS_MAX = 2000  # more are drawn as an image inside the figure
 
 
 def drawings(history: History) -> Iterator[Drawing]:
-    """Yield the figures in order, those left out that nothing is known for. Use within ``ink.styled()``."""
+    """Yield the figures in order, those left out that nothing is known for. Use within ``plot_style.styled()``."""
     makers: tuple[Callable[[History], Drawing | None], ...] = (
         _map,
         _range,
@@ -65,12 +65,12 @@ def _map(history: History) -> Drawing:
 def _range(history: History) -> Drawing:
     requirement = history.requirement
     made, (axes,) = figure(2.9)
-    seen = series.range_m(history.moments)
+    judged = history.judged
     axes.axhspan(requirement.range_min_m, requirement.range_max_m, color=BAND, lw=0, label="allowed band")
-    axes.plot(seen.time_s - history.start_s, seen.value, color=AIRCRAFT, linewidth=1.1, label=_judged(history))
-    axes.set_ylim(0.0, 1.06 * max(requirement.range_max_m, float(seen.value.max(initial=0.0))))
+    axes.plot(judged.time_s - history.start_s, judged.range_m, color=AIRCRAFT, linewidth=1.1, label=_judged(history))
+    min_m, max_m = float(judged.range_m.min(initial=math.inf)), float(judged.range_m.max(initial=0.0))
+    axes.set_ylim(0.0, 1.06 * max(requirement.range_max_m, max_m))
     _over_time(axes, history, "horizontal range, m")
-    min_m, max_m = float(seen.value.min(initial=math.inf)), float(seen.value.max(initial=0.0))
     return Drawing(
         "range",
         "Range to the target",
@@ -82,12 +82,11 @@ def _range(history: History) -> Drawing:
 
 def _observation(history: History) -> Drawing:
     made, (axes,) = figure(2.9)
-    seen = series.observation_rad(history)
-    angle_deg = np.degrees(seen.value)
+    angle_deg = np.degrees(history.judged.observation_rad)
     allowed_deg = math.degrees(allowed_rad(history.requirement))
     axes.axhspan(-allowed_deg, allowed_deg, color=BAND, lw=0, label=_wanted(history))
     axes.plot(
-        *_unjoined(seen.time_s - history.start_s, angle_deg, 180.0),
+        *_unjoined(history.judged.time_s - history.start_s, angle_deg, 180.0),
         color=AIRCRAFT,
         linewidth=1.0,
         label=_judged(history),
@@ -107,8 +106,8 @@ def _observation(history: History) -> Drawing:
 
 
 def _observation_histogram(history: History) -> Drawing | None:
-    seen = series.observation_rad(history)
-    angle_deg = np.degrees(seen.value[np.isfinite(seen.value)])
+    angle_deg = np.degrees(history.judged.observation_rad)
+    angle_deg = angle_deg[np.isfinite(angle_deg)]
     if not len(angle_deg):
         return None
     made, (axes,) = figure(2.9)
@@ -137,8 +136,8 @@ def _observation_histogram(history: History) -> Drawing | None:
 
 def _curvature(history: History) -> Drawing:
     made, (axes,) = figure(2.7)
-    flown = series.curvature_per_m(history.aircraft)
-    axes.plot(flown.time_s - history.start_s, 1e3 * flown.value, color=AIRCRAFT, linewidth=0.9, label="flown")
+    time_s, curvature_per_m = series.curvature_per_m(history.aircraft)
+    axes.plot(time_s - history.start_s, 1e3 * curvature_per_m, color=AIRCRAFT, linewidth=0.9, label="flown")
     for sign in (1.0, -1.0):
         axes.axhline(
             sign * 1e3 / history.asked.airframe.radius_m,
@@ -149,7 +148,7 @@ def _curvature(history: History) -> Drawing:
         )
     reach = 1.6e3 / history.asked.airframe.radius_m
     axes.set_ylim(-reach, reach)
-    clipped = _beyond(1e3 * np.abs(flown.value), reach, " 1/km")
+    clipped = _beyond(1e3 * np.abs(curvature_per_m), reach, " 1/km")
     _over_time(axes, history, "curvature, 1/km")
     return Drawing(
         "curvature", "Curvature of the flown path", f"Over the ground; positive turns right{clipped}.", made
@@ -173,10 +172,9 @@ def _course(history: History) -> Drawing:
 def _target_speed(history: History) -> Drawing:
     made, (axes,) = figure(2.7)
     if history.judged_by_truth:
-        true = series.target_speed_m_s(history.moments)
-        axes.plot(
-            true.time_s - history.start_s, true.value, color=TARGET, linewidth=2.4, alpha=0.5, label="true target"
-        )
+        true = Samples.of(history.moments)
+        time_s, speed_m_s = true.time_s - history.start_s, np.hypot(*true.target_velocity_m_s.T)
+        axes.plot(time_s, speed_m_s, color=TARGET, linewidth=2.4, alpha=0.5, label="true target")
     known = [one for one in history.estimates if one.time_s >= history.start_s]
     axes.plot(
         [one.time_s - history.start_s for one in known],
@@ -243,13 +241,13 @@ def _errors(history: History) -> Drawing | None:
 
 
 def _consistency(history: History) -> Drawing | None:
-    innovations = series.normalised_innovations(history)
+    at_s, nis = series.normalised_innovations(history)
     errors = series.estimate_errors(history)
     rows: list[tuple[str, FloatArray, FloatArray, int]] = []
     if errors is not None:
         rows.append(("NEES", errors.time_s, errors.nees, 2))
-    if len(innovations.value):
-        rows.append(("NIS", innovations.time_s, innovations.value, 3))
+    if len(nis):
+        rows.append(("NIS", at_s, nis, 3))
     if not rows:
         return None
     made, all_axes = figure(1.2 + 1.7 * len(rows), len(rows))

@@ -13,22 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from sidelong.app.analysis.score import Moment
+from sidelong.app.analysis.score import Judgement, Moment, judge_moments
 from sidelong.app.analysis.truth import Truth
+from sidelong.app.records.sensing import Sensing
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.frames import LocalPlane
-from sidelong.estimators.sensing.readings import (
-    AttitudeReading,
-    GimbalReading,
-    PositionReading,
-    RangeReading,
-    TargetFixReading,
-)
+from sidelong.estimators.sensing.readings import PositionReading
 from sidelong.estimators.sensing.sighting import SightingOutcome
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.mission_change import requirement_after
-from sidelong.mission.control.plausibility import Plausibility
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.events import (
     Announce,
@@ -125,6 +119,11 @@ class History:
         return self.asked.requirement
 
     @property
+    def judged(self) -> Judgement:
+        """How each of the moments was."""
+        return judge_moments(self.moments, self.requirements)
+
+    @property
     def end_s(self) -> float:
         return float(self.aircraft.time_s[-1])
 
@@ -133,8 +132,7 @@ class HistoryBuilder:
     """Takes a run's events and commands in order (it is a ``Log``) and gives its history."""
 
     def __init__(self, tracker: Tracker) -> None:
-        self._tracker = tracker
-        self._door = Plausibility()
+        self._sensing = Sensing(tracker)
         self._positions: list[PositionReading] = []
         self._estimates: list[TargetEstimate] = []
         self._targets: list[str] = []  # of each estimate
@@ -159,12 +157,11 @@ class HistoryBuilder:
 
     def event(self, event: Event) -> None:
         """Take an event."""
-        admitted, _ = self._door.admit(event)
+        admitted, outcomes = self._sensing.take(event)
+        self._sightings += outcomes
         match admitted:
             case PositionReading():
                 self._position(admitted)
-            case AttitudeReading() | RangeReading() | GimbalReading() | TargetFixReading():
-                self._sightings += self._tracker.add(admitted)
             case ControlAcquired():
                 self._start_s = admitted.time_s if self._start_s is None else self._start_s
                 self._circles.append((admitted.time_s, admitted.circle))
@@ -195,13 +192,11 @@ class HistoryBuilder:
                 self._in_hand = False
 
     def _position(self, reading: PositionReading) -> None:
-        if self._door.place_is_known:
-            self._sightings += self._tracker.add(reading)
         if not self._positions or reading.time_s >= self._positions[-1].time_s + _AIRCRAFT_STEP_S:
             self._positions.append(reading)
         last_s = self._estimates[-1].time_s if self._estimates else -math.inf
         if reading.time_s >= last_s + _ESTIMATE_STEP_S:
-            estimate = self._tracker.estimate(reading.time_s)
+            estimate = self._sensing.estimate(reading.time_s)
             if estimate is not None:
                 self._estimates.append(estimate)
                 self._targets.append(self._target)
@@ -231,7 +226,8 @@ class HistoryBuilder:
         # What is seen before the fleet has named its target is of the first one named.
         first = next(filter(None, self._targets), "")
         targets = [name or first for name in self._targets]
-        moments = _true_moments(truth, plane, start_s, float(aircraft.time_s[-1])) if truth is not None else ()
+        end_s = float(aircraft.time_s[-1])
+        moments = () if truth is None else tuple(truth.moments(plane, start_s, end_s, _TRUTH_STEP_S))
         return History(
             asked,
             start_s,
@@ -269,10 +265,6 @@ def _track(positions: list[PositionReading]) -> AircraftTrack:
     return AircraftTrack(
         time_s, east_m, north_m, np.arctan2(velocity_e, velocity_n), np.hypot(velocity_e, velocity_n)
     )
-
-
-def _true_moments(truth: Truth, plane: LocalPlane, start_s: float, end_s: float) -> tuple[Moment, ...]:
-    return tuple(truth.moments(plane, start_s, end_s, _TRUTH_STEP_S))
 
 
 def _estimated_moments(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 
@@ -10,7 +11,6 @@ from sidelong.app.report.figures import drawings
 from sidelong.app.report.plot_style import styled
 from sidelong.app.report.results import rows
 from sidelong.app.report.sources import Flown
-from sidelong.mission.core.events import Announce
 from sidelong.mission.viewpoint.side_policy import side_words
 
 _PNG_DPI = 150
@@ -56,27 +56,22 @@ def _asked(flown: Flown) -> str:
 
 
 def _decisions(flown: Flown) -> str:
-    announced = flown.history.announced
-    if not announced:
-        return ""
-    rows = "".join(
-        f"<tr><td>{_clock(one, flown.history.start_s)}</td><td>{one.kind}</td><td>{escape(one.text)}</td></tr>"
-        for one in announced
-    )
-    return (
-        f"<details><summary>Decisions and announcements ({len(announced)})</summary><table>{rows}</table></details>"
-    )
-
-
-def _clock(announced: Announce, start_s: float) -> str:
-    return f"{announced.time_s - start_s:.0f} s"
+    announced, start_s = flown.history.announced, flown.history.start_s
+    rows = [(f"{one.time_s - start_s:.0f} s", one.kind, one.text) for one in announced]
+    return _details(f"Decisions and announcements ({len(rows)})", rows) if rows else ""
 
 
 def _configuration(flown: Flown) -> str:
-    rows = "".join(
-        f"<tr><td>{section}.{key}</td><td>{escape(str(value))}</td></tr>"
-        for section, keys in flown.config.model_dump(mode="json").items()
+    sections = flown.config.model_dump(mode="json").items()
+    rows = [
+        (f"{section}.{key}", str(value))
+        for section, keys in sections
         for key, value in keys.items()
         if value not in (None, [])
-    )
-    return f"<details><summary>Configuration</summary><table>{rows}</table></details>"
+    ]
+    return _details("Configuration", rows)
+
+
+def _details(summary: str, rows: Iterable[tuple[str, ...]]) -> str:
+    lines = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<details><summary>{summary}</summary><table>{lines}</table></details>"

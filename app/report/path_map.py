@@ -24,7 +24,7 @@ from sidelong.app.report.plot_style import (
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.core.circle import Circle
 
-TICK_S = 50.0
+_TICK_S = 50.0
 _LABELS_MAX = 60
 _STAY_SHARE = 0.04  # of the map's extent: labels that near one another would overlap
 _SAMPLES_MAX, _ROUTE_POINTS = 6000, 2000
@@ -32,10 +32,10 @@ _CONTOUR_POSTS, _CONTOURS_MAX = 200, 25
 _CONTOUR_STEPS_M = (5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)
 
 
-def flown_path_figure(history: History, *, width_in: float = WIDTH_IN, title: str = "") -> Figure:
+def flown_path_figure(history: History) -> Figure:
     """Return the map: paths with a tick every 50 s, joined by the line of sight; circles flown; fences; contours.
 
-    Make and save it within ``ink.styled()``.
+    Make and save it within ``plot_style.styled()``.
     """
     moments = history.moments
     time_s = np.array([m.time_s for m in moments]) - history.start_s
@@ -46,8 +46,8 @@ def flown_path_figure(history: History, *, width_in: float = WIDTH_IN, title: st
     path = np.column_stack((flown.east_m[since], flown.north_m[since]))[:: max(1, int(since.sum()) // _SAMPLES_MAX)]
 
     spread_m = np.ptp(np.concatenate((path, target)), axis=0) + 120.0
-    height_in = float(np.clip(width_in * spread_m[1] / spread_m[0], 0.45 * width_in, 0.9 * width_in)) + 0.6
-    made = Figure(figsize=(width_in, height_in), layout="constrained")
+    height_in = WIDTH_IN * float(np.clip(spread_m[1] / spread_m[0], 0.45, 0.9)) + 0.6
+    made = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     axes = made.subplots()
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.04)
@@ -71,8 +71,6 @@ def flown_path_figure(history: History, *, width_in: float = WIDTH_IN, title: st
         _contours(axes, history.asked.ground)
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
-    if title:
-        axes.set_title(title, loc="right", fontsize=10)
     legend_above(axes)
     return made
 
@@ -112,7 +110,7 @@ def _circles(axes: Axes, circles: list[Circle]) -> None:
 def _ticks(axes: Axes, time_s: FloatArray, aircraft: FloatArray, target: FloatArray) -> None:
     if not len(time_s):
         return
-    at_s = np.arange(0.0, time_s[-1] + 1e-9, TICK_S)
+    at_s = np.arange(0.0, time_s[-1] + 1e-9, _TICK_S)
     here_m, there_m = (
         np.column_stack([np.interp(at_s, time_s, track[:, axis]) for axis in (0, 1)]) for track in (aircraft, target)
     )

@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from sidelong.app.analysis.score import Moment, judge_moments
 from sidelong.app.report.history import AircraftTrack, FloatArray, History
 from sidelong.estimators.ellipse import confidence_ellipse
 
 _CURVATURE_SPAN_S = 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
-    """time_s and value, both of shape (n,)."""
-
-    time_s: FloatArray
-    value: FloatArray
-
-
-def curvature_per_m(aircraft: AircraftTrack) -> Series:
-    """Return the curvature of the flown line over the ground, positive to the right."""
+def curvature_per_m(aircraft: AircraftTrack) -> tuple[FloatArray, FloatArray]:
+    """Return times and the curvature of the flown line over the ground, positive to the right, shapes (n,)."""
     turned_rad = np.unwrap(aircraft.course_rad)
     before_s, after_s = aircraft.time_s - _CURVATURE_SPAN_S / 2, aircraft.time_s + _CURVATURE_SPAN_S / 2
     inside = (before_s >= aircraft.time_s[0]) & (after_s <= aircraft.time_s[-1])
@@ -32,26 +22,7 @@ def curvature_per_m(aircraft: AircraftTrack) -> Series:
         np.interp(after_s, aircraft.time_s, turned_rad) - np.interp(before_s, aircraft.time_s, turned_rad)
     ) / _CURVATURE_SPAN_S
     speed_m_s = np.maximum(aircraft.ground_speed_m_s, 1.0)  # on the ground a course is noise
-    return Series(aircraft.time_s[inside], (rate_rad_s / speed_m_s)[inside])
-
-
-def range_m(moments: Sequence[Moment]) -> Series:
-    """Return the horizontal range between aircraft and target."""
-    return _over(
-        moments,
-        [math.hypot(m.aircraft_east_m - m.target_east_m, m.aircraft_north_m - m.target_north_m) for m in moments],
-    )
-
-
-def target_speed_m_s(moments: Sequence[Moment]) -> Series:
-    """Return the target's speed over the ground."""
-    return _over(moments, [math.hypot(m.target_velocity_east_m_s, m.target_velocity_north_m_s) for m in moments])
-
-
-def observation_rad(history: History) -> Series:
-    """Return the observation angle that the judge defines, NaN until the target has moved."""
-    judged = judge_moments(history.moments, history.requirements)
-    return Series(judged.time_s, judged.observation_rad)
+    return aircraft.time_s[inside], (rate_rad_s / speed_m_s)[inside]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,13 +55,8 @@ def estimate_errors(history: History) -> EstimateErrors | None:
     return EstimateErrors(*np.array(rows).T) if rows else None
 
 
-def normalised_innovations(history: History) -> Series:
-    """Return the NIS of the sightings that were compared (chi-square, 3), accepted or not."""
-    compared = [outcome for outcome in history.sightings if math.isfinite(outcome.nis)]
-    return Series(
-        np.array([outcome.sighting.time_s for outcome in compared]), np.array([one.nis for one in compared])
-    )
-
-
-def _over(moments: Sequence[Moment], values: list[float]) -> Series:
-    return Series(np.array([m.time_s for m in moments]), np.array(values, dtype=np.float64))
+def normalised_innovations(history: History) -> tuple[FloatArray, FloatArray]:
+    """Return times and the NIS of the sightings that were compared (chi-square, 3), accepted or not, shapes (n,)."""
+    compared = [(one.sighting.time_s, one.nis) for one in history.sightings if math.isfinite(one.nis)]
+    time_s, nis = np.array(compared).reshape(-1, 2).T
+    return time_s, nis

@@ -16,8 +16,8 @@ from sidelong.app.flight.recording import JOURNAL_TYPES, journalled_config
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.log import Log, open_log
+from sidelong.app.records.mapped_file import Progress, unseen
 from sidelong.app.records.run_folder import RunFolder, require_recording
-from sidelong.app.records.windows import Progress
 from sidelong.app.report.history import FlightRequirements, History, HistoryBuilder
 from sidelong.app.report.results import read_summary, summary_of
 from sidelong.estimators.frames import LocalPlane
@@ -41,7 +41,7 @@ def read_flight(
     path: Path,
     truth: Path | None = None,
     config: Path | None = None,
-    progress: Progress | None = None,
+    progress: Progress = unseen,
     *,
     target_needed: bool = True,
 ) -> Flown:
@@ -63,7 +63,7 @@ class Sink(Protocol):
     def command(self, command: Command) -> None: ...
 
 
-def feed(path: Path, sink: Sink, progress: Progress | None = None) -> None:
+def feed(path: Path, sink: Sink, progress: Progress = unseen) -> None:
     """Feed a run folder or a log that ``read_flight`` has read to something else. Raises InputError."""
     if path.is_dir():
         _feed_journal(JournalReader(RunFolder(path).journal, JOURNAL_TYPES, progress), sink)
@@ -79,14 +79,14 @@ def _feed_journal(journal: JournalReader, sink: Sink) -> None:
             sink.event(record)
 
 
-def _feed_log(log: Log, telemetry: Telemetry, sink: Sink, progress: Progress | None = None) -> None:
+def _feed_log(log: Log, telemetry: Telemetry, sink: Sink, progress: Progress = unseen) -> None:
     for message in log.messages(telemetry.wanted, progress):
         event = telemetry.event(message)
         if event is not None:
             sink.event(event)
 
 
-def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: Progress | None) -> Flown:
+def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: Progress) -> Flown:
     reader = JournalReader(folder.journal, JOURNAL_TYPES, progress)
     if reader.header.plane is None:
         raise InputError(f"{folder.path} holds no flight: it ended before the vehicle's position was known.")
@@ -106,9 +106,7 @@ def _run(folder: RunFolder, truth: Path | None, config: Path | None, progress: P
     return Flown(name, reader.header.program, settings, history, result, reader.damaged_lines)
 
 
-def _log(
-    path: Path, truth: Path | None, config: Path | None, progress: Progress | None, target_needed: bool
-) -> Flown:
+def _log(path: Path, truth: Path | None, config: Path | None, progress: Progress, target_needed: bool) -> Flown:
     settings = load_config(config)
     telemetry = Telemetry()
     builder = HistoryBuilder(tracker_of(settings))

@@ -110,7 +110,7 @@ def test_a_cut_off_run_is_judged_by_its_truth(flown):
     assert summary.outcome.startswith("the record ends early, at 300 s")
     assert summary.source == "truth"
     assert summary.moves == len(flown.history.plan_changes)
-    ranges_m = series.range_m(flown.history.moments).value
+    ranges_m = flown.history.judged.range_m
     assert summary.min_range_m == pytest.approx(ranges_m.min())
     assert summary.max_range_m == pytest.approx(ranges_m.max())
     assert 0.1 < summary.estimate_rmse_m < 3.0
@@ -162,8 +162,8 @@ def test_curvature_of_a_circle_is_one_over_its_radius(clockwise):
     course_rad = sign * time_s * 15.0 / 50.0
     wrapped_rad = np.arctan2(np.sin(course_rad), np.cos(course_rad))
     still = np.zeros_like(time_s)
-    flown = series.curvature_per_m(AircraftTrack(time_s, still, still, wrapped_rad, still + 15.0))
-    assert flown.value == pytest.approx(np.full(len(flown.value), sign / 50.0), rel=1e-6)
+    _, flown_per_m = series.curvature_per_m(AircraftTrack(time_s, still, still, wrapped_rad, still + 15.0))
+    assert flown_per_m == pytest.approx(np.full(len(flown_per_m), sign / 50.0), rel=1e-6)
 
 
 def test_the_observation_angle_counts_from_abeam_and_keeps_the_course_through_a_stop(flown):
@@ -173,7 +173,7 @@ def test_the_observation_angle_counts_from_abeam_and_keeps_the_course_through_a_
         Moment(float(n), east_m, north_m, 0.0, 0.0 if n else -12.0, 0.0, 0.0 if n > 1 else 12.0)
         for n, (east_m, north_m) in enumerate(places)
     )
-    before, *angles = series.observation_rad(replace(flown.history, moments=moments)).value
+    before, *angles = replace(flown.history, moments=moments).judged.observation_rad
     assert math.isnan(before)
     assert angles[0] == pytest.approx(0.0)
     assert angles[1] == pytest.approx(math.pi / 2)

@@ -16,7 +16,6 @@ from pyulog import ULog
 
 from sidelong.app.errors import InputError
 from sidelong.app.link.telemetry import Telemetry
-from sidelong.app.records import windows
 from sidelong.app.records.dataflash import read_dataflash
 from sidelong.app.records.log import open_log
 from sidelong.app.records.ulog import read_ulog
@@ -352,13 +351,6 @@ class TestDamage:
                 if isinstance(event, PositionReading):
                     tracker.estimate(event.time_s)
             assert tracker.sightings > 10
-
-    def test_entries_on_the_seams_of_the_windows_are_read_once(self, tmp_path, pieces, read, topics, monkeypatch):
-        path = write(tmp_path / "log", pieces())
-        at_once = sorted(read_all(read, path, topics))
-        for window_bytes in (1000, 4099):
-            monkeypatch.setattr(windows, "WINDOW_BYTES", window_bytes)
-            assert sorted(read_all(read, path, topics)) == at_once
 
 
 def read_all(read, path: Path, topics: list[str]) -> list[str]:
