@@ -49,6 +49,7 @@ async def _serve() -> None:
         server.app,
         http=GuardedProtocol,
         ws="none",
+        lifespan="off",
         log_level="error",
         access_log=False,
         server_header=False,

@@ -9,47 +9,27 @@ from __future__ import annotations
 
 import ipaddress
 import secrets
-from collections import OrderedDict
-from dataclasses import dataclass
 
 from sidelong.app.view.address import LOOPBACK
 
 _SESSIONS_MAX = 100
 
 
-@dataclass(slots=True)
-class Allowance:
-    """A bucket that fills by ``rate_s`` a second up to ``burst``; each use takes one."""
-
-    burst: float
-    rate_s: float
-    left: float
-    at_s: float
-
-    def used(self, now_s: float) -> bool:
-        """Take one, if there is one."""
-        self.left = min(self.burst, self.left + (now_s - self.at_s) * self.rate_s)
-        self.at_s = now_s
-        if self.left < 1.0:
-            return False
-        self.left -= 1.0
-        return True
-
-
 class Allowances:
-    """An allowance for each client address; the longest unused is forgotten."""
+    """A bucket for each client address, filled by ``rate_s`` a second up to ``burst``; the oldest is dropped."""
 
     def __init__(self, burst: float, rate_s: float, clients_max: int = 500) -> None:
         self._burst, self._rate_s, self._clients_max = burst, rate_s, clients_max
-        self._by_client: OrderedDict[str, Allowance] = OrderedDict()
+        self._left: dict[str, tuple[float, float]] = {}  # what is left, and since when
 
     def used(self, client: str, now_s: float) -> bool:
         """Take one of a client's, if there is one."""
-        allowance = self._by_client.setdefault(client, Allowance(self._burst, self._rate_s, self._burst, now_s))
-        self._by_client.move_to_end(client)
-        while len(self._by_client) > self._clients_max:
-            self._by_client.popitem(last=False)
-        return allowance.used(now_s)
+        left, at_s = self._left.pop(client, (self._burst, now_s))
+        left = min(self._burst, left + (now_s - at_s) * self._rate_s)
+        self._left[client] = (left - 1.0 if left >= 1.0 else left, now_s)
+        if len(self._left) > self._clients_max:
+            del self._left[next(iter(self._left))]
+        return left >= 1.0
 
 
 class Access:
@@ -59,7 +39,7 @@ class Access:
         self.local = host in LOOPBACK
         self._host = host
         self._tokens = {"operator": operator_token, "viewer": viewer_token}
-        self._sessions: OrderedDict[str, str] = OrderedDict()
+        self._sessions: dict[str, str] = {}  # the roles
         self._operator = ""
 
     def knows_host(self, name: str) -> bool:

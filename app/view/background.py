@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from sidelong.app.errors import InputError, missing_package
 
@@ -24,18 +24,10 @@ _FORMATS = ((b"\x89PNG\r\n\x1a\n", "image/png"), (b"\xff\xd8\xff", "image/jpeg")
 _SUFFIXES = ".mbtiles, .pmtiles, .png, .jpg or .webp"
 
 
-class Tiles(Protocol):
-    """Square pictures of the world in Web Mercator; zooms: the least and the greatest there is."""
-
-    zooms: tuple[int, int]
-
-    def tile(self, zoom: int, column: int, row: int) -> bytes | None:
-        """Return a tile, rows counted from north; None where there is none."""
-        ...
-
-
 class MbTiles:
-    """Tiles of an SQLite file, in which ``tiles`` is a table or a view.
+    """Square pictures of the world in Web Mercator, of an SQLite file, in which ``tiles`` is a table or a view.
+
+    zooms: the least and the greatest there is.
 
     A view is a program of whoever made the file, so each query has a time limit and each value a size limit.
 
@@ -52,7 +44,7 @@ class MbTiles:
         self.zooms = (int(least or 0), int(most or 0))
 
     def tile(self, zoom: int, column: int, row: int) -> bytes | None:
-        """Return a tile; the file counts rows from south."""
+        """Return a tile, rows counted from north (the file counts from south); None where there is none."""
         query = "select tile_data from tiles where zoom_level = ? and tile_column = ? and tile_row = ?"
         found = self._row(query, (zoom, column, (1 << zoom) - 1 - row), _TILE_WITHIN_S)
         return None if found is None else bytes(found[0])
@@ -95,7 +87,8 @@ class PmTiles:
         return next((bytes(data) for _, data in self._every()), b"")
 
 
-_OPENERS: dict[str, Callable[[Path], MbTiles | PmTiles]] = {".mbtiles": MbTiles, ".pmtiles": PmTiles}
+Tiles = MbTiles | PmTiles
+_OPENERS: dict[str, Callable[[Path], Tiles]] = {".mbtiles": MbTiles, ".pmtiles": PmTiles}
 
 
 @dataclass(frozen=True, slots=True)

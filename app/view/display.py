@@ -58,7 +58,7 @@ class ViewDisplay:
     ) -> None:
         self.url = self.viewer_url = ""
         self._fleet = tuple(fleet)
-        self._inner, self._config, self._address = inner, config, address
+        self._inner, self._config, self.address = inner, config, address
         self._name = name or ", ".join(config.link.connections) or f"simulated {config.simulation.autopilot}"
         self._encoder = StateEncoder(config.aircraft.airspeed_m_s, config.aircraft.height_m)
         self._feed: Feed | None = None
@@ -83,7 +83,7 @@ class ViewDisplay:
 
     def __enter__(self) -> ViewDisplay:
         """Start the server and wait for it. Raises InputError when it does not come up (port in use)."""
-        self._feed, self.url, self.viewer_url = start_page(self._address, fleet=self._fleet)
+        self._feed, self.url, self.viewer_url = start_page(self.address, fleet=self._fleet)
         self._setting = self._set()
         self.pump()
         return self
@@ -97,16 +97,6 @@ class ViewDisplay:
             self._feed = None
         if self._shading is not None:
             self._shading.close()
-
-    @property
-    def encrypted(self) -> bool:
-        """Whether the page is served by TLS."""
-        return self._address.cert is not None
-
-    @property
-    def opens_browser(self) -> bool:
-        """Whether a browser of this desktop is to show the page."""
-        return self._address.opens_browser
 
     async def keep_fresh(self) -> None:
         """Keep sending the state to the page while there are no events, until cancelled."""
@@ -176,11 +166,8 @@ class ViewDisplay:
         if feed is None or not feed.alive:
             return
         for line in feed.lines():
-            self._isolated("a request from the page", self._take, line)
+            self._isolated("a request from the page", lambda line: self._pressed(json.loads(line)), line)
         self._isolated("the page's state", self._send, feed)
-
-    def _take(self, line: bytes) -> None:
-        self._pressed(json.loads(line))
 
     def _send(self, feed: Feed) -> None:
         if feed.send(page_line(self._update())):
@@ -202,7 +189,7 @@ class ViewDisplay:
 
     def _set(self) -> Json:
         base = setting(self._config, self._encoder.plane, self._name, self._requirement, self._route)
-        return base | under_flight(self._address, self._shading)
+        return base | under_flight(self.address, self._shading)
 
     def _update(self) -> Json:
         update: Json = {"start_s": self._start_s, "trail": list(self._trail), "announcements": list(self._announced)}
@@ -249,10 +236,12 @@ async def served(view: View, announce: Callable[[str], object]) -> AsyncIterator
     """Serve a page inside the context; the callback receives its address."""
     with view:
         announce(f"live map: {view.url}")
-        opening = asyncio.create_task(asyncio.to_thread(webbrowser.open, view.url)) if view.opens_browser else None
+        opening = (
+            asyncio.create_task(asyncio.to_thread(webbrowser.open, view.url)) if view.address.opens_browser else None
+        )
         if view.viewer_url != view.url:
             announce(f"to watch only: {view.viewer_url}")
-            if not view.encrypted:
+            if view.address.cert is None:
                 announce("the map goes over the network unencrypted: --view-cert and --view-key encrypt it")
         fresh = asyncio.create_task(view.keep_fresh())
         try:

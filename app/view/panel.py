@@ -167,11 +167,9 @@ class PanelDisplay:
             table.add_row(Text(name, style="dim"), text)
         style = _PHASE_STYLES.get(shown.phase, "")
         title = Text(f" {shown.phase} · {shown.mode} · {self._time(shown)} ", style=f"bold {style}".strip())
-        return Panel(table, title=title, title_align="left", border_style=style or "none", width=min(self._width, 92))
-
-    @property
-    def _width(self) -> int:
-        return self._console.width
+        return Panel(
+            table, title=title, title_align="left", border_style=style or "none", width=min(self._console.width, 92)
+        )
 
     def _rows(self, shown: Snapshot) -> Iterator[tuple[str, Text]]:
         range_m, estimate, sensor_status = target_range_m(shown), shown.estimate, shown.sensor_status

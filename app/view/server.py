@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
+from starlette.datastructures import MutableHeaders
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response, StreamingResponse
 from starlette.routing import Route
@@ -32,17 +33,7 @@ from sidelong.app.view.background import Background, is_tile, media_type, readab
 Json = dict[str, Any]
 
 _COOKIE = "sidelong"
-_MEDIA = {
-    "index.html": "text/html",
-    "page.css": "text/css",
-    "page.js": "text/javascript",
-    "replay.js": "text/javascript",
-    "map.js": "text/javascript",
-    "plots.js": "text/javascript",
-    "alarms.js": "text/javascript",
-    "watch.js": "text/javascript",
-    "units.js": "text/javascript",
-}
+_MEDIA = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:; "
@@ -135,8 +126,7 @@ class Server:
         self._pictures = Allowances(burst=2000.0, rate_s=300.0)
         self._guesses = Allowances(burst=10.0, rate_s=0.2)
         self._presses = Allowances(burst=20.0, rate_s=5.0)
-        folder = files("sidelong.app.view") / "page"
-        self._files = {name: (folder / name).read_bytes() for name in _MEDIA}
+        self._files = {one.name: one.read_bytes() for one in (files("sidelong.app.view") / "page").iterdir()}
         routes = [
             Route("/", self._index),
             Route("/events", self._events),
@@ -182,15 +172,11 @@ class Server:
         """Return the application with what holds for every request and every answer."""
 
         async def app(scope: Scope, receive: Receive, send: Send) -> None:
-            if scope["type"] != "http":
-                await inner(scope, receive, send)
-                return
-
             async def with_headers(message: Message) -> None:
                 if message["type"] == "http.response.start":
-                    own = [(name.lower().encode(), value.encode()) for name, value in _HEADERS.items()]
-                    given = {name for name, _ in message["headers"]}
-                    message["headers"] = [*message["headers"], *(one for one in own if one[0] not in given)]
+                    given = MutableHeaders(scope=message)
+                    for name, value in _HEADERS.items():
+                        given.setdefault(name, value)
                 await send(message)
 
             answer: ASGIApp = self._unwanted(Request(scope)) or inner
@@ -207,7 +193,7 @@ class Server:
             return PlainTextResponse("this page is served at the address that was printed only", 403)
         if request.headers.get("sec-fetch-site", "none") == "cross-site" and request.url.path != "/":
             return PlainTextResponse("another site asks for this", 403)
-        return None
+        return None if request.url.path == "/" else self._refused(request)
 
     def _refused(self, request: Request) -> Response | None:
         if self._access.sees(request.cookies.get(_COOKIE, "")):
@@ -229,32 +215,22 @@ class Server:
 
     async def _file(self, request: Request) -> Response:
         name = request.path_params["name"]
-        return self._refused(request) or (
-            self._static(name) if name in _MEDIA else PlainTextResponse("not found", 404)
-        )
+        return self._static(name) if name in self._files else PlainTextResponse("not found", 404)
 
     def _static(self, name: str) -> Response:
-        return Response(self._files[name], media_type=_MEDIA[name])
+        return Response(self._files[name], media_type=_MEDIA[name.rpartition(".")[2]])
 
     async def _tile(self, request: Request) -> Response:
-        refused = self._refused(request)
-        if refused is not None:
-            return refused
         at = tuple(request.path_params[name] for name in ("zoom", "column", "row"))
         return _shown(readable_tile(self._tiles, *at) if self._tiles is not None and is_tile(*at) else None)
 
     async def _picture(self, request: Request) -> Response:
-        return self._refused(request) or _shown(
-            _content(self._under.path if self._under and not self._tiles else None)
-        )
+        return _shown(_content(self._under.path if self._under and not self._tiles else None))
 
     async def _shading(self, request: Request) -> Response:
-        return self._refused(request) or _shown(_content(self._shade))
+        return _shown(_content(self._shade))
 
     async def _events(self, request: Request) -> Response:
-        refused = self._refused(request)
-        if refused is not None:
-            return refused
         if len(self._pages) >= _PAGES_MAX:
             return PlainTextResponse("too many pages are open", 503)
         return StreamingResponse(self._stream(), media_type="text/event-stream")
@@ -270,9 +246,6 @@ class Server:
             self._pages.discard(page)
 
     async def _pressed(self, request: Request) -> Response:
-        refused = self._refused(request)
-        if refused is not None:
-            return refused
         # A page of another origin can neither send this content type unasked nor leave out or forge its Origin.
         own_origin = f"{request.url.scheme}://{request.headers.get('host', '')}"
         if request.headers.get("origin") != own_origin or request.headers.get("content-type") != "application/json":

@@ -40,7 +40,7 @@ class Shading:
 
     def _make(self, config: Config, plane: LocalPlane) -> None:
         try:
-            ground = ground_of(config, plane, (plane.origin_latitude_deg, plane.origin_longitude_deg))
+            ground = ground_of(config, plane, None)
         except InputError:
             return  # the flight itself refuses it in words
         if ground is not None:
