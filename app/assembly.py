@@ -272,9 +272,9 @@ def fence_check(config: Config, plane: LocalPlane) -> Callable[[Plan], str | Non
 
 
 def settle(
-    controller: StandoffController, config: Config, plane: LocalPlane, home_deg: tuple[float, float]
+    controller: StandoffController, config: Config, plane: LocalPlane, home_deg: tuple[float, float] | None
 ) -> Ground | None:
-    """Pass fences and ground to the control step, once the plane and home (latitude, longitude, degrees) are known.
+    """Pass fences and ground to the control step, once the plane is known, and home as in ``ground_of``.
 
     Returns the ground, None if no elevation data is configured. Raises InputError if a fence is not a valid polygon,
     or if the elevation data is unusable.
@@ -318,8 +318,19 @@ def settle(
     return ground
 
 
-def ground_of(config: Config, plane: LocalPlane, home_deg: tuple[float, float]) -> Ground | None:
-    """Return the ground about home, None where no elevation data is configured. Raises InputError."""
+def ground_of(config: Config, plane: LocalPlane, home_deg: tuple[float, float] | None) -> Ground | None:
+    """Return the ground about home, None where no elevation data is configured.
+
+    Args:
+        config: The configuration.
+        plane: The local plane.
+        home_deg: Latitude and longitude of home; None if it is not known: it is then taken at the plane's origin.
+
+    Raises:
+        InputError: The elevation data is unusable.
+
+    """
     if config.terrain.folder is None:
         return None
+    home_deg = home_deg or (plane.origin_latitude_deg, plane.origin_longitude_deg)
     return elevation_data(Path(config.terrain.folder)).ground(plane, home_deg, config.terrain.sigma_m)

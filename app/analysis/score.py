@@ -42,11 +42,6 @@ Asked = Sequence[tuple[float, Requirement]]
 """(since, requirement) in order of time, at least one: an operator may change it in flight."""
 
 
-def asked_at(asked: Asked, time_s: float) -> Requirement:
-    """Return the requirement at a time; times before the first requirement use the first."""
-    return next((one for since_s, one in reversed(asked) if since_s <= time_s), asked[0][1])
-
-
 def middle_rad(requirement: Requirement, course_rad: Angle) -> Angle | float:
     """Return the direction from the target to the centre of the required observation sector.
 

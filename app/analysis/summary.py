@@ -64,43 +64,42 @@ class Summary:
     def table(self) -> Table:
         """Return the summary as a table for the terminal."""
         table = Table(show_header=False, box=None, pad_edge=False)
-        if self.time_unknown is not None and self.time_unknown > _UNKNOWN_MAX:
-            share = _percent(self.time_unknown)
-            table.add_row("attention", f"{share} of the time is unknown: inputs were missing or contradictory")
-        for name, text in (
-            ("outcome", self.outcome),
-            ("watched", f"{self.duration_s:.0f} s"),
-            ("time in band", _percent(self.time_in_band)),
-            ("time on side", _percent(self.time_on_side)),
-            ("time unknown", _percent(self.time_unknown)),
-            ("by the target's present course", _percent(self.time_on_side_now)),
-            ("range", _between(self.min_range_m, self.max_range_m)),
-            *self._ground_rows(),
-            ("judged by", self.source),
-            ("moves of the circle", _moves(self.moves, self.reversals)),
-            ("uploads", f"{self.uploads}, failed {self.upload_failures}"),
-            ("sightings", f"{self.sightings}, rejected {self.rejected}"),
-            ("error of the estimate (RMS)", "-" if self.estimate_rmse_m is None else f"{self.estimate_rmse_m:.2f} m"),
-        ):
-            table.add_row(name, text)
-        if self.gimbal_delay_s is not None and self.range_delay_s is not None:
-            table.add_row(
-                "delay of the payload", f"gimbal {self.gimbal_delay_s:.2f} s, laser {self.range_delay_s:.2f} s"
-            )
-        if self.battery_percent is not None:
-            table.add_row("battery", "from {} to {} %".format(*self.battery_percent))
-        if self.records_lost:
-            table.add_row("records", f"incomplete: {self.records_lost}")
-        for link in self.links:
-            table.add_row(f"link {link['url']}", describe_link(link))
+        for row in self.rows():
+            table.add_row(*row)
         return table
 
-    def _ground_rows(self) -> Iterator[tuple[str, str]]:
-        """Yield the values that need elevation data."""
+    def rows(self) -> Iterator[tuple[str, str]]:
+        """Yield names and values as a person reads them."""
+        if self.time_unknown is not None and self.time_unknown > _UNKNOWN_MAX:
+            share = _percent(self.time_unknown)
+            yield "attention", f"{share} of the time is unknown: inputs were missing or contradictory"
+        yield "outcome", self.outcome
+        yield "watched", f"{self.duration_s:.0f} s"
+        yield "time in band", _percent(self.time_in_band)
+        yield "time on side", _percent(self.time_on_side)
+        yield "time unknown", _percent(self.time_unknown)
+        yield "by the target's present course", _percent(self.time_on_side_now)
+        known = self.min_range_m is not None and self.max_range_m is not None
+        yield "range", f"{self.min_range_m:.0f} to {self.max_range_m:.0f} m" if known else "-"
         if self.time_in_sight is not None:
             yield "time in sight", _percent(self.time_in_sight)
         if self.min_clearance_m is not None:
             yield "least height over the ground", f"{self.min_clearance_m:.0f} m"
+        yield "judged by", self.source
+        reversals = "" if self.reversals is None else f", {self.reversals} of them within 10 s of the last one"
+        yield "moves of the circle", f"{self.moves}{reversals}"
+        yield "uploads", f"{self.uploads}, failed {self.upload_failures}"
+        yield "sightings", f"{self.sightings}, rejected {self.rejected}"
+        error_m = self.estimate_rmse_m
+        yield "error of the estimate (RMS)", "-" if error_m is None else f"{error_m:.2f} m"
+        if self.gimbal_delay_s is not None and self.range_delay_s is not None:
+            yield "delay of the payload", f"gimbal {self.gimbal_delay_s:.2f} s, laser {self.range_delay_s:.2f} s"
+        if self.battery_percent is not None:
+            yield "battery", "from {} to {} %".format(*self.battery_percent)
+        if self.records_lost:
+            yield "records", f"incomplete: {self.records_lost}"
+        for link in self.links:
+            yield f"link {link['url']}", describe_link(link)
 
 
 def describe_link(link: dict[str, Any]) -> str:
@@ -238,16 +237,8 @@ def summarise(
     )
 
 
-def _moves(moves: int, reversals: int | None) -> str:
-    return str(moves) if reversals is None else f"{moves}, {reversals} of them within 10 s of the last one"
-
-
 def _percent(fraction: float | None) -> str:
     return "-" if fraction is None else f"{100.0 * fraction:.1f} %"
-
-
-def _between(least: float | None, greatest: float | None) -> str:
-    return "-" if least is None or greatest is None else f"{least:.0f} to {greatest:.0f} m"
 
 
 def describe_calibration(calibration: Calibration, delays: Delays | None) -> str:

@@ -115,17 +115,12 @@ def read_truth(path: Path) -> Truth:
             missing = [name for name in _COLUMNS if name not in columns]
             if missing:
                 raise InputError(f"{path} is no truth file: it lacks the column {missing[0]}.")
-            places = [columns.index(name) for name in _COLUMNS]
-            known = all(name in columns for name in _GROUND_COLUMNS)
-            ground_places = [columns.index(name) for name in _GROUND_COLUMNS] if known else []
-            name_place = columns.index(_NAME_COLUMN) if _NAME_COLUMN in columns else None
             while line := file.readline(_LINE_MAX_CHARACTERS):
-                texts = line.split(",")
-                row = _row(texts, places)
+                texts = dict(zip(columns, line.split(","), strict=False))
+                row = _row(texts, _COLUMNS)
                 if row is not None:
-                    rows[row[0]] = row[1:] + (_row(texts, ground_places) or [math.nan, math.nan])
-                    named = name_place is not None and name_place < len(texts)
-                    names[row[0]] = texts[name_place].strip() if named and name_place is not None else ""
+                    rows[row[0]] = row[1:] + (_row(texts, _GROUND_COLUMNS) or [math.nan, math.nan])
+                    names[row[0]] = texts.get(_NAME_COLUMN, "").strip()
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); give a CSV file with the true track.") from error
     if len(rows) < 2:
@@ -162,9 +157,9 @@ def truth_if_whole(path: Path | None, until_s: float, announce: Callable[[str], 
     return truth
 
 
-def _row(texts: list[str], places: list[int]) -> list[float] | None:
+def _row(texts: dict[str, str], columns: Sequence[str]) -> list[float] | None:
     try:
-        row = [float(texts[place]) for place in places]
-    except (IndexError, ValueError):
+        row = [float(texts[name]) for name in columns]
+    except (KeyError, ValueError):
         return None
     return row if all(abs(value) <= _GREATEST for value in row) else None  # NaN is not, either

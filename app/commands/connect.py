@@ -28,11 +28,9 @@ from sidelong.app.link.parameters import read_table
 from sidelong.app.link.queries import home_of, mode_of
 from sidelong.app.link.telemetry import Telemetry
 from sidelong.app.link.url import checked_url
-from sidelong.app.link.vehicle import Vehicle
 from sidelong.app.payload.address import read_payload
 from sidelong.app.payload.registry import KIND_NAMES
 from sidelong.app.records.sensing import Sensing
-from sidelong.estimators.filters.biases import Delays
 
 
 def connect(
@@ -112,11 +110,19 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
     ):
         vehicle, autopilot = session.vehicle, session.autopilot
         await ask_for_streams(vehicle)
-        sources, delays, inputs = SourceRates(vehicle), _Delays(config, vehicle), InputHealth(config, vehicle)
+        sources, inputs, tracker = SourceRates(vehicle), InputHealth(config, vehicle), tracker_of(config)
+        telemetry, sensing = Telemetry(vehicle.system_id), Sensing(tracker)
+
+        def estimate_delays(message: Message) -> None:
+            event = telemetry.event(message)
+            if event is not None:
+                sensing.take(event)
+
+        vehicle.listeners.append(estimate_delays)
         rates = await sources.received(listen_s, config.sharing)
         inputs.close()
         sources.close()
-        delays.close()
+        vehicle.listeners.remove(estimate_delays)
         home = await home_of(vehicle)
         parameters = await read_table(vehicle, autopilot, session.release)
         values, notes = parameters.values, parameters.notes()
@@ -150,7 +156,9 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
         status = None if payload is None else payload.status()
         for line in () if status is None else payload_lines(config.payload.kind, status):
             console.print(line, soft_wrap=True)
-        console.print(f"delays of the payload's stamps: {delays}", soft_wrap=True)
+        delays, taken = tracker.delays, f"taken as {tracker.latency_s:g} s (sensors.latency_s)"
+        unknown = f"{taken}; estimated in flight, here only with --listen 300"  # it takes minutes of circling
+        console.print(f"delays of the payload's stamps: {delays or unknown}", soft_wrap=True)
         return {
             "autopilot": autopilot.name,
             "release": None if session.release is None else str(session.release),
@@ -162,35 +170,6 @@ async def _report(urls: list[str], config: Config, listen_s: float) -> dict[str,
             "parameters": {note.name: note.value for note in notes},
             "limits": asdict(autopilot.limits(values)),
             "payload": None if status is None else payload_values(status),
-            "delays": None if delays.found is None else asdict(delays.found),
+            "delays": None if delays is None else asdict(delays),
             "sources": [{**asdict(rate), "use": uses[str(rate)]} for rate in rates],
         }
-
-
-class _Delays:
-    """Estimates the payload's delays while it listens, which takes minutes of circling."""
-
-    def __init__(self, config: Config, vehicle: Vehicle) -> None:
-        self._vehicle, self._tracker = vehicle, tracker_of(config)
-        self._telemetry, self._sensing = Telemetry(vehicle.system_id), Sensing(self._tracker)
-        vehicle.listeners.append(self._on_message)
-
-    def _on_message(self, message: Message) -> None:
-        event = self._telemetry.event(message)
-        if event is not None:
-            self._sensing.take(event)
-
-    def close(self) -> None:
-        """Listen no more."""
-        self._vehicle.listeners.remove(self._on_message)
-
-    @property
-    def found(self) -> Delays | None:
-        """The delays, None while they are not known."""
-        return self._tracker.delays
-
-    def __str__(self) -> str:
-        if self.found is not None:
-            return str(self.found)
-        taken_s = self._tracker.latency_s
-        return f"taken as {taken_s:g} s (sensors.latency_s); estimated in flight, here only with --listen 300"

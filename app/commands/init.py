@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
-from annotated_types import Ge, Gt, Le, Lt
 from pydantic.fields import FieldInfo
 
 from sidelong.app.commands.output import console
@@ -19,6 +18,7 @@ from sidelong.app.fleet.fleet_file import LAYER_M, FleetAircraftSection, TargetS
 from sidelong.app.presets import PAYLOAD_PRESETS, PRESETS, PayloadPreset, Preset
 
 _WIDTH = 112
+_LIMITS = {"ge": "at least", "gt": "more than", "le": "at most", "lt": "less than"}
 # What a key that is not set, or an empty list, would look like.
 _EXAMPLES = {
     "control.rc_channel": 9,
@@ -190,17 +190,12 @@ def limits_in_words(field: FieldInfo) -> str:
     """Return the limits of a field in words, '' where it has none."""
     if get_origin(field.annotation) is Literal:
         return f"One of {', '.join(toml(value) for value in get_args(field.annotation))}."
-    words = []
-    for limit in field.metadata:
-        match limit:
-            case Ge(ge=bound):
-                words.append(f"at least {bound:g}")
-            case Gt(gt=bound):
-                words.append(f"more than {bound:g}")
-            case Le(le=bound):
-                words.append(f"at most {bound:g}")
-            case Lt(lt=bound):
-                words.append(f"less than {bound:g}")
+    words = [
+        f"{words} {getattr(limit, key):g}"
+        for limit in field.metadata
+        for key, words in _LIMITS.items()
+        if hasattr(limit, key)
+    ]
     return f"{', '.join(words).capitalize()}." if words else ""
 
 

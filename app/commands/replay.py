@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -45,6 +45,8 @@ from sidelong.mission.core.events import ControlAcquired
 from sidelong.mission.exchange.dialect import Home
 from sidelong.mission.exchange.mission_controller import MissionController
 
+_Changes = dict[str, dict[str, Any]]
+
 
 def replay(
     log: Annotated[Path, typer.Argument(help="A run folder of ours, or a log: tlog, PX4 ULog, ArduPilot .bin.")],
@@ -83,8 +85,7 @@ def replay(
     require_recording(log)
     if view and verify:
         raise InputError("--verify compares, --view shows; give one of them.")
-    if truth is not None:
-        read_truth(truth)  # report a wrong file before any computation
+    judged_by = None if truth is None else read_truth(truth)  # a wrong file is reported before any computation
     address = page_address(view, LOOPBACK[0], view_port, None, None, map_file, map_bounds)
     fleet = FleetFolder(log)
     if fleet.journal.is_file():
@@ -94,33 +95,63 @@ def replay(
             )
 
         def one(folder: RunFolder) -> Summary:
-            return _replay_run(folder.path, truth, None, changes, verify, quiet)
+            return _replay_run(folder, judged_by, None, changes, verify, quiet)
 
         from sidelong.app.commands.replay_fleet import replay_fleet  # noqa: PLC0415  # it takes half a second to load
 
         write_json(json, replay_fleet(fleet, one, verify))
         return
-    if log.is_dir() or log.suffix == ".jsonl":
-        if address is not None:
-            _show_run(log, truth, config, changes, _Shown(f"replay of {log.name}", address, view_speed, quiet, json))
-            return
-        result = _replay_run(log, truth, config, changes, verify, quiet)
-    elif verify:
+    is_run = log.is_dir() or log.suffix == ".jsonl"
+    if verify and not is_run:
         raise InputError(f"{log}: --verify needs a run folder of ours; a log holds no decisions to compare.")
+    folder = RunFolder.open(log if log.is_dir() else log.parent) if is_run else None
+    frames = None if address is None else Frames()
+    if folder is None:
+        settings = load_config(config, changes)  # a wrong --set is reported before any computation
+        settings = settings if frames is None else load_config(config)
+        result = _replay_log(log, judged_by, settings, quiet, frames)
     else:
-        if address is not None:
-            _show_log(log, truth, config, changes, _Shown(f"replay of {log.name}", address, view_speed, quiet, json))
-            return
-        result = _replay_log(log, truth, load_config(config, changes), quiet)
+        # A page shows the flown decisions, and those with other values alongside.
+        result = _replay_run(folder, judged_by, config, changes if frames is None else {}, verify, quiet, frames)
     console.print(result.table())
     write_json(json, result.as_json())
+    if address is not None and frames is not None:
+        _show(log, folder, frames, config, changes, address, view_speed)
 
 
-_Changes = dict[str, dict[str, Any]]
+def _show(
+    log: Path,
+    run: RunFolder | None,
+    frames: Frames,
+    config: Path | None,
+    changes: _Changes,
+    address: Address,
+    speed: float,
+) -> None:
+    """Serve the replay's page until the operator closes it, with what other values would have decided."""
+    name = f"replay of {log.name}"
+    if not frames.times_s:
+        raise InputError(f"{name}: there is nothing to show, it contains no position of the vehicle.")
+    journal = None if run is None else JournalReader(run.journal, JOURNAL_TYPES)
+    flown = load_config(config) if config is not None or journal is None else journalled_config(journal)
+    changed = with_values(flown, changes, "--set")
+    what_if = None if changed == flown else Frames()
+    if what_if is not None and journal is None:
+        _replay_log(log, None, changed, True, what_if)
+    elif what_if is not None and journal is not None:
+        controller = controller_of(changed, table_progress(console.print), console.print, _planner_of(changed))
+        plane = journal.header.plane
+        if plane is not None:
+            settle(controller, changed, plane, journal.header.home_deg)
+        for _ in what_if.noted(Proposals(controller).follow(journal), _encoder(changed), proposals=True):
+            pass
+    from sidelong.app.view.replay_page import serve_replay  # noqa: PLC0415  # it takes a third of a second to load
+
+    serve_replay(frames, what_if, flown, address, name, speed, lambda text: console.print(text, soft_wrap=True))
 
 
-def _changes(given: list[str], planner: str | None) -> dict[str, dict[str, Any]]:
-    changes: dict[str, dict[str, Any]] = {"planner": {"name": planner}}
+def _changes(given: list[str], planner: str | None) -> _Changes:
+    changes: _Changes = {"planner": {"name": planner}}
     for one in given:
         key, equals, value = one.partition("=")
         section, dot, name = key.partition(".")
@@ -131,7 +162,7 @@ def _changes(given: list[str], planner: str | None) -> dict[str, dict[str, Any]]
 
 
 def _replay_log(
-    path: Path, truth: Path | None, settings: Config, quiet: bool, frames: Frames | None = None
+    path: Path, truth: Truth | None, settings: Config, quiet: bool, frames: Frames | None = None
 ) -> Summary:
     from sidelong.app.link.telemetry import Telemetry  # noqa: PLC0415  # a run of ours is read without
     from sidelong.app.records.log import open_log  # noqa: PLC0415
@@ -142,8 +173,7 @@ def _replay_log(
 
     def fence(plane: LocalPlane) -> None:
         # A log does not hold the home position: the first position of an aircraft on the ground is near it.
-        origin_deg = (plane.origin_latitude_deg, plane.origin_longitude_deg)
-        judged.collector.ground = settle(controller, settings, plane, origin_deg)
+        judged.collector.ground = settle(controller, settings, plane, None)
         if frames is not None:
             frames.plane = plane
 
@@ -155,22 +185,21 @@ def _replay_log(
         replayed = steps.run(messages)
         judged.follow(replayed if frames is None else frames.noted(replayed, _encoder(settings), proposals=True))
     require_sightings(controller.tracker.sightings, log)
-    result = judged.summary(read_truth(truth) if truth is not None else None, steps.plane, judged.first_estimate_s)
+    result = judged.summary(truth, steps.plane, judged.first_estimate_s)
     console.print(describe_calibration(controller.tracker.calibration, controller.tracker.delays))
     # Nothing was uploaded here: what the planner would have sent counts as moves.
     return replace(result, moves=result.uploads, uploads=0, upload_failures=0)
 
 
 def _replay_run(
-    path: Path,
-    truth: Path | None,
+    folder: RunFolder,
+    truth: Truth | None,
     config: Path | None,
-    changes: dict[str, dict[str, Any]],
+    changes: _Changes,
     verify: bool,
     quiet: bool,
     frames: Frames | None = None,
 ) -> Summary:
-    folder = RunFolder.open(path if path.is_dir() else path.parent)
     progress, task = progress_bar(folder.path.name)
     with progress:
         journal = JournalReader(folder.journal, JOURNAL_TYPES, lambda share: progress.update(task, completed=share))
@@ -178,16 +207,13 @@ def _replay_run(
         settings = with_values(flown, changes, "--set")
         if verify and settings != flown:
             raise InputError("--verify compares like with like; leave out --planner, --set and --config.")
-        kind = _planner_of(settings)
-        controller = controller_of(settings, table_progress(console.print), console.print, kind)
-        plane, ground = journal.header.plane, None
+        controller = controller_of(settings, table_progress(console.print), console.print, _planner_of(settings))
+        judged = _Judged(settings, controller, progress, quiet or verify, of_a_flight=True)
+        plane = journal.header.plane
         if plane is not None:
-            origin_deg = (plane.origin_latitude_deg, plane.origin_longitude_deg)
-            ground = settle(controller, settings, plane, journal.header.home_deg or origin_deg)
+            judged.collector.ground = settle(controller, settings, plane, journal.header.home_deg)
         repeats = settings == flown
         steps = JournalReplay(controller, _exchange_of(settings, controller, journal.header) if repeats else None)
-        judged = _Judged(settings, steps.controller, progress, quiet or verify, of_a_flight=True)
-        judged.collector.ground = ground
         replayed = steps.run(journal)
         if frames is not None:
             frames.plane = plane
@@ -199,13 +225,13 @@ def _replay_run(
     elif steps.difference is not None and not quiet:
         console.print(Text(f"first difference from the flight {steps.difference}"))
     if truth is None and folder.truth.is_file():
-        truth = folder.truth
+        truth = read_truth(folder.truth)
     start_s = judged.engaged_s if judged.engaged_s is not None else judged.first_estimate_s
     truncated = folder.truncated()
     if truncated:
-        at = clock(max(steps.controller.time_s - (start_s or 0.0), 0.0))
+        at = clock(max(controller.time_s - (start_s or 0.0), 0.0))
         console.print(f"the record ends early, at {at}: {truncated}", soft_wrap=True)
-    return judged.summary(read_truth(truth) if truth is not None else None, journal.header.plane, start_s)
+    return judged.summary(truth, plane, start_s)
 
 
 def _sameness(steps: JournalReplay) -> str:
@@ -231,62 +257,6 @@ def _exchange_of(settings: Config, controller: StandoffController, header: Heade
         return None
     home = Home(*header.home_deg, header.home_altitude_m)
     return mission_controller_of(settings, controller, autopilot, header.plane, home)
-
-
-@dataclass(frozen=True, slots=True)
-class _Shown:
-    """Options for a replay on the page and for its summary."""
-
-    name: str
-    address: Address
-    speed: float
-    quiet: bool
-    json: Path | None
-
-    def serve(self, result: Summary, frames: Frames, what_if: Frames | None, settings: Config) -> None:
-        """Print the summary, then serve the page until the operator closes it."""
-        console.print(result.table())
-        write_json(self.json, result.as_json())
-        if not frames.times_s:
-            raise InputError(f"{self.name}: there is nothing to show, it contains no position of the vehicle.")
-        from sidelong.app.view.replay_page import serve_replay  # noqa: PLC0415  # it takes a third of a second to load
-
-        serve_replay(
-            frames,
-            what_if,
-            settings,
-            self.address,
-            self.name,
-            self.speed,
-            lambda text: console.print(text, soft_wrap=True),
-        )
-
-
-def _show_run(path: Path, truth: Path | None, config: Path | None, changes: _Changes, shown: _Shown) -> None:
-    frames, what_if = Frames(), None
-    result = _replay_run(path, truth, config, {}, False, shown.quiet, frames)
-    journal = JournalReader(RunFolder.open(path if path.is_dir() else path.parent).journal, JOURNAL_TYPES)
-    flown = load_config(config) if config is not None else journalled_config(journal)
-    changed = with_values(flown, changes, "--set")
-    if changed != flown:
-        what_if, kind = Frames(), _planner_of(changed)
-        controller = controller_of(changed, table_progress(console.print), console.print, kind)
-        plane, home_deg = journal.header.plane, journal.header.home_deg
-        if plane is not None:
-            settle(controller, changed, plane, home_deg or (plane.origin_latitude_deg, plane.origin_longitude_deg))
-        for _ in what_if.noted(Proposals(controller).follow(journal), _encoder(changed), proposals=True):
-            pass
-    shown.serve(result, frames, what_if, flown)
-
-
-def _show_log(path: Path, truth: Path | None, config: Path | None, changes: _Changes, shown: _Shown) -> None:
-    frames, what_if = Frames(), None
-    settings, changed = load_config(config), load_config(config, changes)
-    result = _replay_log(path, truth, settings, shown.quiet, frames)
-    if changed != settings:
-        what_if = Frames()
-        _replay_log(path, truth, changed, True, what_if)
-    shown.serve(result, frames, what_if, settings)
 
 
 def _encoder(settings: Config) -> StateEncoder:

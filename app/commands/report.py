@@ -10,7 +10,7 @@ import typer
 
 from sidelong.app.analysis.truth import read_truth
 from sidelong.app.commands.output import console
-from sidelong.app.commands.progress import progress_bar
+from sidelong.app.commands.progress import share_progress
 from sidelong.app.errors import InputError
 from sidelong.app.records.run_folder import FleetFolder, require_recording
 
@@ -59,9 +59,8 @@ def write_report(
     from sidelong.app.report.page import report_page, save_png  # noqa: PLC0415
     from sidelong.app.report.sources import read_flight  # noqa: PLC0415
 
-    progress, task = progress_bar(run.name)
-    with progress:
-        flown = read_flight(run, truth, config, lambda share: progress.update(task, completed=share))
+    with share_progress(f"reading {run.name}") as progress:
+        flown = read_flight(run, truth, config, progress)
     _write(out, report_page(flown))
     if png is not None:
         try:
@@ -78,9 +77,8 @@ def write_fleet_report(folder: FleetFolder, out: Path) -> None:
     from sidelong.app.fleet.page import fleet_page  # noqa: PLC0415
     from sidelong.app.report.page import report_page  # noqa: PLC0415
 
-    progress, task = progress_bar(folder.path.name)
-    with progress:
-        flown = read_fleet(folder, lambda share: progress.update(task, completed=share))
+    with share_progress(f"reading {folder.path.name}") as progress:
+        flown = read_fleet(folder, progress)
     pages = {one.name: folder.path / one.name / "report.html" for one in flown.aircraft}
     for one in flown.aircraft:
         _write(pages[one.name], report_page(one.flown))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -67,6 +67,14 @@ def _at(times_s: np.ndarray, moments: Sequence[object]) -> np.ndarray:
     return np.column_stack([np.interp(times_s, known[:, 0], known[:, axis]) for axis in (1, 2)])
 
 
+def _animated(seconds: float, timing: str = "", **values: Iterable[float]) -> Iterator[str]:
+    """Return the motion of a shape's attributes, each of which takes its values one after the other."""
+    for name, several in values.items():
+        listed = ";".join(f"{value:.1f}" for value in several)
+        repeat = f'{timing} dur="{seconds:.1f}s" repeatCount="indefinite"'
+        yield f'<animate attributeName="{name}" values="{listed}"{repeat}/>'
+
+
 def _moving(points: np.ndarray, kind: str, seconds: float, shape: str) -> Iterator[str]:
     path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
     repeat = f'dur="{seconds:.1f}s" repeatCount="indefinite"'
@@ -77,38 +85,24 @@ def _moving(points: np.ndarray, kind: str, seconds: float, shape: str) -> Iterat
 
 
 def _sight(aircraft: np.ndarray, target: np.ndarray, seconds: float) -> Iterator[str]:
+    (x1, y1), (x2, y2) = aircraft.T, target.T
     yield '<line class="target" stroke-dasharray="4 4" opacity=".6">'
-    for name, values in (
-        ("x1", aircraft[:, 0]),
-        ("y1", aircraft[:, 1]),
-        ("x2", target[:, 0]),
-        ("y2", target[:, 1]),
-    ):
-        listed = ";".join(f"{value:.1f}" for value in values)
-        yield f'<animate attributeName="{name}" values="{listed}" dur="{seconds:.1f}s" repeatCount="indefinite"/>'
+    yield from _animated(seconds, x1=x1, y1=y1, x2=x2, y2=y2)
     yield "</line>"
 
 
 def _circles(flight: Flight, times_s: np.ndarray, seconds: float, placed: Placed, scale: float) -> Iterator[str]:
     """Draw the circle that is commanded at each moment: one shape that jumps."""
-    circles = [(max(since_s, times_s[0]), one) for since_s, one in flight.circles if since_s < times_s[-1]]
-    circles = [
-        one for one, later in zip(circles, [*circles[1:], None], strict=True) if not later or later[0] > one[0]
-    ]
+    begun = [(max(since_s, times_s[0]), one) for since_s, one in flight.circles if since_s < times_s[-1]]
+    circles = dict(begun)  # of those from before the first moment, the last
     if not circles:
         return
-    centres = placed(np.array([(one.east_m, one.north_m) for _, one in circles]))
-    moments = ";".join(f"{(since_s - times_s[0]) / (len(times_s) * _STEP_S):.4f}" for since_s, _ in circles)
-    moments = "0" + moments[moments.index(";") :] if ";" in moments else "0"
-    timing = f'calcMode="discrete" keyTimes="{moments}" dur="{seconds:.1f}s" repeatCount="indefinite"'
+    centres = placed(np.array([(one.east_m, one.north_m) for one in circles.values()]))
+    moments = [f"{(since_s - times_s[0]) / (len(times_s) * _STEP_S):.4f}" for since_s in circles]
+    timing = f' calcMode="discrete" keyTimes="{";".join(["0", *moments[1:]])}"'
     yield '<circle class="now" stroke-width="2">'
-    for name, values in (
-        ("cx", centres[:, 0]),
-        ("cy", centres[:, 1]),
-        ("r", [scale * c.radius_m for _, c in circles]),
-    ):
-        listed = ";".join(f"{value:.1f}" for value in values)
-        yield f'<animate attributeName="{name}" values="{listed}" {timing}/>'
+    radii = [scale * one.radius_m for one in circles.values()]
+    yield from _animated(seconds, timing, cx=centres[:, 0], cy=centres[:, 1], r=radii)
     yield "</circle>"
 
 

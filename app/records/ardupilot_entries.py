@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from sidelong.app.records.entry import Entry, Made, Translator
+from sidelong.app.records.entry import Entry, Made, Translator, global_position
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 
 _GPS_EPOCH_S = 315_964_800  # 1980-01-06
@@ -60,40 +60,20 @@ class ArdupilotMessages(Translator):
         yield from ()
 
     def _position(self, entry: Entry) -> Made:
-        fields = entry.fields
-        if self._velocity_ned_m_s is None:
-            return
-        vx, vy, vz = (100.0 * component_m_s for component_m_s in self._velocity_ned_m_s)
-        if all(map(math.isfinite, (fields["Alt"], fields["RelHomeAlt"], vx, vy, vz))):
-            yield (
-                "GLOBAL_POSITION_INT",
-                {
-                    "time_boot_ms": entry.time_us * 1e-3,
-                    "lat": round(fields["Lat"] * 1e7),
-                    "lon": round(fields["Lng"] * 1e7),
-                    "alt": 1e3 * fields["Alt"],
-                    "relative_alt": 1e3 * fields["RelHomeAlt"],
-                    "vx": vx,
-                    "vy": vy,
-                    "vz": vz,
-                },
-            )
+        lat, lng, alt, height = (entry.fields[name] for name in ("Lat", "Lng", "Alt", "RelHomeAlt"))
+        if self._velocity_ned_m_s is not None:
+            yield from global_position(lat, lng, alt, height, self._velocity_ned_m_s)
 
     def _attitude(self, entry: Entry) -> Made:
         roll, pitch, yaw = (math.radians(entry.fields[name]) for name in ("Roll", "Pitch", "Yaw"))
-        yield "ATTITUDE", {"time_boot_ms": entry.time_us * 1e-3, "roll": roll, "pitch": pitch, "yaw": yaw}
+        yield "ATTITUDE", {"roll": roll, "pitch": pitch, "yaw": yaw}
 
     def _rangefinder(self, entry: Entry) -> Made:
         fields = entry.fields
         quality = fields.get("Quality", -1)  # per cent, -1 unknown; in MAVLink 0 is unknown and 1 invalid
         signal = _SIGNAL_UNKNOWN if quality < 0 else max(_SIGNAL_INVALID, quality)
-        yield self._range(
-            entry,
-            fields["Dist"],
-            entry.instance,
-            fields["Orient"],
-            signal if fields["Stat"] == _RANGE_GOOD else _SIGNAL_INVALID,
-        )
+        signal = signal if fields["Stat"] == _RANGE_GOOD else _SIGNAL_INVALID
+        yield _range(fields["Dist"], entry.instance, fields["Orient"], signal)
 
     def _mount(self, entry: Entry) -> Made:
         fields = entry.fields
@@ -102,7 +82,6 @@ class ArdupilotMessages(Translator):
             yield (
                 "GIMBAL_DEVICE_ATTITUDE_STATUS",
                 {
-                    "time_boot_ms": entry.time_us * 1e-3,
                     "flags": _LOCKED_YAW_IN_EARTH_FRAME,
                     "q": list(from_roll_pitch_yaw(roll_rad, pitch_rad, yaw_rad)),
                     "gimbal_device_id": entry.instance + 1,
@@ -110,26 +89,24 @@ class ArdupilotMessages(Translator):
             )
         if math.isfinite(fields.get("Dist", math.nan)):
             sensor_id = _MOUNT_RANGE_ID + entry.instance
-            yield self._range(entry, fields["Dist"], sensor_id, _ORIENTATION_CUSTOM, _SIGNAL_UNKNOWN)
-
-    def _range(
-        self, entry: Entry, distance_m: float, sensor_id: int, orientation: int, signal: int
-    ) -> tuple[str, dict[str, Any]]:
-        return (
-            "DISTANCE_SENSOR",
-            {
-                "time_boot_ms": entry.time_us * 1e-3,
-                "min_distance": 0.0,
-                "max_distance": math.inf,
-                "current_distance": 100.0 * distance_m,
-                "id": sensor_id,
-                "orientation": orientation,
-                "covariance": _COVARIANCE_UNKNOWN,
-                "signal_quality": signal,
-            },
-        )
+            yield _range(fields["Dist"], sensor_id, _ORIENTATION_CUSTOM, _SIGNAL_UNKNOWN)
 
     def _wind(self, entry: Entry) -> Made:
         if entry.instance == 0:
             north_m_s, east_m_s = entry.fields["VWN"], entry.fields["VWE"]
             yield "WIND_COV", {"time_usec": entry.time_us, "wind_x": north_m_s, "wind_y": east_m_s}
+
+
+def _range(distance_m: float, sensor_id: int, orientation: int, signal: int) -> tuple[str, dict[str, Any]]:
+    return (
+        "DISTANCE_SENSOR",
+        {
+            "min_distance": 0.0,
+            "max_distance": math.inf,
+            "current_distance": 100.0 * distance_m,
+            "id": sensor_id,
+            "orientation": orientation,
+            "covariance": _COVARIANCE_UNKNOWN,
+            "signal_quality": signal,
+        },
+    )

@@ -58,7 +58,19 @@ def _sorted(entries: list[Entry]) -> list[Entry]:
 
 
 Made = Iterator[tuple[str, dict[str, Any]]]
-"""Message names with their fields."""
+"""Message names with their fields but for time_boot_ms, which is the entry's time."""
+
+
+def global_position(
+    latitude_deg: float, longitude_deg: float, altitude_m: float, height_m: float, velocity_ned_m_s: Iterable[float]
+) -> Made:
+    """Yield a position of the vehicle; none where a value is unknown or no place on Earth."""
+    vx, vy, vz = (100.0 * component_m_s for component_m_s in velocity_ned_m_s)
+    on_earth = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0
+    if on_earth and all(map(math.isfinite, (altitude_m, height_m, vx, vy, vz))):
+        place = {"lat": round(latitude_deg * 1e7), "lon": round(longitude_deg * 1e7)}
+        heights = {"alt": 1e3 * altitude_m, "relative_alt": 1e3 * height_m}
+        yield "GLOBAL_POSITION_INT", place | heights | {"vx": vx, "vy": vy, "vz": vz}
 
 
 class Translator:
@@ -87,4 +99,5 @@ class Translator:
                 for name, fields in self._makers[entry.name](entry):
                     if any(_ABSURD < abs(value) < math.inf for value in fields.values() if isinstance(value, float)):
                         continue  # damaged: no unit here makes a flight's number that great
-                    yield Message(name, 1, 1, fields, self._boot_s + entry.time_us * 1e-6)
+                    stamped = {"time_boot_ms": entry.time_us * 1e-3, **fields}
+                    yield Message(name, 1, 1, stamped, self._boot_s + entry.time_us * 1e-6)

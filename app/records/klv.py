@@ -7,7 +7,6 @@ stream of a video; the time stamps join them to one. Heights are above sea level
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,11 @@ import numpy as np
 
 from sidelong.app.errors import missing_package
 from sidelong.app.records.sensing import Sensing
-from sidelong.estimators.ellipse import confidence_ellipse
 from sidelong.estimators.estimate import TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.rotations import from_roll_pitch_yaw, rotate
 from sidelong.estimators.sensing.readings import AttitudeReading, PositionReading
-from sidelong.estimators.sensing.sighting import Sighting, SightingOutcome
+from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.core.events import Command, Event
 
@@ -58,7 +56,9 @@ class KlvLog:
     def event(self, event: Event) -> None:
         """Take an event."""
         admitted, outcomes = self._sensing.take(event)
-        self._sightings(outcomes)
+        for outcome in outcomes:
+            if outcome.accepted and isinstance(outcome.sighting, Sighting):
+                self._seen = outcome.sighting
         if isinstance(admitted, PositionReading) and admitted.time_s >= self._next_s:
             self._next_s = admitted.time_s + _EVERY_S
             self._file.write(self._encode(self._values(admitted)))
@@ -69,11 +69,6 @@ class KlvLog:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-    def _sightings(self, outcomes: Iterable[SightingOutcome]) -> None:
-        for outcome in outcomes:
-            if outcome.accepted and isinstance(outcome.sighting, Sighting):
-                self._seen = outcome.sighting
 
     def _values(self, p: PositionReading) -> dict[int, Any]:
         """Return the values by their tags in ST 0601."""
@@ -103,7 +98,8 @@ class KlvLog:
         if estimate is not None and estimate.quality is not TrackQuality.LOST:
             height_m = seen.height_m if seen is not None else 0.0
             values |= self._place((40, 41, 42), estimate.east_m, estimate.north_m, height_m)
-            values[45] = _circular_error_m(estimate.covariance[:2, :2])
+            # CE90: the radius in which a circular error of the same mean variance stays at 90 %.
+            values[45] = math.sqrt(-math.log(1.0 - _CE90) * float(np.trace(estimate.covariance[:2, :2])))
         return values
 
     def _place(self, tags: tuple[int, int, int], east_m: float, north_m: float, height_m: float) -> dict[int, float]:
@@ -118,8 +114,3 @@ def _relative_deg(seen: Sighting, attitude: AttitudeReading) -> tuple[float, flo
     w, x, y, z = from_roll_pitch_yaw(attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad)
     forward, right, down = rotate((w, -x, -y, -z), (north, east, math.sin(seen.depression_rad)))
     return math.degrees(math.atan2(right, forward)) % 360.0, -math.degrees(math.asin(min(max(down, -1.0), 1.0)))
-
-
-def _circular_error_m(covariance: Any) -> float:
-    """Return CE90: the radius of the circle that a circular error of the same mean variance stays in at 90 %."""
-    return confidence_ellipse(np.eye(2) * float(np.trace(covariance)) / 2.0, _CE90).semi_major_m

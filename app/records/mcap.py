@@ -107,43 +107,26 @@ class McapLog:
                 logged = {"level": _LEVEL_INFO, "message": command.text, "name": command.kind, "file": "", "line": 0}
                 self._write("/announcements", "foxglove.Log", command.time_s, logged)
             case HealthChanged():
-                health = {"input": command.input, "state": command.state, "text": command.text}
-                self._write("/health", "sidelong.Health", command.time_s, health)
+                self._write("/health", "sidelong.Health", command.time_s, _fields(command, "input", "state", "text"))
 
     def _position(self, p: PositionReading) -> None:
         attitude = self._sensing.attitude
         angles = (attitude.roll_rad, attitude.pitch_rad, attitude.yaw_rad) if attitude else (0.0, 0.0, 0.0)
         self._aircraft = (p.east_m, p.north_m, p.height_m)
         place, rotation = {"x": p.east_m, "y": p.north_m, "z": p.height_m}, _plane_from_body(*angles)
-        transform = {
-            "parent_frame_id": "plane",
-            "child_frame_id": self._frame,
-            "translation": place,
-            "rotation": rotation,
-        }
-        self._write("/tf", "foxglove.FrameTransform", p.time_s, transform)
+        frames = {"parent_frame_id": "plane", "child_frame_id": self._frame}
+        self._write("/tf", "foxglove.FrameTransform", p.time_s, frames | {"translation": place, "rotation": rotation})
         pose = {"position": place, "orientation": rotation}
         self._write("/aircraft", "foxglove.PoseInFrame", p.time_s, {"frame_id": "plane", "pose": pose})
         self._fix("/aircraft/fix", p.time_s, self._aircraft, None)
-        numbers = {
-            "height_m": p.height_m,
-            "velocity_east_m_s": p.velocity_east_m_s,
-            "velocity_north_m_s": p.velocity_north_m_s,
-            "velocity_up_m_s": p.velocity_up_m_s,
-            **dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), map(math.degrees, angles), strict=True)),
-        }
+        numbers = _fields(p, "height_m", "velocity_east_m_s", "velocity_north_m_s", "velocity_up_m_s")
+        numbers |= zip(("roll_deg", "pitch_deg", "yaw_deg"), map(math.degrees, angles), strict=True)
         self._write("/aircraft/numbers", "sidelong.Aircraft", p.time_s, numbers)
 
     def _sightings(self, outcomes: Iterable[SightingOutcome]) -> None:
         for outcome in outcomes:
             seen = outcome.sighting
-            numbers = {
-                "east_m": seen.east_m,
-                "north_m": seen.north_m,
-                "accepted": outcome.accepted,
-                "nis": outcome.nis,
-                "reason": outcome.reason,
-            }
+            numbers = _fields(seen, "east_m", "north_m") | _fields(outcome, "accepted", "nis", "reason")
             if isinstance(seen, Sighting):
                 numbers["slant_range_m"] = seen.slant_range_m
                 numbers["bearing_deg"] = math.degrees(seen.bearing_rad)
@@ -157,14 +140,8 @@ class McapLog:
     def _target(self, estimate: TargetEstimate) -> None:
         self._progress(estimate)
         covariance = estimate.covariance.tolist()
-        numbers = {
-            "east_m": estimate.east_m,
-            "north_m": estimate.north_m,
-            "velocity_east_m_s": estimate.velocity_east_m_s,
-            "velocity_north_m_s": estimate.velocity_north_m_s,
-            "covariance": [value for row in covariance for value in row],
-            "quality": estimate.quality.value,
-        }
+        numbers = _fields(estimate, "east_m", "north_m", "velocity_east_m_s", "velocity_north_m_s")
+        numbers |= {"covariance": estimate.covariance.ravel().tolist(), "quality": estimate.quality.value}
         self._write("/target", "sidelong.Target", estimate.time_s, numbers)
         place = estimate.east_m, estimate.north_m, self._target_height_m
         (ee, en, *_), (ne, nn, *_) = covariance[:2]
@@ -184,17 +161,10 @@ class McapLog:
 
     def _progress(self, estimate: TargetEstimate) -> None:
         progress = None if self._follower is None else self._follower.update(estimate)
-        if progress is None:
-            return
-        numbers = {
-            "on_route": progress.on_route,
-            "length_m": progress.route.length_m,
-            "probability": progress.probability,
-            "along_m": progress.along_m,
-            "speed_m_s": progress.speed_m_s,
-            "to_end_s": progress.to_end_s,
-        }
-        self._write("/route", "sidelong.Route", estimate.time_s, numbers)
+        if progress is not None:
+            numbers = _fields(progress, "on_route", "probability", "along_m", "speed_m_s", "to_end_s")
+            numbers["length_m"] = progress.route.length_m
+            self._write("/route", "sidelong.Route", estimate.time_s, numbers)
 
     def _fix(self, topic: str, time_s: float, place: Place, covariance: list[float] | None) -> None:
         latitude_deg, longitude_deg = self._plane.latitude_longitude_deg(*place[:2])
@@ -214,13 +184,8 @@ class McapLog:
 
     def _plan(self, prepared: UploadPlan) -> None:
         plan = prepared.plan
-        numbers = {
-            "number": prepared.number,
-            "departure_s": plan.departure_s,
-            "reason": prepared.reason,
-            "length_m": plan.transition_m,
-            "circle": asdict(plan.circle),
-        }
+        numbers = _fields(prepared, "number", "reason") | {"departure_s": plan.departure_s}
+        numbers |= {"length_m": plan.transition_m, "circle": asdict(plan.circle)}
         self._write("/plan", "sidelong.Plan", prepared.time_s, numbers)
         way = list(zip(plan.transition.east_m, plan.transition.north_m, strict=True)) if plan.transition else []
         self._line("plan", prepared.time_s, [*way, *ring(plan.circle)])
@@ -247,6 +212,10 @@ class McapLog:
 
     def _nanoseconds(self, time_s: float) -> int:
         return self._boot_ns + round(time_s * 1e9)
+
+
+def _fields(source: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(source, name) for name in names}
 
 
 def _plane_from_body(roll_rad: float, pitch_rad: float, yaw_rad: float) -> dict[str, float]:

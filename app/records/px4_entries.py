@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from sidelong.app.records.entry import Entry, Made, Translator
+from sidelong.app.records.entry import Entry, Made, Translator, global_position
 from sidelong.estimators.frames import LocalPlane
 
 _GLOBAL_POSITION_SILENCE_US = 1_000_000
@@ -48,7 +48,7 @@ class Px4Messages(Translator):
     def _global_position(self, entry: Entry) -> Made:
         self._global_us = entry.time_us
         fields = entry.fields
-        yield from self._position(entry.time_us, fields["lat"], fields["lon"], fields["alt"])
+        yield from self._position(fields["lat"], fields["lon"], fields["alt"])
 
     def _local_position(self, entry: Entry) -> Made:
         self._local = fields = entry.fields
@@ -59,33 +59,18 @@ class Px4Messages(Translator):
         if fields["xy_global"] and entry.time_us - self._global_us > _GLOBAL_POSITION_SILENCE_US:
             plane = LocalPlane(fields["ref_lat"], fields["ref_lon"])
             latitude_deg, longitude_deg = plane.latitude_longitude_deg(fields["y"], fields["x"])
-            yield from self._position(entry.time_us, latitude_deg, longitude_deg, fields["ref_alt"] - fields["z"])
+            yield from self._position(latitude_deg, longitude_deg, fields["ref_alt"] - fields["z"])
 
-    def _position(self, time_us: int, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Made:
-        vx, vy, vz = (100.0 * self._local.get(name, math.nan) for name in ("vx", "vy", "vz"))
+    def _position(self, latitude_deg: float, longitude_deg: float, altitude_m: float) -> Made:
+        velocity_ned_m_s = (self._local.get(name, math.nan) for name in ("vx", "vy", "vz"))
         height_m = altitude_m - self._home_altitude_m
-        on_earth = abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0
-        if on_earth and all(map(math.isfinite, (height_m, vx, vy, vz))):
-            yield (
-                "GLOBAL_POSITION_INT",
-                {
-                    "time_boot_ms": time_us * 1e-3,
-                    "lat": round(latitude_deg * 1e7),
-                    "lon": round(longitude_deg * 1e7),
-                    "alt": 1e3 * altitude_m,
-                    "relative_alt": 1e3 * height_m,
-                    "vx": vx,
-                    "vy": vy,
-                    "vz": vz,
-                },
-            )
+        return global_position(latitude_deg, longitude_deg, altitude_m, height_m, velocity_ned_m_s)
 
     def _attitude(self, entry: Entry) -> Made:
         w, x, y, z = _quaternion(entry.fields)
         yield (
             "ATTITUDE",
             {
-                "time_boot_ms": entry.time_us * 1e-3,
                 "roll": math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
                 "pitch": math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x)))),
                 "yaw": math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
@@ -100,7 +85,6 @@ class Px4Messages(Translator):
             yield (
                 "DISTANCE_SENSOR",
                 {
-                    "time_boot_ms": entry.time_us * 1e-3,
                     "min_distance": 100.0 * fields["min_distance"],
                     "max_distance": 100.0 * fields["max_distance"],
                     "current_distance": 100.0 * fields["current_distance"],
@@ -118,7 +102,6 @@ class Px4Messages(Translator):
         yield (
             "GIMBAL_DEVICE_ATTITUDE_STATUS",
             {
-                "time_boot_ms": entry.time_us * 1e-3,
                 "flags": fields["device_flags"],
                 "q": list(_quaternion(fields)),
                 "gimbal_device_id": fields.get("gimbal_device_id", 0),

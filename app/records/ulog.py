@@ -63,7 +63,7 @@ def _topics(data: mmap | bytes, wanted: Collection[str] | None) -> dict[int, _To
         padded_bytes = struct.calcsize("<" + "".join(code for _, code in fields))
         while fields and fields[-1][0].startswith("_padding"):
             fields.pop()
-        if ("timestamp", "Q") in fields:
+        if ("timestamp", "Q") in fields and len(dict(fields)) == len(fields):  # a name twice is damage
             names, codes = zip(*fields, strict=True)
             topics[number] = _Topic(name, instance, list(names), struct.Struct("<" + "".join(codes)), padded_bytes)
     return topics

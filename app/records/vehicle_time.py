@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import struct
 import threading
 
+from sidelong.app.link.frames import Frame
+
 _ATTITUDE, _GLOBAL_POSITION_INT = 30, 33
-_MARKER_V1, _MARKER_V2 = 0xFE, 0xFD
-_HEADER_V1, _HEADER_V2 = 6, 10
 _AUTOPILOT_COMPONENT = 1
 _LATE_MAX_S = 1.0  # messages of one moment overtake one another
 _SPEED_MAX, _AHEAD_MAX_S = 100.0, 5.0  # what a clock may gain over the wall's, and at once
-_BOOT_MS = struct.Struct("<I")
 
 
 class VehicleTime:
@@ -54,14 +52,9 @@ class VehicleTime:
 
     def _boot_time_s(self, frame: bytes) -> float | None:
         """Return time_boot_ms of a frame that moves the time, in seconds."""
-        if frame[0] == _MARKER_V2 and len(frame) >= _HEADER_V2 + 4:
-            system, component, number, payload = frame[5], frame[6], int.from_bytes(frame[7:10], "little"), _HEADER_V2
-        elif frame[0] == _MARKER_V1 and len(frame) >= _HEADER_V1 + 4:
-            system, component, number, payload = frame[3], frame[4], frame[5], _HEADER_V1
-        else:
-            return None
-        if component != _AUTOPILOT_COMPONENT or number not in {_ATTITUDE, _GLOBAL_POSITION_INT}:
+        read = Frame(frame)
+        if read.component_id != _AUTOPILOT_COMPONENT or read.message_id not in {_ATTITUDE, _GLOBAL_POSITION_INT}:
             return None
         if self.system_id is None:
-            self.system_id = system
-        return _BOOT_MS.unpack_from(frame, payload)[0] * 1e-3 if system == self.system_id else None
+            self.system_id = read.system_id
+        return int.from_bytes(read.payload[:4], "little") * 1e-3 if read.system_id == self.system_id else None

@@ -28,23 +28,10 @@ _POINTS_MAX = 2000  # more are drawn as an image inside the figure
 
 def drawings(history: History) -> Iterator[Drawing]:
     """Yield the figures in order, those left out that nothing is known for. Use within ``plot_style.styled()``."""
-    makers: tuple[Callable[[History], Drawing | None], ...] = (
-        _map,
-        _range,
-        _observation,
-        _observation_histogram,
-        _curvature,
-        _course,
-        _target_speed,
-        _route,
-        _errors,
-        _consistency,
-        _uploads,
-    )
-    for make in makers:
-        drawing = make(history)
-        if drawing is not None:
-            yield drawing
+    watched = _map, _range, _observation, _observation_histogram
+    flown = _curvature, _course, _target_speed, _route
+    makers: tuple[Callable[[History], Drawing | None], ...] = *watched, *flown, _errors, _consistency, _uploads
+    yield from filter(None, (make(history) for make in makers))
 
 
 # -- where ---------------------------------------------------------------------------------------------------
@@ -63,46 +50,32 @@ def _map(history: History) -> Drawing:
 
 
 def _range(history: History) -> Drawing:
-    requirement = history.requirement
+    requirement, judged = history.requirement, history.judged
     made, (axes,) = figure(2.9)
-    judged = history.judged
     axes.axhspan(requirement.range_min_m, requirement.range_max_m, color=BAND, lw=0, label="allowed band")
     axes.plot(judged.time_s - history.start_s, judged.range_m, color=AIRCRAFT, linewidth=1.1, label=_judged(history))
     min_m, max_m = float(judged.range_m.min(initial=math.inf)), float(judged.range_m.max(initial=0.0))
     axes.set_ylim(0.0, 1.06 * max(requirement.range_max_m, max_m))
     _over_time(axes, history, "horizontal range, m")
-    return Drawing(
-        "range",
-        "Range to the target",
-        f"Between {min_m:.0f} and {max_m:.0f} m; allowed are {requirement.range_min_m:.0f} to "
-        f"{requirement.range_max_m:.0f} m.",
-        made,
-    )
+    asked = f"allowed are {requirement.range_min_m:.0f} to {requirement.range_max_m:.0f} m."
+    return Drawing("range", "Range to the target", f"Between {min_m:.0f} and {max_m:.0f} m; {asked}", made)
 
 
 def _observation(history: History) -> Drawing:
     made, (axes,) = figure(2.9)
-    angle_deg = np.degrees(history.judged.observation_rad)
     allowed_deg = math.degrees(allowed_rad(history.requirement))
     axes.axhspan(-allowed_deg, allowed_deg, color=BAND, lw=0, label=_wanted(history))
-    axes.plot(
-        *_unjoined(history.judged.time_s - history.start_s, angle_deg, 180.0),
-        color=AIRCRAFT,
-        linewidth=1.0,
-        label=_judged(history),
-    )
-    axes.set_ylim(-180.0, 180.0)
-    axes.set_yticks(range(-180, 181, 60))
+    line = _unjoined(history.judged.time_s - history.start_s, np.degrees(history.judged.observation_rad), 180.0)
+    axes.plot(*line, color=AIRCRAFT, linewidth=1.0, label=_judged(history))
+    axes.set(ylim=(-180.0, 180.0), yticks=range(-180, 181, 60))
     _over_time(axes, history, "observation angle, °")
-    return Drawing(
-        "observation-angle",
-        "Observation angle",
+    caption = (
         "Where the aircraft is, seen from the target: 0° is the middle of the sector asked for."
         if history.requirement.sector is not None
         else "From the normal of the target's motion, on the side asked for, to the line of sight: 0° is abeam; "
-        "beyond ±90° the aircraft is on the other side.",
-        made,
+        "beyond ±90° the aircraft is on the other side."
     )
+    return Drawing("observation-angle", "Observation angle", caption, made)
 
 
 def _observation_histogram(history: History) -> Drawing | None:
@@ -111,24 +84,17 @@ def _observation_histogram(history: History) -> Drawing | None:
     if not len(angle_deg):
         return None
     made, (axes,) = figure(2.9)
-    bins = np.arange(-180.0, 180.0 + _BIN_DEG, _BIN_DEG)
+    bins = np.arange(-180.0, 180.0 + _BIN_DEG, _BIN_DEG).tolist()
     allowed_deg = math.degrees(allowed_rad(history.requirement))
     axes.axvspan(-allowed_deg, allowed_deg, color=BAND, lw=0, label=_wanted(history))
-    axes.hist(
-        angle_deg, bins.tolist(), weights=np.full(len(angle_deg), 100.0 / len(angle_deg)), color=AIRCRAFT, rwidth=0.9
-    )
-    axes.set_xlim(-180.0, 180.0)
-    axes.set_xticks(range(-180, 181, 30))
-    axes.set_xlabel("observation angle, °")
-    axes.set_ylabel("share of time, %")
+    shares = np.full(len(angle_deg), 100.0 / len(angle_deg))
+    axes.hist(angle_deg, bins, weights=shares, color=AIRCRAFT, rwidth=0.9)
+    axes.set(xlim=(-180.0, 180.0), xticks=range(-180, 181, 30))
+    axes.set(xlabel="observation angle, °", ylabel="share of time, %")
     legend_above(axes)
     share = 100.0 * float(np.mean(np.abs(angle_deg) <= allowed_deg))
-    return Drawing(
-        "observation-histogram",
-        "How often from which angle",
-        f"{share:.1f} % of the time the aircraft was where it was asked to be.",
-        made,
-    )
+    caption = f"{share:.1f} % of the time the aircraft was where it was asked to be."
+    return Drawing("observation-histogram", "How often from which angle", caption, made)
 
 
 # -- how the aircraft flew -----------------------------------------------------------------------------------
@@ -138,33 +104,21 @@ def _curvature(history: History) -> Drawing:
     made, (axes,) = figure(2.7)
     time_s, curvature_per_m = series.curvature_per_m(history.aircraft)
     axes.plot(time_s - history.start_s, 1e3 * curvature_per_m, color=AIRCRAFT, linewidth=0.9, label="flown")
-    for sign in (1.0, -1.0):
-        axes.axhline(
-            sign * 1e3 / history.asked.airframe.radius_m,
-            color=FAINT,
-            linestyle="--",
-            linewidth=0.8,
-            label=f"circle of {history.asked.airframe.radius_m:.0f} m" if sign > 0 else None,
-        )
-    reach = 1.6e3 / history.asked.airframe.radius_m
+    radius_m = history.asked.airframe.radius_m
+    for sign, label in ((1.0, f"circle of {radius_m:.0f} m"), (-1.0, None)):
+        axes.axhline(sign * 1e3 / radius_m, color=FAINT, linestyle="--", linewidth=0.8, label=label)
+    reach = 1.6e3 / radius_m
     axes.set_ylim(-reach, reach)
     clipped = _beyond(1e3 * np.abs(curvature_per_m), reach, " 1/km")
     _over_time(axes, history, "curvature, 1/km")
-    return Drawing(
-        "curvature", "Curvature of the flown path", f"Over the ground; positive turns right{clipped}.", made
-    )
+    caption = f"Over the ground; positive turns right{clipped}."
+    return Drawing("curvature", "Curvature of the flown path", caption, made)
 
 
 def _course(history: History) -> Drawing:
     made, (axes,) = figure(2.7)
-    flown = history.aircraft
-    axes.plot(
-        flown.time_s - history.start_s,
-        np.unwrap(flown.course_rad) / math.tau,
-        color=AIRCRAFT,
-        linewidth=0.9,
-        label="flown",
-    )
+    turns = np.unwrap(history.aircraft.course_rad) / math.tau
+    axes.plot(history.aircraft.time_s - history.start_s, turns, color=AIRCRAFT, linewidth=0.9, label="flown")
     _over_time(axes, history, "course flown, turns")
     return Drawing("course", "Course flown", _COURSE_WORDS, made)
 
@@ -175,14 +129,9 @@ def _target_speed(history: History) -> Drawing:
         true = Samples.of(history.moments)
         time_s, speed_m_s = true.time_s - history.start_s, np.hypot(*true.target_velocity_m_s.T)
         axes.plot(time_s, speed_m_s, color=TARGET, linewidth=2.4, alpha=0.5, label="true target")
-    known = [one for one in history.estimates if one.time_s >= history.start_s]
-    axes.plot(
-        [one.time_s - history.start_s for one in known],
-        [one.speed_m_s for one in known],
-        color=ESTIMATE,
-        linewidth=0.9,
-        label="estimate",
-    )
+    known = [(one.time_s - history.start_s, one.speed_m_s) for one in history.estimates]
+    line = [one for one in known if one[0] >= 0.0]
+    axes.plot(*np.array(line).reshape(-1, 2).T, color=ESTIMATE, linewidth=0.9, label="estimate")
     axes.set_ylim(0.0, None)
     _over_time(axes, history, "target's speed, m/s")
     return Drawing("target-speed", "Speed of the target", "Over the ground.", made)
@@ -200,12 +149,9 @@ def _route(history: History) -> Drawing | None:
     axes.plot(*_unjoined(time_s, along_m, 0.5 * length_m), color=TARGET, linewidth=1.2, label="target (estimate)")
     axes.set_ylim(0.0, length_m)
     _over_time(axes, history, "along the route, m")
-    return Drawing(
-        "route",
-        "Progress along the route",
-        f"On the route {100.0 * float(np.mean(~off)):.1f} % of the time; its length is {length_m:.0f} m.",
-        made,
-    )
+    share = 100.0 * float(np.mean(~off))
+    caption = f"On the route {share:.1f} % of the time; its length is {length_m:.0f} m."
+    return Drawing("route", "Progress along the route", caption, made)
 
 
 # -- how good the estimate was -------------------------------------------------------------------------------
@@ -218,14 +164,8 @@ def _errors(history: History) -> Drawing | None:
     made, (axes,) = figure(2.7)
     time_s = errors.time_s - history.start_s
     axes.plot(time_s, errors.error_m, color=ESTIMATE, linewidth=1.0, label="error")
-    axes.plot(
-        time_s,
-        errors.radius95_m,
-        color=FAINT,
-        linewidth=0.9,
-        linestyle="--",
-        label="long half axis of the 95 % ellipse",
-    )
+    claimed = "long half axis of the 95 % ellipse"
+    axes.plot(time_s, errors.radius95_m, color=FAINT, linewidth=0.9, linestyle="--", label=claimed)
     watched = errors.error_m[time_s >= 0.0]
     claimed_m = float(np.percentile(errors.radius95_m, 90.0))
     top_m = 1.2 * max(claimed_m, float(np.percentile(np.append(watched, 1.0), 99.8)))
@@ -255,33 +195,21 @@ def _consistency(history: History) -> Drawing | None:
     for axes, (name, at_s, value, freedom) in zip(all_axes, rows, strict=True):
         bound = float(chi2.ppf(0.95, freedom))
         top = _CONSISTENCY_TOP * bound
-        axes.plot(
-            at_s - history.start_s,
-            np.minimum(value, top),
-            ".",
-            color=ESTIMATE,
-            markersize=1.6,
-            rasterized=len(value) > _POINTS_MAX,
-        )
+        time_s, many = at_s - history.start_s, len(value) > _POINTS_MAX
+        axes.plot(time_s, np.minimum(value, top), ".", color=ESTIMATE, markersize=1.6, rasterized=many)
         axes.axhline(bound, color=BAD, linewidth=0.9, linestyle="--", label=f"95 % of chi-square ({freedom})")
-        axes.set_ylim(0.0, top)
-        axes.set_ylabel(name)
+        axes.set(ylim=(0.0, top), ylabel=name)
         legend_above(axes)
         clipped += _beyond(value, top, f", drawn at the edge of {name}")
         words.append(f"{100.0 * float(np.mean(value[at_s >= history.start_s] <= bound)):.1f} % of the {name}")
-    all_axes[-1].set_xlabel(_TIME)
-    all_axes[-1].set_xlim(0.0, history.end_s - history.start_s)
-    relevant_parameters = {
-        "NEES": "error against the truth over its claimed covariance",
-        "NIS": "innovation of each sighting",
+    all_axes[-1].set(xlabel=_TIME, xlim=(0.0, history.end_s - history.start_s))
+    meanings = {
+        "NEES": "NEES: error against the truth over its claimed covariance, squared",
+        "NIS": "NIS: innovation of each sighting, squared",
     }
-    return Drawing(
-        "consistency",
-        "Consistency of the estimate",
-        f"{' and '.join(words)} below the bound that 95 % should keep "
-        f"({'; '.join(f'{row[0]}: {relevant_parameters[row[0]]}, squared' for row in rows)}){clipped}.",
-        made,
-    )
+    explained = "; ".join(meanings[name] for name, *_ in rows)
+    caption = f"{' and '.join(words)} below the bound that 95 % should keep ({explained}){clipped}."
+    return Drawing("consistency", "Consistency of the estimate", caption, made)
 
 
 # -- how the plans got there ---------------------------------------------------------------------------------
@@ -291,16 +219,11 @@ def _uploads(history: History) -> Drawing | None:
     if not history.plan_changes:
         return None
     made, (took, waited) = figure(3.8, 2)
-    start_s = history.start_s
-    ready = [
-        (s.prepared_s - start_s, s.ready_s - s.prepared_s) for s in history.plan_changes if s.ready_s is not None
-    ]
-    departed = [
-        (s.departed_s - start_s, s.departed_s - s.plan.departure_s)
-        for s in history.plan_changes
-        if s.departed_s is not None
-    ]
-    failed = [s.prepared_s - start_s for s in history.plan_changes if s.failed]
+    start_s, changes = history.start_s, history.plan_changes
+    ready = [(one.prepared_s - start_s, one.ready_s - one.prepared_s) for one in changes if one.ready_s is not None]
+    left = [(one.departed_s, one.plan.departure_s) for one in changes if one.departed_s is not None]
+    departed = [(at_s - start_s, at_s - planned_s) for at_s, planned_s in left]
+    failed = [one.prepared_s - start_s for one in changes if one.failed]
     for axes, points in ((took, ready), (waited, departed)):
         at_s, value_s = np.array(points).reshape(-1, 2).T
         axes.vlines(at_s, 0.0, value_s, color=TARGET, linewidth=1.0)
@@ -311,14 +234,12 @@ def _uploads(history: History) -> Drawing | None:
         legend_above(took)
     took.set_ylim(0.0, None)
     took.set_ylabel("upload took, s")
-    waited.set_ylabel("left after plan, s")
-    waited.set_xlabel(_TIME)
-    waited.set_xlim(0.0, history.end_s - start_s)
+    waited.set(ylabel="left after plan, s", xlabel=_TIME, xlim=(0.0, history.end_s - start_s))
     slowest_s = f", the slowest took {max(value for _, value in ready):.2f} s" if ready else ""
     return Drawing(
         "uploads",
         "Uploads",
-        f"{len(history.plan_changes)} plans were sent{slowest_s}; {len(departed)} were flown, {len(failed)} failed. "
+        f"{len(changes)} plans were sent{slowest_s}; {len(departed)} were flown, {len(failed)} failed. "
         "Below: how much later than planned the aircraft was commanded to leave its circle.",
         made,
     )
@@ -344,9 +265,7 @@ def _judged(history: History) -> str:
 
 
 def _over_time(axes: Axes, history: History, label: str) -> None:
-    axes.set_xlim(0.0, history.end_s - history.start_s)
-    axes.set_xlabel(_TIME)
-    axes.set_ylabel(label)
+    axes.set(xlim=(0.0, history.end_s - history.start_s), xlabel=_TIME, ylabel=label)
     departed_s = [change.departed_s for change in history.plan_changes if change.departed_s is not None]
     for number, at_s in enumerate(departed_s):
         word = "leaves its circle" if number == 0 else None

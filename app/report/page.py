@@ -9,7 +9,6 @@ from pathlib import Path
 from sidelong.app.report import html
 from sidelong.app.report.figures import drawings
 from sidelong.app.report.plot_style import styled
-from sidelong.app.report.results import rows
 from sidelong.app.report.sources import Flown
 from sidelong.mission.viewpoint.side_policy import side_words
 
@@ -23,7 +22,7 @@ def report_page(flown: Flown) -> str:
     damaged = f"; {flown.damaged_lines} damaged lines were passed over" if flown.damaged_lines else ""
     body = f"""<h1>Flight {escape(flown.name)}</h1>
 <p>{escape(_asked(flown))}. Recorded by {escape(flown.program)}{damaged}.</p>
-{html.tiles(rows(flown.summary))}
+{html.tiles(flown.summary.rows())}
 {figures}
 {_decisions(flown)}
 {_configuration(flown)}"""

@@ -41,9 +41,3 @@ def read_summary(values: dict[str, Any], name: str) -> Summary:
     except ValidationError as error:
         field = ".".join(map(str, error.errors()[0]["loc"]))
         raise InputError(f"{name}: its {field} is missing or wrong; delete it to have it written again.") from error
-
-
-def rows(summary: Summary) -> list[tuple[str, str]]:
-    """Return what the terminal shows of it, as (name, text)."""
-    names, texts = summary.table().columns
-    return [(str(name), str(text)) for name, text in zip(names.cells, texts.cells, strict=True)]

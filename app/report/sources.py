@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -21,7 +22,6 @@ from sidelong.app.records.run_folder import RunFolder, require_recording
 from sidelong.app.report.history import FlightRequirements, History, HistoryBuilder
 from sidelong.app.report.results import read_summary, summary_of
 from sidelong.estimators.frames import LocalPlane
-from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.core.events import Command, Event
 
 
@@ -128,25 +128,10 @@ def _built(
 ) -> History:
     if plane is None or builder.positions < 2:
         raise InputError(f"{path} holds no flight: it contains fewer than two positions of the vehicle.")
-    wanted = asked(config, plane, home_deg)
+    ground = None
+    with suppress(InputError):  # its data are not at hand any more
+        ground = ground_of(config, plane, home_deg)
+    keep_in, keep_out = (tuple(map(tuple, outlines)) for outlines in fence_outlines(config, plane))
+    requirement, airframe = config.requirement.requirement(), config.aircraft.aircraft()
+    wanted = FlightRequirements(requirement, airframe, keep_in, keep_out, ground)
     return builder.build(wanted, plane, read_truth(truth) if truth is not None else None)
-
-
-def asked(config: Config, plane: LocalPlane, home_deg: tuple[float, float] | None = None) -> FlightRequirements:
-    """Return what a configuration asks for, with its fences and its ground in the plane."""
-    keep_in, keep_out = fence_outlines(config, plane)
-    return FlightRequirements(
-        config.requirement.requirement(),
-        config.aircraft.aircraft(),
-        tuple(map(tuple, keep_in)),
-        tuple(map(tuple, keep_out)),
-        _ground(config, plane, home_deg),
-    )
-
-
-def _ground(config: Config, plane: LocalPlane, home_deg: tuple[float, float] | None) -> Ground | None:
-    """Return the ground about home, or about the plane's origin; None where its data are not at hand any more."""
-    try:
-        return ground_of(config, plane, home_deg or (plane.origin_latitude_deg, plane.origin_longitude_deg))
-    except InputError:
-        return None

@@ -6,7 +6,6 @@ import io
 import json
 import random
 import sqlite3
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -47,6 +46,7 @@ from sidelong.mission.predictive.cost import WatchCost
 from sidelong.mission.predictive.value_table import TableConfiguration
 from sidelong.sitl.world.track import TrackError, read_track
 from tests.faults.damage import Damage, damaged, resealed
+from tests.logs import dataflash_pieces, ulog_pieces
 
 DATA = Path(__file__).resolve().parent.parent / "data"
 _EXCERPT_BYTES = 20_000  # so that a header is often met, and a million are read within half an hour
@@ -129,62 +129,6 @@ def _follow_target() -> bytes:
     return announced.pack(beacon)
 
 
-def _ulog() -> bytes:
-    topics = {
-        "home_position": ("uint64_t timestamp;double lat;double lon;float alt;", "<Qddf", (47.4, 8.5, 488.0)),
-        "vehicle_global_position": (
-            "uint64_t timestamp;double lat;double lon;float alt;",
-            "<Qddf",
-            (47.4, 8.5, 600.0),
-        ),
-        "vehicle_local_position": (
-            "uint64_t timestamp;float vx;float vy;float vz;bool xy_global;bool z_global;",
-            *("<Qfff??", (1.0, 2.0, 3.0, True, True)),
-        ),
-        "vehicle_attitude": ("uint64_t timestamp;float[4] q;", "<Q4f", (1.0, 0.0, 0.0, 0.0)),
-        "wind": ("uint64_t timestamp;float windspeed_north;float windspeed_east;", "<Qff", (1.0, 2.0)),
-    }
-    parts = [b"ULog\x01\x12\x35\x01" + bytes(8)]
-
-    def message(letter: bytes, body: bytes) -> None:
-        parts.append(struct.pack("<H", len(body)) + letter + body)
-
-    for name, (fields, _, _) in topics.items():
-        message(b"F", f"{name}:{fields}".encode())
-    for number, name in enumerate(topics):
-        message(b"A", struct.pack("<BH", 0, number) + name.encode())
-    for moment in range(60):
-        for number, (_, form, values) in enumerate(topics.values()):
-            message(b"D", struct.pack("<H", number) + struct.pack(form, 1_000_000 + 100_000 * moment, *values))
-    return b"".join(parts)
-
-
-def _dataflash() -> bytes:
-    kinds = {
-        "FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns", ""),
-        "GPS": (130, "QBIHLLfff", "TimeUS,Status,GMS,GWk,Lat,Lng,Spd,GCrs,VZ", "<QBIHiifff"),
-        "ATT": (131, "Qccc", "TimeUS,Roll,Pitch,Yaw", "<Qhhh"),
-        "POS": (132, "QLLff", "TimeUS,Lat,Lng,Alt,RelHomeAlt", "<Qiiff"),
-        "RFND": (133, "QBCBB", "TimeUS,Instance,Dist,Stat,Orient", "<QBHBB"),
-    }
-    values = {
-        "GPS": (3, 1000, 2300, 474000000, 85000000, 15.0, 90.0, 0.0),
-        "ATT": (100, -200, 9000),
-        "POS": (474000000, 85000000, 600.0, 112.0),
-        "RFND": (0, 25_000, 4, 0),
-    }
-    parts = []
-    for name, (number, letters, columns, form) in kinds.items():
-        length = 3 + (struct.calcsize(form) if form else 86)
-        body = struct.pack("<BB4s16s64s", number, length, name.encode(), letters.encode(), columns.encode())
-        parts.append(b"\xa3\x95\x80" + body)
-    for moment in range(80):
-        for name, rest in values.items():
-            number, _, _, form = kinds[name]
-            parts.append(b"\xa3\x95" + bytes([number]) + struct.pack(form, 1_000_000 + 100_000 * moment, *rest))
-    return b"".join(parts)
-
-
 def _journal_bytes() -> bytes:
     circle, laser = Circle(0.0, 250.0, 50.0, True), Source("DISTANCE_SENSOR", 154, 1, 100)
     plan = Plan(circle, None, 12.0)
@@ -261,8 +205,8 @@ def readers(table: bytes) -> dict[str, Reader]:
     """Return every reader by name; ``table`` is the file of a value table of ``TABLE``."""
     every = (
         Reader("tlog", ".tlog", _excerpt("px4-follow-walk-and-drive.tlog", 700_000), _log),
-        Reader("ulog", ".ulg", _ulog(), _log),
-        Reader("dataflash", ".bin", _dataflash(), _log),
+        Reader("ulog", ".ulg", b"".join(ulog_pieces(60)), _log),
+        Reader("dataflash", ".bin", b"".join(dataflash_pieces(60)), _log),
         Reader("journal", ".jsonl", _journal_bytes(), _journal),
         Reader("journal, sealed", ".jsonl", _journal_bytes(), _journal, resealed),
         Reader("truth", ".csv", _excerpt("arduplane-follow-bike.truth.csv"), read_truth),
