@@ -47,11 +47,6 @@ def transition_length_m(radius_m: float, psi_c_rad: float) -> float:
     return radius_m * psi_c_rad * (_SETTLING - psi_c_rad**2 / 4.0 + psi_c_rad**4 / 96.0)
 
 
-def exact_transition_length_m(radius_m: float, psi_c_rad: float) -> float:
-    """Return x_tr = (v / mu) [Ci(psi_c) - Ci(psi_c e^-3)] with v / mu = R psi_c."""
-    return radius_m * psi_c_rad * float(_integrals(psi_c_rad)[1] - _integrals(psi_c_rad * math.exp(-_SETTLING))[1])
-
-
 def min_move_m(radius_m: float, psi_c_rad: float) -> float:
     """Return the shortest distance between centres for which ABCD exists (42)."""
     return 2.0 * transition_length_m(radius_m, psi_c_rad) - 2.0 * radius_m * math.sin(psi_c_rad)

@@ -1,12 +1,10 @@
-"""Flight over the ground in a steady wind: speeds, times, radii, and the wind itself from a flown circle."""
+"""Flight over the ground in a steady wind: speeds, times and radii."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.path import FloatArray, Path
@@ -82,50 +80,3 @@ class LapClock:
 def min_radius_m(airspeed_m_s: float, wind: Wind, bank_max_rad: float) -> float:
     """Return the tightest circle over the ground whose bank stays within the limit where the wind is astern."""
     return (airspeed_m_s + wind.speed_m_s) ** 2 / (GRAVITY_M_S2 * math.tan(bank_max_rad))
-
-
-def _prior_covariance() -> npt.NDArray[np.float64]:
-    return np.diag([15.0**2, 15.0**2, 300.0**2])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WindEstimate:
-    """The wind from airspeed and ground velocity, by recursive least squares.
-
-    |g - w|^2 = v^2 gives |g|^2 - v^2 = 2 g . w - |w|^2, which is linear in (w_east, w_north, c): with c free, an
-    airspeed that reads wrong by a constant factor moves c and leaves the wind right. Turning makes all three
-    observable: before half a circle ``sigma_m_s`` stays large.
-    """
-
-    wind: Wind = STILL_AIR
-    sigma_m_s: float = 15.0
-    _offset_m2_s2: float = 0.0
-    _covariance: npt.NDArray[np.float64] = field(default_factory=_prior_covariance)
-
-    def updated(
-        self,
-        velocity_east_m_s: float,
-        velocity_north_m_s: float,
-        airspeed_m_s: float,
-        interval_s: float,
-        memory_s: float = 120.0,
-        airspeed_sigma_m_s: float = 0.7,
-    ) -> WindEstimate:
-        """Return the estimate after one measurement ``interval_s`` after the last; old ones fade in ``memory_s``."""
-        row = np.array([2.0 * velocity_east_m_s, 2.0 * velocity_north_m_s, -1.0])
-        state = np.array([self.wind.east_m_s, self.wind.north_m_s, self._offset_m2_s2])
-        # In straight flight forgetting alone would let the covariance grow without end.
-        fades = float(np.trace(self._covariance)) < float(np.trace(_prior_covariance()))
-        prior = self._covariance * (math.exp(interval_s / memory_s) if fades else 1.0)
-        noise_m4_s4 = (2.0 * airspeed_m_s * airspeed_sigma_m_s) ** 2
-        gain = prior @ row / (row @ prior @ row + noise_m4_s4)
-        measured_m2_s2 = velocity_east_m_s**2 + velocity_north_m_s**2 - airspeed_m_s**2
-        state = state + gain * (measured_m2_s2 - row @ state)
-        covariance = prior - np.outer(gain, row @ prior)
-        covariance = (covariance + covariance.T) / 2.0
-        return WindEstimate(
-            Wind(float(state[0]), float(state[1])),
-            math.sqrt(max(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]), 0.0)),
-            float(state[2]),
-            covariance,
-        )

@@ -12,7 +12,6 @@ from sidelong.mission.geometry.wind import (
     STILL_AIR,
     LapClock,
     WindError,
-    WindEstimate,
     ground_speed_m_s,
     min_radius_m,
     path_times_s,
@@ -70,42 +69,3 @@ def test_flight_time_of_a_path() -> None:
 
 def test_the_radius_allows_for_the_bank_where_the_wind_is_astern() -> None:
     assert min_radius_m(10.0, Wind(3.0, 0.0), math.radians(45.0)) == pytest.approx(13.0**2 / 9.80665)
-
-
-def fly_circles(wind: Wind, airspeed_scale: float, seed: int, laps: float) -> WindEstimate:
-    """Two readings a second on a circle, with noise of 0.3 m/s on ground velocity and airspeed."""
-    rng = np.random.default_rng(seed)
-    clock = LapClock(Circle(0.0, 0.0, 80.0, True), 15.0, wind)
-    estimate = WindEstimate()
-    for time_s in np.arange(0.0, laps * clock.lap_s, 0.5):
-        course_rad = clock.turn_rad(float(time_s))
-        speed_m_s = ground_speed_m_s(course_rad, 15.0, wind)
-        estimate = estimate.updated(
-            speed_m_s * math.sin(course_rad) + rng.normal(0.0, 0.3),
-            speed_m_s * math.cos(course_rad) + rng.normal(0.0, 0.3),
-            15.0 * airspeed_scale + rng.normal(0.0, 0.3),
-            0.5,
-        )
-    return estimate
-
-
-@pytest.mark.parametrize("airspeed_scale", [1.0, 1.08])
-def test_circling_finds_the_wind_even_with_an_airspeed_that_reads_wrong(airspeed_scale: float) -> None:
-    for seed in range(5):
-        estimate = fly_circles(Wind(-2.0, 4.0), airspeed_scale, seed, laps=3.0)
-        assert math.hypot(estimate.wind.east_m_s + 2.0, estimate.wind.north_m_s - 4.0) < 0.3
-        assert estimate.sigma_m_s < 0.3
-
-
-def test_the_error_stays_within_three_sigma() -> None:
-    errors = [fly_circles(Wind(3.0, 1.0), 1.0, seed, laps=1.0) for seed in range(20)]
-    assert all(
-        math.hypot(e.wind.east_m_s - 3.0, e.wind.north_m_s - 1.0) < 3.0 * math.sqrt(2.0) * e.sigma_m_s for e in errors
-    )
-
-
-def test_straight_flight_leaves_the_wind_uncertain() -> None:
-    estimate = WindEstimate()
-    for _ in range(600):
-        estimate = estimate.updated(15.0, 0.0, 15.0, 1.0)
-    assert 5.0 < estimate.sigma_m_s < 40.0
