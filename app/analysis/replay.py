@@ -159,70 +159,48 @@ def announcements(commands: Iterable[Command]) -> Iterator[Announce]:
 class Difference:
     """Where a replay first decided otherwise than the flight did."""
 
-    event: InboundEvent
-    flown: Output | None
-    replayed: Output | None
+    event: object
+    flown: object
+    replayed: object
 
     def __str__(self) -> str:
         return f"after {self.event}\n  flown:    {self.flown}\n  replayed: {self.replayed}"
 
 
-class JournalReplay:
-    """Steps a core through the journal of a sidelong run: the recorded events of the flight, in order.
+class Comparison:
+    """Compares what a replay puts out with what the flight did, in order.
 
-    mission: the complete core, if the journal holds the exchange with the autopilot. Uploads, switches and yields are
-    then compared too. None: only the controller is stepped, with the recorded results of the exchange.
-
-    After ``run``, ``compared`` counts the compared commands. ``difference`` is the first other decision, or None;
-    ``rounded`` counts the commands that differ in last digits only, by ``greatest_rounding`` relative at most:
-    another processor rounds otherwise. Without those, all is the same to the last bit.
+    ``compared`` counts the compared commands. ``difference`` is the first other decision, or None; ``rounded`` counts
+    the commands that differ in last digits only, by ``greatest_rounding`` relative at most: another processor rounds
+    otherwise. Without those, all is the same to the last bit. A flight that was cut off may lack the commands of its
+    last event: those are not held against it.
     """
 
-    def __init__(self, controller: StandoffController, mission: MissionController | None = None) -> None:
-        self.controller = controller
-        self._step: Callable[[Any], tuple[Output, ...]] = controller.step if mission is None else mission.step
-        self._outputs: frozenset[type] = _COMMANDS if mission is None else frozenset(get_args(Output))
-        self._left_out: frozenset[type] = _EXCHANGE if mission is None else frozenset()
+    def __init__(self) -> None:
         self.compared = self.rounded = 0
         self.greatest_rounding = 0.0
         self.difference: Difference | None = None
-        self._cause: InboundEvent | None = None
-        self._expected: deque[Output] = deque()
+        self._cause: object = None
+        self._expected: deque[object] = deque()
 
-    def run(self, records: Iterable[Any]) -> Iterator[Replayed]:
-        """Yield the events of the journal with the step's present results; skip those that no consumer needs."""
-        controller, outputs_too, left_out = self.controller, self._outputs, self._left_out
-        for record in records:
-            kind = type(record)
-            if kind in left_out:
-                continue
-            if kind in outputs_too:
-                self._compare(record)
-                if kind in _DERIVED:
-                    yield Replayed(record, (), controller.estimate, controller.snapshot)
-                continue
-            if self._expected:
-                self._compare(None)
-            outputs = self._step(record)
-            self._cause = record
-            commands: tuple[Command, ...] = ()
-            if outputs:
-                self._expected.extend(outputs)
-                commands = tuple(output for output in outputs if isinstance(output, Command))
-            if commands or kind not in _UNSEEN:
-                yield Replayed(record, commands, controller.estimate, controller.snapshot)
-        # A flight that was cut off may lack the commands of its last event: those are not held against it.
+    def replayed(self, event: object, outputs: Iterable[object]) -> None:
+        """Take an event, and what it leads to in the replay."""
+        if self._expected:
+            self.flown(None)
+        self._cause = event
+        self._expected.extend(outputs)
 
-    def _compare(self, flown: Output | None) -> None:
+    def flown(self, command: object) -> None:
+        """Take a command of the flight; None: there is none where the replay has one."""
         replayed = self._expected.popleft() if self._expected else None
         self.compared += 1
-        same = flown is not None and replayed is not None and self._is_same(flown, replayed)
+        same = command is not None and replayed is not None and self._is_same(command, replayed)
         if not same and self.difference is None and self._cause is not None:
-            self.difference = Difference(self._cause, flown, replayed)
-        if flown is None:
+            self.difference = Difference(self._cause, command, replayed)
+        if command is None:
             self._expected.clear()
 
-    def _is_same(self, flown: Output, replayed: Output) -> bool:
+    def _is_same(self, flown: object, replayed: object) -> bool:
         if encode(flown) == encode(replayed):
             return True
         rounding = last_digits(flown, replayed)
@@ -232,8 +210,48 @@ class JournalReplay:
         self.greatest_rounding = max(self.greatest_rounding, rounding)
         return True
 
+    def sameness(self) -> str:
+        """Return in words how equal the compared commands are."""
+        if not self.rounded:
+            return "all the same to the last bit"
+        digits = f"{self.rounded} differ in their last digits, by {self.greatest_rounding:.0e} of the value at most"
+        return f"all the same; {digits} (recorded on another kind of processor, or with other libraries)"
 
-def last_digits(a: Output, b: Output) -> float:
+
+class JournalReplay(Comparison):
+    """Steps a core through the journal of a sidelong run: the recorded events of the flight, in order.
+
+    mission: the complete core, if the journal holds the exchange with the autopilot. Uploads, switches and yields are
+    then compared too. None: only the controller is stepped, with the recorded results of the exchange.
+    """
+
+    def __init__(self, controller: StandoffController, mission: MissionController | None = None) -> None:
+        super().__init__()
+        self.controller = controller
+        self._step: Callable[[Any], tuple[Output, ...]] = controller.step if mission is None else mission.step
+        self._outputs: frozenset[type] = _COMMANDS if mission is None else frozenset(get_args(Output))
+        self._left_out: frozenset[type] = _EXCHANGE if mission is None else frozenset()
+
+    def run(self, records: Iterable[Any]) -> Iterator[Replayed]:
+        """Yield the events of the journal with the step's present results; skip those that no consumer needs."""
+        controller, outputs_too, left_out = self.controller, self._outputs, self._left_out
+        for record in records:
+            kind = type(record)
+            if kind in left_out:
+                continue
+            if kind in outputs_too:
+                self.flown(record)
+                if kind in _DERIVED:
+                    yield Replayed(record, (), controller.estimate, controller.snapshot)
+                continue
+            outputs = self._step(record)
+            self.replayed(record, outputs)
+            commands = tuple(output for output in outputs if isinstance(output, Command))
+            if commands or kind not in _UNSEEN:
+                yield Replayed(record, commands, controller.estimate, controller.snapshot)
+
+
+def last_digits(a: object, b: object) -> float:
     """Return the greatest relative difference between numbers of two commands; inf where anything else differs."""
     return math.inf if type(a) is not type(b) else _relative(to_builtins(a), to_builtins(b))
 

@@ -221,7 +221,7 @@ def _replay_run(
     if verify:
         if steps.difference is not None:
             raise FlightError(f"{folder.path}: the replay differs from the flight {steps.difference}")
-        console.print(f"{steps.compared} decisions and commands compared: {_sameness(steps)}", soft_wrap=True)
+        console.print(f"{steps.compared} decisions and commands compared: {steps.sameness()}", soft_wrap=True)
     elif steps.difference is not None and not quiet:
         console.print(Text(f"first difference from the flight {steps.difference}"))
     if truth is None and folder.truth.is_file():
@@ -232,13 +232,6 @@ def _replay_run(
         at = clock(max(controller.time_s - (start_s or 0.0), 0.0))
         console.print(f"the record ends early, at {at}: {truncated}", soft_wrap=True)
     return judged.summary(truth, plane, start_s)
-
-
-def _sameness(steps: JournalReplay) -> str:
-    if not steps.rounded:
-        return "all the same to the last bit"
-    digits = f"{steps.rounded} differ in their last digits, by {steps.greatest_rounding:.0e} of the value at most"
-    return f"all the same; {digits} (recorded on another kind of processor, or with other libraries)"
 
 
 def _planner_of(settings: Config) -> PlannerKind | None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, cast, get_args
 
+from sidelong.app.analysis.replay import Comparison
 from sidelong.app.analysis.summary import Summary
 from sidelong.app.commands.output import console
 from sidelong.app.commands.progress import progress_bar, table_progress
@@ -12,10 +13,11 @@ from sidelong.app.errors import FlightError, InputError
 from sidelong.app.fleet.assembly import coordinator_of
 from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES
 from sidelong.app.fleet.fleet_file import FleetFile
-from sidelong.app.fleet.replay import compare_coordination
 from sidelong.app.records.journal import JournalReader
 from sidelong.app.records.run_folder import FleetFolder, RunFolder
 from sidelong.app.section import validated
+from sidelong.mission.fleet.coordinator import FleetCoordinator
+from sidelong.mission.fleet.events import FleetCommand, FleetEvent
 
 
 def replay_fleet(folder: FleetFolder, replay_one: Callable[[RunFolder], Summary], verify: bool) -> dict[str, Any]:
@@ -42,8 +44,20 @@ def replay_fleet(folder: FleetFolder, replay_one: Callable[[RunFolder], Summary]
     compared = None
     if verify:
         with progress:
-            compared, difference = compare_coordination(coordinator_of(fleet, table_progress(console.print)), journal)
-        if difference is not None:
-            raise FlightError(f"{folder.path}: the coordinator's replay differs from the flight {difference}")
-        console.print(f"{compared} commands of the coordinator compared: all the same to the last bit")
+            steps = compare_coordination(coordinator_of(fleet, table_progress(console.print)), journal)
+        if steps.difference is not None:
+            raise FlightError(f"{folder.path}: the coordinator's replay differs from the flight {steps.difference}")
+        compared = steps.compared
+        console.print(f"{compared} commands of the coordinator compared: {steps.sameness()}", soft_wrap=True)
     return {"aircraft": aircraft, "coordinator_commands_compared": compared}
+
+
+def compare_coordination(coordinator: FleetCoordinator, records: Iterable[object]) -> Comparison:
+    """Step a coordinator through its journal, and compare its commands."""
+    comparison, commands = Comparison(), get_args(FleetCommand)
+    for record in records:
+        if isinstance(record, commands):
+            comparison.flown(record)
+        else:
+            comparison.replayed(record, coordinator.step(cast(FleetEvent, record)))
+    return comparison

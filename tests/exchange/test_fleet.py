@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from sidelong.app.assembly import controller_of, mission_controller_of
+from sidelong.app.commands.replay_fleet import compare_coordination
 from sidelong.app.fleet.assembly import coordinator_of
 from sidelong.app.fleet.coordination import FLEET_JOURNAL_TYPES, Coordination, Participant
 from sidelong.app.fleet.fleet_file import FleetFile
 from sidelong.app.fleet.planner import planner_in_fleet
-from sidelong.app.fleet.replay import compare_coordination
 from sidelong.app.records.journal import Header, JournalReader, JournalWriter, encode
 from sidelong.mission.core.events import End
 from sidelong.mission.core.fleet import Role
@@ -189,11 +189,11 @@ def test_the_coordinators_journal_replays_to_the_last_bit(flown):
     records = list(JournalReader(flown.journal_path, FLEET_JOURNAL_TYPES))
     assert sum(isinstance(record, SightingReported) for record in records) > 1000
     assert any(isinstance(record, PlansReported) for record in records)
-    compared, difference = compare_coordination(coordinator_of(flown.file), records)
-    assert difference is None
-    assert compared > 200
+    steps = compare_coordination(coordinator_of(flown.file), records)
+    assert (steps.difference, steps.rounded) == (None, 0)
+    assert steps.compared > 200
     corrupted = [record for record in records if not isinstance(record, SightingReported)]
-    assert compare_coordination(coordinator_of(flown.file), corrupted)[1] is not None
+    assert compare_coordination(coordinator_of(flown.file), corrupted).difference is not None
 
 
 def test_each_core_replays_on_its_own_to_the_last_bit(flown):
@@ -270,5 +270,5 @@ def test_a_payload_on_its_way_to_another_target_spoils_no_track(divided):
 
 def test_a_fleet_of_two_targets_replays_to_the_last_bit(divided):
     records = list(JournalReader(divided.journal_path, FLEET_JOURNAL_TYPES))
-    compared, difference = compare_coordination(coordinator_of(divided.file), records)
-    assert (difference, compared > 300) == (None, True)
+    steps = compare_coordination(coordinator_of(divided.file), records)
+    assert (steps.difference, steps.rounded, steps.compared > 300) == (None, 0, True)
