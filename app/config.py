@@ -474,12 +474,16 @@ def room_warning(config: Config) -> str | None:
     )
 
 
+def unflyable(config: Config) -> str:
+    """Return why the configured planner cannot keep the requirement and which number to change, '' if it can."""
+    aircraft, requirement = config.aircraft.aircraft(), config.requirement.requirement()
+    return in_words(planner_by_name(config.planner.name).unflyable(aircraft, requirement))
+
+
 def check_flyable(config: Config) -> None:
     """Raise InputError, naming the field and the way out, when the configured planner cannot keep the requirement."""
-    aircraft, requirement = config.aircraft.aircraft(), config.requirement.requirement()
-    reasons = planner_by_name(config.planner.name).unflyable(aircraft, requirement)
-    if reasons:
-        raise InputError(f"infeasible: {in_words(reasons)}.")
+    if reasons := unflyable(config):
+        raise InputError(f"infeasible: {reasons}.")
 
 
 def load_config(path: Path | None, overrides: dict[str, dict[str, Any]] | None = None) -> Config:

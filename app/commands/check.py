@@ -13,16 +13,16 @@ from sidelong.app.commands.options import AIRCRAFT, panel
 from sidelong.app.commands.output import JsonOption, checked_output, console, write_json
 from sidelong.app.commands.progress import table_progress
 from sidelong.app.commands.radius import RadiusOption, warn_of_little_room
-from sidelong.app.config import Config, load_config
+from sidelong.app.config import Config, load_config, unflyable
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import load_fleet, names_a_fleet
 from sidelong.app.planners.registry import PLANNER_NAMES
 from sidelong.app.study.flight_kernel import advance as advance_flight
-from sidelong.app.study.prediction import FLIGHT_S, FLIGHTS, predict, unflyable
+from sidelong.app.study.prediction import FLIGHT_S, FLIGHTS, predict
 from sidelong.estimators.compiled import is_cached
-from sidelong.mission.paper.feasibility import feasibility
 from sidelong.mission.paper.optimum import ThresholdBounds, threshold_bounds
 from sidelong.mission.paper.optimum import optimise as optimum
+from sidelong.mission.paper.scope import scope
 
 _PUBLISHED = panel("Published method (planner paper)")
 
@@ -133,8 +133,7 @@ def _checked(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> tup
 def _paper_values(settings: Config, airspeeds_m_s: tuple[float, float] | None) -> dict[str, Any]:
     """Print the paper's own quantities, and the best ones if they are asked for; return them."""
     aircraft, requirement = settings.aircraft.aircraft(), settings.requirement.requirement()
-    result = feasibility(aircraft, requirement)
-    values: dict[str, Any] = {key: getattr(result, key) for key in _LABELS}
+    values: dict[str, Any] = asdict(scope(aircraft, requirement))
     console.print(_table(values))
     if airspeeds_m_s is not None:
         here = threshold_bounds(aircraft, requirement)

@@ -1,4 +1,4 @@
-"""Functions shared by flights of one aircraft and of a fleet: running the flight and retaining its records."""
+"""Functions shared by flights of one aircraft and of a fleet: predicting, running and retaining its records."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
+from sidelong.app.config import Config
 from sidelong.app.errors import FlightError, Interrupted
 from sidelong.app.event_loop import run
 from sidelong.app.flight.life import Life
 from sidelong.app.shutdown import interrupt_dropped
+from sidelong.estimators.compiled import is_cached
 
 _NOTHING_COMMANDED = "interrupted: nothing was commanded; no records are kept."
 
@@ -52,3 +54,20 @@ def kept_if_armed(records: Path) -> Iterator[Callable[[Life], Life]]:
         if isinstance(error, asyncio.CancelledError) and failure is not None:
             raise FlightError(failure) from None
         raise
+
+
+def warn_of_prediction(config: Config, note: Callable[[str], object]) -> None:
+    """Report what keeps simulated flights of a configuration from the requirement, as ``check`` would.
+
+    Before the study's code is compiled for the first time this would take up to a minute: ``check`` is then
+    recommended instead.
+    """
+    from sidelong.app.study.flight_kernel import advance  # noqa: PLC0415  # only once the options are checked
+    from sidelong.app.study.prediction import predict  # noqa: PLC0415  # likewise
+
+    if not is_cached(advance):
+        note("how well this requirement can be kept has not been computed yet: sidelong check does it")
+        return
+    shortcoming = predict(config).shortcoming(config)
+    if shortcoming:
+        note(f"warning: sidelong check refuses this configuration: {shortcoming}")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,7 +22,7 @@ from sidelong.app.commands.output import (
     write_json,
 )
 from sidelong.app.commands.radius import warn_of_little_room
-from sidelong.app.commands.report import write_fleet_report, write_report
+from sidelong.app.commands.report import write_report
 from sidelong.app.config import DEMONSTRATION, MAX_AIRCRAFT, Config, check_flyable, load_config, with_values
 from sidelong.app.errors import InputError
 from sidelong.app.fleet.fleet_file import FleetFile, load_fleet, names_a_fleet
@@ -198,44 +200,31 @@ def launch(
     }
     if mcap:
         mcap_writer_class()
-    address = _page_address(
-        _is_unasked(view, quiet, json), view, view_host, view_port, view_cert, view_key, map_file, map_bounds
-    )
+    silent = quiet or str(json) == "-"
+    address = map_address(view, silent, view_host, view_port, view_cert, view_key, map_file, map_bounds)
+    settings = None
     if fleet is not None or names_a_fleet(config):
         several = load_fleet(config, overrides, fleet)
-        if len(several.aircraft) > 1:
-            _check_fleet(several, point_gimbal, system_id)
-            check_space(out, duration, len(several.aircraft), warn)
-            # The flight modules take a second to load; report a wrong option first.
-            from sidelong.app.commands.launch_fleet import fly_fleet  # noqa: PLC0415
-
-            with shielded_output():
-                flown = fly_fleet(several, duration, out, quiet, point_gimbal, address)
-                _announce(flown, json)
-                if flown.reason is not None:
-                    raise flown.reason
-                if mcap:
-                    _write_mcap(flown.folder.path)
-                if report:
-                    write_fleet_report(flown.folder, flown.folder.path / "report.html")
-            return
-        settings = several.members[0].config
+        if len(several.aircraft) == 1:
+            settings = several.members[0].config
     else:
         settings = load_config(config, overrides)
-    if settings.requirement.fleet_size > 1:
-        raise InputError(
-            f"requirement.fleet_size = {settings.requirement.fleet_size} with one aircraft; leave it out, "
-            "or give a fleet file with several [[aircraft]]."
-        )
-    settings = _with_simulated_payload(settings, speed, payload_url)
-    check_flyable(settings)
-    _check_input(settings, point_gimbal)
-    warn_of_little_room(settings)
-    check_space(out, duration, 1, warn)
-    from sidelong.app.commands.launch_one import fly_one  # noqa: PLC0415  # as above
+    # The flight modules take a second to load; report a wrong option first.
+    fly: Callable[[float, Path, bool, bool, Address | None], FlightEnded | FleetEnded]
+    if settings is None:
+        _check_fleet(several, point_gimbal, system_id)
+        check_space(out, duration, len(several.aircraft), warn)
+        from sidelong.app.commands.launch_fleet import fly_fleet  # noqa: PLC0415
 
+        fly = partial(fly_fleet, several)
+    else:
+        settings = _checked(settings, speed, payload_url, point_gimbal)
+        check_space(out, duration, 1, warn)
+        from sidelong.app.commands.launch_one import fly_one  # noqa: PLC0415
+
+        fly = partial(fly_one, settings)
     with shielded_output():
-        ended = fly_one(settings, duration, out, quiet, point_gimbal, address)
+        ended = fly(duration, out, quiet, point_gimbal, address)
         _announce(ended, json)
         if ended.reason is not None:
             raise ended.reason
@@ -245,26 +234,25 @@ def launch(
             write_report(ended.folder.path, ended.folder.path / "report.html")
 
 
-def _is_unasked(view: bool | None, quiet: bool, json: Path | None) -> bool:
-    """Return whether to show the map without a request: in a desktop session."""
-    return view is None and is_desktop() and not quiet and str(json) != "-"
+def _checked(settings: Config, speed: float | None, payload_url: str | None, point_gimbal: bool) -> Config:
+    """Return the settings to fly one aircraft with. Raises InputError for what cannot be flown."""
+    if settings.requirement.fleet_size > 1:
+        raise InputError(
+            f"requirement.fleet_size = {settings.requirement.fleet_size} with one aircraft; leave it out, "
+            "or give a fleet file with several [[aircraft]]."
+        )
+    settings = _with_simulated_payload(settings, speed, payload_url)
+    check_flyable(settings)
+    _check_input(settings, point_gimbal)
+    warn_of_little_room(settings)
+    return settings
 
 
-def _page_address(
-    unasked: bool,
-    view: bool | None,
-    host: str,
-    port: int,
-    cert: Path | None,
-    key: Path | None,
-    map_file: Path | None,
-    map_bounds: str | None,
-) -> Address | None:
-    """Return the address of the page; a page that was not requested uses another port if the default is in use."""
-    if not unasked:
-        return page_address(bool(view), host, port, cert, key, map_file, map_bounds)
-    address = page_address(True, host, free_port(port), cert, key, map_file, map_bounds)
-    return address and replace(address, opens_browser=address.is_local)
+def map_address(view: bool | None, silent: bool, host: str, port: int, *files: Any) -> Address | None:
+    """Return the address of the map; view None: in a desktop session, on another port if that one is in use."""
+    unasked = view is None and is_desktop() and not silent
+    address = page_address(unasked or bool(view), host, free_port(port) if unasked else port, *files)
+    return address and replace(address, opens_browser=unasked and address.is_local)
 
 
 def _with_simulated_payload(settings: Config, speed: float | None, url: str | None) -> Config:

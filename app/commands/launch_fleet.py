@@ -8,8 +8,7 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-from sidelong.app.commands.expected import warn_of_prediction
-from sidelong.app.commands.flying import kept_if_armed, run_flight
+from sidelong.app.commands.flying import kept_if_armed, run_flight, warn_of_prediction
 from sidelong.app.commands.output import console
 from sidelong.app.commands.progress import table_progress
 from sidelong.app.fleet.fleet_file import FleetFile

@@ -11,8 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from sidelong.app.assembly import controller_of
-from sidelong.app.commands.expected import warn_of_prediction
-from sidelong.app.commands.flying import kept_if_armed, run_flight
+from sidelong.app.commands.flying import kept_if_armed, run_flight, warn_of_prediction
 from sidelong.app.commands.output import console, warn
 from sidelong.app.commands.progress import table_progress
 from sidelong.app.config import DEMONSTRATION, Config

@@ -37,13 +37,6 @@ def report(
     """
     if out is None:
         out = run / "report.html" if run.is_dir() else run.with_suffix(".report.html")
-    if FleetFolder(run).journal.is_file():
-        if png is not None or truth is not None or config is not None:
-            raise InputError(
-                f"{run} is the run of a fleet: --png, --truth and --config are for the folder of one aircraft in it."
-            )
-        write_fleet_report(FleetFolder(run), out)
-        return
     if truth is not None:
         read_truth(truth)  # report a wrong file before any computation
     write_report(run, out, png, truth, config)
@@ -52,9 +45,20 @@ def report(
 def write_report(
     run: Path, out: Path, png: Path | None = None, truth: Path | None = None, config: Path | None = None
 ) -> None:
-    """Write the page, and the figures if asked for. Raises InputError naming the file that is at fault."""
+    """Write the page, and the figures if asked for; of a fleet's run a page about each aircraft too.
+
+    Raises InputError naming the file that is at fault.
+    """
+    if not out.parent.is_dir():
+        raise InputError(f"{out}: there is no folder {out.parent}; create it or give another file to --out.")
+    if FleetFolder(run).journal.is_file():
+        if png is not None or truth is not None or config is not None:
+            raise InputError(
+                f"{run} is the run of a fleet: --png, --truth and --config are for the folder of one aircraft in it."
+            )
+        _write_fleet(FleetFolder(run), out)
+        return
     require_recording(run)
-    _check_out(out)
     # Only a report needs matplotlib, which takes a second to load.
     from sidelong.app.report.page import report_page, save_png  # noqa: PLC0415
     from sidelong.app.report.sources import read_flight  # noqa: PLC0415
@@ -70,9 +74,7 @@ def write_report(
         console.print(f"figures: {len(files)} in {png}", soft_wrap=True)
 
 
-def write_fleet_report(folder: FleetFolder, out: Path) -> None:
-    """Write the page about a fleet's flight, and each aircraft's into its own folder. Raises as ``write_report``."""
-    _check_out(out)
+def _write_fleet(folder: FleetFolder, out: Path) -> None:
     from sidelong.app.fleet.flown import read_fleet  # noqa: PLC0415
     from sidelong.app.fleet.page import fleet_page  # noqa: PLC0415
     from sidelong.app.report.page import report_page  # noqa: PLC0415
@@ -84,11 +86,6 @@ def write_fleet_report(folder: FleetFolder, out: Path) -> None:
         _write(pages[one.name], report_page(one.flown))
     links = {name: os.path.relpath(page, out.parent) for name, page in pages.items()}
     _write(out, fleet_page(flown, links))
-
-
-def _check_out(out: Path) -> None:
-    if not out.parent.is_dir():
-        raise InputError(f"{out}: there is no folder {out.parent}; create it or give another file to --out.")
 
 
 def _write(out: Path, page: str) -> None:

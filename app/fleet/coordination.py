@@ -26,7 +26,6 @@ from sidelong.mission.fleet.events import (
     FleetAnnounce,
     FleetCommand,
     FleetEvent,
-    ForeignAircraftReported,
     LaunchRequested,
     PlansReported,
     ReliefRequested,
@@ -148,7 +147,7 @@ class Coordination:
             now_s += _STANDING_S  # no vehicle is received any more
         if math.isfinite(now_s):
             self._ticked_s, self._moved_s = now_s, wall_s
-            self._put(Tick(now_s))
+            self.put(Tick(now_s))
 
     # -- what the aircraft report --------------------------------------------------------------------------
 
@@ -158,7 +157,7 @@ class Coordination:
 
         def received(event: InboundEvent, outputs: Sequence[Output]) -> None:
             for news in participant.reporter.after(participant.controller, event, outputs, self.now_s):
-                self._put(_common_heights(news, participant.home_above_m))
+                self.put(_common_heights(news, participant.home_above_m))
 
         return received
 
@@ -170,7 +169,7 @@ class Coordination:
         if message.name == "TIMESYNC":
             self._compare_utc()
         if advised is not None:
-            self._put(advised)
+            self.put(advised)
         if message.name in ("SYS_STATUS", "BATTERY_STATUS"):
             self._battery(participant, int(message.fields["battery_remaining"]))
 
@@ -194,30 +193,27 @@ class Coordination:
         if percent < 0 or percent == participant.battery_percent or not math.isfinite(participant.now_s()):
             return
         participant.battery_percent = percent
-        self._put(BatteryReported(participant.name, participant.now_s(), percent / 100.0))
-
-    def foreign(self, report: ForeignAircraftReported) -> None:
-        """Take an aircraft that is not ours."""
-        self._put(report)
+        self.put(BatteryReported(participant.name, participant.now_s(), percent / 100.0))
 
     def lost(self, name: str, reason: str) -> None:
         """Take an aircraft out whose flight has ended."""
         if math.isfinite(self.now_s):
-            self._put(VehicleLost(name, self.now_s, reason))
+            self.put(VehicleLost(name, self.now_s, reason))
 
     # -- what a person asks --------------------------------------------------------------------------------
 
     def watch_from(self, side: Side, who: str) -> None:
         """Set the required side."""
-        self._put(SideRequested(self.now_s, side, who))
+        self.put(SideRequested(self.now_s, side, who))
 
     def relieve(self, name: str, who: str) -> None:
         """Let another one take that aircraft's place."""
-        self._put(ReliefRequested(name, self.now_s, who))
+        self.put(ReliefRequested(name, self.now_s, who))
 
     # -- output of the coordinator -------------------------------------------------------------------------
 
-    def _put(self, event: FleetEvent) -> None:
+    def put(self, event: FleetEvent) -> None:
+        """Step the coordinator, and pass on what it led to."""
         self._journal.write(event)
         for command in self.coordinator.step(event):
             self._journal.write(command)

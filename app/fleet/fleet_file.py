@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -104,95 +104,71 @@ class FleetFile(Config):
 
     @model_validator(mode="after")
     def _ground_known(self) -> Self:
-        above = {one.height_above for one in self.aircraft}
-        if len(above) > 1:
-            raise ValueError('aircraft.height_above is "home" for one and "ground" for another; give all the same')
-        if above == {"ground"} and self.terrain.folder is None:
-            raise ValueError(
-                'aircraft.height_above = "ground" needs elevation data; give terrain.folder, or "home" instead'
-            )
+        """Check what the sections say together, in place of the check of a single aircraft's configuration."""
+        for problem in chain(self._problems_of_aircraft(), self._problems_of_targets()):
+            raise ValueError(problem)
         return self
 
-    @model_validator(mode="after")
-    def _distinct(self) -> Self:
+    def _problems_of_aircraft(self) -> Iterator[str]:
+        above = {one.height_above for one in self.aircraft}
+        if len(above) > 1:
+            yield 'aircraft.height_above is "home" for one and "ground" for another; give all the same'
+        if above == {"ground"} and self.terrain.folder is None:
+            yield 'aircraft.height_above = "ground" needs elevation data; give terrain.folder, or "home" instead'
         for what, entries in (
             ("name", [one.name for one in self.aircraft]),
             ("system_id", [one.system_id for one in self.aircraft if not _own_links(one)]),
             ("url", [url for one in self.aircraft for url in _own_links(one)]),
         ):
-            twice = next((one for k, one in enumerate(entries) if one is not None and one in entries[:k]), None)
-            if twice is not None:
-                raise ValueError(f"aircraft.{what} = {twice!r} is given twice; give each aircraft its own")
-        return self
-
-    @model_validator(mode="after")
-    def _targets_given_out(self) -> Self:
-        names = [one.name for one in self.target]
-        if len(set(names)) < len(names):
-            raise ValueError(f"target.name: {names} has one twice; give each target its own")
+            twice = (one for k, one in enumerate(entries) if one is not None and one in entries[:k])
+            yield from (f"aircraft.{what} = {one!r} is given twice; give each aircraft its own" for one in twice)
         for one in self.aircraft:
-            if one.target is not None and one.target not in names:
-                raise ValueError(f"aircraft {one.name!r} has target = {one.target!r}; there are {', '.join(names)}")
-        flying = {self._first_target(k).name for k, one in enumerate(self.aircraft) if not one.reserve}
-        alone = next((name for name in names if name not in flying), None)
-        if alone is not None:
-            raise ValueError(f"target {alone!r} has no aircraft that flies; give it one, or leave the target out")
-        placed = [one.start_m is not None for one in self.target]
-        if any(placed) and not all(placed):
-            raise ValueError(f"target {names[placed.index(False)]!r} has no start_m, as others have; give it one")
-        return self
-
-    @model_validator(mode="after")
-    def _all_linked(self) -> Self:
-        linked = [bool(_own_links(one)) for one in self.aircraft]
-        if self.link.connections:
-            for one, own in zip(self.aircraft, linked, strict=True):
-                if not own and one.system_id is None:
-                    raise ValueError(f"aircraft {one.name!r} shares the link of all; give its system_id")
-        elif any(linked) and not all(linked):
-            raise ValueError(f"aircraft {self.aircraft[linked.index(False)].name!r} has no link; give its url")
-        return self
-
-    @model_validator(mode="after")
-    def _another_flies(self) -> Self:
+            if self.link.connections and not _own_links(one) and one.system_id is None:
+                yield f"aircraft {one.name!r} shares the link of all; give its system_id"
+            if not self.link.connections and not _own_links(one) and any(map(_own_links, self.aircraft)):
+                yield f"aircraft {one.name!r} has no link; give its url"
         if all(one.reserve for one in self.aircraft):
-            raise ValueError("aircraft.reserve: all of them wait on the ground; let one fly")
-        return self
+            yield "aircraft.reserve: all of them wait on the ground; let one fly"
+        if len(self.aircraft) > 1 and self.sharing.beacon is not None:
+            yield "sharing.beacon: a beacon is used by one aircraft, not by a fleet; leave it out"
+        yield from self._problems_of_heights()
 
-    @model_validator(mode="after")
-    def _layers_apart(self) -> Self:
+    def _problems_of_heights(self) -> Iterator[str]:
         ordered = sorted(self.aircraft, key=lambda one: one.height_m)
         for lower, upper in pairwise(ordered):
-            if upper.height_m - lower.height_m < MIN_LAYER_M:
-                raise ValueError(
-                    f"aircraft.height_m of {lower.name!r} and {upper.name!r} are "
-                    f"{upper.height_m - lower.height_m:g} m apart; make that {MIN_LAYER_M:g} m or more"
+            apart_m = upper.height_m - lower.height_m
+            if apart_m < MIN_LAYER_M:
+                yield (
+                    f"aircraft.height_m of {lower.name!r} and {upper.name!r} are {apart_m:g} m apart; "
+                    f"make that {MIN_LAYER_M:g} m or more"
                 )
         floor_m, ceiling_m = self.fences.floor_m, self.fences.ceiling_m
         for one in ordered if ordered[0].height_above == "home" else ():
             if floor_m is not None and one.height_m < floor_m:
-                raise ValueError(f"aircraft {one.name!r} at {one.height_m:g} m is below fences.floor_m = {floor_m:g}")
+                yield f"aircraft {one.name!r} at {one.height_m:g} m is below fences.floor_m = {floor_m:g}"
             if ceiling_m is not None and one.height_m > ceiling_m:
-                raise ValueError(
-                    f"aircraft {one.name!r} at {one.height_m:g} m is above fences.ceiling_m = {ceiling_m:g}"
-                )
-        return self
+                yield f"aircraft {one.name!r} at {one.height_m:g} m is above fences.ceiling_m = {ceiling_m:g}"
 
-    @model_validator(mode="after")
-    def _sides_shared(self) -> Self:
+    def _problems_of_targets(self) -> Iterator[str]:
+        names = [one.name for one in self.target]
+        if len(set(names)) < len(names):
+            yield f"target.name: {names} has one twice; give each target its own"
+        for one in self.aircraft:
+            if one.target is not None and one.target not in names:
+                yield f"aircraft {one.name!r} has target = {one.target!r}; there are {', '.join(names)}"
+        flying = {self._first_target(k).name for k, one in enumerate(self.aircraft) if not one.reserve}
+        for name in names:
+            if name not in flying:
+                yield f"target {name!r} has no aircraft that flies; give it one, or leave the target out"
+        placed = [one.start_m is not None for one in self.target]
+        if any(placed) and not all(placed):
+            yield f"target {names[placed.index(False)]!r} has no start_m, as others have; give it one"
         asked = self.asked.values()
         if len(self.aircraft) > 1 and any(one.either_side or one.sector is not None for one in asked):
-            raise ValueError(
+            yield (
                 f"requirement.side = {self.requirement.side!r}: several aircraft share the sides of a target; "
                 f"give {Side.LEFT} or {Side.RIGHT}"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _no_beacon(self) -> Self:
-        if len(self.aircraft) > 1 and self.sharing.beacon is not None:
-            raise ValueError("sharing.beacon: a beacon is used by one aircraft, not by a fleet; leave it out")
-        return self
 
     @property
     def members(self) -> tuple[Member, ...]:

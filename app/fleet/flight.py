@@ -265,16 +265,11 @@ class FleetFlight:
         own_ids = {one.session.vehicle.system_id for one in self._aircraft}
         foreign = ForeignAircraft(first.plane, home_m, own_ids, lambda: coordination.now_s)
 
-        def given_up(one: FleetAircraft, message: Message) -> None:
-            if one.controller.phase is Phase.YIELDED:
-                report = foreign.report(message, one.name)
+        def bystander(message: Message, member: FleetAircraft | None = None) -> None:
+            if member is None or member.controller.phase is Phase.YIELDED:
+                report = foreign.report(message, "" if member is None else member.name)
                 if report is not None:
-                    coordination.foreign(report)
-
-        def bystander(message: Message) -> None:
-            report = foreign.report(message)
-            if report is not None:
-                coordination.foreign(report)
+                    coordination.put(report)
 
         for one in self._aircraft:
             telemetry, vehicle = one.session.telemetry, one.session.vehicle
@@ -292,7 +287,7 @@ class FleetFlight:
                 )
             )
             vehicle.bystanders.append(bystander)
-            vehicle.listeners.append(lambda message, one=one: given_up(one, message))  # type: ignore[misc]
+            vehicle.listeners.append(lambda message, one=one: bystander(message, one))  # type: ignore[misc]
             vehicle.listeners.append(lambda message, name=one.name: coordination.message(name, message))  # type: ignore[misc]
         flights: list[asyncio.Task[None]] = []
         clocks = [asyncio.create_task(coordination.keep_time()), asyncio.create_task(self._until_over(coordination))]

@@ -9,7 +9,7 @@ from sidelong.app.planners.planner_kind import PlannerNeeds
 from sidelong.mission.core.feasibility import Change
 from sidelong.mission.core.plan import PlannerFactory
 from sidelong.mission.core.requirement import Aircraft, Requirement
-from sidelong.mission.paper.feasibility import feasibility
+from sidelong.mission.paper.feasibility import infeasible
 from sidelong.mission.paper.scope import largest_psi_c_rad
 
 
@@ -20,7 +20,7 @@ class Paper:
     about = "the published method, once a lap"
 
     def unflyable(self, aircraft: Aircraft, requirement: Requirement) -> Sequence[Change]:
-        return feasibility(aircraft, requirement, largest_psi_c_rad(aircraft, requirement)).reasons
+        return infeasible(aircraft, requirement, largest_psi_c_rad(aircraft, requirement))
 
     def is_compiled(self) -> bool:
         return True

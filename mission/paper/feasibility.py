@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 from sidelong.mission.core.feasibility import Change, unflyable
@@ -15,37 +15,15 @@ from sidelong.mission.paper.scope import scope
 _THRESHOLD_MAX = 1.0  # beyond, the aircraft would leave the band by design
 
 
-@dataclass(frozen=True, slots=True)
-class Feasibility:
-    """The verdict, the distances behind it (see :class:`mission.paper.scope.Scope`), and the changes that would help.
+def infeasible(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2) -> tuple[Change, ...]:
+    """Check that the circle can be flown, fits the band (19), and can always be moved in time (46-47).
 
-    Each of ``reasons`` cures its own cause alone; where two causes are named, one change of each is needed.
+    Returns:
+        The changes that would help, none if it is feasible. Each cures its own cause alone; where two causes are
+        named, one change of each is needed.
+
     """
-
-    feasible: bool
-    x_tr_m: float
-    shortest_time_s: float
-    shortest_move_m: float
-    longest_move_m: float
-    straight_left_m: float
-    min_threshold: float
-    reasons: tuple[Change, ...]
-
-
-def feasibility(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float = math.pi / 2) -> Feasibility:
-    """Check that the circle can be flown, fits the band (19), and can always be moved in time (46-47)."""
-    reasons = (*unflyable(aircraft, requirement), *_moves_too_short(aircraft, requirement, psi_c_rad))
-    of = scope(aircraft, requirement, psi_c_rad)
-    return Feasibility(
-        feasible=not reasons,
-        x_tr_m=of.x_tr_m,
-        shortest_time_s=of.shortest_time_s,
-        shortest_move_m=of.shortest_move_m,
-        longest_move_m=of.longest_move_m,
-        straight_left_m=of.straight_left_m,
-        min_threshold=of.min_threshold,
-        reasons=reasons,
-    )
+    return (*unflyable(aircraft, requirement), *_moves_too_short(aircraft, requirement, psi_c_rad))
 
 
 def _moves_too_short(aircraft: Aircraft, requirement: Requirement, psi_c_rad: float) -> Iterator[Change]:

@@ -17,19 +17,7 @@ def circle_next_to(
     target_east_m: float, target_north_m: float, course_rad: float, aircraft: Aircraft, requirement: Requirement
 ) -> Circle:
     """Return the circle on the required side of a target that moves on ``course_rad`` (20-21)."""
-    return circle_towards(
-        target_east_m, target_north_m, course_rad + requirement.side.normal_turn_rad, aircraft, requirement
-    )
-
-
-def circle_towards(
-    target_east_m: float, target_north_m: float, outward_rad: float, aircraft: Aircraft, requirement: Requirement
-) -> Circle:
-    """Return the circle whose centre is seen from the target in direction ``outward_rad``.
-
-    For a target that has not moved there is no side yet: the direction is that of the aircraft (22).
-    """
-    distance_m = stand_off_m(aircraft, requirement)
+    outward_rad, distance_m = course_rad + requirement.side.normal_turn_rad, stand_off_m(aircraft, requirement)
     return Circle(
         target_east_m + distance_m * math.sin(outward_rad),
         target_north_m + distance_m * math.cos(outward_rad),

@@ -36,19 +36,17 @@ def test_a_desktop_is_a_display_and_a_terminal(monkeypatch, variables, terminal,
 
 
 @pytest.mark.parametrize(
-    ("view", "quiet", "json", "shown"),
-    [(None, False, None, True), (None, True, None, False), (None, False, "-", False), (False, False, None, False)],
+    ("view", "silent", "shown"), [(None, False, True), (None, True, False), (False, False, False)]
 )
-def test_the_map_is_shown_unless_it_was_declined(monkeypatch, view, quiet, json, shown):
+def test_the_map_is_shown_unless_it_was_declined(monkeypatch, view, silent, shown):
     monkeypatch.setattr(command, "is_desktop", lambda: True)
-    unasked = command._is_unasked(view, quiet, json)
-    found = command._page_address(unasked, view, "127.0.0.1", 0, None, None, None, None)
+    found = command.map_address(view, silent, "127.0.0.1", 0, None, None, None, None)
     assert (found is not None) is shown
     assert found is None or found.opens_browser
 
 
 def test_a_map_that_was_asked_for_opens_no_browser():
-    found = command._page_address(False, True, "127.0.0.1", 8420, None, None, None, None)
+    found = command.map_address(True, False, "127.0.0.1", 8420, None, None, None, None)
     assert not found.opens_browser
 
 

@@ -10,11 +10,11 @@ from scipy.special import stdtrit
 from typer.testing import CliRunner
 
 from sidelong.app.cli import app
-from sidelong.app.commands import expected
-from sidelong.app.config import Config
+from sidelong.app.commands import flying
+from sidelong.app.config import Config, unflyable
 from sidelong.app.study import prediction
-from sidelong.app.study.prediction import Prediction, Share, predict, unflyable
-from sidelong.mission.paper.feasibility import feasibility
+from sidelong.app.study.prediction import Prediction, Share, predict
+from sidelong.mission.paper.feasibility import infeasible
 
 X8_AT_400_M = {
     "aircraft": {"airspeed_m_s": 16.0, "radius_m": 50.0},
@@ -49,7 +49,7 @@ def test_what_only_the_paper_cannot_fly_is_feasible_for_the_default_planner(tmp_
     band = found["prediction"]["time_in_band"]
     assert band["low"] <= band["mean"] <= band["high"] <= 1.0
     assert band["mean"] > 0.95
-    assert not feasibility(config.aircraft.aircraft(), config.requirement.requirement()).feasible  # the paper's
+    assert infeasible(config.aircraft.aircraft(), config.requirement.requirement())  # the paper's
     assert not unflyable(config)
 
 
@@ -59,11 +59,11 @@ def test_launch_warns_of_what_check_refuses(tmp_path, monkeypatch, share, refuse
     found = Prediction(Share.of([share, share + 0.01, share + 0.02]), None)
     monkeypatch.setattr(prediction, "predict", lambda *_: found)
     monkeypatch.setattr("sidelong.app.commands.check.predict", lambda *_: found)
-    monkeypatch.setattr(expected, "is_cached", lambda _compiled: True)
+    monkeypatch.setattr(flying, "is_cached", lambda _compiled: True)
     ended = CliRunner().invoke(app, ["check", str(path)])
     assert ("widen the band" in str(ended.exception)) is refused
     notes = []
-    expected.warn_of_prediction(config, notes.append)
+    flying.warn_of_prediction(config, notes.append)
     assert any("sidelong check refuses this configuration" in note for note in notes) is refused
 
 

@@ -5,7 +5,7 @@ import pytest
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.feasibility import fits_band
 from sidelong.mission.core.requirement import Aircraft, Requirement, Side
-from sidelong.mission.paper.placement import circle_next_to, circle_towards, shifted, stand_off_m
+from sidelong.mission.paper.placement import circle_next_to, shifted, stand_off_m
 
 AIRCRAFT = Aircraft(airspeed_m_s=10.0, radius_m=50.0)
 
@@ -24,11 +24,6 @@ def test_right_of_a_target_that_drives_north_is_east_and_flown_counter_clockwise
     circle = circle_next_to(0.0, 0.0, 0.0, AIRCRAFT, requirement(Side.RIGHT))
     assert (circle.east_m, circle.north_m) == pytest.approx((150.0, 0.0))
     assert (circle.radius_m, circle.clockwise) == (50.0, False)
-
-
-def test_a_target_that_has_not_moved_is_watched_from_where_the_aircraft_is() -> None:
-    circle = circle_towards(0.0, 0.0, math.radians(225.0), AIRCRAFT, requirement())
-    assert (circle.east_m, circle.north_m) == pytest.approx((-150 * math.sqrt(0.5), -150 * math.sqrt(0.5)))
 
 
 def test_the_circle_touches_the_least_range_and_must_fit_the_greatest() -> None:
