@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import re
@@ -25,23 +26,24 @@ from sidelong.app.commands.output import (
 )
 from sidelong.app.commands.progress import runs_progress
 from sidelong.app.commands.radius import RadiusOption
-from sidelong.app.config import load_config
+from sidelong.app.config import load_config, with_values
 from sidelong.app.errors import InputError
-from sidelong.app.study import export as exporting
 from sidelong.app.study.benchmark import Benchmark, benchmark_table
-from sidelong.app.study.design import Design, Overrides, configured, designs, parsed_sweep
+from sidelong.app.study.design import Design, configured, designs, parsed_sweep
 from sidelong.app.study.fleet import FleetPlannerName
 from sidelong.app.study.fleet_study import fleet_json, fleet_table, fly_fleets
 from sidelong.app.study.flight_kernel import advance as advance_flight
-from sidelong.app.study.processes import on_processes
+from sidelong.app.study.measures import EXPLAINED
+from sidelong.app.study.parallel import Workers, on_cluster, on_processes
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.report import (
-    HEADINGS_EXPLAINED,
+    EXPORTED,
+    export_runs,
+    parquet_writer,
     study_fidelity,
     study_json,
     study_table,
     study_title,
-    sweep_json,
     sweep_table,
 )
 from sidelong.app.study.routes import route_next_to
@@ -55,22 +57,26 @@ from sidelong.app.study.settings import (
     StudySettings,
 )
 from sidelong.app.study.store import ResultStore
-from sidelong.app.study.study import Study, table_of
+from sidelong.app.study.study import Study, StudyResult, table_of
 from sidelong.app.terrain.elevation_data import elevation_data
 from sidelong.estimators.compiled import is_cached
 from sidelong.estimators.frames import LocalPlane
-from sidelong.mission.core.requirement import Requirement
 
 _TARGETS = panel("Targets")
 _COMPARISON = panel("Comparison")
 _COMPUTATION = panel("Computation")
 
 _LEGS = re.compile(r"(\d+(?:\.\d+)?)-(\d+(?:\.\d+)?)")
+_OF_BENCHMARK = {"benchmark", "targets", "planner", "controller", "runs", "jobs", "json"}
+_KINEMATIC = {"perfect_sensors", "terrain", "fleet", "controller"}
+# What does not belong to the command that flies one run again.
+_OF_WHOLE = {"planner", "run", "sweep", "store", "export", "report", "json", "jobs", "scheduler"}
 _BATCH_MAX = 50  # runs that go to a process or worker at once
 _BATCHES_EACH = 16  # for each process at least, so that little is lost when a study ends early
 
 
 def study(
+    context: typer.Context,
     config: Annotated[
         Path | None, typer.Argument(help="Aircraft, requirement and sensors of a mission (TOML).")
     ] = None,
@@ -174,51 +180,33 @@ def study(
       sidelong study --runs 10000 --scheduler tcp://HOST:8786 --store study.db
     """
     checked_output(json)
-    _checked_controller(planner, controller, store)
+    given = _given(context)
+    _check_controller(planner, controller, store)
     if benchmark:
-        _benchmark(
-            Benchmark(targets, planner, controller or "", runs),
-            {
-                **{"CONFIG.toml": config, "--noise-draws": noise_draws > 1, "--run": run, "--airspeed": airspeed},
-                **{"--radius": radius, "--target-speed-max": target_speed_max, "--wind": wind, "--home": home},
-                **{"--autopilot": autopilot, "--latency": latency, "--lag": lag, "--sweep": sweep},
-                **{"--fidelity closed-loop": fidelity is Fidelity.CLOSED_LOOP, "--perfect-sensors": perfect_sensors},
-                **{"--fleet": fleet > 1, "--terrain": terrain, "--scheduler": scheduler, "--store": store},
-                **{"--duration": duration, "--export": export, "--report": report, "--routes": routes},
-                "--seed": seed != 1,
-            },
-            jobs,
-            json,
-        )
+        other = next((words[0] for name, words in given.items() if name not in _OF_BENCHMARK), None)
+        if other is not None:
+            raise InputError(f"--benchmark: fixes targets, aircraft and noise; leave out {other}.")
+        _benchmark(Benchmark(targets, planner, controller or "", runs), jobs, json)
         return
-    flown_kinematically = {
-        "--perfect-sensors": perfect_sensors,
-        "--terrain": terrain is not None,
-        "--fleet": fleet > 1,
-        "--controller": controller is not None,
-    }
-    planners = _planners(fidelity, planner, latency, flown_kinematically)
-    latency, lag = _answer(autopilot, latency, lag)
-    _checked_file("--export", export, exporting.SUFFIXES)
-    _checked_file("--report", report, (".html",))
-    checked_file("--store", store)
-    if scheduler is not None and not re.fullmatch(r"[a-z]+://.+:\d+", scheduler):
-        raise InputError(f"--scheduler: {scheduler!r} is no address such as tcp://HOST:8786.")
-    if export is not None and export.suffix.lower() == ".parquet":
-        exporting.parquet_writer()
-    options = {
-        "aircraft": {"airspeed_m_s": airspeed, "radius_m": radius},
-        "requirement": {"target_speed_max_m_s": target_speed_max},
-        "simulation": {"wind_speed_m_s": wind},
-        "study": {"latency_s": latency, "lag_s": lag},
-    }
-    given = configured(load_config(config)) if config is not None else {}
-    _merge(given, options)
+    planners = _planners(fidelity, planner, given)
+    _check_places(export, report, store, scheduler)
+    if autopilot not in (None, *AUTOPILOTS):
+        raise InputError(f"--autopilot: {autopilot!r} was not measured; these were: {', '.join(AUTOPILOTS)}.")
+    answer = AUTOPILOTS.get(autopilot or "")
+    values = configured(load_config(config)) if config is not None else {}
+    for section, field, value in (
+        ("aircraft", "airspeed_m_s", airspeed),
+        ("aircraft", "radius_m", radius),
+        ("requirement", "target_speed_max_m_s", target_speed_max),
+        ("simulation", "wind_speed_m_s", wind),
+        ("study", "latency_s", answer.latency_s if answer and latency is None else latency),
+        ("study", "lag_s", answer.lag_s if answer and lag is None else lag),
+    ):
+        if value is not None:
+            values.setdefault(section, {})[field] = value
     sweeps = [parsed_sweep(words) for words in sweep or ()]
-    varied = any(key == "aircraft.airspeed_m_s" for key, _ in sweeps)
-    _checked_options(
-        None if varied else given["aircraft"].get("airspeed_m_s", 10.0), target_speed_max, wind, duration
-    )
+    airspeed_m_s = values.get("aircraft", {}).get("airspeed_m_s", 10.0)
+    _check_values(None if "aircraft.airspeed_m_s" in dict(sweeps) else airspeed_m_s, target_speed_max, duration)
     base = StudySettings(
         planners=planners,
         runs=20 if runs is None else runs,
@@ -233,69 +221,60 @@ def study(
     )
     if terrain is not None:
         base = replace(base, planners=(PlannerName.PREDICTIVE,), hills=_hills(terrain, home, planner, fleet))
-        if all(key != "study.terrain" for key, _ in sweeps):
+        if "study.terrain" not in dict(sweeps):
             sweeps.append(parsed_sweep("study.terrain=known,ignored"))
-    found = designs(base, given, sweeps, console.print)
-    if terrain is not None and any(_from_anywhere(design.settings.requirement()) for design in found):
-        raise InputError("--terrain watches from one side; set requirement.side to left or right.")
+    found = designs(base, values, sweeps, console.print)
+    if terrain is not None or fleet > 1:
+        _check_side("--fleet" if terrain is None else "--terrain", found)
     found = _recorded(found, targets, runs, math.inf if duration is None else duration, routes)
     found = _only(found, run)
+    workers = on_processes(jobs) if scheduler is None else on_cluster(scheduler, console.print)
     if fleet > 1:
-        _fly_fleet(replace(found[0].settings, fleet=fleet), len(found), planner, jobs, json)
+        together = with_values(found[0].settings.config, {"requirement": {"fleet_size": fleet}}, "--fleet")
+        _fly_fleet(replace(found[0].settings, config=together), len(found), planner, workers, json)
         return
-    words = _words(
-        (config,),
-        targets=targets,
-        routes=routes or None,
-        runs=runs,
-        noise_draws=noise_draws if noise_draws > 1 else None,
-        seed=seed,
-        controller=controller,
-        airspeed=airspeed,
-        radius=radius,
-        target_speed_max=target_speed_max,
-        wind=wind,
-        latency=latency,
-        lag=lag,
-        legs=legs if targets is None else None,
-        duration=duration,
-        fidelity=fidelity if fidelity is Fidelity.CLOSED_LOOP else None,
-        autopilot=autopilot if fidelity is Fidelity.CLOSED_LOOP else None,
-        perfect_sensors=perfect_sensors or None,
-        terrain=terrain,
-        home=home if terrain is not None else None,
-    )
-    kept = ResultStore(store)
-    try:
+    with contextlib.closing(ResultStore(store)) as kept:
         whole = Study(found, kept)
-        _fly(whole, jobs, scheduler)
-        _announce(whole, json)
-        if export is not None:
-            _written("--export", export, lambda: exporting.write_runs(whole, export))
-        if report is not None:
-            # Only the page needs matplotlib, which takes a second to load.
-            from sidelong.app.study import page  # noqa: PLC0415
+        _fly(whole, workers, 1 if scheduler is not None else _BATCHES_EACH * (jobs or os.cpu_count() or 1))
+        results = whole.results()
+    _announce(results, json)
+    if export is not None:
+        _written("--export", export, lambda: export_runs(results, export))
+    if report is not None:
+        # Only the page needs matplotlib, which takes a second to load.
+        from sidelong.app.study import page  # noqa: PLC0415
 
-            _written("--report", report, lambda: page.write_page(whole, words, report))
-    finally:
-        kept.close()
+        words = ["sidelong", "study", *(one for name, own in given.items() if name not in _OF_WHOLE for one in own)]
+        _written("--report", report, lambda: page.write_page(results, shlex.join(words), report))
+
+
+def _given(context: typer.Context) -> dict[str, list[str]]:
+    """Return the words of each argument and option that was given, by its name."""
+    found: dict[str, list[str]] = {}
+    for one in context.command.params:
+        value, name = context.params.get(one.name or ""), one.opts[0]
+        if one.name is None or getattr(context.get_parameter_source(one.name), "name", "") != "COMMANDLINE":
+            continue
+        words = [name] if name.startswith("--") else []
+        values = value if isinstance(value, list | tuple) else [value]
+        found[one.name] = words if value is True else [word for of in values for word in (*words, str(of))]
+    return found
 
 
 def _planners(
-    fidelity: Fidelity, chosen: list[PlannerName] | None, latency_s: float | None, options: dict[str, bool]
+    fidelity: Fidelity, chosen: list[PlannerName] | None, given: dict[str, list[str]]
 ) -> tuple[PlannerName, ...]:
-    """Return the planners to compare. Raises InputError for what a closed loop cannot fly, ``options`` among it."""
+    """Return the planners to compare. Raises InputError for what a closed loop cannot fly."""
     if fidelity is Fidelity.KINEMATIC:
-        own = (PlannerName.CONTROLLER,) if options["--controller"] else ()
+        own = (PlannerName.CONTROLLER,) if "controller" in given else ()
         return tuple(dict.fromkeys(chosen or (*OWN_PLANNERS, *own)))
     laws = [one for one in chosen or () if one not in MISSION_PLANNERS]
     if laws:
         raise InputError(f"--planner: {laws[0]} has no plans to upload; with --fidelity closed-loop leave it out.")
-    if latency_s is not None:
+    if "latency" in given:
         raise InputError("--latency: a closed loop has the latency of its uploads; leave it out.")
-    for option, given in options.items():
-        if given:
-            raise InputError(f"{option}: a closed loop does not fly that; leave out --fidelity.")
+    for name in sorted(_KINEMATIC & given.keys()):
+        raise InputError(f"{given[name][0]}: a closed loop does not fly that; leave out --fidelity.")
     return tuple(dict.fromkeys(chosen or MISSION_PLANNERS))
 
 
@@ -311,76 +290,50 @@ def _hills(terrain: Path, home: str | None, planners: list[PlannerName] | None, 
 
 
 def _fly_fleet(
-    settings: StudySettings, designs: int, planners: list[PlannerName] | None, jobs: int | None, json: Path | None
+    settings: StudySettings, designs: int, planners: list[PlannerName] | None, workers: Workers, json: Path | None
 ) -> None:
     if planners:
         names = ", ".join(FleetPlannerName)
         raise InputError(f"--fleet compares the planners of fleets ({names}); leave out --planner.")
     if designs > 1:
         raise InputError("--fleet flies one design; leave out --sweep.")
-    if _from_anywhere(settings.requirement()):
-        raise InputError("--fleet shares the sides of a target; set requirement.side to left or right.")
     with runs_progress(len(FleetPlannerName) * len(settings.numbers)) as (advance, computing):
-        table = table_of(settings, computing)
-        assert table is not None
-        flown = fly_fleets(settings, table, jobs, advance)
+        flown = fly_fleets(settings, table_of(settings, computing), workers, advance)
     for name, reason in settings.skipped:
         console.print(f"skipped {name}: {reason}")
     if str(json) != "-":
-        console.print(f"{settings.fleet} aircraft on each target, {settings.layer_m:g} m of height apart")
+        console.print(
+            f"{settings.requirement().fleet_size} aircraft on each target, {settings.layer_m:g} m of height apart"
+        )
         console.print(study_fidelity(settings))
         print_whole(fleet_table(flown))
-    write_json(json, fleet_json(flown))
+    write_json(json, fleet_json(settings, flown))
 
 
-def _checked_controller(planners: list[PlannerName] | None, controller: str | None, store: Path | None) -> None:
-    if planners and PlannerName.CONTROLLER in planners and not controller:
-        raise InputError("--planner controller flies your own program; give its command by --controller.")
-    if controller is not None and store is not None:
-        raise InputError("--store: results of a program that may change are not stored; leave out --controller.")
-
-
-def _benchmark(benchmark: Benchmark, others: dict[str, Any], jobs: int | None, json: Path | None) -> None:
-    """Fly the benchmark. Raises InputError for options that it fixes."""
-    given = next((option for option, value in others.items() if value), None)
-    if given is not None:
-        raise InputError(f"--benchmark: fixes targets, aircraft and noise; leave out {given}.")
+def _benchmark(benchmark: Benchmark, jobs: int | None, json: Path | None) -> None:
     if not is_cached(advance_flight):
         console.print("compiling the flights, once for this version of the program: some minutes")
     with runs_progress(benchmark.total) as (advance, computing):
         rows = benchmark.fly(jobs, advance, computing)
     if str(json) != "-":
         print_whole(benchmark_table(rows))
-        console.print(
-            f"shares of time: mean / worst run; {benchmark.total} runs in {benchmark.wall_s / 60.0:.1f} min"
-        )
+        console.print(f"mean / worst run; {benchmark.total} runs in {benchmark.wall_s / 60.0:.1f} min")
     write_json(json, benchmark.json(rows))
 
 
-def _from_anywhere(requirement: Requirement) -> bool:
-    return requirement.either_side or requirement.sector is not None
-
-
-def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:
-    """Fly the runs that are missing in the store."""
+def _fly(study: Study, workers: Workers, batches: int) -> None:
+    """Fly the runs that are missing in the store, in this many batches or more."""
     missing = study.missing()
     if missing < study.total:
         console.print(f"{study.total - missing} of {study.total} runs are in {study.store.file} already")
     if not missing:
         return
-    kinematic = study.designs[0].settings.fidelity is Fidelity.KINEMATIC
-    if scheduler is None and kinematic and not is_cached(advance_flight):
+    if study.designs[0].settings.fidelity is Fidelity.KINEMATIC and not is_cached(advance_flight):
         console.print("compiling the flights, once for this version of the program: up to a minute")
-    processes = jobs or os.cpu_count() or 1
     with runs_progress(missing) as (advance, computing):
-        if scheduler is not None:
-            from sidelong.app.study.cluster import on_cluster  # noqa: PLC0415  # an extra
-
-            executor, size = on_cluster(scheduler, console.print), _BATCH_MAX
-        else:
-            executor, size = on_processes(jobs), min(max(missing // (_BATCHES_EACH * processes), 1), _BATCH_MAX)
         try:
-            study.fly(executor, lambda settings: table_of(settings, computing), size, advance)
+            size = min(max(missing // batches, 1), _BATCH_MAX)
+            study.fly(workers, lambda settings: table_of(settings, computing), size, advance)
         except KeyboardInterrupt:
             if study.store.file is not None:
                 done = study.total - study.missing()
@@ -391,18 +344,17 @@ def _fly(study: Study, jobs: int | None, scheduler: str | None) -> None:
             raise
 
 
-def _announce(study: Study, json: Path | None) -> None:
-    first = study.result(study.designs[0])
+def _announce(results: list[StudyResult], json: Path | None) -> None:
+    first = results[0]
     for name, reason in first.settings.skipped:
         console.print(f"skipped {name}: {reason}")
-    swept = len(study.designs) > 1
     if str(json) != "-":
         console.print(study_title(first))
         console.print(study_fidelity(first.settings))
-        print_whole(sweep_table(study) if swept else study_table(first))
-        if swept:
-            console.print(HEADINGS_EXPLAINED)
-    write_json(json, sweep_json(study) if swept else study_json(first))
+        print_whole(sweep_table(results) if len(results) > 1 else study_table(first))
+        if len(results) > 1:
+            console.print(EXPLAINED)
+    write_json(json, study_json(results))
 
 
 def _recorded(
@@ -413,20 +365,18 @@ def _recorded(
         if routes:
             raise InputError("--routes: routes are read next to recorded tracks; give --targets DIR.")
         return found
-    slowest_m_s = min(design.settings.target_speed_max_m_s for design in found)
+    slowest_m_s = min(one.settings.requirement().target_speed_max_m_s for one in found)
     read = recorded_targets(targets, slowest_m_s, *((route_next_to,) if routes else ()))
     if routes and not any(track.route for track in read.flown):
         raise InputError("--routes: no track has a route next to it; put NAME.route.csv (east_m,north_m) there.")
     tracks = read.flown[:runs]
-    return tuple(
-        replace(
-            design,
-            settings=replace(
-                design.settings, tracks=tracks, runs=len(tracks), skipped=read.skipped, duration_s=duration_s
-            ),
-        )
-        for design in found
-    )
+    of_targets: dict[str, Any] = {
+        "tracks": tracks,
+        "runs": len(tracks),
+        "skipped": read.skipped,
+        "duration_s": duration_s,
+    }
+    return tuple(replace(one, settings=replace(one.settings, **of_targets)) for one in found)
 
 
 def _only(found: tuple[Design, ...], numbers: list[int] | None) -> tuple[Design, ...]:
@@ -439,25 +389,7 @@ def _only(found: tuple[Design, ...], numbers: list[int] | None) -> tuple[Design,
     return tuple(replace(design, settings=replace(design.settings, only=only)) for design in found)
 
 
-def _merge(given: Overrides, options: Overrides) -> None:
-    """Replace configured values with the given options."""
-    for section, keys in options.items():
-        given.setdefault(section, {}).update({key: value for key, value in keys.items() if value is not None})
-
-
-def _words(arguments: tuple[Path | None, ...], **options: Any) -> str:
-    """Return the command with the options that were given."""
-    words = ["sidelong", "study", *(str(argument) for argument in arguments if argument is not None)]
-    for name, value in options.items():
-        for one in value if isinstance(value, list) else [value]:
-            if one is not None:
-                words += [f"--{name.replace('_', '-')}", *([] if one is True else [str(one)])]
-    return shlex.join(words)
-
-
-def _checked_options(
-    airspeed_m_s: float | None, target_speed_max_m_s: float | None, wind_m_s: float | None, duration_s: float | None
-) -> None:
+def _check_values(airspeed_m_s: float | None, target_speed_max_m_s: float | None, duration_s: float | None) -> None:
     """Complain about options by their names. airspeed_m_s: None where it is swept."""
     if airspeed_m_s is not None:
         if not 3.0 < airspeed_m_s <= 80.0:
@@ -467,20 +399,8 @@ def _checked_options(
                 f"--target-speed-max: {target_speed_max_m_s:g} m/s is not from 0 to below the airspeed, "
                 f"{airspeed_m_s:g}."
             )
-        if wind_m_s is not None and not 0.0 <= wind_m_s <= 0.7 * airspeed_m_s:
-            raise InputError(f"--wind: {wind_m_s:g} m/s is not from 0 to {0.7 * airspeed_m_s:g} m/s.")
     if duration_s is not None and not 10.0 <= duration_s <= 86400.0:
         raise InputError(f"--duration: {duration_s:g} s is not from 10 s to a day.")
-
-
-def _answer(autopilot: str | None, latency_s: float | None, lag_s: float | None) -> tuple[float | None, float | None]:
-    """Return latency and lag: as they were given, else as the autopilot has them."""
-    if autopilot is None:
-        return latency_s, lag_s
-    if autopilot not in AUTOPILOTS:
-        raise InputError(f"--autopilot: {autopilot!r} was not measured; these were: {', '.join(AUTOPILOTS)}.")
-    measured = AUTOPILOTS[autopilot]
-    return measured.latency_s if latency_s is None else latency_s, measured.lag_s if lag_s is None else lag_s
 
 
 def _legs(words: str) -> tuple[float, float]:
@@ -490,11 +410,30 @@ def _legs(words: str) -> tuple[float, float]:
     return float(match[1]), float(match[2])
 
 
-def _checked_file(option: str, file: Path | None, suffixes: tuple[str, ...]) -> None:
+def _check_controller(planners: list[PlannerName] | None, controller: str | None, store: Path | None) -> None:
+    if planners and PlannerName.CONTROLLER in planners and not controller:
+        raise InputError("--planner controller flies your own program; give its command by --controller.")
+    if controller is not None and store is not None:
+        raise InputError("--store: results of a program that may change are not stored; leave out --controller.")
+
+
+def _check_side(option: str, found: tuple[Design, ...]) -> None:
+    wanted = [one.settings.requirement() for one in found]
+    if any(one.either_side or one.sector is not None for one in wanted):
+        raise InputError(f"{option} watches from one side; set requirement.side to left or right.")
+
+
+def _check_places(export: Path | None, report: Path | None, store: Path | None, scheduler: str | None) -> None:
     """Complain about a file that cannot be written, or not in that format, before the work begins."""
-    if file is not None and file.suffix.lower() not in suffixes:
-        raise InputError(f"{file}: {option} writes {', '.join(suffixes)}; give it such a file name.")
-    checked_file(option, file)
+    for option, file, suffixes in (("--export", export, EXPORTED), ("--report", report, (".html",))):
+        if file is not None and file.suffix.lower() not in suffixes:
+            raise InputError(f"{file}: {option} writes {', '.join(suffixes)}; give it such a file name.")
+        checked_file(option, file)
+    checked_file("--store", store)
+    if export is not None and export.suffix.lower() == ".parquet":
+        parquet_writer()
+    if scheduler is not None and not re.fullmatch(r"[a-z]+://.+:\d+", scheduler):
+        raise InputError(f"--scheduler: {scheduler!r} is no address such as tcp://HOST:8786.")
 
 
 def _written(option: str, file: Path, write: Callable[[], object]) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,14 +17,15 @@ from rich.table import Table
 
 from sidelong.app.study.design import Design
 from sidelong.app.study.fleet import FleetPlannerName, FleetResult
-from sidelong.app.study.fleet_study import fly_fleets
-from sidelong.app.study.processes import on_processes
+from sidelong.app.study.fleet_study import fly_fleets, values_of
+from sidelong.app.study.measures import BAND, LEAST, MOVES, REVERSALS, SIDE, decision_ms
+from sidelong.app.study.parallel import on_processes
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
-from sidelong.app.study.report import spread
+from sidelong.app.study.report import right_aligned
 from sidelong.app.study.routes import own_route, route_next_to
-from sidelong.app.study.settings import OWN_PLANNERS, PlannerName, StudySettings
+from sidelong.app.study.settings import OWN_PLANNERS, PlannerName, StudySettings, studied
 from sidelong.app.study.store import ResultStore, code_version
-from sidelong.app.study.study import PlannerResult, Study, table_of
+from sidelong.app.study.study import Study, table_of
 
 VERSION = 1
 """Of the scenarios; results of different versions are not comparable."""
@@ -66,7 +68,7 @@ class Row:
     decision_p99_ms: float
 
 
-_TAILS = {"time_in_band": 5, "time_on_side": 5, "min_range_m": 5, "moves_per_hour": 95, "reversals_per_hour": 95}
+_MEASURES = (BAND, SIDE, LEAST, MOVES, REVERSALS)
 Computing = Callable[[float], None]
 
 
@@ -107,9 +109,7 @@ class Benchmark:
             runs=len(tracks),
             seed=_SEED,
             noise_draws=_DRAWS,
-            target_speed_max_m_s=one.target_speed_max_m_s,
-            airspeed_m_s=one.airspeed_m_s,
-            still_air_radius_m=one.radius_m,
+            config=studied(**asdict(one)),
             duration_s=float("inf"),
             tracks=tuple(replace(track, route=None) for track in tracks),
             controller=controller,
@@ -146,22 +146,18 @@ class Benchmark:
         if self._all:
             routed = tuple(_with_route(track) for track in self.targets[k].flown[: settings.runs])
             found.append(Design(replace(settings, tracks=routed, planners=(PlannerName.PREDICTIVE,))))
-        store = ResultStore(None)
-        try:
+        with closing(ResultStore()) as store:
             study = Study(found, store)
             study.fly(on_processes(jobs), lambda of: table_of(of, computing), 1, advance)
-            for design, suffix in zip(study.designs, ("", WITH_ROUTE), strict=False):
-                for planner, result in study.result(design).planners.items():
-                    yield _row(one, suffix or str(planner), result)
-        finally:
-            store.close()
-        if not self._all:
-            return
-        pairs = replace(settings, fleet=2)
-        planners = FleetPlannerName.JOINT, FleetPlannerName.FIELD
-        flown = fly_fleets(pairs, table_of(pairs, computing), jobs, advance, planners)
-        for steered, name in zip(planners, (PAIR, PHASED_PAIR), strict=True):
-            yield _pair_row(one, name, flown.runs[steered])
+            for result, name in zip(study.results(), ("", WITH_ROUTE), strict=False):
+                for planner, own in result.planners.items():
+                    yield _row(one, name or str(planner), own.measures, own.decision_s)
+        if self._all:
+            names = {FleetPlannerName.JOINT: PAIR, FleetPlannerName.FIELD: PHASED_PAIR}
+            pairs = replace(settings, config=studied(**asdict(one), fleet_size=2))
+            flown = fly_fleets(pairs, table_of(pairs, computing), on_processes(jobs), advance, tuple(names))
+            for steered, runs in flown.items():
+                yield _pair_row(one, names[steered], runs)
 
     def json(self, rows: Sequence[Row]) -> dict[str, Any]:
         """Return the results with everything needed to compare them.
@@ -182,12 +178,10 @@ class Benchmark:
             "tracks": {f"{t.key:016x}": t.name for of in self.targets for t in of.flown},
             "rows": [
                 {
-                    "airspeed_m_s": row.aircraft.airspeed_m_s,
-                    "radius_m": row.aircraft.radius_m,
-                    "target_speed_max_m_s": row.aircraft.target_speed_max_m_s,
+                    **asdict(row.aircraft),
                     "planner": row.planner,
                     "runs": len(row.measures["time_in_band"]),
-                    **{name: spread(row.measures[name], tail) for name, tail in _TAILS.items()},
+                    **{of.name: of.spread(row.measures[of.name]) for of in _MEASURES},
                     "decision_p99_ms": row.decision_p99_ms,
                 }
                 for row in rows
@@ -203,23 +197,13 @@ def benchmark_table(rows: Sequence[Row]) -> Table:
         rows: Results of :meth:`Benchmark.fly`.
 
     """
-    headings = "in band, %", "on side, %", "least, m", "moves/h", "reversals/h", "decision, ms"
-    table = Table("aircraft", "planner", *headings, box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1))
-    for column in table.columns[2:]:
-        column.justify, column.no_wrap = "right", True
+    headings = (*(of.heading for of in _MEASURES), "decision, ms")
+    table = right_aligned(Table("aircraft", "planner", *headings, box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1)), 2)
     before = None
     for row in rows:
-        band, side, least_m, moves, reversals = (row.measures[name] for name in _TAILS)
-        table.add_row(
-            str(row.aircraft) if row.aircraft is not before else "",
-            row.planner,
-            f"{100.0 * np.nanmean(band):.2f}/{100.0 * np.nanmin(band):.1f}",
-            f"{100.0 * np.nanmean(side):.1f}/{100.0 * np.nanmin(side):.1f}",
-            f"{np.nanmin(least_m):.0f}",
-            f"{np.mean(moves):.0f}",
-            f"{np.mean(reversals):.1f}",
-            f"{row.decision_p99_ms:.2f}",
-        )
+        cells = (of.cell(row.measures[of.name]) for of in _MEASURES)
+        first = str(row.aircraft) if row.aircraft is not before else ""
+        table.add_row(first, row.planner, *cells, f"{row.decision_p99_ms:.2f}")
         before = row.aircraft
     return table
 
@@ -231,19 +215,16 @@ def _with_route(track: RecordedTarget) -> RecordedTarget:
     return replace(track, route=own_route(track, np.random.default_rng((_SEED, track.key))))
 
 
-def _row(aircraft: AircraftClass, name: str, result: PlannerResult) -> Row:
-    measures = {measure: getattr(result, measure) for measure in _TAILS}
-    return Row(aircraft, name, measures, 1e3 * float(np.percentile(result.decision_s, 99)))
+def _row(aircraft: AircraftClass, name: str, measures: dict[str, np.ndarray], decision_s: np.ndarray) -> Row:
+    return Row(aircraft, name, measures, decision_ms(decision_s)["p99"])
 
 
 def _pair_row(aircraft: AircraftClass, name: str, runs: Sequence[FleetResult]) -> Row:
     """Return the results of two aircraft: a share of time counts if one of them achieves it, moves count of both."""
     measures = {
-        "time_in_band": np.array([run.time_in_band_any for run in runs]),
-        "time_on_side": np.array([run.time_on_side_any for run in runs]),
-        "min_range_m": np.array([run.min_range_m for run in runs]),
-        "moves_per_hour": np.array([sum(one.moves_per_hour for one in run.aircraft) for run in runs]),
-        "reversals_per_hour": np.array([sum(one.reversals_per_hour for one in run.aircraft) for run in runs]),
+        BAND.name: values_of(runs, "time_in_band_any"),
+        SIDE.name: values_of(runs, "time_on_side_any"),
+        LEAST.name: values_of(runs, LEAST.name),
+        **{of.name: np.array([values_of(run.aircraft, of.name).sum() for run in runs]) for of in (MOVES, REVERSALS)},
     }
-    decision_s = np.concatenate([run.decision_s for run in runs])
-    return Row(aircraft, name, measures, 1e3 * float(np.percentile(decision_s, 99)))
+    return _row(aircraft, name, measures, np.concatenate([run.decision_s for run in runs]))

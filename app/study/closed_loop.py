@@ -17,12 +17,10 @@ from sidelong.app.simulation.kinematic import KinematicVehicle, Rates, Start
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.payload import Payload
 from sidelong.app.simulation.target import TargetTruth
-from sidelong.app.study.design import config_of
 from sidelong.app.study.flight import SampledTarget
 from sidelong.app.study.judging import RunResult, judged
 from sidelong.app.study.pilots import StopWatch
-from sidelong.app.study.run import first_circle, payload_of
-from sidelong.app.study.scene import Scene, scene
+from sidelong.app.study.run import Scene, first_circle, payload_of, scene
 from sidelong.app.study.settings import AUTOPILOTS, PlannerName, StudySettings
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.frames import LocalPlane
@@ -70,12 +68,11 @@ def run_closed_loop(
 ) -> RunResult:
     """Fly one run; see :func:`sidelong.app.study.run.run`."""
     flown, watch = scene(settings, number), StopWatch()
-    config = config_of(settings)
     autopilot = next(one for one in FLOWN_AUTOPILOTS if one.name.lower() == settings.autopilot)
     errors, assumed = payload_of(settings)
     circle = first_circle(settings, flown)
     aircraft, plane = _aircraft(settings, flown, circle), LocalPlane(_HOME.latitude_deg, _HOME.longitude_deg)
-    start = Start(plane, _HOME, circle, settings.height_m)
+    start = Start(plane, _HOME, circle, settings.config.aircraft.height_m)
     payload = Payload(errors, flown.sensor_rng)
     target = _OnTicks(flown.target, math.ceil(flown.duration_s * _RATES.tick_hz) + 2)
     vehicle = KinematicVehicle(autopilot, aircraft, settings.wind, start, payload, target, _RATES)
@@ -90,7 +87,7 @@ def run_closed_loop(
         StandoffSettings(
             settings.requirement(),
             settings.aircraft(),
-            lost_after_s=settings.lost_after_s,
+            lost_after_s=settings.config.planner.lost_after_s,
             give_up_after_s=math.inf,
         ),
         Tracker(assumed),
@@ -107,7 +104,9 @@ def run_closed_loop(
     loop.listeners.append(departures)
     states = [aircraft.state]
     vehicle.flown = states.append
-    loop.start(lambda plane: mission_controller_of(config, controller, autopilot, plane, _HOME), vehicle.mode)
+    loop.start(
+        lambda plane: mission_controller_of(settings.config, controller, autopilot, plane, _HOME), vehicle.mode
+    )
     if flown.route is not None:
         loop.put(event_of(flown.route, vehicle.time_s))
     loop.run(flown.duration_s - vehicle.time_s)

@@ -10,27 +10,13 @@ from typing import Any
 
 from sidelong.app.config import Config, with_values
 from sidelong.app.errors import InputError
-from sidelong.app.study.settings import StudySettings
+from sidelong.app.study.settings import SHAPING, StudySettings, shaping
 from sidelong.mission.core.feasibility import in_words, unflyable
 
 Value = float | str
 Overrides = dict[str, dict[str, Any]]
 
-# What of the configuration shapes a run; the rest is about links, fences and real vehicles.
-SHAPING = {
-    "aircraft": (
-        *("airspeed_m_s", "radius_m", "bank_max_deg", "roll_rate_max_deg_s", "height_m"),
-        *("clearance_m", "climb_m_s", "descent_m_s"),
-    ),
-    "requirement": ("range_min_m", "range_max_m", "side", "target_speed_max_m_s", "threshold", "course_horizon_s"),
-    "planner": ("lost_after_s",),
-    "sensors": (
-        *("range_sigma_m", "angle_sigma_deg", "yaw_bias_sigma_deg", "pitch_bias_sigma_deg", "range_bias_sigma_m"),
-        *("filter", "target_kind"),
-    ),
-    "simulation": ("wind_speed_m_s", "wind_from_deg"),
-    "study": ("latency_s", "lag_s", "terrain"),
-}
+SWEPT = SHAPING | {"study": ("latency_s", "lag_s", "terrain")}
 _DESIGNS_MAX = 10_000
 _ROOMY_RADIUS_M = 105.0  # the widest circle that leaves room in the band of 100 to 500 m
 
@@ -43,9 +29,12 @@ class Design:
     swept: tuple[tuple[str, Value], ...] = ()
 
     def __str__(self) -> str:
-        return ", ".join(
-            f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}" for key, value in self.swept
-        )
+        return ", ".join(f"{key}={word(value)}" for key, value in self.swept)
+
+
+def word(value: Value) -> str:
+    """Return a value of a swept parameter in words."""
+    return f"{value:g}" if isinstance(value, float) else value
 
 
 def parsed_sweep(words: str) -> tuple[str, tuple[Value, ...]]:
@@ -58,8 +47,8 @@ def parsed_sweep(words: str) -> tuple[str, tuple[Value, ...]]:
     section, _, field = key.partition(".")
     if not equals or not text.strip():
         raise InputError(f"--sweep: {words!r} is not of the form KEY=V1,V2 or KEY=FROM:TO:STEP.")
-    if field not in SHAPING.get(section, ()):
-        known = ", ".join(f"{section}.{field}" for section, fields in SHAPING.items() for field in fields)
+    if field not in SWEPT.get(section, ()):
+        known = ", ".join(f"{section}.{field}" for section, fields in SWEPT.items() for field in fields)
         raise InputError(f"--sweep: {key} is no parameter that shapes a study; these are: {known}.")
     if text.count(":") == 2:
         return key, _stepped(words, text)
@@ -121,39 +110,25 @@ def designs(
 
 def configured(config: Config) -> Overrides:
     """Return what of a mission's configuration shapes a run, as overrides; a radius "auto" fits what is swept."""
-    found = {
-        section: {field: getattr(getattr(config, section), field) for field in fields}
-        for section, fields in SHAPING.items()
-        if section != "study"
-    }
+    found = shaping(config)
     found["aircraft"]["radius_m"] = config.radius_words
     return found
 
 
-def config_of(base: StudySettings) -> Config:
-    """Return the settings as a configuration."""
-    flat = {"wind_speed_m_s": base.wind_speed_m_s, "radius_m": base.radius_m}
-    values: Overrides = {
-        section: {field: flat[field] if field in flat else getattr(base, field) for field in SHAPING[section]}
-        for section in ("aircraft", "requirement", "planner", "simulation")
-    }
-    return with_values(Config(sensors=base.sensors), values, "command line")
-
-
 def _settings(base: StudySettings, given: Overrides, name: str) -> StudySettings:
     """Return the settings; every value is checked as the configuration's."""
-    own = given.get("study", {})
-    config = with_values(config_of(base), {k: v for k, v in given.items() if k != "study"}, name)
-    aircraft, wanted, wind_m_s = config.aircraft, config.requirement, config.simulation.wind_speed_m_s
-    airspeed_m_s = aircraft.airspeed_m_s
+    own, of_config = given.get("study", {}), {section: keys for section, keys in given.items() if section != "study"}
+    config = with_values(base.config, of_config, name)
+    airspeed_m_s, wind_m_s = config.aircraft.airspeed_m_s, config.simulation.wind_speed_m_s
     if wind_m_s > 0.7 * airspeed_m_s:
         raise InputError(f"--wind: {wind_m_s:g} m/s is not from 0 to {0.7 * airspeed_m_s:g} m/s.")
-    still_air_radius_m = min(50.0 * max(1.0, (airspeed_m_s / 10.0) ** 2), _ROOMY_RADIUS_M)
-    if "radius_m" in given.get("aircraft", {}):
-        still_air_radius_m = aircraft.radius_m / (1.0 + wind_m_s / airspeed_m_s) ** 2
-    speed_max_m_s = wanted.target_speed_max_m_s
-    if given.get("requirement", {}).get("target_speed_max_m_s") is None:
-        speed_max_m_s = 0.5 * airspeed_m_s
+    fitted: Overrides = {}
+    if "radius_m" not in given.get("aircraft", {}):
+        # In wind the circle grows, so that its bank at the greatest ground speed stays.
+        still_air_radius_m = min(50.0 * max(1.0, (airspeed_m_s / 10.0) ** 2), _ROOMY_RADIUS_M)
+        fitted["aircraft"] = {"radius_m": still_air_radius_m * (1.0 + wind_m_s / airspeed_m_s) ** 2}
+    if "target_speed_max_m_s" not in given.get("requirement", {}):
+        fitted["requirement"] = {"target_speed_max_m_s": 0.5 * airspeed_m_s}
     for key, bound_s in (("latency_s", 10.0), ("lag_s", 5.0)):
         value = own.get(key, getattr(base, key))
         if not isinstance(value, float | int) or not 0.0 <= value <= bound_s:
@@ -161,27 +136,6 @@ def _settings(base: StudySettings, given: Overrides, name: str) -> StudySettings
     terrain = own.get("terrain", base.terrain)
     if terrain not in ("known", "ignored") or (terrain != base.terrain and base.hills is None):
         raise InputError("--sweep: study.terrain is known or ignored, and needs --terrain.")
-    return replace(
-        base,
-        target_speed_max_m_s=speed_max_m_s,
-        wind_speed_m_s=wind_m_s,
-        wind_from_deg=config.simulation.wind_from_deg,
-        airspeed_m_s=airspeed_m_s,
-        still_air_radius_m=still_air_radius_m,
-        range_min_m=wanted.range_min_m,
-        range_max_m=wanted.range_max_m,
-        side=wanted.side,
-        threshold=wanted.threshold,
-        course_horizon_s=wanted.course_horizon_s,
-        bank_max_deg=aircraft.bank_max_deg,
-        roll_rate_max_deg_s=aircraft.roll_rate_max_deg_s,
-        height_m=aircraft.height_m,
-        lost_after_s=config.planner.lost_after_s,
-        sensors=config.sensors,
-        latency_s=float(own.get("latency_s", base.latency_s)),
-        lag_s=float(own.get("lag_s", base.lag_s)),
-        terrain=terrain,
-        clearance_m=aircraft.clearance_m,
-        climb_m_s=aircraft.climb_m_s,
-        descent_m_s=aircraft.descent_m_s,
-    )
+    latency_s, lag_s = (float(own.get(key, getattr(base, key))) for key in ("latency_s", "lag_s"))
+    config = with_values(config, fitted, name)
+    return replace(base, config=config, latency_s=latency_s, lag_s=lag_s, terrain=terrain)

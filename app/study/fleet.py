@@ -1,7 +1,7 @@
 """One run of a study with several aircraft on one target: joint decisions on a joint estimate, or a law with phases.
 
-Roles, plans and the filter are those that fly (:mod:`sidelong.mission.fleet`,
-:mod:`sidelong.estimators.filters.joint`); only the coordinator's dealings with links and clocks are left out.
+Roles, advice and plans are those of the coordinator that flies (:mod:`sidelong.mission.fleet.coordinator`). The joint
+estimate is that of its filter in a compiled loop, without the exclusion of faulty payloads.
 """
 
 from __future__ import annotations
@@ -32,26 +32,34 @@ from sidelong.app.study.flight_kernel import (
 from sidelong.app.study.joint_sight import JointSight
 from sidelong.app.study.judging import STEP_S, FloatArray, RunResult, judged, shares_of_any
 from sidelong.app.study.pilots import StopWatch
-from sidelong.app.study.run import START_RANGE_M, aircraft_on
-from sidelong.app.study.scene import Scene, scene
+from sidelong.app.study.run import START_RANGE_M, aircraft_on, first_circle, scene
 from sidelong.app.study.settings import StudySettings
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
+from sidelong.estimators.settings import TrackerSettings
 from sidelong.mission.core.circle import Circle
-from sidelong.mission.core.fleet import FleetAdvice, Neighbour, NeighbourPlanned, Role
 from sidelong.mission.core.path import Path
 from sidelong.mission.core.plan import AircraftState, Plan
-from sidelong.mission.core.requirement import Side
-from sidelong.mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_on_station
-from sidelong.mission.fleet.team import TeamSettings
+from sidelong.mission.fleet.coordinator import FleetCoordinator, FleetTarget
+from sidelong.mission.fleet.events import (
+    ClockReported,
+    FleetEvent,
+    PlansReported,
+    Tell,
+    Tick,
+    VehicleLost,
+    VehicleReported,
+)
 from sidelong.mission.fleet.team_planner import TeamPlanner
-from sidelong.mission.fleet.watched_course import WatchedCourse
+from sidelong.mission.fleet.vehicle import FleetMember
 from sidelong.mission.geometry.line_kernel import Circling
 from sidelong.mission.geometry.progress import line_of
-from sidelong.mission.laws.phased import CircularFormation, PhasedField
+from sidelong.mission.laws.phased import phased
 from sidelong.mission.predictive.value_table import ValueTable
 
 _STEPS = 10  # of a second, after which all decide
 _CHI2_95 = 5.991
+_TARGET = "target"
+_REPORTED_BEFORE_S = 0.01
 
 
 class FleetPlannerName(StrEnum):
@@ -122,22 +130,30 @@ class _Member:
 
 
 class FleetRun:
-    """One run, with ``settings.fleet`` aircraft. Target and noise depend on the seed and ``number`` only."""
+    """One run with all aircraft of the requirement. Target and noise depend on the seed and ``number`` only."""
 
-    def __init__(
-        self, settings: StudySettings, number: int, table: ValueTable, team: TeamSettings | None = None
-    ) -> None:
+    def __init__(self, settings: StudySettings, number: int, table: ValueTable) -> None:
         self._settings, self._scene = settings, scene(settings, number)
         self._steps = round(self._scene.duration_s / STEP_S)
         time_s = np.add.accumulate(np.append(0.0, np.full(self._steps - 1, STEP_S)))
         self._target = Target(np.ascontiguousarray(self._scene.target.sampled(time_s)), np.zeros((1, 3)))
-        self._members = self._set_up(table, team)
+        self._members = self._set_up(table)
         heights_m = [member.height_m for member in self._members]
-        self._roles, self._course = RoleAssignment(), WatchedCourse(settings.requirement())
         self._handovers = 0
+        self._estimate: TargetEstimate | None = None
         self._sight = None if settings.perfect_sensors else JointSight(settings, self._scene, heights_m, self._steps)
         self._watch = StopWatch(1)
         self._errors: list[tuple[float, float]] = []
+        aircraft, requirement = settings.aircraft(), settings.requirement()
+        self._coordinator = FleetCoordinator(
+            [FleetMember(one.name, aircraft, TrackerSettings(), one.height_m) for one in self._members],
+            [FleetTarget(_TARGET, requirement)],
+            lambda _name, flown, wanted: TeamPlanner(flown, wanted, table),
+            estimate_of=lambda _target, _time_s: self._estimate,
+        )
+        self._planners = {one.name: one.planner for one in self._members}
+        for name in self._planners:
+            self._step(ClockReported(name, 0.0, 0.0, 0.01))
 
     def joint(self, losses: Sequence[Loss] = ()) -> FleetResult:
         """Fly with joint decisions."""
@@ -145,15 +161,19 @@ class FleetRun:
 
     def by_law(self, name: FleetPlannerName) -> FleetResult:
         """Fly a law that holds the aircraft at equal phases about the target."""
-        settings, clockwise = self._settings, self._settings.requirement().side.clockwise
-        make = PhasedField if name is FleetPlannerName.FIELD else CircularFormation
-        law = make(clockwise=clockwise, airspeed_m_s=settings.airspeed_m_s)
+        steered = partial(
+            phased,
+            clockwise=self._settings.requirement().side.clockwise,
+            airspeed_m_s=self._settings.aircraft().airspeed_m_s,
+            constant_speed=name is FleetPlannerName.FORMATION,
+        )
 
         def steer(estimate: TargetEstimate) -> None:
             states = [member.state for member in self._members]
-            for member, command in zip(self._members, self._watch(lambda: law.steer(states, estimate)), strict=True):
-                member.flight.numbers[COMMAND_PER_M] = command.curvature_per_m
-                member.airspeed_m_s = command.airspeed_m_s
+            for member, (curvature_per_m, airspeed_m_s) in zip(
+                self._members, self._watch(lambda: steered(states, estimate)), strict=True
+            ):
+                member.flight.numbers[COMMAND_PER_M], member.airspeed_m_s = curvature_per_m, airspeed_m_s
 
         return self._flown(steer, 2, ())
 
@@ -164,11 +184,13 @@ class FleetRun:
         while at < self._steps:
             time_s = float(self._members[0].flight.body[0])
             for loss in losses:
-                if time_s >= loss.time_s:
-                    self._members[loss.aircraft].lost = True
-            estimate = self._estimate(at, time_s)
-            if estimate is not None:
-                decide(estimate)
+                member = self._members[loss.aircraft]
+                if time_s >= loss.time_s and not member.lost:
+                    member.lost = True
+                    self._step(VehicleLost(member.name, time_s, "lost in this study", yielded=True))
+            self._estimate = self._estimated(at, time_s)
+            if self._estimate is not None:
+                decide(self._estimate)
             for member in self._members:
                 frame = member.body.frame(STEP_S)._replace(airspeed_m_s=member.airspeed_m_s)
                 kernel.fly_on(member.flight, self._target, frame, steps)
@@ -179,7 +201,7 @@ class FleetRun:
             at += steps
         return self._result()
 
-    def _estimate(self, step: int, time_s: float) -> TargetEstimate | None:
+    def _estimated(self, step: int, time_s: float) -> TargetEstimate | None:
         truth = self._target.sampled[step].tolist()
         if self._sight is None:
             east, north, velocity_e, velocity_n, _ = truth
@@ -193,62 +215,41 @@ class FleetRun:
         return found
 
     def _decide(self, estimate: TargetEstimate) -> None:
-        settings, wind = self._settings, self._settings.wind
+        """Let the coordinator assign the roles, and each aircraft decide by its advice."""
+        time_s, settings = round(estimate.time_s, 3), self._settings
         flying = [member for member in self._members if not member.lost]
-        requirement = settings.requirement()
-        self._course.update(estimate, flying[0].state)
-        course_rad = self._course.course_rad
-        candidates = {
-            one.name: Candidate(
-                one.planner.role_costs(one.state, estimate, one.plan(), wind, settings.latency_s),
-                is_on_station(one.state, estimate, requirement, course_rad),
-                one.busy,
-            )
-            for one in flying
-        }
-        before = self._roles.holder
-        roles = self._roles.assign(estimate.time_s, candidates, course_known=course_is_known(estimate))
-        self._handovers += before is not None and self._roles.holder != before
-        neighbours = {
-            one.name: Neighbour(one.name, one.state, one.height_m, True, role=roles[one.name]) for one in flying
-        }
+        before = self._coordinator.primary(_TARGET)
         for member in flying:
-            command = NeighbourPlanned(
-                estimate.time_s, member.name, member.plan(), member.plan(coming=True) if member.busy else None
+            self._planned(member)
+            # Before the tick, so that the roles go by the same moment of all.
+            self._step(
+                VehicleReported(
+                    *(member.name, time_s - _REPORTED_BEFORE_S, member.state, member.height_m, True),
+                    *(settings.latency_s, settings.wind),
+                )
             )
-            for other in flying:
-                if other is not member:
-                    other.planner.advise(command)
-        wanted = requirement.side
-        for member in sorted(flying, key=lambda one: roles[one.name] is not Role.WANTED):
-            role = roles[member.name]
-            side = wanted if role is Role.WANTED else wanted.opposite
-            others = tuple(one for name, one in neighbours.items() if name != member.name)
-            advice = estimate.time_s, "", role, side, estimate, member.height_m, others
-            member.planner.advise(FleetAdvice(*advice, course_rad=course_rad))
-            if member.busy:
-                continue
-            arguments = member.state, estimate, member.plan(), wind, settings.latency_s
-            plan = self._watch(partial(member.planner.decide, *arguments)).plan
-            if plan is None:
-                continue
-            take_plan(member.flight, plan.departure_s, *line_of(plan))
-            for other in flying:
-                if other is not member:
-                    other.planner.advise(NeighbourPlanned(estimate.time_s, member.name, member.plan(), plan))
+        self._step(Tick(time_s))
+        self._handovers += before is not None and self._coordinator.primary(_TARGET) != before
+        for member in flying:
+            if not member.busy:
+                arguments = member.state, estimate, member.plan(), settings.wind, settings.latency_s
+                plan = self._watch(partial(member.planner.decide, *arguments)).plan
+                if plan is not None:
+                    take_plan(member.flight, plan.departure_s, *line_of(plan))
+                    self._planned(member)
+
+    def _planned(self, member: _Member) -> None:
+        self._step(PlansReported(member.name, member.plan(), member.plan(coming=True) if member.busy else None))
+
+    def _step(self, event: FleetEvent) -> None:
+        for command in self._coordinator.step(event):
+            if isinstance(command, Tell):
+                self._planners[command.name].advise(command.event)
 
     def _result(self) -> FleetResult:
         settings, logs = self._settings, np.stack([member.flight.log for member in self._members])
-        results = tuple(
-            judged(
-                settings,
-                member.flight.log,
-                member.flight.changed_s[: member.flight.counts[CHANGES]].tolist(),
-                [],
-                False,
-            )
-            for member in self._members
-        )
+        changes = [one.flight.changed_s[: one.flight.counts[CHANGES]].tolist() for one in self._members]
+        results = tuple(judged(settings, *of, [], False) for of in zip(logs, changes, strict=True))
         side, side_now, band = shares_of_any(settings, logs)
         squared = np.array(self._errors) if self._errors else np.zeros((1, 2))
         return FleetResult(
@@ -265,15 +266,18 @@ class FleetRun:
             logs,
         )
 
-    def _set_up(self, table: ValueTable, team: TeamSettings | None) -> list[_Member]:
+    def _set_up(self, table: ValueTable) -> list[_Member]:
         """Set the aircraft up in turn on the required and the opposite side, each in a height layer of its own."""
         settings, flown = self._settings, self._scene
         requirement, aircraft = settings.requirement(), settings.aircraft()
         members = []
-        for k in range(settings.fleet):
+        for k in range(requirement.fleet_size):
             side = requirement.side if k % 2 == 0 else requirement.side.opposite
-            circle = _start_circle(settings, flown, side, k // 2)
-            body, height_m = aircraft_on(settings, flown, circle), settings.height_m + k * settings.layer_m
+            circle = first_circle(settings, flown, side, START_RANGE_M + k // 2 * aircraft.radius_m)
+            body, height_m = (
+                aircraft_on(settings, flown, circle),
+                settings.config.aircraft.height_m + k * settings.layer_m,
+            )
             signed_m = circle.radius_m if circle.clockwise else -circle.radius_m
             ring = Circling(circle.east_m, circle.north_m, signed_m)
             members.append(
@@ -282,8 +286,8 @@ class FleetRun:
                     height_m,
                     new_flight(body.body, ring, height_m, (1, 1), self._steps, 1),
                     body,
-                    TeamPlanner(aircraft, requirement, table, team=team),
-                    settings.airspeed_m_s,
+                    TeamPlanner(aircraft, requirement, table),
+                    aircraft.airspeed_m_s,
                 )
             )
         return members
@@ -295,17 +299,10 @@ def run_fleet(
     table: ValueTable,
     planner: FleetPlannerName = FleetPlannerName.JOINT,
     losses: Sequence[Loss] = (),
-    team: TeamSettings | None = None,
 ) -> FleetResult:
     """Fly one run. losses count for joint decisions only."""
-    flown = FleetRun(settings, number, table, team)
+    flown = FleetRun(settings, number, table)
     return flown.joint(losses) if planner is FleetPlannerName.JOINT else flown.by_law(planner)
-
-
-def _start_circle(settings: StudySettings, flown: Scene, side: Side, row: int) -> Circle:
-    normal_rad = flown.target.at(0.0).course_rad + side.normal_turn_rad
-    range_m = START_RANGE_M + row * settings.radius_m
-    return Circle(range_m * math.sin(normal_rad), range_m * math.cos(normal_rad), settings.radius_m, side.clockwise)
 
 
 def _separation_m(logs: FloatArray, heights_m: Sequence[float]) -> float:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -14,124 +11,58 @@ from rich import box
 from rich.table import Table
 
 from sidelong.app.study.fleet import FleetPlannerName, FleetResult, run_fleet
-from sidelong.app.study.processes import uninterrupted
-from sidelong.app.study.report import spread, targets_json
+from sidelong.app.study.measures import OF_FLEETS, ON_FLAT_GROUND, decision_ms
+from sidelong.app.study.parallel import Workers, parallel
+from sidelong.app.study.report import targets_json
 from sidelong.app.study.settings import StudySettings
 from sidelong.mission.predictive.value_table import ValueTable
 
-# Measures reported for each aircraft, with the percentile of their tail.
-_OF_EACH = {
-    "time_in_band": 5,
-    "time_on_side": 5,
-    "time_on_side_now": 5,
-    "min_range_m": 5,
-    "moves_per_hour": 95,
-    "reversals_per_hour": 95,
-}
-# Measures reported for all aircraft together.
-_OF_ALL = {
-    "time_on_side_any": 5,
-    "time_on_side_any_now": 5,
-    "time_in_band_any": 5,
-    "min_separation_m": 5,
-    "min_range_m": 5,
-    "handovers": 95,
-    "position_error_m": 95,
-    "in_ellipse": 5,
-}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FleetStudy:
-    """All runs of each planner, in order."""
-
-    settings: StudySettings
-    runs: dict[FleetPlannerName, tuple[FleetResult, ...]]
+Fleets = Mapping[FleetPlannerName, Sequence[FleetResult]]
 
 
 def fly_fleets(
     settings: StudySettings,
     table: ValueTable,
-    jobs: int | None,
+    workers: Workers,
     progress: Callable[[int], None],
     planners: Sequence[FleetPlannerName] = tuple(FleetPlannerName),
-) -> FleetStudy:
-    """Fly all runs in parallel processes, one per core by default. progress is called after each run."""
-    tasks = [(planner, number) for number in settings.numbers for planner in planners]
+) -> Fleets:
+    """Return all runs of each planner, in order. progress is called after each run."""
+    tasks = ((settings, number, table, planner) for number in settings.numbers for planner in planners)
     found: dict[tuple[FleetPlannerName, int], FleetResult] = {}
-    processes = min(jobs or os.cpu_count() or 1, len(tasks))
-    if processes == 1:
-        for planner, number in tasks:
-            found[planner, number] = run_fleet(settings, number, table, planner)
+    with closing(parallel(workers, run_fleet, tasks)) as flying:
+        for (_, number, _, planner), result in flying:
+            found[planner, number] = result
             progress(1)
-    else:
-        with uninterrupted():
-            pool = multiprocessing.get_context("spawn").Pool(processes, _begin, (settings, table))
-        with pool:
-            for task, result in pool.imap_unordered(_fly, tasks):
-                found[task] = result
-                progress(1)
-    return FleetStudy(
-        settings, {planner: tuple(found[planner, number] for number in settings.numbers) for planner in planners}
-    )
+    return {planner: [found[planner, number] for number in settings.numbers] for planner in planners}
 
 
-def fleet_table(study: FleetStudy) -> Table:
+def fleet_table(fleets: Fleets) -> Table:
     """Return the figures for people: means, and the worst of all runs."""
-    table = Table("mean / worst", *study.runs, box=box.SIMPLE_HEAD)
-    for label, name, scale, digits, worst in (
-        ("required side seen by at least one, %", "time_on_side_any", 100.0, 2, np.min),
-        ("by the present course, %", "time_on_side_any_now", 100.0, 2, np.min),
-        ("one in the band, %", "time_in_band_any", 100.0, 2, np.min),
-        ("least separation, m", "min_separation_m", 1.0, 0, np.min),
-        ("least range, m", "min_range_m", 1.0, 0, np.min),
-        ("handovers of the side per run", "handovers", 1.0, 1, np.max),
-        ("position error, m", "position_error_m", 1.0, 2, np.max),
-    ):
-        cells = []
-        for runs in study.runs.values():
-            known = scale * np.array([value for run in runs if np.isfinite(value := getattr(run, name))])
-            cells.append(f"{known.mean():.{digits}f} / {worst(known):.{digits}f}" if known.size else "-")
-        table.add_row(label, *cells)
+    table = Table("mean/worst", *fleets, box=box.SIMPLE_HEAD)
+    for of in OF_FLEETS:
+        table.add_row(of.label, *(of.cell(values_of(runs, of.name)) for runs in fleets.values()))
     return table
 
 
-def fleet_json(study: FleetStudy) -> dict[str, Any]:
+def values_of(runs: Sequence[object], name: str) -> np.ndarray:
+    """Return a measure of each run."""
+    return np.array([getattr(run, name) for run in runs], float)
+
+
+def fleet_json(settings: StudySettings, fleets: Fleets) -> dict[str, Any]:
     """Return the summary that ``--json`` writes."""
-    settings = study.settings
     return {
-        "planners": {planner.value: _figures(settings, runs) for planner, runs in study.runs.items()},
-        "fleet": settings.fleet,
+        "planners": {planner.value: _figures(runs) for planner, runs in fleets.items()},
+        "fleet": settings.requirement().fleet_size,
         **targets_json(settings),
     }
 
 
-def _figures(settings: StudySettings, runs: Sequence[FleetResult]) -> dict[str, Any]:
-    decision_ms = 1e3 * np.percentile(np.concatenate([run.decision_s for run in runs]), (50, 99))
-    aircraft = [
-        {
-            name: spread(np.array([getattr(run.aircraft[k], name) for run in runs]), tail)
-            for name, tail in _OF_EACH.items()
-        }
-        for k in range(settings.fleet)
-    ]
+def _figures(runs: Sequence[FleetResult]) -> dict[str, Any]:
+    each = zip(*(run.aircraft for run in runs), strict=True)
     return {
-        **{name: spread(np.array([getattr(run, name) for run in runs]), tail) for name, tail in _OF_ALL.items()},
-        "decision_ms": {"p50": float(decision_ms[0]), "p99": float(decision_ms[1])},
-        "aircraft": aircraft,
+        **{of.name: of.spread(values_of(runs, of.name)) for of in OF_FLEETS},
+        "decision_ms": decision_ms(np.concatenate([run.decision_s for run in runs])),
+        "aircraft": [{of.name: of.spread(values_of(own, of.name)) for of in ON_FLAT_GROUND} for own in each],
     }
-
-
-_worker: tuple[StudySettings, ValueTable]
-
-
-def _begin(settings: StudySettings, table: ValueTable) -> None:
-    global _worker  # noqa: PLW0603  # what a worker needs is too large to come with every task
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _worker = settings, table
-
-
-def _fly(task: tuple[FleetPlannerName, int]) -> tuple[tuple[FleetPlannerName, int], FleetResult]:
-    settings, table = _worker
-    planner, number = task
-    return task, run_fleet(settings, number, table, planner)

@@ -12,8 +12,7 @@ import numpy as np
 from sidelong.app.study.flight import CompiledFlight, Flown, OverGround
 from sidelong.app.study.flight_kernel import TARGET_M
 from sidelong.app.study.judging import FloatArray, RunResult, judged, judged_log
-from sidelong.app.study.run import aircraft_on, first_circle, sensed_by
-from sidelong.app.study.scene import scene
+from sidelong.app.study.run import aircraft_on, first_circle, scene, sensed_by
 from sidelong.app.study.settings import Hills, StudySettings
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.terrain.ground import Ground
@@ -43,7 +42,7 @@ class HillPlanner:
     ) -> None:
         """height_m: the aircraft's present one."""
         self._heights, self._height_m = heights, height_m
-        self._field = SightField(ground, study.range_max_m + 4.0 * study.radius_m)
+        self._field = SightField(ground, study.requirement().range_max_m + 4.0 * study.aircraft().radius_m)
         self._planner = PredictivePlanner(
             study.aircraft(), study.requirement(), table, check=self._check, sight=self._sight
         )
@@ -83,16 +82,10 @@ def run_over(settings: StudySettings, number: int, table: ValueTable, keep_track
     flown = scene(settings, number)
     place_rng = np.random.default_rng(np.random.SeedSequence((settings.seed, number, 1)))
     ground = _moved(settings.hills.ground, place_rng)
-    rules = HeightRules(
-        settings.height_m,
-        "ground",
-        settings.clearance_m,
-        settings.airspeed_m_s,
-        settings.climb_m_s,
-        settings.descent_m_s,
-    )
+    own = settings.config.aircraft
+    rules = HeightRules(own.height_m, "ground", own.clearance_m, own.airspeed_m_s, own.climb_m_s, own.descent_m_s)
     known, circle, heights = settings.terrain == "known", first_circle(settings, flown), FlightHeights(ground, rules)
-    height_m = ground.height_m(0.0, 0.0) + settings.height_m
+    height_m = ground.height_m(0.0, 0.0) + own.height_m
     first = heights.levelled(Plan(circle), None, (0.0, 0.0)) if known else ""
     if isinstance(first, Plan) and first.heights is not None:
         height_m = first.heights.to_m
@@ -104,7 +97,7 @@ def run_over(settings: StudySettings, number: int, table: ValueTable, keep_track
         sensed_by(settings, flown),
         settings.wind,
         flown.duration_s,
-        OverGround(ground, known, settings.climb_m_s, settings.descent_m_s),
+        OverGround(ground, known, own.climb_m_s, own.descent_m_s),
     )
     if known:
         planner = HillPlanner(settings, ground, heights, table, lambda: flight.height_m)
@@ -135,14 +128,15 @@ def _some_place_sees(
     settings: StudySettings, ground: Ground, target_m: FloatArray, course_rad: float, height_m: float
 ) -> bool:
     """Return whether any position in the band sees the target from a height, on the side if the course is known."""
+    wanted = settings.requirement()
     east_m, north_m = target_m.tolist()
     ground_m = ground.height_m(east_m, north_m)
     seen_m = TARGET_M + (0.0 if math.isnan(ground_m) else ground_m)
-    rings = math.ceil(settings.range_max_m / _RING_M)
+    rings = math.ceil(wanted.range_max_m / _RING_M)
     needed_m = ground.horizon_m(east_m, north_m, seen_m, _AZIMUTHS, rings, _RING_M)
-    needed_m = needed_m[:, math.ceil(settings.range_min_m / _RING_M) :]
+    needed_m = needed_m[:, math.ceil(wanted.range_min_m / _RING_M) :]
     azimuth_rad = np.arange(_AZIMUTHS) * (2.0 * math.pi / _AZIMUTHS)
-    off_rad = azimuth_rad - course_rad - settings.requirement().side.normal_turn_rad
+    off_rad = azimuth_rad - course_rad - wanted.side.normal_turn_rad
     return bool((needed_m[~(np.cos(off_rad) < 0.0)] <= height_m).any())
 
 

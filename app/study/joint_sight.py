@@ -11,8 +11,7 @@ from sidelong.app.study import fleet_kernel as kernel
 from sidelong.app.study.flight import filtering_in, payload_in
 from sidelong.app.study.flight_kernel import Target
 from sidelong.app.study.judging import FloatArray
-from sidelong.app.study.run import payload_of
-from sidelong.app.study.scene import Scene
+from sidelong.app.study.run import Scene, payload_of
 from sidelong.app.study.settings import StudySettings
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.filters.biases import Biases

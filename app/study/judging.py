@@ -52,7 +52,6 @@ class RunResult:
         time_in_sight: fraction of time in which the target is in sight; NaN over flat ground.
         time_in_sight_where_possible: the same of the time in which any position on the side and in the band sees it.
         min_clearance_m: least height over the ground; NaN over flat ground.
-        observation_histogram: number of steps in bins of 5 degrees from -180, shape (72,).
         decision_s: processor time of the decisions that were measured.
         track: the flown path, None unless asked for.
 
@@ -70,25 +69,21 @@ class RunResult:
     time_in_sight: float
     time_in_sight_where_possible: float
     min_clearance_m: float
-    observation_histogram: npt.NDArray[np.int64]
     decision_s: npt.NDArray[np.float32]
     track: Track | None
 
 
-def samples_of(log: FloatArray) -> Samples:
-    """Return a run as the judge takes it.
+def judged_log(settings: StudySettings, log: FloatArray) -> Judgement:
+    """Judge each step of a run.
 
     Args:
+        settings: the design that was flown.
         log: time, aircraft (east, north), target (east, north) and further columns, in steps, shape (n, 5 or more).
 
     """
     velocity_m_s = np.gradient(log[:, 3:5], log[:, 0], axis=0)
-    return Samples(log[:, 0], log[:, 1:3], log[:, 3:5], velocity_m_s)
-
-
-def judged_log(settings: StudySettings, log: FloatArray) -> Judgement:
-    """Judge each step of a run; ``log`` as :func:`samples_of` takes it."""
-    return judge(samples_of(log), ((-math.inf, settings.requirement()),))
+    samples = Samples(log[:, 0], log[:, 1:3], log[:, 3:5], velocity_m_s)
+    return judge(samples, ((-math.inf, settings.requirement()),))
 
 
 def judged(
@@ -103,7 +98,7 @@ def judged(
 
     Args:
         settings: the design that was flown.
-        log: as :func:`samples_of` takes it.
+        log: as :func:`judged_log` takes it.
         changed_s: when each plan departed.
         decision_s: processor time of the decisions that were measured.
         keep_track: whether to keep the path.
@@ -113,20 +108,20 @@ def judged(
     steps = judged_log(settings, log)
     duration_s = STEP_S * len(log)
     found = score(steps, "truth", changed_s, end_s=float(log[-1, 0]) + STEP_S)
-    assert found.time_in_band is not None
     angle_deg = np.degrees(steps.observation_rad[np.isfinite(steps.observation_rad)])
+    scored = found.time_in_band, found.time_on_side, found.time_on_side_now, found.min_range_m, found.max_range_m
+    in_band, on_side, on_side_now, min_range_m, max_range_m = (math.nan if one is None else one for one in scored)
     return RunResult(
-        found.time_in_band,
-        _or_nan(found.time_on_side),
-        _or_nan(found.time_on_side_now),
-        _or_nan(found.min_range_m),
-        _or_nan(found.max_range_m),
+        in_band,
+        on_side,
+        on_side_now,
+        min_range_m,
+        max_range_m,
         3600.0 * found.moves / duration_s,
         3600.0 * found.reversals / duration_s,
         float(angle_deg.std()) if angle_deg.size else math.nan,
         duration_s,
         *over_ground,
-        np.histogram(angle_deg, bins=72, range=(-180.0, 180.0))[0],
         np.asarray(decision_s, np.float32),
         Track(log[:, 0], log[:, 1:3], log[:, 3:5], steps) if keep_track else None,
     )
@@ -151,7 +146,3 @@ def shares_of_any(settings: StudySettings, logs: FloatArray) -> tuple[float, flo
 
 def _share(flags: npt.NDArray[np.bool_]) -> float:
     return float(flags.mean()) if flags.size else math.nan
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value

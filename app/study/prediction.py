@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from sidelong.app.config import Config
-from sidelong.app.planners.registry import planner_by_name
-from sidelong.app.study.batch import one_flown
+from sidelong.app.config import Config, with_values
 from sidelong.app.study.design import configured, designs
 from sidelong.app.study.settings import AUTOPILOTS, PlannerName, StudySettings
-from sidelong.app.study.study import table_of
-from sidelong.mission.core.feasibility import in_words
+from sidelong.app.study.study import one_flown, table_of
 
 FLIGHTS, FLIGHT_S = 20, 600.0
 LEAST_IN_BAND, LEAST_ON_SIDE = 0.9, 0.6  # a configuration that stays below these is refused
@@ -59,9 +56,6 @@ class Share:
         mean, low, high, worst = (f"{100.0 * value:.1f}" for value in (self.mean, self.low, self.high, self.worst))
         return f"{mean} % (95 % interval {low} to {high} %, worst flight {worst} %)"
 
-    def as_json(self) -> dict[str, float]:
-        return {"mean": self.mean, "low": self.low, "high": self.high, "worst": self.worst}
-
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
@@ -88,14 +82,8 @@ class Prediction:
 
     def as_json(self) -> dict[str, Any]:
         shares = {"time_in_band": self.time_in_band, "time_on_side": self.time_on_side}
-        shown = {name: None if share is None else share.as_json() for name, share in shares.items()}
+        shown = {name: None if share is None else asdict(share) for name, share in shares.items()}
         return {"flights": FLIGHTS, "flight_s": FLIGHT_S, **shown}
-
-
-def unflyable(config: Config) -> str:
-    """Return why the configured planner cannot keep the requirement and which number to change, '' if it can."""
-    aircraft, requirement = config.aircraft.aircraft(), config.requirement.requirement()
-    return in_words(planner_by_name(config.planner.name).unflyable(aircraft, requirement))
 
 
 def predict(config: Config, progress: Callable[[float], None] = lambda _share: None) -> Prediction:
@@ -109,9 +97,8 @@ def predict(config: Config, progress: Callable[[float], None] = lambda _share: N
     planner, answer = PlannerName(config.planner.name), AUTOPILOTS[config.simulation.autopilot]
     base = StudySettings(planners=(planner,), runs=FLIGHTS, duration_s=FLIGHT_S)
     (design,) = designs(base, configured(config), [])
-    settings = replace(
-        design.settings, latency_s=answer.latency_s, lag_s=answer.lag_s, fleet=config.requirement.fleet_size
-    )
+    together = with_values(design.settings.config, {"requirement": {"fleet_size": config.requirement.fleet_size}}, "")
+    settings = replace(design.settings, latency_s=answer.latency_s, lag_s=answer.lag_s, config=together)
     table = table_of(settings, progress) if planner is PlannerName.PREDICTIVE else None
     flown = [one_flown(settings, planner, number, table) for number in range(FLIGHTS)]
     return Prediction(Share.of([one.time_in_band for one in flown]), Share.of([one.time_on_side for one in flown]))

@@ -1,43 +1,34 @@
-"""What a study found: the table for people, the summary for programs."""
+"""What a study found: tables for people, summaries and rows for programs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+import csv
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from rich import box
 from rich.table import Table
 
+from sidelong.app.errors import missing_package
+from sidelong.app.study.design import word
+from sidelong.app.study.judging import FloatArray
+from sidelong.app.study.measures import ON_FLAT_GROUND, OVER_HILLS, Measure, decision_ms
 from sidelong.app.study.settings import PARTS, Fidelity, StudySettings
-from sidelong.app.study.study import PlannerResult, Study, StudyResult
+from sidelong.app.study.store import MEASURES
+from sidelong.app.study.study import PlannerResult, StudyResult
 
-FloatArray = npt.NDArray[np.float64]
-
-_Spread = tuple[str, Callable[[PlannerResult], FloatArray], int, Callable[[FloatArray], Any], int]
-_OVER_GROUND = ("time_in_sight", "time_in_sight_where_possible", "min_clearance_m")
-# The table's rows: label, the runs' values, percentile of the tail, which end is worst, digits.
-_SPREADS: tuple[_Spread, ...] = (
-    ("time in band, %", lambda p: 100.0 * p.time_in_band, 5, np.min, 2),
-    ("time on side, %", lambda p: 100.0 * p.time_on_side, 5, np.min, 1),
-    ("by the present course, %", lambda p: 100.0 * p.time_on_side_now, 5, np.min, 1),
-    ("least range, m", lambda p: p.min_range_m, 5, np.min, 0),
-    ("greatest range, m", lambda p: p.max_range_m, 95, np.max, 0),
-)
-# The same over hills.
-_SPREADS_OVER_GROUND: tuple[_Spread, ...] = (
-    ("time in sight, %", lambda p: 100.0 * p.time_in_sight, 5, np.min, 1),
-    ("where some place sees it, %", lambda p: 100.0 * p.time_in_sight_where_possible, 5, np.min, 1),
-    ("least height over ground, m", lambda p: p.min_clearance_m, 5, np.min, 0),
-)
+EXPORTED = (".csv", ".parquet")
+_COLUMNS = ("planner", "run", "target", "draw", "seed", *MEASURES, "key")
 
 
 def study_title(result: StudyResult) -> str:
     """Return one line that describes the study."""
-    s = result.settings
-    target = f"to {s.target_speed_max_m_s:g} m/s"
+    s, aircraft = result.settings, result.settings.aircraft()
+    sensors = "perfect sensors" if s.perfect_sensors else "noisy laser and gimbal"
+    target = f"to {s.requirement().target_speed_max_m_s:g} m/s"
     if s.tracks:
         target = f"recorded, {target}"
         runs = f"{len(s.numbers)} runs, {result.simulated_s / len(s.planners) / 3600.0:.1f} h"
@@ -45,8 +36,8 @@ def study_title(result: StudyResult) -> str:
         runs = f"{len(s.numbers)} runs of {s.duration_s / 60.0:.0f} min"
         target += f", legs of {s.legs_s[0]:g}-{s.legs_s[1]:g} s"
     return (
-        f"{runs} at {s.airspeed_m_s:g} m/s on circles of {s.radius_m:g} m; target {target}; "
-        f"wind {s.wind_speed_m_s:g} m/s; {'perfect sensors' if s.perfect_sensors else 'noisy laser and gimbal'}"
+        f"{runs} at {aircraft.airspeed_m_s:g} m/s on circles of {aircraft.radius_m:g} m; target {target}; "
+        f"wind {s.config.simulation.wind_speed_m_s:g} m/s; {sensors}"
     )
 
 
@@ -56,81 +47,57 @@ def study_fidelity(settings: StudySettings) -> str:
     return f"fidelity {settings.fidelity}{autopilot}: {PARTS[settings.fidelity]}"
 
 
+def measures_of(settings: StudySettings) -> tuple[Measure, ...]:
+    """Return the measures of a study."""
+    return ON_FLAT_GROUND if settings.hills is None else OVER_HILLS
+
+
+def right_aligned(table: Table, first: int) -> Table:
+    """Return a table with its columns from the ``first`` on aligned to the right, and not broken."""
+    for column in table.columns[first:]:
+        column.justify, column.no_wrap = "right", True
+    return table
+
+
 def study_table(result: StudyResult) -> Table:
     """Return the comparison, a column for each planner."""
-    table = Table("", "", *(str(name) for name in result.planners), box=box.SIMPLE_HEAD)
-    for column in table.columns[2:]:
-        column.justify = "right"
+    table = right_aligned(Table("", "", *map(str, result.planners), box=box.SIMPLE_HEAD), 2)
     planners = list(result.planners.values())
-    for label, values, tail, worst, digits in _SPREADS + (_SPREADS_OVER_GROUND if result.settings.hills else ()):
-        known = [v[np.isfinite(v)] for v in map(values, planners)]
-        for name, of in (("mean", np.mean), (f"{tail} %", partial(np.percentile, q=tail)), ("worst", worst)):
-            words = (f"{of(v):.{digits}f}" if v.size else "-" for v in known)
-            table.add_row(label if name == "mean" else "", name, *words)
-    table.add_row("moves per hour", "mean", *(f"{p.moves_per_hour.mean():.0f}" for p in planners))
-    table.add_row("reversals per hour", "mean", *(f"{p.reversals_per_hour.mean():.1f}" for p in planners))
-    table.add_row("observation angle, °", "spread", *(_mean(p.observation_spread_deg) for p in planners))
-    for tail in (50, 99):
-        times_s = (1e3 * float(np.percentile(p.decision_s, tail)) for p in planners)
-        table.add_row("decision, ms" if tail == 50 else "", f"{tail} %", *(f"{t:.2f}" for t in times_s))
+
+    def row(label: str, name: str, digits: int, value: Callable[[PlannerResult], float | None]) -> None:
+        values = map(value, planners)
+        table.add_row(label, name, *("-" if one is None else f"{one:.{digits}f}" for one in values))
+
+    for of in measures_of(result.settings):
+        for name in ("mean", f"p{of.tail}", "worst"):
+            label = of.label if name == "mean" else ""
+            row(label, name, of.digits, lambda p, of=of, name=name: of.spread(of.shown(p[of.name]))[name])  # type: ignore[misc]
+    row("observation angle, °", "spread", 0, _angle_spread_deg)
+    for name in ("p50", "p99"):
+        label = "decision, ms" if name == "p50" else ""
+        row(label, name, 2, lambda p, name=name: decision_ms(p.decision_s)[name])  # type: ignore[misc]
     return table
 
 
-def sweep_table(study: Study) -> Table:
+def sweep_rows(results: Sequence[StudyResult]) -> list[tuple[str, ...]]:
+    """Return the comparison of designs: the headings, then a row for each design and planner."""
+    first, measures = results[0].design, measures_of(results[0].settings)
+    keys = (key.partition(".")[2] for key, _ in first.swept)
+    rows = [
+        (*map(word, dict(one.design.swept).values()), str(name), *(m.cell(planner[m.name]) for m in measures))
+        for one in results
+        for name, planner in one.planners.items()
+    ]
+    return [(*keys, "planner", *(one.heading for one in measures)), *rows]
+
+
+def sweep_table(results: Sequence[StudyResult]) -> Table:
     """Return the comparison of designs, a row for each and planner."""
-    keys = [key.partition(".")[2] for key, _ in study.designs[0].swept]
-    headings = summary_headings(study.designs[0].settings)
-    table = Table(*keys, "planner", *headings, box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1))
-    for column in table.columns:
-        column.justify, column.no_wrap = "right", True
-    for design in study.designs:
-        for name, planner in study.result(design).planners.items():
-            swept = (f"{value:g}" if isinstance(value, float) else value for _, value in design.swept)
-            table.add_row(*swept, str(name), *summary_row(design.settings, planner))
+    headings, *rows = sweep_rows(results)
+    table = right_aligned(Table(*headings, box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1)), 0)
+    for row in rows:
+        table.add_row(*row)
     return table
-
-
-def summary_headings(settings: StudySettings) -> tuple[str, ...]:
-    """Return the headings over :func:`summary_row`."""
-    return tuple(heading for heading, _ in _summary(settings))
-
-
-def summary_row(settings: StudySettings, planner: PlannerResult) -> tuple[str, ...]:
-    """Return a planner's figures in one line."""
-    return tuple(words(planner) for _, words in _summary(settings))
-
-
-def _summary(settings: StudySettings) -> tuple[tuple[str, Callable[[PlannerResult], str]], ...]:
-    return _SUMMARY if settings.hills is None else _SUMMARY + _SUMMARY_OVER_GROUND
-
-
-def _mean(values: FloatArray) -> str:
-    values = values[np.isfinite(values)]
-    return f"{values.mean():.0f}" if values.size else "-"
-
-
-def _mean_and_worst(values: FloatArray) -> str:
-    values = 100.0 * values[np.isfinite(values)]
-    return f"{values.mean():.1f}/{values.min():.1f}" if values.size else "-"
-
-
-HEADINGS_EXPLAINED = (
-    "Shares of time: mean / worst run; now: on the side by the target's present course. Least range of all runs. "
-    "Moves per hour, and reversals: moves within 10 s of the last one."
-)
-_SUMMARY: tuple[tuple[str, Callable[[PlannerResult], str]], ...] = (
-    ("in band, %", lambda p: _mean_and_worst(p.time_in_band)),
-    ("on side, %", lambda p: _mean_and_worst(p.time_on_side)),
-    ("now, %", lambda p: _mean_and_worst(p.time_on_side_now)),
-    ("least, m", lambda p: f"{p.min_range_m.min():.0f}"),
-    ("moves/h", lambda p: f"{p.moves_per_hour.mean():.0f}"),
-    ("reversals/h", lambda p: f"{p.reversals_per_hour.mean():.1f}"),
-)
-_SUMMARY_OVER_GROUND: tuple[tuple[str, Callable[[PlannerResult], str]], ...] = (
-    ("in sight, %", lambda p: _mean_and_worst(p.time_in_sight)),
-    ("where possible, %", lambda p: _mean_and_worst(p.time_in_sight_where_possible)),
-    ("clear, m", lambda p: f"{np.nanmin(p.min_clearance_m):.0f}"),
-)
 
 
 def targets_json(settings: StudySettings) -> dict[str, Any]:
@@ -147,51 +114,67 @@ def targets_json(settings: StudySettings) -> dict[str, Any]:
     }
 
 
-def study_json(result: StudyResult) -> dict[str, Any]:
-    """Return the summary that ``--json`` writes."""
-    return {
-        "planners": planners_json(result),
-        **targets_json(result.settings),
-        "simulated_s": result.simulated_s,
-        "wall_s": result.wall_s,
+def study_json(results: Sequence[StudyResult]) -> dict[str, Any]:
+    """Return the summary that ``--json`` writes; of several designs each with its ``swept`` values."""
+    each = [{str(name): _planner_json(one, of.settings) for name, one in of.planners.items()} for of in results]
+    summary = {
+        "planners": each[0] if len(each) == 1 else {},
+        **targets_json(results[0].settings),
+        "simulated_s": sum(one.simulated_s for one in results),
+        "wall_s": results[0].wall_s,
     }
-
-
-def sweep_json(study: Study) -> dict[str, Any]:
-    """Return the summary of a study with several designs: ``designs``, each with its ``swept`` values."""
-    of = [{"swept": dict(one.swept), "planners": planners_json(study.result(one))} for one in study.designs]
-    whole = study_json(study.result(study.designs[0]))
-    flown_s = study.store.simulated_s(study.run_ids())
-    return whole | {"planners": {}, "designs": of, "simulated_s": flown_s}
-
-
-def planners_json(result: StudyResult) -> dict[str, Any]:
-    """Return each planner's figures."""
-    return {str(name): _planner_json(planner, result.settings) for name, planner in result.planners.items()}
+    if len(each) > 1:
+        swept = (dict(one.design.swept) for one in results)
+        summary["designs"] = [{"swept": of, "planners": own} for of, own in zip(swept, each, strict=True)]
+    return summary
 
 
 def _planner_json(planner: PlannerResult, settings: StudySettings) -> dict[str, Any]:
-    p50_s, p99_s = np.percentile(planner.decision_s, (50, 99))
     return {
         "targets": settings.runs,
         "skipped": len(settings.skipped),
-        "time_in_band": spread(planner.time_in_band, 5),
-        "time_on_side": spread(planner.time_on_side, 5),
-        "time_on_side_now": spread(planner.time_on_side_now, 5),
-        "min_range_m": spread(planner.min_range_m, 5),
-        "max_range_m": spread(planner.max_range_m, 95),
-        "moves_per_hour": spread(planner.moves_per_hour, 95),
-        "reversals_per_hour": spread(planner.reversals_per_hour, 95),
-        **({name: spread(getattr(planner, name), 5) for name in _OVER_GROUND} if settings.hills else {}),
-        "observation_spread_deg": spread(planner.observation_spread_deg, 95)["mean"],
-        "decision_ms": {"p50": 1e3 * float(p50_s), "p99": 1e3 * float(p99_s)},
+        **{one.name: one.spread(planner[one.name]) for one in measures_of(settings)},
+        "observation_spread_deg": _angle_spread_deg(planner),
+        "decision_ms": decision_ms(planner.decision_s),
     }
 
 
-def spread(values: FloatArray, tail: int) -> dict[str, float | None]:
-    """Return mean, tail and worst; the worst is the least where the tail is a low percentile, else the greatest."""
-    values = values[np.isfinite(values)]
-    if not values.size:
-        return dict.fromkeys(("mean", f"p{tail}", "worst"))
-    worst = values.min() if tail < 50 else values.max()
-    return {"mean": float(values.mean()), f"p{tail}": float(np.percentile(values, tail)), "worst": float(worst)}
+def _angle_spread_deg(planner: PlannerResult) -> float | None:
+    values: FloatArray = planner["observation_spread_deg"]
+    return float(np.nanmean(values)) if np.isfinite(values).any() else None
+
+
+def export_runs(results: Sequence[StudyResult], file: Path) -> None:
+    """Write a row for each run, as CSV or Parquet. Columns: swept parameters, then the same for every study.
+
+    Raises OSError; InputError when Parquet is asked for and pyarrow is not installed.
+    """
+    columns = (*(key for key, _ in results[0].design.swept), *_COLUMNS)
+    if file.suffix.lower() == ".parquet":
+        arrow, parquet = parquet_writer()
+        types = dict.fromkeys(MEASURES, arrow.float64())
+        values = zip(columns, zip(*_rows(results), strict=True), strict=True)
+        parquet.write_table(arrow.table({name: arrow.array(of, types.get(name)) for name, of in values}), file)
+        return
+    with file.open("w", newline="", encoding="utf-8") as out:
+        csv.writer(out).writerows([columns, *_rows(results)])
+
+
+def _rows(results: Sequence[StudyResult]) -> Iterator[tuple[Any, ...]]:
+    for one in results:
+        swept = [value for _, value in one.design.swept]
+        for name, planner in one.planners.items():
+            for k, run in enumerate(planner.runs):
+                values = (float(planner[measure][k]) for measure in MEASURES)
+                whose = str(name), run.number, run.target, run.draw, one.settings.seed
+                yield *swept, *whose, *(None if math.isnan(value) else value for value in values), run.key
+
+
+def parquet_writer() -> tuple[Any, Any]:
+    """Return pyarrow and its Parquet module. Raises InputError when it is not installed."""
+    try:
+        import pyarrow  # noqa: PLC0415  # an extra
+        import pyarrow.parquet  # noqa: PLC0415
+    except ImportError as error:
+        raise missing_package("--export: Parquet", "pyarrow", "write a .csv") from error
+    return pyarrow, pyarrow.parquet

@@ -1,22 +1,26 @@
-"""One run of a study: one planner against one target."""
+"""One run of a study: its target, start and noise, and one planner."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from sidelong.app.assembly import tracker_settings
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.payload import PayloadErrors
+from sidelong.app.simulation.target import RandomTarget
 from sidelong.app.study.controller import ExternalController
 from sidelong.app.study.flight import CompiledFlight, Flown, Sensed
 from sidelong.app.study.judging import RunResult, judged
 from sidelong.app.study.pilots import GuidanceLaw
-from sidelong.app.study.scene import Scene, scene
+from sidelong.app.study.recorded import RecordedTarget
 from sidelong.app.study.settings import PlannerName, StudySettings
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState
+from sidelong.mission.core.requirement import GRAVITY_M_S2, Side
 from sidelong.mission.geometry.wind import ground_speed_m_s
 from sidelong.mission.laws.lateral_guidance import LateralGuidance
 from sidelong.mission.laws.vector_field import VectorField
@@ -36,29 +40,65 @@ _FIELD_RADIUS_M, _FIELD_GAIN_PER_S = 350.0, 0.25
 _LATERAL_RADIUS_M, _LATERAL_LOOK_AHEAD_M = 350.0, 80.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """The same for every planner."""
+
+    name: str
+    target: RandomTarget | RecordedTarget
+    duration_s: float
+    start_rng: np.random.Generator
+    sensor_rng: np.random.Generator
+    route: Route | None = None
+
+
+def scene(settings: StudySettings, number: int) -> Scene:
+    """Return the scene of a run, one of ``settings.numbers``."""
+    draw, k = divmod(number, settings.runs)
+    if not settings.tracks:
+        seeds = np.random.SeedSequence((settings.seed, k)).spawn(3)
+        speed_max_m_s = settings.config.requirement.target_speed_max_m_s
+        target = RandomTarget(np.random.default_rng(seeds[0]), settings.duration_s, speed_max_m_s, settings.legs_s)
+        start, sensor = np.random.SeedSequence((settings.seed, k, draw)).spawn(2) if draw else seeds[1:]
+        return Scene(
+            f"random {k}", target, settings.duration_s, np.random.default_rng(start), np.random.default_rng(sensor)
+        )
+    track = settings.tracks[k]
+    start, sensor = np.random.SeedSequence((settings.seed, track.key, draw)).spawn(2)
+    duration_s = min(track.duration_s, settings.duration_s)
+    return Scene(
+        track.name, track, duration_s, np.random.default_rng(start), np.random.default_rng(sensor), track.route
+    )
+
+
 def run(
     settings: StudySettings, planner: PlannerName, number: int, table: ValueTable | None, keep_track: bool = False
 ) -> RunResult:
     """Fly one run. Target and sensor noise depend on the seed and ``number`` only, not on the planner."""
     flown = scene(settings, number)
     circle = first_circle(settings, flown)
-    inputs = aircraft_on(settings, flown, circle), circle, settings.height_m, sensed_by(settings, flown)
+    inputs = (
+        aircraft_on(settings, flown, circle),
+        circle,
+        settings.config.aircraft.height_m,
+        sensed_by(settings, flown),
+    )
     flight = CompiledFlight(flown.target, *inputs, settings.wind, flown.duration_s)
     run = _steered(settings, planner, table, flight, flown.route)
     return judged(settings, run.log, run.changed_s, run.decision_s, keep_track)
 
 
-def first_circle(settings: StudySettings, flown: Scene) -> Circle:
-    """Return the initial circle of a run, to one side of the target."""
+def first_circle(
+    settings: StudySettings, flown: Scene, side: Side | None = None, range_m: float = START_RANGE_M
+) -> Circle:
+    """Return the initial circle of a run, to one side of the target; None: the required one."""
     requirement = settings.requirement()
-    normal_rad = flown.target.at(0.0).course_rad + requirement.side.normal_turn_rad
+    side = side or requirement.side
+    normal_rad = flown.target.at(0.0).course_rad + side.normal_turn_rad
     if requirement.sector is not None:
         normal_rad = requirement.sector.middle_rad
     return Circle(
-        START_RANGE_M * math.sin(normal_rad),
-        START_RANGE_M * math.cos(normal_rad),
-        settings.radius_m,
-        requirement.side.clockwise,
+        range_m * math.sin(normal_rad), range_m * math.cos(normal_rad), settings.aircraft().radius_m, side.clockwise
     )
 
 
@@ -73,7 +113,8 @@ def aircraft_on(settings: StudySettings, flown: Scene, circle: Circle) -> Kinema
         ground_speed_m_s(course_rad, aircraft.airspeed_m_s, wind),
         circle.curvature_per_m,
     )
-    bank_max_rad = math.atan(_BANK_RESERVE * math.tan(settings.circle_bank_rad))
+    circle_bank_rad = math.atan(aircraft.airspeed_m_s**2 / (GRAVITY_M_S2 * settings.still_air_radius_m))
+    bank_max_rad = math.atan(_BANK_RESERVE * math.tan(circle_bank_rad))
     return KinematicAircraft(
         start, aircraft.airspeed_m_s, bank_max_rad, aircraft.roll_rate_max_rad_s, wind, settings.lag_s
     )
@@ -105,7 +146,9 @@ def _steered(
         case PlannerName.CONTROLLER:
             limit_per_m = _BANK_RESERVE / settings.still_air_radius_m
             band_m = requirement.range_min_m, requirement.range_max_m
-            with ExternalController(settings.controller, limit_per_m, band_m, settings.side) as controller:
+            with ExternalController(
+                settings.controller, limit_per_m, band_m, settings.config.requirement.side
+            ) as controller:
                 return flight.with_law(controller)
         case _:
             return flight.with_law(_law(planner, requirement.side.clockwise))
@@ -113,9 +156,9 @@ def _steered(
 
 def payload_of(settings: StudySettings) -> tuple[PayloadErrors, TrackerSettings]:
     """Return the errors of the payload, and the tracker's settings for it."""
-    sensors = settings.sensors
+    sensors = settings.config.sensors
     errors = PayloadErrors(sensors.range_sigma_m, math.radians(sensors.angle_sigma_deg))
-    return errors, tracker_settings(sensors, settings.lost_after_s)
+    return errors, tracker_settings(sensors, settings.config.planner.lost_after_s)
 
 
 def _law(planner: PlannerName, clockwise: bool) -> GuidanceLaw:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from sidelong.app.config import SensorsSection
+from sidelong.app.config import Config, with_values
 from sidelong.app.study.recorded import RecordedTarget
-from sidelong.mission.core.requirement import GRAVITY_M_S2, Aircraft, Requirement, Side, Wind
-from sidelong.mission.viewpoint.side_policy import watching_from
+from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 
 if TYPE_CHECKING:
     from sidelong.estimators.terrain.ground import Ground
@@ -62,8 +61,40 @@ class AutopilotAnswer:
 # 0.011 rad RMS); the latency is that of uploads to the simulated vehicles, and what a flight begins with.
 AUTOPILOTS = {"arduplane": AutopilotAnswer(1.0, 0.45), "px4": AutopilotAnswer(1.0, 0.43)}
 
-# The study's laser has an unknown offset.
-STUDIED_SENSORS = SensorsSection(range_bias_sigma_m=0.5)  # type: ignore[call-arg]  # every field has a default
+# What of the configuration shapes a run; the rest is about links, fences and real vehicles.
+SHAPING = {
+    "aircraft": (
+        *("airspeed_m_s", "radius_m", "bank_max_deg", "roll_rate_max_deg_s", "height_m"),
+        *("clearance_m", "climb_m_s", "descent_m_s"),
+    ),
+    "requirement": ("range_min_m", "range_max_m", "side", "target_speed_max_m_s", "threshold", "course_horizon_s"),
+    "planner": ("lost_after_s",),
+    "sensors": (
+        *("range_sigma_m", "angle_sigma_deg", "yaw_bias_sigma_deg", "pitch_bias_sigma_deg", "range_bias_sigma_m"),
+        *("filter", "target_kind"),
+    ),
+    "simulation": ("wind_speed_m_s", "wind_from_deg"),
+}
+# The paper's requirement with the threshold that keeps the band longest; the laser has an unknown offset.
+STUDIED = Config.model_validate(
+    {
+        "aircraft": {"airspeed_m_s": 10.0, "radius_m": 50.0},
+        "requirement": {"target_speed_max_m_s": 5.0, "threshold": 1.0},
+        "sensors": {"range_bias_sigma_m": 0.5},
+    }
+)
+
+
+def shaping(config: Config) -> dict[str, dict[str, Any]]:
+    """Return what of a configuration shapes a run, as plain values by section and key."""
+    return config.model_dump(mode="json", include={section: {*keys} for section, keys in SHAPING.items()})
+
+
+def studied(**values: Any) -> Config:
+    """Return the configuration of a study with other values, by the names of their keys."""
+    allowed = SHAPING | {"requirement": (*SHAPING["requirement"], "fleet_size")}
+    sections = {name: {key: values[key] for key in keys if key in values} for name, keys in allowed.items()}
+    return with_values(STUDIED, sections, "study")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,55 +107,37 @@ class Hills:
 
 @dataclass(frozen=True, slots=True)
 class StudySettings:
-    """The paper's requirement. In wind the circle grows, so that its bank at the greatest ground speed stays.
+    """What is flown, and how often.
 
-    runs: targets; each is flown noise_draws times by each planner. latency_s: from a decision to the earliest
-    departure. lag_s: time constant with which the bank follows its command, within the roll rate; 0: the roll rate
-    alone. tracks: recorded targets in place of random ones, as many as runs, each flown to its end or for
-    duration_s; skipped: (file, reason) of others. only: numbers of the runs to be flown, not all. fleet: aircraft on
-    each target, each layer_m above the one before.
+    planners: what is compared. config: aircraft, requirement, sensors and wind. runs: targets; each is flown
+    noise_draws times by each planner. legs_s: how long a random target keeps its course. latency_s: from a decision
+    to the earliest departure. lag_s: time constant with which the bank follows its command, within the roll rate; 0:
+    the roll rate alone. tracks: recorded targets in place of random ones, as many as runs, each flown to its end or
+    for duration_s; skipped: (file, reason) of others. only: numbers of the runs to be flown, not all. layer_m: from
+    the height of an aircraft of a fleet to that of the next.
 
     fidelity: what is flown; autopilot: whose vehicle, in a closed loop. controller: the command of the planner
     "controller", see :mod:`sidelong.app.study.controller`.
 
     hills: what targets and aircraft move over, None: flat ground. terrain: whether planner and filter know it.
-    clearance_m, climb_m_s and descent_m_s are as a mission's.
     """
 
     planners: tuple[PlannerName, ...] = OWN_PLANNERS
     runs: int = 20
     seed: int = 1
-    target_speed_max_m_s: float = 5.0
-    wind_speed_m_s: float = 0.0
+    config: Config = STUDIED
     legs_s: tuple[float, float] = (40.0, 200.0)
     perfect_sensors: bool = False
     duration_s: float = 1200.0
-    airspeed_m_s: float = 10.0
-    still_air_radius_m: float = 50.0
-    range_min_m: float = 100.0
-    range_max_m: float = 500.0
     latency_s: float = 0.2
+    lag_s: float = 0.0
     tracks: tuple[RecordedTarget, ...] = ()
     skipped: tuple[tuple[str, str], ...] = ()
     noise_draws: int = 1
     only: tuple[int, ...] = ()
-    lag_s: float = 0.0
-    wind_from_deg: float = 270.0
-    side: str = "left"
-    threshold: float = 1.0  # the paper's C that keeps the band longest
-    course_horizon_s: float = 20.0
-    bank_max_deg: float = 45.0
-    roll_rate_max_deg_s: float = 30.0
-    height_m: float = 100.0
-    lost_after_s: float = 60.0
-    fleet: int = 1
     layer_m: float = 60.0
     hills: Hills | None = None
     terrain: Literal["known", "ignored"] = "known"
-    clearance_m: float = 50.0
-    climb_m_s: float = 3.0
-    descent_m_s: float = 2.0
-    sensors: SensorsSection = STUDIED_SENSORS
     fidelity: Fidelity = Fidelity.KINEMATIC
     autopilot: str = "arduplane"
     controller: str = ""
@@ -135,34 +148,23 @@ class StudySettings:
         return self.only or range(self.runs * self.noise_draws)
 
     @property
-    def radius_m(self) -> float:
-        """Radius of the circle flown to one side of the target."""
-        return self.still_air_radius_m * (1.0 + self.wind_speed_m_s / self.airspeed_m_s) ** 2
-
-    @property
-    def circle_bank_rad(self) -> float:
-        """Bank in the circle in still air."""
-        return math.atan(self.airspeed_m_s**2 / (GRAVITY_M_S2 * self.still_air_radius_m))
+    def still_air_radius_m(self) -> float:
+        """Radius of a circle in still air with the bank of the configured one at its greatest ground speed."""
+        aircraft, wind_m_s = self.config.aircraft, self.config.simulation.wind_speed_m_s
+        return round(aircraft.radius_m / (1.0 + wind_m_s / aircraft.airspeed_m_s) ** 2, 9)
 
     @property
     def wind(self) -> Wind:
-        """From the west: a random target's course is random, so that one direction stands for all."""
-        if self.wind_from_deg == 270.0:
-            return Wind(self.wind_speed_m_s, 0.0)
-        from_rad = math.radians(self.wind_from_deg)
-        return Wind(-self.wind_speed_m_s * math.sin(from_rad), -self.wind_speed_m_s * math.cos(from_rad))
+        """The steady wind."""
+        speed_m_s, from_deg = self.config.simulation.wind_speed_m_s, self.config.simulation.wind_from_deg
+        if from_deg == 270.0:
+            return Wind(speed_m_s, 0.0)
+        return Wind(-speed_m_s * math.sin(math.radians(from_deg)), -speed_m_s * math.cos(math.radians(from_deg)))
 
     def aircraft(self) -> Aircraft:
         """Return the planner's view of the aircraft."""
-        return Aircraft(
-            self.airspeed_m_s,
-            self.radius_m,
-            math.radians(self.bank_max_deg),
-            math.radians(self.roll_rate_max_deg_s),
-        )
+        return self.config.aircraft.aircraft()
 
     def requirement(self) -> Requirement:
         """Return the requirement."""
-        plain = Requirement(self.range_min_m, self.range_max_m, Side.LEFT, self.target_speed_max_m_s, self.threshold)
-        watched = watching_from(plain, self.side)
-        return replace(watched, course_horizon_s=self.course_horizon_s, fleet_size=self.fleet)
+        return self.config.requirement.requirement()

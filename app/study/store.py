@@ -21,25 +21,17 @@ import numpy as np
 
 from sidelong.app.errors import InputError
 from sidelong.app.study.judging import RunResult
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.settings import PlannerName, StudySettings, shaping
 from sidelong.estimators.compiled import code_digest
 
-MEASURES = (
-    *("time_in_band", "time_on_side", "time_on_side_now", "min_range_m", "max_range_m"),
-    *("moves_per_hour", "reversals_per_hour", "observation_spread_deg", "duration_s"),
-    *("time_in_sight", "time_in_sight_where_possible", "min_clearance_m"),
-)
-_APPLICATION_ID = 0x51DE1043
-_FORMAT = 3
+MEASURES = tuple(field.name for field in fields(RunResult) if field.type == "float")
 _SCHEMA = f"""
 CREATE TABLE runs (
-    key TEXT PRIMARY KEY, design TEXT NOT NULL, planner TEXT NOT NULL, target TEXT NOT NULL, draw INTEGER NOT NULL,
-    {", ".join(f"{name} REAL" for name in MEASURES)},
-    observation_histogram BLOB NOT NULL, decision_s BLOB NOT NULL
+    key TEXT PRIMARY KEY, planner TEXT NOT NULL, target TEXT NOT NULL, draw INTEGER NOT NULL,
+    {", ".join(f"{name} REAL" for name in MEASURES)}, decision_s BLOB NOT NULL
 ) WITHOUT ROWID;
-CREATE TABLE designs (design TEXT PRIMARY KEY, shape TEXT NOT NULL) WITHOUT ROWID;
-PRAGMA application_id = {_APPLICATION_ID};
-PRAGMA user_version = {_FORMAT};
+PRAGMA application_id = {0x51DE1043};
+PRAGMA user_version = 4;
 """
 # Values that do not belong to one run, or follow from its target.
 _NOT_SHAPING = ("planners", "runs", "only", "tracks", "skipped", "noise_draws", "hills")
@@ -55,25 +47,11 @@ def code_version() -> str:
     return f"{package}+{code_digest()}"
 
 
-def shape(settings: StudySettings) -> str:
-    """Return everything that shapes the runs of a design but planner, target and draw, as canonical JSON."""
-    values = {
-        field.name: getattr(settings, field.name)
-        for field in fields(settings)
-        if field.name not in _NOT_SHAPING and not (field.name == "legs_s" and settings.tracks)
-    }
-    values |= {"sensors": settings.sensors.model_dump(mode="json"), "version": code_version()}
-    values["hills"] = None if settings.hills is None else settings.hills.digest
-    values["duration_s"] = None if math.isinf(settings.duration_s) else settings.duration_s
-    return json.dumps(values, sort_keys=True)
-
-
 @dataclass(frozen=True, slots=True)
 class RunId:
     """Which run, and the key it is kept under."""
 
     key: str
-    design: str
     planner: PlannerName
     number: int
     target: str
@@ -82,13 +60,20 @@ class RunId:
 
 def run_ids(settings: StudySettings, planner: PlannerName) -> Iterator[RunId]:
     """Return a design's runs of one planner, in order."""
-    design = sha256(shape(settings).encode()).hexdigest()[:32]
+    values = {
+        field.name: getattr(settings, field.name)
+        for field in fields(settings)
+        if field.name not in _NOT_SHAPING and not (field.name == "legs_s" and settings.tracks)
+    }
+    values |= {"config": shaping(settings.config), "version": code_version()}
+    values["hills"] = None if settings.hills is None else settings.hills.digest
+    design = json.dumps(values, sort_keys=True)
     for number in settings.numbers:
         draw, k = divmod(number, settings.runs)
         track = settings.tracks[k] if settings.tracks else None
         name, own = (f"random {k}", str(k)) if track is None else (track.name, f"{track.key:016x}{track.route_key}")
         key = sha256(f"{design} {planner} {own} {draw}".encode()).hexdigest()[:32]
-        yield RunId(key, design, planner, number, name, draw)
+        yield RunId(key, planner, number, name, draw)
 
 
 def _contents(db: sqlite3.Connection) -> tuple[int, int, list[Any]]:
@@ -97,24 +82,21 @@ def _contents(db: sqlite3.Connection) -> tuple[int, int, list[Any]]:
     return application, version, db.execute("SELECT type, name, sql FROM sqlite_master ORDER BY name").fetchall()
 
 
-def _own_contents() -> tuple[int, int, list[Any]]:
-    with contextlib.closing(sqlite3.connect(":memory:")) as db:
-        db.executescript(_SCHEMA)
-        return _contents(db)
-
-
 class ResultStore:
     """The file, or without one a temporary place on disk that is gone afterwards."""
 
-    def __init__(self, file: Path | None) -> None:
+    def __init__(self, file: Path | None = None) -> None:
         """Open or create it. Raises InputError if it is another kind of file or cannot be written."""
         self.file = file
+        with contextlib.closing(sqlite3.connect(":memory:")) as empty:
+            empty.executescript(_SCHEMA)
+            own = _contents(empty)
         try:
             self._db = sqlite3.connect("" if file is None else file, timeout=30.0)
             contents = _contents(self._db)
             if contents == (0, 0, []):
                 self._db.executescript(_SCHEMA)
-            elif contents != _own_contents():
+            elif contents != own:
                 raise InputError(f"--store: {file} holds something else; give the name of a new file.")
         except sqlite3.Error as error:
             raise InputError(f"--store: {file} cannot be used ({error}); give the name of a new file.") from error
@@ -123,51 +105,34 @@ class ResultStore:
         """Close the file."""
         self._db.close()
 
-    def missing(self, runs: Iterable[RunId]) -> Iterator[RunId]:
+    def missing(self, runs: Iterable[RunId]) -> list[RunId]:
         """Return the runs of which there is no result yet."""
-        return (run for run in runs if self._one("SELECT 1 FROM runs WHERE key = ?", run) is None)
+        return [run for run in runs if self._row(run) is None]
 
-    def simulated_s(self, runs: Iterable[RunId]) -> float:
-        """Return the flight time of runs together."""
-        found = (self._one("SELECT duration_s FROM runs WHERE key = ?", run) for run in runs)
-        return sum(float(row[0]) for row in found if row is not None)
-
-    def add(self, settings: StudySettings, results: Iterable[tuple[RunId, RunResult]]) -> None:
-        """Keep results of one design, all or none of them. Raises InputError when the file cannot be written."""
+    def add(self, results: Iterable[tuple[RunId, RunResult]]) -> None:
+        """Keep results, all or none of them. Raises InputError when the file cannot be written."""
         rows = [
             (
-                *(run.key, run.design, run.planner, run.target, run.draw),
+                *(run.key, run.planner, run.target, run.draw),
                 *(getattr(result, name) for name in MEASURES),
-                np.asarray(result.observation_histogram, "<i8").tobytes(),
                 np.asarray(result.decision_s, "<f4").tobytes(),
             )
             for run, result in results
         ]
-        marks = ",".join("?" * len(rows[0]))
         try:
             with self._db:
-                self._db.execute("INSERT OR IGNORE INTO designs VALUES (?, ?)", (rows[0][1], shape(settings)))
-                self._db.executemany(f"INSERT OR IGNORE INTO runs VALUES ({marks})", rows)
+                self._db.executemany(f"INSERT OR IGNORE INTO runs VALUES ({','.join('?' * len(rows[0]))})", rows)
         except sqlite3.Error as error:
             raise InputError(f"--store: {self.file} cannot be written ({error}); make room, then go on.") from error
 
     def results(self, runs: Iterable[RunId]) -> Iterator[tuple[RunId, RunResult]]:
         """Return the results of runs, in their order; those that are not there are passed over."""
         for run in runs:
-            row = self._one("SELECT * FROM runs WHERE key = ?", run)
+            row = self._row(run)
             if row is not None:
-                found = (math.nan if value is None else value for value in row[5 : 5 + len(MEASURES)])
-                histogram, decision_s = np.frombuffer(row[-2], "<i8"), np.frombuffer(row[-1], "<f4")
-                yield (
-                    run,
-                    RunResult(
-                        **dict(zip(MEASURES, found, strict=True)),
-                        observation_histogram=histogram,
-                        decision_s=decision_s,
-                        track=None,
-                    ),
-                )
+                values = dict(zip(MEASURES, (math.nan if one is None else one for one in row[4:-1]), strict=True))
+                yield run, RunResult(**values, decision_s=np.frombuffer(row[-1], "<f4"), track=None)
 
-    def _one(self, query: str, run: RunId) -> tuple[Any, ...] | None:
-        found: tuple[Any, ...] | None = self._db.execute(query, (run.key,)).fetchone()
+    def _row(self, run: RunId) -> tuple[Any, ...] | None:
+        found: tuple[Any, ...] | None = self._db.execute("SELECT * FROM runs WHERE key = ?", (run.key,)).fetchone()
         return found

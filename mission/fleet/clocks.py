@@ -86,10 +86,6 @@ class VehicleTime:
         """Return the mission time of a vehicle's."""
         return time_s + self.offset_s
 
-    def vehicle_s(self, mission_time_s: float) -> float:
-        """Return the vehicle's time of a mission time."""
-        return mission_time_s - self.offset_s
-
 
 def shifted_state(state: AircraftState, by_s: float) -> AircraftState:
     """Return the state on another clock."""

@@ -17,18 +17,18 @@ same events in the same order lead to the same commands, so that a journal of th
 
 Rules
 -----
-1. Only what was reported lately counts: an aircraft silent for ``silent_after_s`` has lost its role to the others.
+1. Only what was reported lately counts: an aircraft silent for 5 s has lost its role to the others.
    Mission time goes by the aircraft's clocks: a jump of one aircraft's UTC never moves it; see
    :class:`sidelong.mission.fleet.clocks.VehicleTime`.
 2. Roles are given out each second by expected cost; see :mod:`sidelong.mission.fleet.roles`. The sides are those of
    one course for all, known since the target was first seen; see :mod:`sidelong.mission.fleet.watched_course`.
-3. Relief: an aircraft whose battery is below ``relieve_below``, which has watched for its ``endurance_s``, or whose
+3. Relief: an aircraft whose battery is below 30 %, which has watched for its ``endurance_s``, or whose
    relief is asked for gives the required side away, but holds it until the other one is there; a reserve
-   is asked for. Below ``leave_below`` it leaves in any case. A reserve is also asked for when no aircraft is left.
+   is asked for. Below 15 % it leaves in any case. A reserve is also asked for when no aircraft is left.
 4. Several targets: aircraft are assigned evenly, by what their roles would cost them at each, the flight there
-   included. Those of a lost target go at once, others where all together have gained more than ``reassign_cost_s``
+   included. Those of a lost target go at once, others where all together have gained more than 15 s
    for each that changes, for some seconds. What a payload has seen counts for the target that it looks at:
-   another one than before once ``turned_after`` sightings in a row lie there.
+   another one than before once three sightings in a row lie there.
 5. Each aircraft keeps the height layer that it was set up with: layers are never swapped, so nothing has to be
    confirmed before one is free.
 6. Aircraft too near to each other raise an alarm; see :mod:`sidelong.mission.fleet.proximity`.
@@ -39,7 +39,7 @@ Rules
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from sidelong.estimators.estimate import TargetEstimate, TrackQuality
@@ -74,6 +74,11 @@ from sidelong.mission.fleet.proximity import Proximity
 from sidelong.mission.fleet.roles import Candidate, RoleAssignment, course_is_known, is_on_station
 from sidelong.mission.fleet.vehicle import FleetMember, FleetVehicle
 
+_PERIOD_S = 1.0
+_SILENT_AFTER_S = 5.0
+_RELIEVE_BELOW, _LEAVE_BELOW = 0.3, 0.15  # shares of the battery's charge
+_REASSIGN_COST_S = 15.0
+_TURNED_AFTER = 3  # sightings
 _FOREIGN_FORGOTTEN_S = 30.0
 _NEAR_M, _NEARER = 60.0, 0.5  # a sighting of another target is so near to it, and by this share nearer than its own
 _REASSIGN_AFTER_S = 5.0  # how long the gain has to last
@@ -89,24 +94,13 @@ class FleetTarget:
     requirement: Requirement
 
 
-@dataclass(frozen=True, slots=True)
-class FleetSettings:
-    """See the rules of this module. relieve_below, leave_below: shares of the battery's charge."""
-
-    period_s: float = 1.0
-    silent_after_s: float = 5.0
-    relieve_below: float = 0.3
-    leave_below: float = 0.15
-    reassign_cost_s: float = 15.0
-    turned_after: int = 3
-
-
 class FleetCoordinator:
     """See the module.
 
     make_judge returns the object that computes the costs of a named aircraft; it is called again when the operator
-    changes the requirement. Raises ValueError where names repeat, there is no aircraft or no target, or a requirement
-    has no sides.
+    changes the requirement. estimate_of returns the estimate of a named target at a mission time, None: by the
+    reported sightings. Raises ValueError where names repeat, there is no aircraft or no target, or a requirement has
+    no sides.
     """
 
     def __init__(
@@ -114,14 +108,13 @@ class FleetCoordinator:
         members: Sequence[FleetMember],
         targets: Sequence[FleetTarget],
         make_judge: MakeJudge,
-        settings: FleetSettings | None = None,
+        estimate_of: Callable[[str, float], TargetEstimate | None] | None = None,
     ) -> None:
         names = [one.name for one in members]
         if len(set(names)) < len(names) or len({one.name for one in targets}) < len(targets):
             raise ValueError("every aircraft and every target needs a name of its own")
         if not targets or not members:
             raise ValueError("a fleet needs an aircraft and a target")
-        self.settings = settings or FleetSettings()
         self._vehicles = {
             one.name: FleetVehicle(one, target=own, watches=own)
             for one in members
@@ -130,6 +123,7 @@ class FleetCoordinator:
         self._targets = {one.name: one for one in targets}
         payloads = {one.name: one.tracker for one in members}
         self._tracks = {one.name: JointTrack(payloads) for one in targets}
+        self._estimate_of = estimate_of or (lambda target, time_s: self._tracks[target].estimate(time_s))
         for one in targets:
             if one.requirement.either_side or one.requirement.sector is not None:
                 raise ValueError("several aircraft share the sides of a target: side has to be left or right")
@@ -159,7 +153,11 @@ class FleetCoordinator:
 
     def estimate(self, target: str) -> TargetEstimate | None:
         """Return the joint estimate of a target at the mission's present time."""
-        return self._tracks[target].estimate(self._now_s)
+        return self._estimate_of(target, self._now_s)
+
+    def primary(self, target: str) -> str | None:
+        """Return the aircraft that holds the required side of a target; None before there is one."""
+        return self._assignments[target].holder
 
     @property
     def roles(self) -> Mapping[str, tuple[str, Role]]:
@@ -195,7 +193,7 @@ class FleetCoordinator:
             case RequirementReported():
                 self._requirement_reported(event)
         if self._now_s >= self._next_s:
-            self._next_s = self._now_s + self.settings.period_s
+            self._next_s = self._now_s + _PERIOD_S
             self._coordinate()
         return tuple(self._out)
 
@@ -276,7 +274,7 @@ class FleetCoordinator:
             return
         before, count = vehicle.nearer
         vehicle.nearer = (nearest, count + 1 if before == nearest else 1)
-        if vehicle.nearer[1] >= self.settings.turned_after:
+        if vehicle.nearer[1] >= _TURNED_AFTER:
             vehicle.watches, vehicle.nearer = nearest, ("", 0)
             self._say(vehicle.member.name, f"its payload sees {nearest}")
 
@@ -324,10 +322,10 @@ class FleetCoordinator:
             if vehicle.report is None:
                 continue
             vehicle.silent_s += passed_s
-            if vehicle.silent_s > self.settings.silent_after_s:
+            if vehicle.silent_s > _SILENT_AFTER_S:
                 self._lost(vehicle, f"no message received for {vehicle.silent_s:.0f} s")
-        self._next_s = self._now_s + self.settings.period_s
-        estimates = self._estimates = {name: track.estimate(self._now_s) for name, track in self._tracks.items()}
+        self._next_s = self._now_s + _PERIOD_S
+        estimates = self._estimates = {name: self.estimate(name) for name in self._tracks}
         self._announce_refusals()
         self._judges.follow(estimates, self._vehicles.values())
         self._assign_targets(estimates)
@@ -366,8 +364,8 @@ class FleetCoordinator:
         costs = [
             [self._judges.costs_from_afar(one, name, estimate) for name, estimate in known.items()] for one in free
         ]
-        at, settings = [one.target for one in free], self.settings
-        given, gained_s = spread_over(list(known), costs, at, settings.reassign_cost_s)
+        at = [one.target for one in free]
+        given, gained_s = spread_over(list(known), costs, at, _REASSIGN_COST_S)
         self._gains_since_s = min(self._gains_since_s, self._now_s) if gained_s > 0.0 else math.inf
         if math.isfinite(gained_s) and self._now_s - self._gains_since_s < _REASSIGN_AFTER_S:
             return
@@ -401,7 +399,7 @@ class FleetCoordinator:
 
     def _is_to_be_relieved(self, vehicle: FleetVehicle) -> bool:
         watched_s = self._now_s - vehicle.since_s
-        low = vehicle.remaining < self.settings.relieve_below or watched_s > vehicle.member.endurance_s
+        low = vehicle.remaining < _RELIEVE_BELOW or watched_s > vehicle.member.endurance_s
         return low or vehicle.relief_asked
 
     def _relieve(self, estimates: Mapping[str, TargetEstimate | None]) -> None:
@@ -423,7 +421,7 @@ class FleetCoordinator:
                 for one in others
             ):
                 self._leave(vehicle, "another aircraft has taken over")
-            elif vehicle.remaining < self.settings.leave_below:
+            elif vehicle.remaining < _LEAVE_BELOW:
                 self._leave(vehicle, f"{100.0 * vehicle.remaining:.0f} % of the battery is left")
             else:
                 self._launch_reserve(f"{vehicle.member.name} has to be relieved", vehicle.target)

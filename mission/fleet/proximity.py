@@ -2,13 +2,13 @@
 
 Rules
 -----
-1. Two aircraft in the air that are less than ``min_m`` apart by their reports raise an alarm at once. One of them may
-   be foreign.
-2. Two aircraft of the fleet raise an alarm if their circles come within ``min_m`` of each other, heights included,
-   for ``AFTER_S``. The control step of the higher one then leaves its circle; see
+1. Two aircraft in the air that are less than ``MIN_SEPARATION_M`` apart by their reports raise an alarm at once. One
+   of them may be foreign.
+2. Two aircraft of the fleet raise an alarm if their circles come within that distance of each other, heights
+   included, for ``AFTER_S``. The control step of the higher one then leaves its circle; see
    :meth:`sidelong.mission.geometry.separation.Separation.crossed`.
 3. An aircraft of the fleet that was yielded, to a pilot or to another program that commands the same fleet, raises an
-   alarm if it flies within ``min_m`` of the height of another one for ``AFTER_S``: its plans are not known.
+   alarm if it flies within that distance of the height of another one for ``AFTER_S``: its plans are not known.
 4. Each alarm belongs to one of the two, the higher one of the fleet's. It ends ``CLEAR_AFTER_S`` after its last
    reason. That aircraft receives it by its advice, and announces its beginning and its end; see
    :mod:`sidelong.mission.control.alarms`.
@@ -52,10 +52,9 @@ class _Pair:
 
 
 class Proximity:
-    """Watches all pairs of aircraft. min_m: required separation in three dimensions, m."""
+    """Watches all pairs of aircraft."""
 
-    def __init__(self, min_m: float = MIN_SEPARATION_M) -> None:
-        self._min_m = min_m
+    def __init__(self) -> None:
         self._pairs: dict[frozenset[str], _Pair] = {}
 
     def watch(
@@ -77,15 +76,15 @@ class Proximity:
     def _compare(self, now_s: float, upper: _Flying, lower: _Flying) -> None:
         apart_m, crosses = _apart_m(now_s, upper, lower), self._crosses(upper, lower)
         gap_m = abs(upper.height_m - lower.height_m)
-        shares = lower.vehicle is None and lower.member and gap_m < self._min_m
-        near = apart_m < self._min_m
+        shares = lower.vehicle is None and lower.member and gap_m < MIN_SEPARATION_M
+        near = apart_m < MIN_SEPARATION_M
         if not (near or crosses or shares):
             return
         pair = self._pairs.setdefault(frozenset((upper.name, lower.name)), _Pair(upper.name, now_s))
         pair.seen_s = now_s
         other = lower.name if pair.upper == upper.name else upper.name
         if near:
-            pair.text = f"only {apart_m:.0f} m from {other}; {self._min_m:.0f} m are required"
+            pair.text = f"only {apart_m:.0f} m from {other}; {MIN_SEPARATION_M:.0f} m are required"
         elif pair.text or now_s - pair.begun_s >= AFTER_S:
             why = "and their circles cross" if crosses else "which was yielded and may come here"
             pair.text = f"the height differs by only {gap_m:.0f} m from that of {other}, {why}"
@@ -101,9 +100,9 @@ class Proximity:
             and one.vehicle.plans.present is not None
         ]
         return (
-            vertical_m < self._min_m
+            vertical_m < MIN_SEPARATION_M
             and len(circles) == 2
-            and math.hypot(circles_apart_m(*circles), vertical_m) < self._min_m
+            and math.hypot(circles_apart_m(*circles), vertical_m) < MIN_SEPARATION_M
         )
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from sidelong.mission.core.requirement import Side
@@ -17,27 +15,12 @@ _CROSSED = 0.43
 _DIRECTIONS_RAD = np.radians(np.arange(-168.75, 180.0, 22.5))
 
 
-@dataclass(frozen=True, slots=True)
-class TeamSettings:
-    """Weights of joint decisions; see :class:`sidelong.mission.fleet.cover_kernel.Team` for each.
+def team_of(table: ValueTable, wanted: Side) -> Team:
+    """Return what the loops decide with. Raises ValueError for a table of a sector.
 
     Fast targets lower ``price`` and raise ``opposite``; wide circles raise ``own``.
     """
-
-    alone_running: float = 0.2
-    alone_end: float = 0.2
-    together: float = 1.0
-    price: float = 0.6
-    opposite: float = 0.6
-    turn: float = 2.0
-    margin: float = 0.5
-    own: float = 1.0
-    futures: int = 1
-
-
-def team_of(table: ValueTable, wanted: Side, settings: TeamSettings | None = None) -> Team:
-    """Return what the loops decide with. Raises ValueError for a table of a sector."""
-    configuration, own = table.configuration, settings or TeamSettings()
+    configuration = table.configuration
     if not configuration.follows_course:
         raise ValueError("several aircraft share the sides of a target, not a sector")
     habits, cost = configuration.habits, configuration.cost
@@ -46,18 +29,18 @@ def team_of(table: ValueTable, wanted: Side, settings: TeamSettings | None = Non
     crossed = lap_s * configuration.target_speed_max_m_s / (cost.far_m - cost.near_m)
     haste = max(1.0, crossed / _CROSSED)
     return Team(
-        1.0 if wanted is Side.LEFT else -1.0,
-        np.radians(habits.turns_deg),
-        np.array(habits.chances),
-        own.alone_running,
-        own.alone_end,
-        own.together,
-        own.price / haste,
-        own.opposite * haste,
-        own.turn,
-        own.margin,
-        own.own * max(1.0, wide**_WIDER_POWER),
-        own.futures,
+        wanted=1.0 if wanted is Side.LEFT else -1.0,
+        turns_rad=np.radians(habits.turns_deg),
+        chances=np.array(habits.chances),
+        alone_running=0.2,
+        alone_end=0.2,
+        together=1.0,
+        price=0.6 / haste,
+        opposite=0.6 * haste,
+        turn=2.0,
+        margin=0.5,
+        own=max(1.0, wide**_WIDER_POWER),
+        futures=1,
     )
 
 

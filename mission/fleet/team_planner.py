@@ -7,7 +7,6 @@ pays the fleet's price of moves: its partner may have gone and left the required
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import numpy as np
 
@@ -20,14 +19,13 @@ from sidelong.mission.core.sight import NOTHING_HIDDEN, SightAt
 from sidelong.mission.fleet import team_kernel as kernel
 from sidelong.mission.fleet.cover_kernel import Team
 from sidelong.mission.fleet.roles import RoleCosts
-from sidelong.mission.fleet.team import TeamSettings, next_to_standing, team_of
+from sidelong.mission.fleet.team import next_to_standing, team_of
 from sidelong.mission.geometry.separation import airspeed_of, flown_places
 from sidelong.mission.predictive.decision_kernel import Looker
 from sidelong.mission.predictive.moves_kernel import MOVES, STEP_S
 from sidelong.mission.predictive.planner import PredictivePlanner, PredictiveSettings, cheapest_allowed
 from sidelong.mission.predictive.situation import situation
 from sidelong.mission.predictive.value_table import ValueTable
-from sidelong.mission.route.route import Route
 from sidelong.mission.viewpoint.descriptions import describe_new_circle
 from sidelong.mission.viewpoint.viewpoint_kernel import PRESUMED, SIDE
 
@@ -52,7 +50,6 @@ class TeamPlanner:
         windy: Sequence[ValueTable] = (),
         check: Callable[[Plan], str | None] = lambda _plan: None,
         sight: SightAt = lambda *_target: NOTHING_HIDDEN,
-        team: TeamSettings | None = None,
         table_at: Callable[[float], ValueTable] | None = None,
     ) -> None:
         if requirement.either_side or requirement.sector is not None:
@@ -60,8 +57,8 @@ class TeamPlanner:
         self._alone = PredictivePlanner(aircraft, requirement, table, settings, windy, check, sight, table_at)
         self._settings, self._check = settings or PredictiveSettings(), check
         self._wanted, self._airspeed_m_s = 1.0 if requirement.side is Side.LEFT else -1.0, aircraft.airspeed_m_s
-        self._team_with = partial(team_of, wanted=requirement.side, settings=team)
-        self._teams, self._table_at = [self._team_with(one) for one in (table, *windy)], table_at
+        self._side, self._table_at = requirement.side, table_at
+        self._teams = [team_of(one, self._side) for one in (table, *windy)]
         if requirement.fleet_size > 1:
             self._alone.price_share = self._teams[0].price
         self._advice: FleetAdvice | None = None
@@ -87,11 +84,7 @@ class TeamPlanner:
         """See :class:`sidelong.mission.core.plan.WindPlanner`."""
         self._alone.prepare(wind_speed_m_s)
         if self._table_at is not None and len(self._alone.lookers) > len(self._teams):
-            self._teams.append(self._team_with(self._table_at(wind_speed_m_s)))
-
-    def follow(self, route: Route, progress: FloatArray) -> None:
-        """See :class:`sidelong.mission.route.progress.RoutePlanner`."""
-        self._alone.follow(route, progress)
+            self._teams.append(team_of(self._table_at(wind_speed_m_s), self._side))
 
     def role_costs(
         self, aircraft: AircraftState, target: TargetEstimate, present: Plan, wind: Wind, latency_s: float

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.plan import AircraftState
@@ -26,47 +25,34 @@ _SPEED_GAIN_PER_S, _SPEED_SHARE = 0.05, 0.2
 _RADIUS_GAIN, _RADIUS_SHARE = 0.3, 0.3
 
 
-@dataclass(frozen=True, slots=True)
-class Steering:
-    """What one aircraft is to fly now."""
+def phased(
+    aircraft: Sequence[AircraftState],
+    target: TargetEstimate,
+    *,
+    clockwise: bool,
+    airspeed_m_s: float,
+    constant_speed: bool,
+) -> list[tuple[float, float]]:
+    """Return the curvature, 1/m, and the airspeed, m/s, that each aircraft is to fly.
 
-    curvature_per_m: float
-    airspeed_m_s: float
+    Args:
+        aircraft: State of each.
+        target: Estimate of the target.
+        clockwise: Sense of flight.
+        airspeed_m_s: The middle one; it is changed by a fifth at most.
+        constant_speed: The circular formation in place of the phased field.
 
-
-@dataclass(frozen=True, slots=True)
-class PhasedField:
-    """airspeed_m_s: in the middle; it is changed by a fifth at most."""
-
-    clockwise: bool
-    airspeed_m_s: float
-
-    def steer(self, aircraft: Sequence[AircraftState], target: TargetEstimate) -> list[Steering]:
-        """Return what each is to fly."""
-        field = VectorField(_RADIUS_M, self.clockwise, _GAIN_PER_S)
-        found = []
-        for state, behind_rad in zip(aircraft, behind(aircraft, target, self.clockwise), strict=True):
-            share = _SPEED_GAIN_PER_S * behind_rad * _RADIUS_M / self.airspeed_m_s
-            speed_m_s = self.airspeed_m_s * (1.0 + min(max(share, -_SPEED_SHARE), _SPEED_SHARE))
-            found.append(Steering(field.curvature_per_m(state, target), speed_m_s))
-        return found
-
-
-@dataclass(frozen=True, slots=True)
-class CircularFormation:
-    """airspeed_m_s: of all, all the time."""
-
-    clockwise: bool
-    airspeed_m_s: float
-
-    def steer(self, aircraft: Sequence[AircraftState], target: TargetEstimate) -> list[Steering]:
-        """Return what each is to fly."""
-        found = []
-        for state, behind_rad in zip(aircraft, behind(aircraft, target, self.clockwise), strict=True):
-            share = min(max(_RADIUS_GAIN * behind_rad, -_RADIUS_SHARE), _RADIUS_SHARE)
-            field = VectorField(_RADIUS_M * (1.0 - share), self.clockwise, _GAIN_PER_S)
-            found.append(Steering(field.curvature_per_m(state, target), self.airspeed_m_s))
-        return found
+    """
+    found = []
+    for state, behind_rad in zip(aircraft, behind(aircraft, target, clockwise), strict=True):
+        radius_m, speed_m_s = _RADIUS_M, airspeed_m_s
+        if constant_speed:
+            radius_m *= 1.0 - min(max(_RADIUS_GAIN * behind_rad, -_RADIUS_SHARE), _RADIUS_SHARE)
+        else:
+            share = _SPEED_GAIN_PER_S * behind_rad * radius_m / airspeed_m_s
+            speed_m_s *= 1.0 + min(max(share, -_SPEED_SHARE), _SPEED_SHARE)
+        found.append((VectorField(radius_m, clockwise, _GAIN_PER_S).curvature_per_m(state, target), speed_m_s))
+    return found
 
 
 def behind(aircraft: Sequence[AircraftState], target: TargetEstimate, clockwise: bool) -> list[float]:

@@ -13,9 +13,9 @@ from sidelong.app.commands.study import study
 from sidelong.app.errors import InputError
 from sidelong.app.study.closed_loop import run_closed_loop
 from sidelong.app.study.run import run
-from sidelong.app.study.settings import PARTS, Fidelity, PlannerName, StudySettings
+from sidelong.app.study.settings import PARTS, Fidelity, PlannerName, StudySettings, studied
 
-SETTINGS = StudySettings(planners=(PlannerName.PAPER,), runs=1, duration_s=400.0, target_speed_max_m_s=4.0)
+SETTINGS = StudySettings((PlannerName.PAPER,), runs=1, duration_s=400.0, config=studied(target_speed_max_m_s=4.0))
 
 
 @pytest.fixture

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from sidelong.app.errors import InputError
-from sidelong.app.study.cluster import on_cluster
 from sidelong.app.study.design import Design
+from sidelong.app.study.parallel import on_cluster
 from sidelong.app.study.settings import PlannerName, StudySettings
 from sidelong.app.study.store import MEASURES, ResultStore
-from sidelong.app.study.study import Study, run_study
+from sidelong.app.study.study import Study
+from tests.studies import run_study
 
 distributed = pytest.importorskip("distributed")
 
@@ -40,24 +41,22 @@ def test_a_worker_may_die_and_nothing_is_lost_or_flown_twice(cluster):
     study.fly(on_cluster(cluster.scheduler_address, announced.append), lambda _settings: None, 2, progress)
     assert sum(flown) == study.total == 66
     assert study.missing() == 0
-    result = study.result(study.designs[0])
+    result = study.results()[0]
     for planner in SETTINGS.planners:
         for name in MEASURES:
-            np.testing.assert_array_equal(
-                getattr(result.planners[planner], name), getattr(expected.planners[planner], name)
-            )
+            np.testing.assert_array_equal(result.planners[planner][name], expected.planners[planner][name])
     assert len(announced) == 1 and "2 workers; dashboard http://127.0.0.1:" in announced[0]
 
 
 def test_workers_of_other_code_are_refused(cluster, monkeypatch):
-    monkeypatch.setattr("sidelong.app.study.cluster.code_version", lambda: "0.0.1+other")
+    monkeypatch.setattr("sidelong.app.study.parallel.code_version", lambda: "0.0.1+other")
     study = Study([Design(SETTINGS)], ResultStore(None))
     with pytest.raises(InputError, match=r"not 0\.0\.1\+other"):
         study.fly(on_cluster(cluster.scheduler_address), lambda _settings: None, 30, lambda _runs: None)
 
 
 def test_no_scheduler_is_reported(monkeypatch):
-    monkeypatch.setattr("sidelong.app.study.cluster._ANSWER_S", 0.2)
+    monkeypatch.setattr("sidelong.app.study.parallel._ANSWER_S", 0.2)
     study = Study([Design(SETTINGS)], ResultStore(None))
     with pytest.raises(InputError, match="no Dask scheduler answers at tcp://127"):
         study.fly(on_cluster("tcp://127.0.0.1:9"), lambda _settings: None, 30, lambda _runs: None)

@@ -10,66 +10,62 @@ import numpy as np
 import pytest
 
 from sidelong.app.study.fleet import FleetPlannerName, Loss, run_fleet
-from sidelong.app.study.fleet_study import FleetStudy, fleet_json
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.fleet_study import fleet_json
+from sidelong.app.study.settings import PlannerName, StudySettings, studied
 from sidelong.app.value_cache import value_table
 from sidelong.mission.predictive.planner import table_configuration
 
+SETTINGS = StudySettings(
+    (PlannerName.PREDICTIVE,), runs=2, config=studied(fleet_size=2), duration_s=240.0, legs_s=(30.0, 60.0)
+)
+
 
 @pytest.fixture(scope="module")
-def study() -> FleetStudy:
-    settings = StudySettings(
-        planners=(PlannerName.PREDICTIVE,),
-        runs=2,
-        duration_s=240.0,
-        legs_s=(30.0, 60.0),
-        fleet=2,
-    )
-    table = value_table(table_configuration(settings.aircraft(), settings.requirement()))
-    runs = {
-        planner: tuple(run_fleet(settings, number, table, planner) for number in settings.numbers)
+def fleets():
+    table = value_table(table_configuration(SETTINGS.aircraft(), SETTINGS.requirement()))
+    return {
+        planner: [run_fleet(SETTINGS, number, table, planner) for number in SETTINGS.numbers]
         for planner in FleetPlannerName
     }
-    return FleetStudy(settings, runs)
 
 
-def test_at_least_one_sees_as_much_as_the_better_one_alone(study):
-    for runs in study.runs.values():
+def test_at_least_one_sees_as_much_as_the_better_one_alone(fleets):
+    for runs in fleets.values():
         for run in runs:
             assert run.time_on_side_any >= max(one.time_on_side for one in run.aircraft) - 1e-9
             assert run.time_in_band_any >= 0.99
 
 
-def test_together_they_see_the_side_almost_always(study):
-    usual = replace(study.settings, runs=4, legs_s=StudySettings().legs_s)
+def test_together_they_see_the_side_almost_always(fleets):
+    usual = replace(SETTINGS, runs=4, legs_s=StudySettings().legs_s)
     table = value_table(table_configuration(usual.aircraft(), usual.requirement()))
     assert min(run_fleet(usual, number, table).time_on_side_any for number in usual.numbers) > 0.98
     # A target that turns every 30 to 60 s is no one's to keep: changes have their price. One run of 60 has 0.9.
-    restless = replace(study.settings, runs=6)
+    restless = replace(SETTINGS, runs=6)
     assert np.mean([run_fleet(restless, number, table).time_on_side_any for number in restless.numbers]) > 0.97
 
 
-def test_they_keep_apart_by_their_heights_at_least(study):
-    for runs in study.runs.values():
-        assert min(run.min_separation_m for run in runs) >= study.settings.layer_m
+def test_they_keep_apart_by_their_heights_at_least(fleets):
+    for runs in fleets.values():
+        assert min(run.min_separation_m for run in runs) >= SETTINGS.layer_m
 
 
-def test_two_payloads_with_errors_of_their_own_place_the_target_within_half_a_metre(study):
-    run = study.runs[FleetPlannerName.JOINT][0]
+def test_two_payloads_with_errors_of_their_own_place_the_target_within_half_a_metre(fleets):
+    run = fleets[FleetPlannerName.JOINT][0]
     assert run.position_error_m < 0.6
     assert run.in_ellipse > 0.9
 
 
-def test_laws_that_hold_phases_keep_the_aircraft_opposite(study):
+def test_laws_that_hold_phases_keep_the_aircraft_opposite(fleets):
     for planner in (FleetPlannerName.FIELD, FleetPlannerName.FORMATION):
-        logs = study.runs[planner][0].logs[:, 1200:]
+        logs = fleets[planner][0].logs[:, 1200:]
         bearing = np.arctan2(logs[:, :, 1] - logs[:, :, 3], logs[:, :, 2] - logs[:, :, 4])
         apart = np.abs(np.remainder(bearing[0] - bearing[1] + math.pi, 2.0 * math.pi) - math.pi)
         assert np.degrees(np.median(apart)) > 150.0
 
 
-def test_the_other_takes_over_when_one_is_lost(study):
-    settings = replace(study.settings, runs=6)
+def test_the_other_takes_over_when_one_is_lost(fleets):
+    settings = replace(SETTINGS, runs=6)
     table = value_table(table_configuration(settings.aircraft(), settings.requirement()))
     shares = []
     for number in settings.numbers:
@@ -77,18 +73,18 @@ def test_the_other_takes_over_when_one_is_lost(study):
         bearing = np.arctan2(one[:, 1] - one[:, 3], one[:, 2] - one[:, 4]) - one[:, 5]
         on_side = np.remainder(bearing, 2.0 * math.pi) > math.pi  # left
         shares.append(on_side[1200:].mean())
-        assert not any(np.array_equal(one, run.logs[1]) for run in study.runs[FleetPlannerName.JOINT])
+        assert not any(np.array_equal(one, run.logs[1]) for run in fleets[FleetPlannerName.JOINT])
     assert np.mean(shares) > 0.7  # of targets that turn every 30 to 60 s
 
 
-def test_the_same_run_again_is_the_same(study):
-    table = value_table(table_configuration(study.settings.aircraft(), study.settings.requirement()))
-    again = run_fleet(study.settings, 1, table)
-    assert np.array_equal(again.logs, study.runs[FleetPlannerName.JOINT][1].logs)
+def test_the_same_run_again_is_the_same(fleets):
+    table = value_table(table_configuration(SETTINGS.aircraft(), SETTINGS.requirement()))
+    again = run_fleet(SETTINGS, 1, table)
+    assert np.array_equal(again.logs, fleets[FleetPlannerName.JOINT][1].logs)
 
 
-def test_the_summary_has_its_keys_and_is_json(study):
-    given = json.loads(json.dumps(fleet_json(study), allow_nan=False))
+def test_the_summary_has_its_keys_and_is_json(fleets):
+    given = json.loads(json.dumps(fleet_json(SETTINGS, fleets), allow_nan=False))
     assert given["planners"].keys() == {"joint", "phased field", "circular formation"}
     for figures in given["planners"].values():
         for key in ("time_on_side_any", "time_in_band_any", "min_separation_m"):

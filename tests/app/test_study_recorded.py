@@ -11,8 +11,7 @@ from sidelong.app.commands.study import study
 from sidelong.app.errors import InputError
 from sidelong.app.study.judging import judged
 from sidelong.app.study.recorded import prepared, recorded_targets
-from sidelong.app.study.run import run
-from sidelong.app.study.scene import scene
+from sidelong.app.study.run import run, scene
 from sidelong.app.study.settings import PlannerName, StudySettings
 from sidelong.sitl.world.track import Track, read_track
 

@@ -6,6 +6,7 @@ import pytest
 from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.payload import PayloadErrors
 from sidelong.app.simulation.target import RandomTarget
+from sidelong.app.study.design import designs
 from sidelong.app.study.flight import CompiledFlight, Sensed
 from sidelong.app.study.run import run
 from sidelong.app.study.settings import PlannerName, StudySettings
@@ -137,6 +138,8 @@ def test_target_and_noise_are_the_same_for_every_planner():
     assert 240.0 < field.judged.range_m[0] < 360.0
 
 
-def test_wind_grows_the_circle():
-    assert StudySettings(wind_speed_m_s=3.0).radius_m == pytest.approx(84.5)
-    assert StudySettings().radius_m == 50.0
+@pytest.mark.parametrize(("wind_m_s", "radius_m"), [(0.0, 50.0), (3.0, 84.5)])
+def test_wind_grows_the_circle(wind_m_s, radius_m):
+    (found,) = designs(StudySettings(), {"simulation": {"wind_speed_m_s": wind_m_s}}, [])
+    assert found.settings.aircraft().radius_m == pytest.approx(radius_m)
+    assert found.settings.still_air_radius_m == 50.0

@@ -16,12 +16,12 @@ from typer.testing import CliRunner
 from sidelong.app.commands.study import study
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError
-from sidelong.app.study.batch import flown as flown_batch
 from sidelong.app.study.design import Design, configured, designs, parsed_sweep
-from sidelong.app.study.processes import on_processes
+from sidelong.app.study.parallel import on_processes
 from sidelong.app.study.settings import PlannerName, StudySettings
 from sidelong.app.study.store import MEASURES, ResultStore, run_ids
-from sidelong.app.study.study import Study, run_study
+from sidelong.app.study.study import Study
+from tests.studies import run_study
 
 SMALL = StudySettings((PlannerName.LVFG,), runs=4, perfect_sensors=True, duration_s=20.0)
 QUICK = ("--planner", "lvfg", "--runs", "3", "--duration", "30", "--perfect-sensors", "--jobs", "1")
@@ -32,11 +32,6 @@ def command():
     app = typer.Typer()
     app.command()(study)
     return lambda *words: CliRunner().invoke(app, words)
-
-
-def inline(designs, batches):
-    for batch, table in batches:
-        yield flown_batch(designs, batch, table)
 
 
 def rows(file):
@@ -63,9 +58,9 @@ def test_every_combination_is_a_design():
     assert [str(one) for one in found] == [
         f"aircraft.airspeed_m_s={v}, simulation.wind_speed_m_s={w}" for v in (12, 15) for w in (0, 3)
     ]
-    assert [one.settings.radius_m for one in found] == pytest.approx([60.0] * 4)
+    assert [one.settings.aircraft().radius_m for one in found] == pytest.approx([60.0] * 4)
     assert found[3].settings.wind.east_m_s == 3.0
-    assert found[3].settings.target_speed_max_m_s == 7.5
+    assert found[3].settings.requirement().target_speed_max_m_s == 7.5
 
 
 def test_every_parameter_that_shapes_a_study_reaches_it():
@@ -84,21 +79,21 @@ def test_every_parameter_that_shapes_a_study_reaches_it():
         (math.radians(30.0), math.radians(10.0))
     )
     assert (s.requirement().range_min_m, s.requirement().threshold) == (120.0, 0.8)
-    assert (s.sensors.range_sigma_m, s.lag_s, s.latency_s) == (3.0, 0.5, 1.0)
-    assert s.sensors.range_bias_sigma_m == 0.5  # as the study's own where nothing else is reported
+    assert (s.config.sensors.range_sigma_m, s.lag_s, s.latency_s) == (3.0, 0.5, 1.0)
+    assert s.config.sensors.range_bias_sigma_m == 0.5  # as the study's own where nothing else is reported
 
 
 def test_a_radius_that_fits_is_found_for_each_value_that_is_swept(tmp_path):
     file = tmp_path / "mission.toml"
     file.write_text("[aircraft]\nradius_m = 'auto'\n")
     found = designs(StudySettings(), configured(load_config(file)), [parsed_sweep("aircraft.airspeed_m_s=12,30")])
-    assert [one.settings.radius_m for one in found] == pytest.approx([42.0, 105.0])
+    assert [one.settings.aircraft().radius_m for one in found] == pytest.approx([42.0, 105.0])
 
 
 def test_what_cannot_be_flown_is_passed_over_and_reported():
     given = []
     (found,) = designs(StudySettings(), {}, [parsed_sweep("aircraft.radius_m=50,300")], given.append)
-    assert found.settings.radius_m == pytest.approx(50.0)
+    assert found.settings.aircraft().radius_m == pytest.approx(50.0)
     assert len(given) == 1 and "radius_m=300" in given[0] and "does not fit" in given[0]
 
 
@@ -133,15 +128,11 @@ def test_a_configuration_is_studied_as_it_would_be_flown(command, tmp_path):
     file, summary = tmp_path / "mission.toml", tmp_path / "study.json"
     file.write_text("[aircraft]\nairspeed_m_s = 18\nradius_m = 80\n[requirement]\nside = 'right'\n")
     assert command(str(file), *QUICK, "--json", str(summary)).exit_code == 0
-    settings = replace(
-        *(SMALL,),
-        **{"runs": 3, "duration_s": 30.0, "airspeed_m_s": 18.0, "still_air_radius_m": 80.0, "side": "right"},
-        **{"target_speed_max_m_s": 3.0, "threshold": 0.9},
-    )
+    settings = replace(SMALL, runs=3, duration_s=30.0, config=load_config(file))
     expected = run_study(settings, None, jobs=1).planners[PlannerName.LVFG]
     given = json.loads(summary.read_text())["planners"]["lvfg"]
-    assert given["min_range_m"]["worst"] == expected.min_range_m.min()
-    assert given["time_on_side"]["mean"] == pytest.approx(expected.time_on_side.mean())
+    assert given["min_range_m"]["worst"] == expected["min_range_m"].min()
+    assert given["time_on_side"]["mean"] == pytest.approx(expected["time_on_side"].mean())
 
 
 def test_an_autopilot_stands_for_its_latency_and_lag(command, tmp_path):
@@ -160,9 +151,9 @@ def test_latency_and_lag_shape_a_flight():
         run_study(one, None, jobs=1).planners[PlannerName.PAPER]
         for one in (settings, replace(settings, latency_s=3.0), replace(settings, lag_s=1.0))
     ]
-    assert found[0].moves_per_hour.max() > 0.0
-    assert not np.array_equal(found[0].max_range_m, found[1].max_range_m)
-    assert not np.array_equal(found[0].max_range_m, found[2].max_range_m)
+    assert found[0]["moves_per_hour"].max() > 0.0
+    assert not np.array_equal(found[0]["max_range_m"], found[1]["max_range_m"])
+    assert not np.array_equal(found[0]["max_range_m"], found[2]["max_range_m"])
 
 
 def test_what_is_stored_is_not_flown_again(tmp_path):
@@ -171,8 +162,8 @@ def test_what_is_stored_is_not_flown_again(tmp_path):
 
     def counted(store, settings):
         study = Study([Design(settings)], store)
-        study.fly(inline, lambda _settings: None, 2, flown.append)
-        return study.result(study.designs[0])
+        study.fly(on_processes(1), lambda _settings: None, 2, flown.append)
+        return study.results()[0]
 
     first = ResultStore(file)
     counted(first, SMALL)
@@ -185,25 +176,23 @@ def test_what_is_stored_is_not_flown_again(tmp_path):
     assert flown == [2, 2, 1, 2, 2, 1]
     expected = run_study(replace(SMALL, runs=5), None, jobs=1).planners[PlannerName.LVFG]
     for name in MEASURES:
-        np.testing.assert_array_equal(getattr(result.planners[PlannerName.LVFG], name), getattr(expected, name))
-    np.testing.assert_array_equal(
-        result.planners[PlannerName.LVFG].observation_histogram, expected.observation_histogram
-    )
+        np.testing.assert_array_equal(result.planners[PlannerName.LVFG][name], expected[name])
 
 
 def test_a_study_that_fails_keeps_what_was_flown(tmp_path):
-    def failing(designs, batches):
-        for k, done in enumerate(inline(designs, batches)):
-            if k == 2:
-                raise KeyboardInterrupt
-            yield done
+    kept = []
+
+    def interrupted(runs):
+        kept.append(runs)
+        if len(kept) == 2:
+            raise KeyboardInterrupt
 
     store = ResultStore(tmp_path / "study.db")
     study = Study([Design(SMALL)], store)
     with pytest.raises(KeyboardInterrupt):
-        study.fly(failing, lambda _settings: None, 1, lambda _runs: None)
+        study.fly(on_processes(1), lambda _settings: None, 1, interrupted)
     assert study.missing() == 2
-    study.fly(inline, lambda _settings: None, 1, lambda _runs: None)
+    study.fly(on_processes(1), lambda _settings: None, 1, lambda _runs: None)
     assert study.missing() == 0
 
 
@@ -239,7 +228,7 @@ def test_a_killed_study_goes_on_where_it_stopped(tmp_path):
     store, whole = ResultStore(file), ResultStore(tmp_path / "whole.db")
     resumed, study = Study([Design(settings)], store), Study([Design(settings)], whole)
     flown = []
-    resumed.fly(inline, lambda _settings: None, 5, flown.append)
+    resumed.fly(on_processes(1), lambda _settings: None, 5, flown.append)
     assert sum(flown) == 60 - len(before)
     study.fly(on_processes(2), lambda _settings: None, 5, lambda _runs: None)
     assert rows(file) == rows(tmp_path / "whole.db")

@@ -25,7 +25,7 @@ from sidelong.app.study.flight import CompiledFlight, Flown
 from sidelong.app.study.judging import RunResult
 from sidelong.app.study.recorded import recorded_targets
 from sidelong.app.study.run import run
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.settings import PlannerName, StudySettings, studied
 from sidelong.app.value_cache import value_table
 from sidelong.mission.predictive.decision_kernel import Looker
 from sidelong.mission.predictive.future_kernel import FORETOLD_S, Turns, fill_classes
@@ -105,9 +105,7 @@ def study_of(folder: Path, airspeed_m_s: float, radius_m: float, speed_max_m_s: 
     return StudySettings(
         (PlannerName.PREDICTIVE,),
         len(tracks),
-        target_speed_max_m_s=speed_max_m_s,
-        airspeed_m_s=airspeed_m_s,
-        still_air_radius_m=radius_m,
+        config=studied(airspeed_m_s=airspeed_m_s, radius_m=radius_m, target_speed_max_m_s=speed_max_m_s),
         tracks=tracks,
         noise_draws=draws,
     )

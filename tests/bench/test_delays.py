@@ -18,7 +18,7 @@ import pytest
 
 from sidelong.app.study import closed_loop
 from sidelong.app.study.recorded import recorded_targets
-from sidelong.app.study.settings import Fidelity, PlannerName, StudySettings
+from sidelong.app.study.settings import Fidelity, PlannerName, StudySettings, studied
 from sidelong.app.study.study import table_of
 from sidelong.estimators.tracking.tracker import Tracker
 
@@ -32,9 +32,7 @@ def settings() -> StudySettings:
     plain = StudySettings(
         runs=RUNS,
         duration_s=DURATION_S,
-        airspeed_m_s=12.0,
-        still_air_radius_m=40.0,
-        target_speed_max_m_s=5.0,
+        config=studied(airspeed_m_s=12.0, radius_m=40.0, target_speed_max_m_s=5.0),
         fidelity=Fidelity.CLOSED_LOOP,
     )
     folder = os.environ.get("SIDELONG_TARGETS")

@@ -19,9 +19,10 @@ from rich.console import Console
 
 from sidelong.app.study.fleet import FleetPlannerName, FleetResult, Loss, run_fleet
 from sidelong.app.study.fleet_study import fleet_table, fly_fleets
+from sidelong.app.study.parallel import on_processes
 from sidelong.app.study.recorded import recorded_targets
-from sidelong.app.study.settings import PlannerName, StudySettings
-from sidelong.app.study.study import run_study, table_of
+from sidelong.app.study.settings import PlannerName, StudySettings, studied
+from sidelong.app.study.study import table_of
 from sidelong.app.value_cache import value_table
 from sidelong.estimators.sensing.sighting import Sighting
 from sidelong.estimators.settings import TrackerSettings
@@ -43,6 +44,7 @@ from sidelong.mission.fleet.vehicle import FleetMember
 from sidelong.mission.predictive.planner import table_configuration
 from sidelong.mission.predictive.value_table import ValueTable
 from tests.bench.size import size
+from tests.studies import run_study
 
 RUNS = size(20, 1, "RUNS")
 TARGETS = Path(os.environ.get("TARGETS", Path(__file__).parents[2] / "app" / "study" / "tracks"))
@@ -53,7 +55,7 @@ CLASSES = ((12.0, 40.0, 5.0), (20.0, 70.0, 9.0), (30.0, 105.0, 14.0))[: size(3, 
 
 @pytest.fixture(scope="module")
 def settings() -> StudySettings:
-    return StudySettings(planners=(PlannerName.PREDICTIVE,), runs=RUNS, fleet=2)
+    return StudySettings((PlannerName.PREDICTIVE,), runs=RUNS, config=studied(fleet_size=2))
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +64,9 @@ def table(settings: StudySettings) -> ValueTable:
 
 
 def test_one_of_two_watches_from_the_required_side(settings, table):
-    study = fly_fleets(settings, table, None, lambda _runs: None)
-    Console().print(fleet_table(study))
-    joint = study.runs[FleetPlannerName.JOINT]
+    fleets = fly_fleets(settings, table, on_processes(None), lambda _runs: None)
+    Console().print(fleet_table(fleets))
+    joint = fleets[FleetPlannerName.JOINT]
     assert np.mean([run.time_on_side_any for run in joint]) > 0.99
     assert min(run.min_separation_m for run in joint) >= 50.0
     assert np.mean([run.in_ellipse for run in joint]) > 0.9
@@ -74,21 +76,20 @@ def test_two_next_to_recorded_targets_and_one_alone():
     off_alone, off_both = [], []
     for airspeed_m_s, radius_m, speed_max_m_s in CLASSES:
         tracks = recorded_targets([TARGETS], speed_max_m_s).flown
+        of_class = {"airspeed_m_s": airspeed_m_s, "radius_m": radius_m, "target_speed_max_m_s": speed_max_m_s}
         alone = StudySettings(
             planners=(PlannerName.PREDICTIVE,),
             runs=len(tracks),
             tracks=tracks,
             noise_draws=DRAWS,
-            airspeed_m_s=airspeed_m_s,
-            still_air_radius_m=radius_m,
-            target_speed_max_m_s=speed_max_m_s,
+            config=studied(**of_class),
             duration_s=math.inf,
         )
-        both = replace(alone, fleet=2)
+        both = replace(alone, config=studied(**of_class, fleet_size=2))
         one = run_study(alone, table_of(alone)).planners[PlannerName.PREDICTIVE]
-        two = fly_fleets(both, table_of(both), None, lambda _runs: None, [FleetPlannerName.JOINT])
-        runs = two.runs[FleetPlannerName.JOINT]
-        off_alone.append(1.0 - np.array(one.time_on_side))
+        two = fly_fleets(both, table_of(both), on_processes(None), lambda _runs: None, [FleetPlannerName.JOINT])
+        runs = two[FleetPlannerName.JOINT]
+        off_alone.append(1.0 - np.array(one["time_on_side"]))
         off_both.append(1.0 - np.array([run.time_on_side_any for run in runs]))
         worst, both_off, alone_off = int(off_both[-1].argmax()), off_both[-1].mean(), off_alone[-1].mean()
         print(
@@ -119,7 +120,7 @@ def regained_s(run: FleetResult, loss: Loss, for_s: float = 0.1) -> float:
 
 
 def test_one_aircraft_lost_at_a_random_moment(table):
-    settings = StudySettings(planners=(PlannerName.PREDICTIVE,), runs=50, fleet=2, duration_s=420.0)
+    settings = StudySettings((PlannerName.PREDICTIVE,), runs=50, config=studied(fleet_size=2), duration_s=420.0)
     took_s, stayed_s, errors_m = [], [], []
     for number in range(size(50, 1)):
         rng = np.random.default_rng(number)

@@ -12,7 +12,6 @@ from sidelong.app.simulation.payload import PayloadErrors
 from sidelong.app.simulation.target import RandomTarget
 from sidelong.app.study.flight import CompiledFlight, Sensed
 from sidelong.app.study.settings import PlannerName, StudySettings
-from sidelong.app.study.study import run_study
 from sidelong.estimators.settings import TrackerSettings
 from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState
@@ -21,6 +20,7 @@ from sidelong.mission.predictive.planner import PredictivePlanner, table_configu
 from sidelong.mission.predictive.value_iteration import compute
 from sidelong.mission.viewpoint.side_policy import watching_from
 from tests.bench.size import size
+from tests.studies import run_study
 
 SETTINGS = StudySettings((PlannerName.PREDICTIVE,), runs=size(4, 1))
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +24,8 @@ from sidelong.app.study.flight import CompiledFlight
 from sidelong.app.study.judging import judged
 from sidelong.app.study.recorded import RecordedTarget, recorded_targets
 from sidelong.app.study.routes import own_route, route_next_to
-from sidelong.app.study.run import aircraft_on, first_circle, run, sensed_by
-from sidelong.app.study.scene import scene
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.run import aircraft_on, first_circle, run, scene, sensed_by
+from sidelong.app.study.settings import PlannerName, StudySettings, studied
 from sidelong.app.value_cache import value_table
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.mission.core.plan import AircraftState, Decision, Plan
@@ -49,9 +48,7 @@ def settings_of(one: AircraftClass, tracks: tuple[RecordedTarget, ...], draws: i
     return StudySettings(
         (PlannerName.PREDICTIVE,),
         len(tracks),
-        target_speed_max_m_s=one.target_speed_max_m_s,
-        airspeed_m_s=one.airspeed_m_s,
-        still_air_radius_m=one.radius_m,
+        config=studied(**asdict(one)),
         tracks=tracks,
         noise_draws=draws,
     )
@@ -202,7 +199,7 @@ def departures(folder: Path, runs: int, every: int = 1) -> Iterator[Left]:
         table = value_table(table_configuration(study.aircraft(), study.requirement()))
         flown = scene(study, 0)
         circle = first_circle(study, flown)
-        inputs = aircraft_on(study, flown, circle), circle, study.height_m, sensed_by(study, flown)
+        inputs = aircraft_on(study, flown, circle), circle, study.config.aircraft.height_m, sensed_by(study, flown)
         flight = CompiledFlight(flown.target, *inputs, study.wind, flown.duration_s)
         assert flown.route is not None
         planner = _Noted(study.aircraft(), study.requirement(), table, flown.route)

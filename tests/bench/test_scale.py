@@ -19,8 +19,8 @@ import numpy as np
 import psutil
 import pytest
 
-from sidelong.app.study.cluster import on_cluster
 from sidelong.app.study.design import Design
+from sidelong.app.study.parallel import on_cluster
 from sidelong.app.study.settings import PlannerName, StudySettings
 from sidelong.app.study.store import MEASURES, ResultStore
 from sidelong.app.study.study import Study, table_of
@@ -108,7 +108,7 @@ def test_two_workers_of_a_cluster_against_one():
             study = Study([Design(settings)], ResultStore(None))
             study.fly(on_cluster(cluster.scheduler_address), lambda _settings: table, 25, lambda _runs: None)
             busy_s = [sum(one.cpu_times()[:2]) - s for one, s in zip(processes, before_s, strict=True)]
-        rows.append(study.result(study.designs[0]).planners[PlannerName.PREDICTIVE])
+        rows.append(study.results()[0].planners[PlannerName.PREDICTIVE])
         runs_per_s.append(settings.runs / study.wall_s)
         runs_per_cpu_s.append(settings.runs / sum(busy_s))
         shares = ", ".join(f"{100.0 * s / study.wall_s:.0f} %" for s in busy_s)
@@ -118,7 +118,7 @@ def test_two_workers_of_a_cluster_against_one():
         f"{2.0 * runs_per_cpu_s[1] / runs_per_cpu_s[0]:.2f} times by the workers' processor time"
     )
     for name in MEASURES:
-        np.testing.assert_array_equal(getattr(rows[0], name), getattr(rows[1], name))
+        np.testing.assert_array_equal(rows[0][name], rows[1][name])
     assert 2.0 * runs_per_cpu_s[1] / runs_per_cpu_s[0] >= 1.8
 
 

@@ -13,7 +13,7 @@ from sidelong.app.cli import app
 from sidelong.app.errors import InputError
 from sidelong.app.study import flight
 from sidelong.app.study.hills import hills_of, run_over
-from sidelong.app.study.settings import PlannerName, StudySettings
+from sidelong.app.study.settings import PlannerName, StudySettings, studied
 from sidelong.estimators.terrain.ground import Ground
 from sidelong.mission.predictive.planner import table_configuration
 from sidelong.mission.predictive.value_iteration import compute
@@ -41,7 +41,9 @@ def test_over_hills_the_clearance_is_kept_and_on_flat_ground_nothing_is_hidden(g
 
 @pytest.mark.parametrize("terrain", ["known", "ignored"])
 def test_over_hills_the_compiled_loop_flies_what_the_classes_fly(monkeypatch, ground: Ground, table, terrain) -> None:
-    settings = replace(SETTINGS, runs=20, hills=hills_of(ground), terrain=terrain, height_m=60.0, duration_s=200.0)
+    settings = replace(
+        SETTINGS, runs=20, hills=hills_of(ground), terrain=terrain, config=studied(height_m=60.0), duration_s=200.0
+    )
     hidden = 0.0
     for number in (5, 9):
         flown = run_over(settings, number, table, keep_track=True)

@@ -1,0 +1,16 @@
+"""Studies without their command."""
+
+import contextlib
+
+from sidelong.app.study.design import Design
+from sidelong.app.study.parallel import on_processes
+from sidelong.app.study.store import ResultStore
+from sidelong.app.study.study import Study, table_of
+
+
+def run_study(settings, table=None, jobs=None, progress=lambda _runs: None):
+    """Fly one design on this machine and keep nothing; the table is the cached one unless it is given."""
+    with contextlib.closing(ResultStore()) as store:
+        study = Study([Design(settings)], store)
+        study.fly(on_processes(jobs), lambda of: table or table_of(of), 1, progress)
+        return study.results()[0]
