@@ -12,7 +12,6 @@ import numpy as np
 
 from sidelong.app.assembly import mission_controller_of
 from sidelong.app.autopilots.registry import AUTOPILOTS as FLOWN_AUTOPILOTS
-from sidelong.app.simulation.airframe import KinematicAircraft
 from sidelong.app.simulation.kinematic import KinematicVehicle, Rates, Start
 from sidelong.app.simulation.loop import ClosedLoop
 from sidelong.app.simulation.payload import Payload
@@ -20,17 +19,15 @@ from sidelong.app.simulation.target import TargetTruth
 from sidelong.app.study.flight import SampledTarget
 from sidelong.app.study.judging import RunResult, judged
 from sidelong.app.study.pilots import StopWatch
-from sidelong.app.study.run import Scene, first_circle, payload_of, scene
+from sidelong.app.study.run import aircraft_on, first_circle, payload_of, scene
 from sidelong.app.study.settings import AUTOPILOTS, PlannerName, StudySettings
 from sidelong.estimators.estimate import TargetEstimate
 from sidelong.estimators.frames import LocalPlane
 from sidelong.estimators.tracking.tracker import Tracker
 from sidelong.mission.control.controller import StandoffController, StandoffSettings
-from sidelong.mission.core.circle import Circle
 from sidelong.mission.core.plan import AircraftState, Decision, Plan, Planner
 from sidelong.mission.core.requirement import Aircraft, Requirement, Wind
 from sidelong.mission.exchange.dialect import Home
-from sidelong.mission.geometry.wind import ground_speed_m_s
 from sidelong.mission.paper.planner import PaperPlanner
 from sidelong.mission.predictive.planner import PredictivePlanner
 from sidelong.mission.predictive.value_table import ValueTable
@@ -71,7 +68,10 @@ def run_closed_loop(
     autopilot = next(one for one in FLOWN_AUTOPILOTS if one.name.lower() == settings.autopilot)
     errors, assumed = payload_of(settings)
     circle = first_circle(settings, flown)
-    aircraft, plane = _aircraft(settings, flown, circle), LocalPlane(_HOME.latitude_deg, _HOME.longitude_deg)
+    # The bank and the lag are those of the autopilot.
+    lag_s = settings.lag_s or AUTOPILOTS[settings.autopilot].lag_s
+    aircraft = aircraft_on(settings, flown, circle, settings.aircraft().bank_max_rad, lag_s)
+    plane = LocalPlane(_HOME.latitude_deg, _HOME.longitude_deg)
     start = Start(plane, _HOME, circle, settings.config.aircraft.height_m)
     payload = Payload(errors, flown.sensor_rng)
     target = _OnTicks(flown.target, math.ceil(flown.duration_s * _RATES.tick_hz) + 2)
@@ -113,14 +113,3 @@ def run_closed_loop(
     rows = np.array([(state.time_s, state.east_m, state.north_m) for state in states])
     log = np.hstack([rows, flown.target.sampled(rows[:, 0])])
     return judged(settings, log, departed_s, watch.taken_s, keep_track)
-
-
-def _aircraft(settings: StudySettings, flown: Scene, circle: Circle) -> KinematicAircraft:
-    """Return an aircraft somewhere on a circle, with the bank and the lag that its autopilot has."""
-    limits, wind = settings.aircraft(), settings.wind
-    course_rad = float(flown.start_rng.uniform(-math.pi, math.pi))
-    speed_m_s = ground_speed_m_s(course_rad, limits.airspeed_m_s, wind)
-    place = circle.position_at_course(course_rad)
-    state = AircraftState(0.0, *place, course_rad, speed_m_s, circle.curvature_per_m)
-    lag_s = settings.lag_s or AUTOPILOTS[settings.autopilot].lag_s
-    return KinematicAircraft(state, limits.airspeed_m_s, limits.bank_max_rad, limits.roll_rate_max_rad_s, wind, lag_s)

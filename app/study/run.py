@@ -102,8 +102,14 @@ def first_circle(
     )
 
 
-def aircraft_on(settings: StudySettings, flown: Scene, circle: Circle) -> KinematicAircraft:
-    """Return an aircraft somewhere on a circle."""
+def aircraft_on(
+    settings: StudySettings,
+    flown: Scene,
+    circle: Circle,
+    bank_max_rad: float | None = None,
+    lag_s: float | None = None,
+) -> KinematicAircraft:
+    """Return an aircraft somewhere on a circle; None: with little more bank than it takes, and the study's lag."""
     aircraft, wind = settings.aircraft(), settings.wind
     course_rad = float(flown.start_rng.uniform(-math.pi, math.pi))
     start = AircraftState(
@@ -113,11 +119,11 @@ def aircraft_on(settings: StudySettings, flown: Scene, circle: Circle) -> Kinema
         ground_speed_m_s(course_rad, aircraft.airspeed_m_s, wind),
         circle.curvature_per_m,
     )
-    circle_bank_rad = math.atan(aircraft.airspeed_m_s**2 / (GRAVITY_M_S2 * settings.still_air_radius_m))
-    bank_max_rad = math.atan(_BANK_RESERVE * math.tan(circle_bank_rad))
-    return KinematicAircraft(
-        start, aircraft.airspeed_m_s, bank_max_rad, aircraft.roll_rate_max_rad_s, wind, settings.lag_s
-    )
+    if bank_max_rad is None:
+        circle_bank_rad = math.atan(aircraft.airspeed_m_s**2 / (GRAVITY_M_S2 * settings.still_air_radius_m))
+        bank_max_rad = math.atan(_BANK_RESERVE * math.tan(circle_bank_rad))
+    lag_s = settings.lag_s if lag_s is None else lag_s
+    return KinematicAircraft(start, aircraft.airspeed_m_s, bank_max_rad, aircraft.roll_rate_max_rad_s, wind, lag_s)
 
 
 def sensed_by(settings: StudySettings, flown: Scene) -> Sensed:
