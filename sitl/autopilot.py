@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from enum import IntEnum
 from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import all as mavlink
@@ -14,8 +15,9 @@ from sidelong.sitl.protocol.items import RELATIVE_FRAMES, Item
 from sidelong.sitl.protocol.parameters import Parameters
 from sidelong.sitl.protocol.radio import Radio, Station
 from sidelong.sitl.protocol.signing import Signing
+from sidelong.sitl.protocol.store import Store
 from sidelong.sitl.protocol.telemetry import Builder
-from sidelong.sitl.protocol.transfer import ProtocolQuirks, Store, Transfer
+from sidelong.sitl.protocol.transfer import ProtocolQuirks, Transfer
 from sidelong.sitl.settings import Settings
 from sidelong.sitl.world.airframe import GRAVITY_M_S2, Airframe, AirframeParameters, true_over_equivalent_airspeed
 from sidelong.sitl.world.geodesy import HomePlane
@@ -30,6 +32,7 @@ class Autopilot(ABC):
     """One vehicle: airframe, modes, missions, parameters and links."""
 
     autopilot_id: ClassVar[int]
+    modes: ClassVar[type[IntEnum]]
     first_mode: ClassVar[int]
     navigation_period_s: ClassVar[float]
     taken_over_mode: ClassVar[int]  # when the pilot moves the sticks
@@ -40,6 +43,9 @@ class Autopilot(ABC):
     unknown_request_result: ClassVar[int]
     arming_refusal: ClassVar[tuple[int, str]]  # result and text if armed too early
     preflight_failure: ClassVar[str]  # until then, if the checks are requested
+    armed_text: ClassVar[str]
+    landed_text: ClassVar[str]
+    roll_limit_parameter: ClassVar[str]  # degrees
     quirks: ClassVar[ProtocolQuirks]
     default_interval_s: ClassVar[Mapping[int, float]]
     mission_types: ClassVar[tuple[int, ...]] = (
@@ -106,8 +112,8 @@ class Autopilot(ABC):
         """Change the flight mode; False if that cannot be."""
 
     @abstractmethod
-    def mode_of_command(self, base_mode: int, main: int, sub: int) -> int | None:
-        """Return the custom mode that a DO_SET_MODE requests, None if there is no such mode."""
+    def custom_mode(self, main: int, sub: int) -> int:
+        """Return the custom mode of main and sub mode in a DO_SET_MODE."""
 
     @abstractmethod
     def navigate(self, dt_s: float) -> float:
@@ -117,11 +123,8 @@ class Autopilot(ABC):
     def watch_links(self) -> None:
         """Act when the ground has fallen silent."""
 
-    @abstractmethod
-    def on_armed(self) -> None: ...
-
-    @abstractmethod
-    def on_landed(self) -> None: ...
+    def on_armed(self) -> None:
+        self.say(mavlink.MAV_SEVERITY_INFO, self.armed_text)
 
     @abstractmethod
     def set_current_item(self, index: int) -> bool: ...
@@ -132,8 +135,8 @@ class Autopilot(ABC):
         return self.quirks
 
     @property
-    @abstractmethod
-    def roll_limit_rad(self) -> float: ...
+    def roll_limit_rad(self) -> float:
+        return math.radians(self.parameters.within(self.roll_limit_parameter, 5.0, 80.0))
 
     @property
     @abstractmethod
@@ -181,7 +184,8 @@ class Autopilot(ABC):
             craft.fly(dt_s, self.roll_goal_rad, self.airspeed_goal_m_s * self.true_airspeed_ratio, climb_m_s)
             self.lifting_off = False
             if not craft.flying:
-                self.on_landed()
+                self.disarm()
+                self.say(mavlink.MAV_SEVERITY_INFO, self.landed_text)
         elif self.lifting_off and self.armed:
             lift_off_m_s = _LIFT_OFF_FRACTION * self.settings.airspeed_m_s * self.true_airspeed_ratio
             craft.roll_on_ground(dt_s, lift_off_m_s)
@@ -234,7 +238,7 @@ class Autopilot(ABC):
 
     @property
     def here(self) -> Place:
-        return Place(self.craft.east_m, self.craft.north_m, self.craft.height_m)
+        return Place.of(self.craft)
 
     # Talking.
 
@@ -298,9 +302,7 @@ class Autopilot(ABC):
     def _answer(self, station: Station, message: Any, kind: str) -> None:
         """Answer what changes nothing here."""
         source = (message.get_srcSystem(), message.get_srcComponent())
-        if kind == "LOG_REQUEST_LIST":
-            self.radio.send(station, mavlink.MAVLink_log_entry_message(0, 0, 0, 0, 0))  # it keeps none
-        elif kind == "TIMESYNC" and message.tc1 == 0:
+        if kind == "TIMESYNC" and message.tc1 == 0:
             self.radio.send(station, mavlink.MAVLink_timesync_message(self.boot_us * 1000, message.ts1))
         elif kind == "PING" and message.target_system == 0:
             self.radio.send(station, mavlink.MAVLink_ping_message(message.time_usec, message.seq, *source))
@@ -338,16 +340,7 @@ class Autopilot(ABC):
             case mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
                 result = self._on_message_interval(station, command)
             case mavlink.MAV_CMD_REQUEST_MESSAGE:
-                result = self._on_request_message(station, int(command.number(1)), int(command.number(2)))
-            case mavlink.MAV_CMD_GET_HOME_POSITION:
-                result = self._on_request_message(station, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
-            case mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
-                result = self._on_request_message(station, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-            case mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
-                message_id = int(command.number(1)) & 0xFFFF
-                interval_us = int(1e6 * station.interval_s.get(message_id, 0.0))
-                self.radio.send(station, mavlink.MAVLink_message_interval_message(message_id, interval_us))
-                result = ACCEPTED
+                result = self._on_request_message(station, int(command.number(1)))
             case _:
                 handler = self._handlers.get(command.id)
                 result = handler(command) if handler is not None else UNSUPPORTED
@@ -364,10 +357,8 @@ class Autopilot(ABC):
         station.stream(message_id, interval_s, self.now_s)
         return ACCEPTED
 
-    def _on_request_message(self, station: Station, message_id: int, index: int = 0) -> int:
+    def _on_request_message(self, station: Station, message_id: int) -> int:
         messages = self.messages(message_id)
-        if message_id == mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES and index:  # 0: all of them
-            messages = messages[index - 1 : index]
         for message in messages:
             self.radio.send(station, message)
         return ACCEPTED if messages else self.unknown_request_result
@@ -418,8 +409,14 @@ class Autopilot(ABC):
         self.roi = Place(*self.plane.east_north_m(command.param(5), command.param(6)), 0.0)
         return ACCEPTED
 
+    def mode_of_command(self, command: Command) -> int | None:
+        """Return the custom mode that a DO_SET_MODE requests, None if there is no such mode."""
+        base_mode, main, sub = (int(command.number(number)) for number in (1, 2, 3))
+        mode = self.custom_mode(main, sub)
+        return mode if base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED and mode in list(self.modes) else None
+
     def _on_set_mode(self, command: Command) -> int:
-        mode = self.mode_of_command(int(command.number(1)), int(command.number(2)), int(command.number(3)))
+        mode = self.mode_of_command(command)
         if mode is None:
             return UNSUPPORTED
         return ACCEPTED if self.set_mode(mode) else FAILED

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from sidelong.sitl.binary import Binary, BinaryError
+from sidelong.sitl.binary import Binary, BinaryError, started
 from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
 from sidelong.sitl.settings import PayloadSettings, Settings
 from sidelong.sitl.simulation import target_motion
@@ -50,7 +50,7 @@ def run_binaries(
     with contextlib.ExitStack() as stack:
         running: list[Binary] = []
         for number, (path, own) in enumerate(zip(programs, settings, strict=True)):
-            running.append(stack.enter_context(Binary(own.flavour, path, speed, own.home, own.wind, number, logs)))
+            running.append(stack.enter_context(started(own.flavour, path, speed, own.home, own.wind, number, logs)))
         _print_how_to_fly(running, settings)
         if logs is not None:
             print("their own logs:", *(str(binary.folder) for binary in running), flush=True)

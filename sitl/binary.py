@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
-import shutil
 import signal
 import socket
 import subprocess
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 
 from sidelong.sitl.settings import DEFAULT_HOMES, Flavour, Home
 from sidelong.sitl.world.airframe import Wind
@@ -22,7 +22,7 @@ _INSTANCES = 10
 _HEADING_DEG = 353
 _ARDUPLANE_TCP, _PX4_GROUND_UDP, _PX4_OFFBOARD_UDP = 5760, 18570, 14540
 _PX4_SIGNED_PAYLOAD_UDP = 14640
-_LAST_WORDS = 400
+_OUTPUT, _LAST_WORDS = "output.log", 400
 # The stock simulators' batteries are half empty after a minute (PX4), or empty after a quarter of an hour.
 _BATTERY_MAH, _BATTERY_S = 100_000, 10_800
 _CALM = Wind()
@@ -97,96 +97,94 @@ def run_of(
     )
 
 
+@dataclass(frozen=True, slots=True)
 class Binary:
-    """A running simulator in a process group of its own, with a working folder. Use as ``with``.
+    """A running simulator in a process group of its own. folder: where it keeps its files, its log among them."""
 
-    folder: where it keeps its files, its log among them; gone with it, where they are not to be kept.
-    """
-
-    def __init__(
-        self,
-        flavour: Flavour,
-        binary: Path,
-        speed: float,
-        home: Home | None,
-        wind: Wind = _CALM,
-        instance: int = 0,
-        logs: Path | None = None,
-    ) -> None:
-        """instance: the first that may be taken, and with it the system id. logs: where to keep its folder."""
-        self._binary = binary.resolve()
-        if not os.access(self._binary, os.X_OK) or self._binary.is_dir():
-            raise BinaryError(f"{binary} is no program that can be run")
-        free, self._kept = _free_instance(flavour, instance), logs is not None
-        self.folder = folder = _working_folder(logs, flavour, free)
-        self.run = run_of(flavour, self._binary, folder, free, speed, home, wind)
-        self._log = folder / "output.log"
-        with self._log.open("wb") as log:
-            try:
-                self._process = subprocess.Popen(
-                    self.run.command,
-                    cwd=folder,
-                    env=os.environ | self.run.environment,
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=subprocess.STDOUT,
-                    start_new_session=True,
-                )
-            except OSError as error:
-                self._discard()
-                raise BinaryError(f"{binary} does not run: {error.strerror or error}") from error
-
-    def __enter__(self) -> Binary:
-        return self
-
-    def __exit__(
-        self, _kind: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
-        for number in (signal.SIGTERM, signal.SIGKILL):
-            if self.ended:
-                break
-            os.killpg(self._process.pid, number)
-            try:
-                self._process.wait(_STOP_S)
-            except subprocess.TimeoutExpired:
-                continue
-        self._discard()
-
-    def _discard(self) -> None:
-        if not self._kept:
-            shutil.rmtree(self.folder, ignore_errors=True)
+    run: Run
+    folder: Path
+    process: subprocess.Popen[bytes]
 
     @property
     def ended(self) -> bool:
-        return self._process.poll() is not None
+        return self.process.poll() is not None
 
     @property
     def last_words(self) -> str:
         """The last output of the program."""
-        text = self._log.read_text(errors="replace").strip()
-        return f"it ended with code {self._process.returncode}: {text[-_LAST_WORDS:]}"
+        text = (self.folder / _OUTPUT).read_text(errors="replace").strip()
+        return f"it ended with code {self.process.returncode}: {text[-_LAST_WORDS:]}"
+
+    def stop(self) -> None:
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            if self.ended:
+                break
+            os.killpg(self.process.pid, number)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(_STOP_S)
 
 
-def _working_folder(logs: Path | None, flavour: Flavour, instance: int) -> Path:
+@contextlib.contextmanager
+def started(
+    flavour: Flavour,
+    binary: Path,
+    speed: float,
+    home: Home | None,
+    wind: Wind = _CALM,
+    instance: int = 0,
+    logs: Path | None = None,
+) -> Iterator[Binary]:
+    """Run a simulator.
+
+    instance: the first that may be taken, and with it the system id. logs: where to keep its folder, which is gone
+    with it otherwise. Raises BinaryError.
+    """
+    program = binary.resolve()
+    if not os.access(program, os.X_OK) or program.is_dir():
+        raise BinaryError(f"{binary} is no program that can be run")
+    free = _free_instance(flavour, instance)
+    with _working_folder(logs, flavour, free) as folder, (folder / _OUTPUT).open("wb") as output:
+        run = run_of(flavour, program, folder, free, speed, home, wind)
+        try:
+            process = subprocess.Popen(
+                run.command,
+                cwd=folder,
+                env=os.environ | run.environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise BinaryError(f"{binary} does not run: {error.strerror or error}") from error
+        running = Binary(run, folder, process)
+        try:
+            yield running
+        finally:
+            running.stop()
+
+
+@contextlib.contextmanager
+def _working_folder(logs: Path | None, flavour: Flavour, instance: int) -> Iterator[Path]:
     """Make a new folder: what is left of another flight, such as its parameters, would count in the next."""
     if logs is None:
-        return Path(tempfile.mkdtemp(prefix="sidelong-sitl-"))
+        with tempfile.TemporaryDirectory(prefix="sidelong-sitl-", ignore_cleanup_errors=True) as name:
+            yield Path(name)
+        return
     folder = logs.resolve() / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{flavour}-{instance + 1}"
     try:
         folder.mkdir(parents=True)
     except OSError as error:
         raise BinaryError(f"cannot keep its logs in {logs}: {error.strerror}") from error
-    return folder
+    yield folder
 
 
 def _free_instance(flavour: Flavour, first: int) -> int:
     for instance in range(first, first + _INSTANCES):
+        ports = [(socket.SOCK_DGRAM, base + instance) for base in (_PX4_GROUND_UDP, _PX4_OFFBOARD_UDP)]
         if flavour is Flavour.ARDUPLANE:
-            if _free(socket.SOCK_STREAM, _ARDUPLANE_TCP + 10 * instance):
-                return instance
-        elif _free(socket.SOCK_DGRAM, _PX4_GROUND_UDP + instance) and _free(
-            socket.SOCK_DGRAM, _PX4_OFFBOARD_UDP + instance
-        ):
+            ports = [(socket.SOCK_STREAM, _ARDUPLANE_TCP + 10 * instance)]
+        if all(_free(*port) for port in ports):
             return instance
     raise BinaryError(f"the ports of {_INSTANCES} instances are all in use")
 

@@ -6,7 +6,6 @@ import contextlib
 import math
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -19,7 +18,6 @@ from typing import Annotated
 import typer
 
 from sidelong.sitl.binaries import companions_of, ready, run_binaries, waits
-from sidelong.sitl.binary import BinaryError
 from sidelong.sitl.options import (
     DEFAULT_STATIONS,
     check_programs,
@@ -27,27 +25,26 @@ from sidelong.sitl.options import (
     device_of,
     flavour_of,
     home_on_ground,
-    key_in,
     lost_at,
     numbers,
     refuse,
+    refusing,
     releases_of,
     stations_of,
     targets_of,
     targets_seen,
 )
 from sidelong.sitl.pace import Pace
-from sidelong.sitl.payload.companion import Companion, CompanionError, accompany
+from sidelong.sitl.payload.companion import Companion, accompany
 from sidelong.sitl.payload.devices import DEVICES
 from sidelong.sitl.protocol.link import LinkFaults
+from sidelong.sitl.protocol.signing import read_key
 from sidelong.sitl.server import serve
 from sidelong.sitl.settings import STARTS_M, Flavour, GimbalFrame, PayloadSettings, RangeMessage, Settings
 from sidelong.sitl.several import MAX_VEHICLES, in_turn
 from sidelong.sitl.simulation import Simulation
 from sidelong.sitl.world.airframe import Wind
-from sidelong.sitl.world.hills import HillsError
 from sidelong.sitl.world.motion import MOTIONS
-from sidelong.sitl.world.track import TrackError
 from sidelong.sitl.world.truth import TruthFile
 
 _LINK, _PAYLOAD, _RUN, _TARGET, _VEHICLE, _GROUND = (
@@ -229,42 +226,35 @@ def run(
         gimbal_frame,
     )
     own_terrain = terrain if payload_for is None else None  # the home of another vehicle comes from its own words
-    settings = Settings(
-        flavour=flavours[0],
-        system_id=system_id or 1,
-        seed=seed,
-        airspeed_m_s=airspeeds_m_s[0],
-        wind=Wind.blowing_from(wind_speed, math.radians(wind_from_deg)),
-        home=home_on_ground(home, own_terrain, flavours[0]),
-        targets=targets,
-        payload=sensors if payload else None,
-        device=device_kind,
-        signing_key=None if require_signing is None else key_in(require_signing),
-        link_rate=speed,
-        boot_unix_s=time.time(),
-        terrain=own_terrain,
-    )
-    if len(programs) > 1 and settings.home is None:  # PX4's height control wants to start at sea level
-        settings = replace(settings, home=replace(settings.home_or_default, altitude_m=0.0))
-    ids = range(settings.system_id, settings.system_id + count)
-    if truth and len(truth) != count:
-        refuse("--truth", f"is given {len(truth)} times for {count} vehicles")
-    stations = stations_of(to, ids)
-    with ExitStack() as stack:
-        try:
-            seen = targets_seen(looks_at, len(targets))
-            each = in_turn(
-                settings, flavours, airspeeds_m_s, endurances_s, count, seen, releases_of(version, flavours)
-            )
-            alone = payload_for is None and not programs
-            if not alone and len(targets) > 1:
-                refuse("--target", "is given several times: only simulated vehicles can turn to another")
-            simulations = [Simulation(one) for one in each] if alone else []
-            companions = [] if alone else companions_of(each, sensors, terrain, system_id)
-        except TrackError as error:
-            refuse("--target", str(error))
-        except HillsError as error:
-            refuse("--terrain", str(error))
+    with refusing(), ExitStack() as stack:
+        settings = Settings(
+            flavour=flavours[0],
+            system_id=system_id or 1,
+            seed=seed,
+            airspeed_m_s=airspeeds_m_s[0],
+            wind=Wind.blowing_from(wind_speed, math.radians(wind_from_deg)),
+            home=home_on_ground(home, own_terrain, flavours[0]),
+            targets=targets,
+            payload=sensors if payload else None,
+            device=device_kind,
+            signing_key=None if require_signing is None else read_key(require_signing),
+            link_rate=speed,
+            boot_unix_s=time.time(),
+            terrain=own_terrain,
+        )
+        if len(programs) > 1 and settings.home is None:  # PX4's height control wants to start at sea level
+            settings = replace(settings, home=replace(settings.home_or_default, altitude_m=0.0))
+        ids = range(settings.system_id, settings.system_id + count)
+        if truth and len(truth) != count:
+            refuse("--truth", f"is given {len(truth)} times for {count} vehicles")
+        stations = stations_of(to, ids)
+        seen = targets_seen(looks_at, len(targets))
+        each = in_turn(settings, flavours, airspeeds_m_s, endurances_s, count, seen, releases_of(version, flavours))
+        alone = payload_for is None and not programs
+        if not alone and len(targets) > 1:
+            refuse("--target", "is given several times: only simulated vehicles can turn to another")
+        simulations = [Simulation(one) for one in each] if alone else []
+        companions = [] if alone else companions_of(each, sensors, terrain, system_id)
         for vehicle_id, lost_s in lost_at(lose or [], ids if alone else ()):
             simulations[ids.index(vehicle_id)].lost_s = lost_s
         _write_truth(stack, simulations or companions, truth or [])
@@ -294,7 +284,7 @@ def run(
 def _write_truth(stack: ExitStack, writers: Sequence[Companion | Simulation], paths: Sequence[Path]) -> None:
     for writer, path in zip(writers, paths, strict=False):
         try:
-            file = TruthFile(stack.enter_context(path.open("w", encoding="utf-8")), _warn)
+            file = TruthFile(stack.enter_context(path.open("w", encoding="utf-8")), waits)
         except OSError as error:
             refuse("--truth", f"{path} cannot be written: {error.strerror}")
         writer.on_truth = file.write
@@ -310,24 +300,17 @@ def _accompany(
 ) -> None:
     """Run the payloads of vehicles that are not ours: of these programs, or of the vehicle at a URL."""
     stopped = _stop_signal()
-    try:
-        if url is None:
-            run_binaries(companions, settings, programs, speed, logs, stopped)
-        else:
-            accompany(
-                companions[0],
-                url,
-                key=settings[0].signing_key,
-                on_ready=lambda vehicle_id: ready(vehicle_id, url),
-                on_wait=waits,
-                stopped=stopped,
-            )
-    except BinaryError as error:
-        refuse("--binary", str(error))
-    except CompanionError as error:
-        refuse("--payload-for", str(error))
-    except HillsError as error:
-        refuse("--terrain", str(error))
+    if url is None:
+        run_binaries(companions, settings, programs, speed, logs, stopped)
+        return
+    accompany(
+        companions[0],
+        url,
+        key=settings[0].signing_key,
+        on_ready=lambda vehicle_id: ready(vehicle_id, url),
+        on_wait=waits,
+        stopped=stopped,
+    )
 
 
 def _stop_signal(pace: Pace | None = None) -> Callable[[], bool]:
@@ -350,7 +333,3 @@ def _stop_signal(pace: Pace | None = None) -> Callable[[], bool]:
 
         threading.Thread(target=wait_for_end, daemon=True).start()
     return lambda: bool(received)
-
-
-def _warn(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

@@ -2,26 +2,37 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import socket
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
 
 import typer
 
+from sidelong.sitl.binary import BinaryError
+from sidelong.sitl.payload.companion import CompanionError
 from sidelong.sitl.payload.devices import DEVICES
-from sidelong.sitl.protocol.signing import KeyFileError, read_key
+from sidelong.sitl.protocol.signing import KeyFileError
 from sidelong.sitl.server import Address
 from sidelong.sitl.settings import DEFAULT_HOMES, NEWEST, OLDEST, STARTS_M, Flavour, Home, Release, TargetSettings
 from sidelong.sitl.world.geodesy import HomePlane
 from sidelong.sitl.world.hills import Hills, HillsError
 from sidelong.sitl.world.motion import MOTIONS
+from sidelong.sitl.world.track import TrackError
 
 _NAMED = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}=")
+_OPTION_OF: dict[type[Exception], str] = {
+    BinaryError: "--binary",
+    CompanionError: "--payload-for",
+    HillsError: "--terrain",
+    KeyFileError: "--require-signing",
+    TrackError: "--target",
+}
 DEFAULT_STATIONS = ("127.0.0.1:14540", "127.0.0.1:14550")
 
 
@@ -129,13 +140,6 @@ def _vehicle_id(option: str, text: str, ids: Sequence[int]) -> int:
     return int(text)
 
 
-def key_in(path: Path) -> bytes:
-    try:
-        return read_key(path)
-    except KeyFileError as error:
-        return refuse("--require-signing", str(error))
-
-
 def _home(text: str) -> Home:
     values = numbers("--home", text, (2, 3), "LAT,LON[,ALT]")
     if not (abs(values[0]) < 89.0 and abs(values[1]) <= 180.0):
@@ -144,15 +148,12 @@ def _home(text: str) -> Home:
 
 
 def home_on_ground(text: str | None, terrain: Path | None, flavour: Flavour) -> Home | None:
-    """Return home as it was given, at the height of the ground there if it was given none."""
+    """Return home as it was given, at the height of the ground there if it was given none. Raises HillsError."""
     home = None if text is None else _home(text)
     if terrain is None or (text is not None and text.count(",") == 2):
         return home
     home = home or DEFAULT_HOMES[flavour]
-    try:
-        hills = Hills(terrain, HomePlane(home.latitude_deg, home.longitude_deg))
-    except HillsError as error:
-        refuse("--terrain", str(error))
+    hills = Hills(terrain, HomePlane(home.latitude_deg, home.longitude_deg))
     return replace(home, altitude_m=hills.home_altitude_m)
 
 
@@ -191,6 +192,15 @@ def _address(option: str, text: str) -> Address:
         return socket.gethostbyname(host), int(port)
     except OSError:
         return refuse(option, f"names the unknown host {host!r}")
+
+
+@contextlib.contextmanager
+def refusing() -> Iterator[None]:
+    """End the program where something that an option names cannot be used."""
+    try:
+        yield
+    except tuple(_OPTION_OF) as error:
+        refuse(_OPTION_OF[type(error)], str(error))
 
 
 def refuse(option: str, reason: str) -> NoReturn:

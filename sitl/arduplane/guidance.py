@@ -18,17 +18,6 @@ _PASSED_S = 3.0
 class L1Guidance:
     """Lateral acceleration towards a line or a circle, and what was computed on the way, for telemetry."""
 
-    __slots__ = (
-        "_bearing_integral_rad",
-        "cross_track_m",
-        "damping",
-        "integral_gain",
-        "length_m",
-        "nav_bearing_rad",
-        "on_circle",
-        "period_s",
-    )
-
     def __init__(self, period_s: float = 17.0, damping: float = 0.75, integral_gain: float = 0.02) -> None:
         self.period_s = period_s
         self.damping = damping

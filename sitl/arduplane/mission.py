@@ -15,6 +15,7 @@ from enum import IntEnum
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.protocol.items import RELATIVE_FRAMES, Item, ItemRefused
+from sidelong.sitl.protocol.store import Store
 
 _ACCEPTED: int = mavlink.MAV_MISSION_ACCEPTED
 
@@ -44,7 +45,7 @@ class MissionState(IntEnum):
     COMPLETE = mavlink.MISSION_STATE_COMPLETE
 
 
-class ArduPlaneMission:
+class ArduPlaneMission(Store):
     """Storage and sequence. ``on_start`` is called with each item that begins, navigation or immediate."""
 
     def __init__(
@@ -54,32 +55,25 @@ class ArduPlaneMission:
         on_start: Callable[[int, Item], None],
         armed: Callable[[], bool],
     ) -> None:
+        super().__init__(with_checksum=False)
         self._home = home
         self._say = say
         self._on_start = on_start
         self._armed = armed
-        self._items: list[Item] = []
         self.state = MissionState.STOPPED
         self.index = 0  # of the item that is flown, or would be; 0: none yet
         self.item: Item | None = None  # the copy that is flown
 
     # Storage, as the protocol sees it.
 
-    def items(self) -> list[Item]:
-        return self._items
-
     def current_index(self) -> int:
         return self.index
-
-    def opaque_id(self) -> int | None:
-        return None
 
     def begin(self, count: int) -> int:
         del self._items[count:]
         return self.finish() if count == 0 else _ACCEPTED
 
-    def put(self, index: int, item: Item, current: bool) -> None:
-        del current  # ArduPilot ignores the flag
+    def put(self, index: int, item: Item, current: bool) -> None:  # ArduPilot ignores the flag
         refuse_no_numbers(item)
         stored = self._home if index == 0 else as_stored(item)
         if index < len(self._items):

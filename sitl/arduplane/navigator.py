@@ -39,10 +39,6 @@ class ArduPlaneNavigator:
         self._turn_ahead_rad = _RIGHT_ANGLE_RAD
 
     @property
-    def _here(self) -> Place:
-        return Place(self._craft.east_m, self._craft.north_m, self._craft.height_m)
-
-    @property
     def _thin_air_factor(self) -> float:
         """ArduPlane widens radii in thin air, so that the bank stays that of sea level."""
         return true_over_equivalent_airspeed(self._home_altitude_m + self._craft.height_m) ** 2
@@ -56,10 +52,10 @@ class ArduPlaneNavigator:
         if self._track_next:
             self._origin, self._on_track = self.goal, True
         else:
-            self._origin, self._on_track, self._track_next = self._here, False, True
+            self._origin, self._on_track, self._track_next = Place.of(self._craft), False, True
         self.goal = goal
         if self._behind_goal():
-            self._origin = self._here
+            self._origin = Place.of(self._craft)
         self.loiter = Loiter(clockwise)
         self._turn_ahead_rad = _RIGHT_ANGLE_RAD
         if then is not None:
@@ -68,7 +64,7 @@ class ArduPlaneNavigator:
 
     def circle(self, centre: Place, clockwise: bool) -> None:
         """Head straight for a circle, without a line to follow."""
-        self._origin, self.goal, self._on_track = self._here, centre, False
+        self._origin, self.goal, self._on_track = Place.of(self._craft), centre, False
         self.loiter = Loiter(clockwise)
 
     def fly_leg(self, acceptance_m: float, dt_s: float) -> tuple[str | None, float]:
@@ -86,7 +82,7 @@ class ArduPlaneNavigator:
 
     def fly_line(self, dt_s: float) -> float:
         self._tune()
-        origin = self._origin if self._on_track else self._here
+        origin = self._origin if self._on_track else Place.of(self._craft)
         return self.guidance.towards_line(self._craft, origin.ground_m, self.goal.ground_m, dt_s)
 
     def fly_circle(self, radius_m: float, now_s: float, dt_s: float, by_line: bool) -> float:
@@ -101,7 +97,7 @@ class ArduPlaneNavigator:
         if loiter.reached_s is None and (self.guidance.on_circle or self._behind_goal()):
             loiter.reached_s = now_s
         if self.guidance.on_circle or loiter.last_bearing_rad is not None:
-            bearing_rad = self._here.bearing_rad(self.goal)
+            bearing_rad = Place.of(self._craft).bearing_rad(self.goal)
             if loiter.last_bearing_rad is not None:
                 step_rad = math.remainder(bearing_rad - loiter.last_bearing_rad, math.tau)
                 loiter.turned_rad += step_rad if loiter.clockwise else -step_rad

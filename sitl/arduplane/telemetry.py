@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.arduplane.mission import ArduPlaneMission
 from sidelong.sitl.arduplane.modes import Mode
-from sidelong.sitl.arduplane.navigator import ArduPlaneNavigator
-from sidelong.sitl.arduplane.terrain import TerrainDatabase
-from sidelong.sitl.protocol.telemetry import NAN, Builder, Reported, Telemetry
-from sidelong.sitl.world.place import Place
+from sidelong.sitl.protocol.telemetry import NAN, Builder, Telemetry
+
+if TYPE_CHECKING:
+    from sidelong.sitl.arduplane.vehicle import ArduPlane
 
 # MAV_SYS_STATUS bits as the stock simulator sends them.
 _PRESENT = 0x1261FC3F
@@ -50,34 +49,14 @@ DATA_STREAMS = _GROUPS | {mavlink.MAV_DATA_STREAM_ALL: _STREAMED}
 DEFAULT_INTERVAL_S = dict.fromkeys((mavlink.MAVLINK_MSG_ID_HEARTBEAT, *_STREAMED), 1.0)
 
 
-class ReportedPlane(Reported, Protocol):
-    """What ArduPlane's telemetry reads besides."""
-
-    @property
-    def mission(self) -> ArduPlaneMission: ...
-    @property
-    def navigator(self) -> ArduPlaneNavigator: ...
-    @property
-    def roll_goal_rad(self) -> float: ...
-    @property
-    def here(self) -> Place: ...
-    @property
-    def terrain(self) -> TerrainDatabase | None: ...
-    @property
-    def height_goal_m(self) -> float: ...
-    @property
-    def airspeed_goal_m_s(self) -> float: ...
-
-
 class ArduPlaneTelemetry(Telemetry):
     gps_fix = mavlink.GPS_FIX_TYPE_RTK_FIXED
     gps_dilution = (121, 200)
     gps_accuracy_mm = (300, 300, 0)
     home_quaternion = (NAN, NAN, NAN, NAN)
-    modes = Mode
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 
-    def __init__(self, vehicle: ReportedPlane) -> None:
+    def __init__(self, vehicle: ArduPlane) -> None:
         super().__init__(vehicle)
         self._plane = vehicle
 

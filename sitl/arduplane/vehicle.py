@@ -15,10 +15,10 @@ from sidelong.sitl.arduplane.telemetry import DATA_STREAMS, DEFAULT_INTERVAL_S, 
 from sidelong.sitl.arduplane.terrain import TerrainDatabase
 from sidelong.sitl.autopilot import Autopilot
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Command
-from sidelong.sitl.protocol.fence import PointStore
 from sidelong.sitl.protocol.items import ABSOLUTE_FRAMES, RELATIVE_FRAMES, Item
 from sidelong.sitl.protocol.radio import Station
-from sidelong.sitl.protocol.transfer import ProtocolQuirks, Store
+from sidelong.sitl.protocol.store import Store
+from sidelong.sitl.protocol.transfer import ProtocolQuirks
 from sidelong.sitl.settings import Settings
 from sidelong.sitl.world.airframe import AirframeParameters
 from sidelong.sitl.world.place import Place
@@ -58,7 +58,7 @@ _ITEM_NAMES = {
 
 class ArduPlane(Autopilot):
     autopilot_id = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-    first_mode = Mode.MANUAL
+    modes, first_mode = Mode, Mode.MANUAL
     taken_over_mode = Mode.FBWA
     navigation_period_s = 0.1
     receives_once_a_loop = True
@@ -68,6 +68,8 @@ class ArduPlane(Autopilot):
     unknown_request_result = FAILED
     preflight_failure = "PreArm: AHRS: waiting for home"
     arming_refusal = (FAILED, "Arm: AHRS: waiting for home")
+    armed_text, landed_text = "Throttle armed", "Throttle disarmed"
+    roll_limit_parameter = "ROLL_LIMIT_DEG"
     quirks = QUIRKS
     default_interval_s = DEFAULT_INTERVAL_S
 
@@ -99,12 +101,7 @@ class ArduPlane(Autopilot):
         }
         # ArduPlane requests missing heights; here only if there is terrain.
         self.terrain = TerrainDatabase(home.latitude_deg, home.longitude_deg) if settings.terrain else None
-        stores: tuple[Store, ...] = (self.mission, PointStore(False), PointStore(False))
-        self.attach(stores, ArduPlaneTelemetry(self).builders())
-
-    @property
-    def roll_limit_rad(self) -> float:
-        return math.radians(self.parameters.within("ROLL_LIMIT_DEG", 5.0, 80.0))
+        self.attach((self.mission, Store(False), Store(False)), ArduPlaneTelemetry(self).builders())
 
     @property
     def base_mode(self) -> int:
@@ -116,9 +113,8 @@ class ArduPlane(Autopilot):
 
     # Modes.
 
-    def mode_of_command(self, base_mode: int, main: int, sub: int) -> int | None:
-        del sub  # PX4's
-        return main if base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED and main in list(Mode) else None
+    def custom_mode(self, main: int, sub: int) -> int:
+        return main
 
     def set_mode(self, mode: int) -> bool:
         if mode not in list(Mode):
@@ -143,12 +139,8 @@ class ArduPlane(Autopilot):
         return True
 
     def on_armed(self) -> None:
-        self.say(mavlink.MAV_SEVERITY_INFO, "Throttle armed")
+        super().on_armed()
         self.broadcast_now(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
-
-    def on_landed(self) -> None:
-        self.disarm()
-        self.say(mavlink.MAV_SEVERITY_INFO, "Throttle disarmed")
 
     def handle_own(self, station: Station, message: Any, kind: str) -> None:
         if kind == "REQUEST_DATA_STREAM":

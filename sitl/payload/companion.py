@@ -185,9 +185,12 @@ def _connected(scheme: str, address: str) -> Any:
 
 
 def _converse(companion: Companion, link: Any, on_ready: Callable[[int], None], stopped: Callable[[], bool]) -> None:
-    joined = False
     if companion.vehicle_id is None:
         companion.vehicle_id = _only_vehicle(link, stopped)
+    if companion.vehicle_id is None:
+        return
+    link.mav.srcSystem = companion.vehicle_id
+    on_ready(companion.vehicle_id)
     ask_s = heartbeat_s = -math.inf
     while not stopped():
         message = link.recv_match(blocking=True, timeout=_WAIT_S)
@@ -195,14 +198,10 @@ def _converse(companion: Companion, link: Any, on_ready: Callable[[int], None], 
             for measurement in companion.handle(message):
                 _send(link, measurement)
         now_s = time.monotonic()
-        if companion.vehicle_id is not None and not joined:
-            joined = True
-            link.mav.srcSystem = companion.vehicle_id
-            on_ready(companion.vehicle_id)
-        if now_s >= heartbeat_s and (joined or link.mav.srcSystem != 0):
+        if now_s >= heartbeat_s:
             heartbeat_s = now_s + _HEARTBEAT_S
             _send(link, Payload.heartbeat())
-        if joined and now_s >= ask_s:
+        if now_s >= ask_s:
             ask_s = now_s + _ASK_AGAIN_S
             _ask(companion, link)
 

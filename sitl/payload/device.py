@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+
+from sidelong.sitl.settings import Quirks
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,32 +30,64 @@ class Seen:
     lean_rad: float = 0.0
 
 
-class Device(Protocol):
-    """A payload at the end of a wire."""
+class Device(ABC):
+    """A payload at the end of a wire, over which some of its bytes arrive changed.
+
+    commanded_deg: yaw to the right and pitch, as last commanded.
+    """
+
+    def __init__(self, quirks: Quirks, rng: np.random.Generator) -> None:
+        self.quirks = quirks
+        self.commanded_deg: tuple[float, float] | None = None
+        self._rng = rng
+        self._received = bytearray()
 
     def receive(self, data: bytes, now_s: float, seen: Seen) -> list[bytes]:
-        """Take bytes and return the answers."""
-        ...
+        """Take bytes and return the answers, as they arrive."""
+        self._received += data
+        return self._carried(self._answers(now_s, seen))
 
     def stream(self, now_s: float, seen: Seen) -> list[bytes]:
-        """Return what is sent unasked at this time; to be called at each step."""
-        ...
+        """Return what is sent unasked at this time, as it arrives; to be called at each step."""
+        return self._carried(self._streamed(now_s, seen))
 
+    @abstractmethod
+    def _answers(self, now_s: float, seen: Seen) -> list[bytes]:
+        """Remove whole requests from what was received and return the answers."""
 
-@dataclass(slots=True)
-class Wire:
-    """Bytes from a device, some of which arrive changed."""
+    def _streamed(self, now_s: float, seen: Seen) -> list[bytes]:
+        return []
 
-    damaged: float
-    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
-
-    def carry(self, frames: list[bytes]) -> list[bytes]:
-        """Return the frames as they arrive."""
-        return [self._changed(frame) if self.rng.random() < self.damaged else frame for frame in frames]
+    def _carried(self, frames: list[bytes]) -> list[bytes]:
+        return [self._changed(frame) if self._rng.random() < self.quirks.damaged else frame for frame in frames]
 
     def _changed(self, frame: bytes) -> bytes:
-        at = int(self.rng.integers(len(frame)))
-        return frame[:at] + bytes((frame[at] ^ int(self.rng.integers(1, 256)),)) + frame[at + 1 :]
+        at = int(self._rng.integers(len(frame)))
+        return frame[:at] + bytes((frame[at] ^ int(self._rng.integers(1, 256)),)) + frame[at + 1 :]
+
+    def _next_frame(
+        self, least: int, size_of: Callable[[bytes], int], is_whole: Callable[[bytes], bool]
+    ) -> bytes | None:
+        """Remove the next whole frame from what was received. size_of: its bytes, 0 where none begins."""
+        buffer = self._received
+        while len(buffer) >= least:
+            size = size_of(bytes(buffer[:least]))
+            if size > len(buffer):
+                return None
+            frame = bytes(buffer[:size])
+            if size and is_whole(frame):
+                del buffer[:size]
+                return frame
+            del buffer[0]
+        return None
+
+    def _signed(self, yaw: float) -> float:
+        """Return a yaw to the right as this device counts it, or the other way round."""
+        return -yaw if self.quirks.yaw_mirrored else yaw
+
+    def _echo_m(self, seen: Seen) -> float | None:
+        """Return the range within the laser's reach."""
+        return seen.range_m if seen.range_m is not None and seen.range_m <= self.quirks.reach_m else None
 
 
 def joint_angles_rad(seen: Seen) -> tuple[float, float, float]:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.payload.device import Seen, Wire
+from sidelong.sitl.payload.device import Device, Seen
 from sidelong.sitl.protocol.telemetry import NAN, quaternion
 from sidelong.sitl.settings import Quirks
 
@@ -18,13 +18,11 @@ _ATTITUDE = mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS
 _LOCKED = 4 | 8 | 32  # roll and pitch to the horizon, yaw relative to the aircraft
 
 
-class SimulatedGremsy:
+class SimulatedGremsy(Device):
     """Streams the requested data, by the index of a parameter or the number of a message."""
 
     def __init__(self, quirks: Quirks, rng: np.random.Generator) -> None:
-        self.quirks = quirks
-        self.commanded_deg: tuple[float, float] | None = None
-        self._wire = Wire(quirks.damaged, rng)
+        super().__init__(quirks, rng)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
         self._senders = {part: mavlink.MAVLink(None, _SYSTEM, part) for part in (_PAYLOAD, _CAMERA, _GIMBAL)}
@@ -32,8 +30,9 @@ class SimulatedGremsy:
         self._periods_s: dict[str, float] = {}
         self._next_s = {"range": 0.0, "angles": 0.0, "heartbeat": 0.0}
 
-    def receive(self, data: bytes, now_s: float, seen: Seen) -> list[bytes]:
+    def _answers(self, now_s: float, seen: Seen) -> list[bytes]:
         answers: list[bytes] = []
+        data, self._received = self._received, bytearray()
         for message in self._parser.parse_buffer(data) or ():
             kind, target = message.get_type(), getattr(message, "target_component", None)
             if kind == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
@@ -51,9 +50,9 @@ class SimulatedGremsy:
                 w, x, y, z = message.q
                 forward, right, down = 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
                 self.commanded_deg = math.degrees(math.atan2(right, forward)), math.degrees(-math.asin(down))
-        return self._wire.carry(answers)
+        return answers
 
-    def stream(self, now_s: float, seen: Seen) -> list[bytes]:
+    def _streamed(self, now_s: float, seen: Seen) -> list[bytes]:
         frames: list[bytes] = []
         if self._is_due("heartbeat", 1.0, now_s):
             for part, kind in ((_PAYLOAD, 0), (_CAMERA, mavlink.MAV_TYPE_CAMERA), (_GIMBAL, mavlink.MAV_TYPE_GIMBAL)):
@@ -62,7 +61,7 @@ class SimulatedGremsy:
             frames += self._range(seen)
         if "angles" in self._periods_s and self._is_due("angles", self._periods_s["angles"], now_s):
             frames.append(self._angles(now_s, seen))
-        return self._wire.carry(frames)
+        return frames
 
     def _is_due(self, what: str, period_s: float, now_s: float) -> bool:
         if now_s < self._next_s[what] - 1e-9:
@@ -71,8 +70,8 @@ class SimulatedGremsy:
         return True
 
     def _range(self, seen: Seen) -> list[bytes]:
-        range_m = seen.range_m if self._laser_s is not None else None
-        if range_m is None or range_m > self.quirks.reach_m:
+        range_m = self._echo_m(seen) if self._laser_s is not None else None
+        if range_m is None:
             if self.quirks.silent_beyond:
                 return []
             range_m = 0.0
@@ -81,8 +80,7 @@ class SimulatedGremsy:
         return [self._packed(_PAYLOAD, message)]
 
     def _angles(self, now_s: float, seen: Seen) -> bytes:
-        yaw_rad = -seen.bearing_rad if self.quirks.yaw_mirrored else seen.bearing_rad
-        pointing = list(quaternion(seen.lean_rad, seen.elevation_rad, yaw_rad))
+        pointing = list(quaternion(seen.lean_rad, seen.elevation_rad, self._signed(seen.bearing_rad)))
         message = mavlink.MAVLink_gimbal_device_attitude_status_message(
             0, 0, round(now_s * 1000.0), _LOCKED, pointing, NAN, NAN, NAN, 0
         )

@@ -3,77 +3,54 @@
 from __future__ import annotations
 
 import math
+import struct
 
 import numpy as np
 
-from sidelong.sitl.payload.device import Seen, Wire, joint_angles_rad
+from sidelong.sitl.payload.device import Device, Seen, joint_angles_rad
 from sidelong.sitl.settings import Quirks
 
 _STREAM_HZ = (0, 2, 4, 5, 10, 20, 50, 100)
-_ANGLES, _LASER = 1, 2
-_HARDWARE = b"7A1130111\0\0\0"
-_FIRMWARE = bytes((5, 2, 0, 0x6E, 3, 4, 0, 0x7A, 1, 0, 0, 0x6B))
-_CONFIGURATION = bytes((0, 0, 0, 0, 1, 1, 0))  # follow mode, the right way up
+_ANGLES = 1
+_FIXED = {  # answers that never change, by command
+    0x01: bytes((5, 2, 0, 0x6E, 3, 4, 0, 0x7A, 1, 0, 0, 0x6B)),  # firmware
+    0x02: b"7A1130111\0\0\0",  # hardware
+    0x0A: bytes((0, 0, 0, 0, 1, 1, 0)),  # configuration: follow mode, the right way up
+}
 _RANGE_MIN_M = 5.0
 
 
-class SimulatedSiyi:
+class SimulatedSiyi(Device):
     """Answers requests, and streams the requested data."""
 
     def __init__(self, quirks: Quirks, rng: np.random.Generator) -> None:
-        self.quirks = quirks
-        self.commanded_deg: tuple[float, float] | None = None  # yaw to the right and pitch, as last commanded
-        self._wire = Wire(quirks.damaged, rng)
-        self._received = bytearray()
+        super().__init__(quirks, rng)
         self._number = 0
         self._streams_s: dict[int, tuple[float, float]] = {}  # period and next time, by kind
 
-    def receive(self, data: bytes, now_s: float, seen: Seen) -> list[bytes]:
-        self._received += data
+    def _answers(self, now_s: float, seen: Seen) -> list[bytes]:
         answers = []
-        while (request := self._next_request()) is not None:
-            answers += self._answer(*request, now_s, seen)
-        return self._wire.carry(answers)
+        while (request := self._next_frame(10, _size, _is_whole)) is not None:
+            answers += self._answer(request[7], request[8:-2], now_s, seen)
+        return answers
 
-    def stream(self, now_s: float, seen: Seen) -> list[bytes]:
+    def _streamed(self, now_s: float, seen: Seen) -> list[bytes]:
         frames = []
         for kind, (period_s, next_s) in self._streams_s.items():
             if now_s >= next_s - 1e-9:
                 self._streams_s[kind] = period_s, next_s + period_s
                 frames += self._angles(seen) if kind == _ANGLES else self._laser(seen)
-        return self._wire.carry(frames)
-
-    def _next_request(self) -> tuple[int, bytes] | None:
-        """Return command and data of the next whole request."""
-        buffer = self._received
-        while len(buffer) >= 10:
-            size = 10 + buffer[3] + 256 * buffer[4]
-            if buffer[:2] != b"\x55\x66" or size > 100:
-                del buffer[0]
-                continue
-            if len(buffer) < size:
-                return None
-            frame = bytes(buffer[:size])
-            if _crc(frame[:-2]) != frame[-2] + 256 * frame[-1]:
-                del buffer[0]
-                continue
-            del buffer[:size]
-            return frame[7], frame[8:-2]
-        return None
+        return frames
 
     def _answer(self, command: int, data: bytes, now_s: float, seen: Seen) -> list[bytes]:
-        if command == 0x01:
-            return [self._frame(0x01, _FIRMWARE)]
-        if command == 0x02:
-            return [self._frame(0x02, _HARDWARE)]
-        if command == 0x0A:
-            return [self._frame(0x0A, _CONFIGURATION)]
+        if command in _FIXED:
+            return [self._frame(command, _FIXED[command])]
         if command == 0x0D:
             return self._angles(seen)
         if command == 0x0E and len(data) == 4:
-            yaw, pitch = (_signed(data[at] + 256 * data[at + 1]) / 10.0 for at in (0, 2))
-            self.commanded_deg = (yaw if self.quirks.yaw_mirrored else -yaw), pitch
-            return [self._frame(0x0E, b"".join(self._tenths(seen)))]
+            yaw, pitch = struct.unpack("<hh", data)
+            self.commanded_deg = -self._signed(yaw) / 10.0, pitch / 10.0
+            return [self._frame(0x0E, self._tenths(seen))]
         if command == 0x15:
             return self._laser(seen)
         if command == 0x25 and len(data) == 2 and data[1] < len(_STREAM_HZ):
@@ -84,19 +61,18 @@ class SimulatedSiyi:
         return []
 
     def _angles(self, seen: Seen) -> list[bytes]:
-        return [self._frame(0x0D, b"".join(self._tenths(seen)) + bytes(6))]
+        return [self._frame(0x0D, self._tenths(seen) + bytes(6))]
 
-    def _tenths(self, seen: Seen) -> list[bytes]:
+    def _tenths(self, seen: Seen) -> bytes:
         """Return yaw (to the left), pitch and roll in tenths of a degree."""
         yaw, roll, pitch = joint_angles_rad(seen)
-        left = yaw if self.quirks.yaw_mirrored else -yaw
-        return [(round(math.degrees(angle) * 10.0) & 0xFFFF).to_bytes(2, "little") for angle in (left, pitch, roll)]
+        return struct.pack("<hhh", *(round(math.degrees(a) * 10.0) for a in (-self._signed(yaw), pitch, roll)))
 
     def _laser(self, seen: Seen) -> list[bytes]:
-        quirks, count = self.quirks, 0
-        if seen.range_m is not None and _RANGE_MIN_M <= seen.range_m <= quirks.reach_m:
-            count = min(round(seen.range_m / (quirks.range_unit_m or 0.1)), 65535)
-        elif quirks.silent_beyond:
+        range_m, count = self._echo_m(seen), 0
+        if range_m is not None and range_m >= _RANGE_MIN_M:
+            count = min(round(range_m / (self.quirks.range_unit_m or 0.1)), 65535)
+        elif self.quirks.silent_beyond:
             return []
         return [self._frame(0x15, count.to_bytes(2, "little"))]
 
@@ -108,6 +84,15 @@ class SimulatedSiyi:
         return frame + _crc(frame).to_bytes(2, "little")
 
 
+def _size(head: bytes) -> int:
+    size = 10 + head[3] + 256 * head[4]
+    return size if head.startswith(b"\x55\x66") and size <= 100 else 0
+
+
+def _is_whole(frame: bytes) -> bool:
+    return _crc(frame[:-2]) == frame[-2] + 256 * frame[-1]
+
+
 def _crc(data: bytes) -> int:
     """Return the CRC of the manual, bit by bit: x^16 + x^12 + x^5 + 1, from zero."""
     crc = 0
@@ -117,7 +102,3 @@ def _crc(data: bytes) -> int:
             crc = (crc << 1) ^ 0x1021 if crc & 0x8000 else crc << 1
         crc &= 0xFFFF
     return crc
-
-
-def _signed(value: int) -> int:
-    return value - 65536 if value >= 32768 else value

@@ -3,84 +3,61 @@
 from __future__ import annotations
 
 import math
+import struct
+from functools import reduce
+from operator import xor
 
 import numpy as np
 
-from sidelong.sitl.payload.device import Seen, Wire
+from sidelong.sitl.payload.device import Device, Seen
 from sidelong.sitl.settings import Quirks
 
 _STATUS_BYTES = 41
-_MODEL, _FIRMWARE = b"A40TPRO\0\0\0", b"S20240115" + bytes(11)
+_NAMES = {b"\xe4": b"A40TPRO\0\0\0", b"\xd0": b"S20240115" + bytes(11)}  # model and firmware
+_UNIT_DEG = 360.0 / 65536.0
 
 
-class SimulatedViewpro:
+class SimulatedViewpro(Device):
     """Answers each handshake with a status; its laser is off until it is switched on."""
 
     def __init__(self, quirks: Quirks, rng: np.random.Generator) -> None:
-        self.quirks = quirks
+        super().__init__(quirks, rng)
         self.over_tcp = False  # whether its frames go in the envelope for TCP
-        self.commanded_deg: tuple[float, float] | None = None
         self.aircraft_deg: tuple[float, float, float] | None = None  # roll, pitch (nose up) and yaw, as it was sent
-        self._wire = Wire(quirks.damaged, rng)
-        self._received = bytearray()
         self._number = 0
         self._ranging = False
 
-    def receive(self, data: bytes, now_s: float, seen: Seen) -> list[bytes]:
-        self._received += data
+    def _answers(self, now_s: float, seen: Seen) -> list[bytes]:
         answers: list[bytes] = []
-        while (frame := self._next_frame()) is not None:
+        while (frame := self._next_frame(6, _size, _is_whole)) is not None:
             answers += self._answer(frame[4], frame[5:-1], seen)
-        return self._wire.carry(answers)
-
-    def stream(self, now_s: float, seen: Seen) -> list[bytes]:
-        return []
-
-    def _next_frame(self) -> bytes | None:
-        buffer = self._received
-        while len(buffer) >= 6:
-            size = 3 + buffer[3] % 64
-            if buffer[:3] != b"\x55\xaa\xdc" or size < 6:
-                del buffer[0]
-                continue
-            if len(buffer) < size:
-                return None
-            frame = bytes(buffer[:size])
-            if _check(frame[3:-1]) != frame[-1]:
-                del buffer[0]
-                continue
-            del buffer[:size]
-            return frame
-        return None
+        return answers
 
     def _answer(self, number: int, data: bytes, seen: Seen) -> list[bytes]:
         if number == 0x00:
             return [self._frame(0x40, self._status(seen))]
-        if number == 0x01 and data[:1] == b"\xe4":
-            return [self._frame(0x02, b"\xe4" + _MODEL)]
-        if number == 0x01 and data[:1] == b"\xd0":
-            return [self._frame(0x02, b"\xd0" + _FIRMWARE)]
+        if number == 0x01 and data[:1] in _NAMES:
+            return [self._frame(0x02, data[:1] + _NAMES[data[:1]])]
         if number == 0x1C and len(data) == 2:
             laser = data[0] >> 5
             self._ranging = {2: True, 3: True, 5: False}.get(laser, self._ranging)
         if number == 0x1A and len(data) == 9 and data[0] == 0x0B:
-            yaw, down = (_signed(data[at] * 256 + data[at + 1]) * 360.0 / 65536.0 for at in (1, 3))
-            self.commanded_deg = (-yaw if self.quirks.yaw_mirrored else yaw), -down
+            yaw, down = (count * _UNIT_DEG for count in struct.unpack_from(">hh", data, 1))
+            self.commanded_deg = self._signed(yaw), -down
         if number == 0xB1 and len(data) == 42:
-            roll, down, yaw = (_signed(data[at] * 256 + data[at + 1]) * 360.0 / 65536.0 for at in (8, 10, 12))
+            roll, down, yaw = (count * _UNIT_DEG for count in struct.unpack_from(">hhh", data, 8))
             self.aircraft_deg = roll, -down, yaw
         return []
 
     def _status(self, seen: Seen) -> bytes:
         """Return the blocks T1 (22 bytes), F1 (1), B1 (6) and D1 (12)."""
         status = bytearray(_STATUS_BYTES)
-        yaw = -seen.bearing_rad if self.quirks.yaw_mirrored else seen.bearing_rad
         roll = round((math.degrees(seen.lean_rad) + 90.0) * 4095.0 / 180.0)
         status[23:25] = (0x3000 | roll).to_bytes(2, "big")  # the upper four bits are the mode
-        status[25:27] = _angle(yaw)
+        status[25:27] = _angle(self._signed(seen.bearing_rad))
         status[27:29] = _angle(-seen.elevation_rad)
-        if self._ranging and seen.range_m is not None and seen.range_m <= self.quirks.reach_m:
-            count = round(seen.range_m / (self.quirks.range_unit_m or 0.1))
+        if self._ranging and (range_m := self._echo_m(seen)) is not None:
+            count = round(range_m / (self.quirks.range_unit_m or 0.1))
             status[33:35] = min(count, 65535).to_bytes(2, "big")
         return bytes(status)
 
@@ -93,17 +70,19 @@ class SimulatedViewpro:
         return b"\xeb\x90" + bytes((len(frame),)) + frame + bytes((sum(frame) % 256,))
 
 
+def _size(head: bytes) -> int:
+    size = 3 + head[3] % 64
+    return size if head.startswith(b"\x55\xaa\xdc") and size >= 6 else 0
+
+
+def _is_whole(frame: bytes) -> bool:
+    return _check(frame[3:-1]) == frame[-1]
+
+
 def _check(data: bytes) -> int:
-    check = 0
-    for byte in data:
-        check = check ^ byte
-    return check
+    return reduce(xor, data, 0)
 
 
 def _angle(angle_rad: float) -> bytes:
     turn = math.remainder(angle_rad, math.tau) / math.tau
     return (round(turn * 65536.0) % 65536).to_bytes(2, "big")
-
-
-def _signed(value: int) -> int:
-    return value - 65536 if value >= 32768 else value

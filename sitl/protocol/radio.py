@@ -20,17 +20,6 @@ Datagram = tuple[Hashable, bytes]
 class Station:
     """A MAVLink station: a ground station, a companion computer or a separate payload."""
 
-    __slots__ = (
-        "_next_due_s",
-        "address",
-        "expected",
-        "interval_s",
-        "parser",
-        "received_s",
-        "sequence",
-        "wakes_s",
-    )
-
     def __init__(self, address: Hashable, interval_s: Mapping[int, float], now_s: float) -> None:
         self.address = address
         self.expected = False  # configured: it is sent to indefinitely, even if it never sends

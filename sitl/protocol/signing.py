@@ -5,6 +5,7 @@ The checking is pymavlink's. One key and one set of stream times for all links; 
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -54,13 +55,6 @@ class SignedParser(mavlink.MAVLink):  # type: ignore[misc]  # pymavlink has no t
         return genuine
 
 
-class _Buffer:
-    """What pymavlink's signing works on."""
-
-    def __init__(self, data: bytearray) -> None:
-        self._msgbuf = data
-
-
 class Signing:
     """A vehicle's key; without one, all is accepted. unsigned: message ids that are accepted without a signature."""
 
@@ -107,7 +101,7 @@ class Signing:
         body = bytearray(frame[:-2])
         body[_FLAGS_BYTE] |= _SIGNED
         body += x25crc(bytes(body[1:]) + bytes((crc_extra,))).crc.to_bytes(2, "little")
-        parser.signing.timestamp = max(parser.signing.timestamp, signing_time(unix_s))
-        buffer = _Buffer(body)
-        mavlink.MAVLink_message.sign_packet(buffer, parser)
-        return bytes(buffer._msgbuf)
+        signing = parser.signing
+        signing.timestamp = max(signing.timestamp + 1, signing_time(unix_s))
+        body += bytes((signing.link_id,)) + signing.timestamp.to_bytes(6, "little")
+        return bytes(body) + hashlib.sha256(self._key + body).digest()[:6]

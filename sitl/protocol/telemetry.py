@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from enum import IntEnum
-from typing import Any, ClassVar, Protocol
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.settings import Home, Release, Settings
-from sidelong.sitl.world.airframe import GRAVITY_M_S2, Airframe
-from sidelong.sitl.world.geodesy import HomePlane
+if TYPE_CHECKING:
+    from sidelong.sitl.autopilot import Autopilot
 
 NAN = math.nan
-_IMU_WITHOUT_MAGNETOMETER = 0x1A3F  # accelerations, rates, pressure, its altitude, temperature
 
 Builder = Callable[[], Any]  # a message, a list of messages, or None if there is no data
 
@@ -32,47 +29,6 @@ def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> tuple[float
     )
 
 
-class Reported(Protocol):
-    """What telemetry reads of a vehicle."""
-
-    @property
-    def craft(self) -> Airframe: ...
-    @property
-    def settings(self) -> Settings: ...
-    @property
-    def home(self) -> Home: ...
-    @property
-    def plane(self) -> HomePlane: ...
-    @property
-    def release(self) -> Release: ...
-    @property
-    def system_id(self) -> int: ...
-    @property
-    def autopilot_id(self) -> int: ...
-    @property
-    def mode(self) -> int: ...
-    @property
-    def base_mode(self) -> int: ...
-    @property
-    def armed(self) -> bool: ...
-    @property
-    def ready(self) -> bool: ...
-    @property
-    def home_known(self) -> bool: ...
-    @property
-    def lifting_off(self) -> bool: ...
-    @property
-    def landed_state(self) -> int: ...
-    @property
-    def now_s(self) -> float: ...
-    @property
-    def boot_ms(self) -> int: ...
-    @property
-    def boot_us(self) -> int: ...
-    @property
-    def true_airspeed_ratio(self) -> float: ...
-
-
 class Telemetry:
     """Builds messages; ``builders`` maps message ids to functions."""
 
@@ -81,10 +37,8 @@ class Telemetry:
     gps_accuracy_mm: ClassVar[tuple[int, int, int]]  # horizontal, vertical, speed
     home_quaternion: ClassVar[tuple[float, float, float, float]]
     parameter_capability: ClassVar[int]
-    modes: ClassVar[type[IntEnum]]
-    standard_modes: ClassVar[Mapping[int, int]] = {}  # MAV_STANDARD_MODE, where it is one
 
-    def __init__(self, vehicle: Reported) -> None:
+    def __init__(self, vehicle: Autopilot) -> None:
         self._vehicle = vehicle
         self._craft = vehicle.craft
 
@@ -102,10 +56,6 @@ class Telemetry:
             mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
             mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: self._battery,
             mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: self._version,
-            mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES: self._available_modes,
-            mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: self._origin,
-            mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: self._highres_imu,
-            mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE: self._scaled_pressure,
         }
 
     @property
@@ -233,56 +183,6 @@ class Telemetry:
             0.0,
             vehicle.boot_us,
         )
-
-    def _origin(self) -> Any:
-        vehicle = self._vehicle
-        if not vehicle.home_known:
-            return None
-        return mavlink.MAVLink_gps_global_origin_message(
-            *self.place_e7(0.0, 0.0), round(vehicle.home.altitude_m * 1000.0), vehicle.boot_us
-        )
-
-    def _available_modes(self) -> list[Any]:
-        return [
-            mavlink.MAVLink_available_modes_message(
-                len(self.modes),
-                number,
-                self.standard_modes.get(mode, mavlink.MAV_STANDARD_MODE_NON_STANDARD),
-                mode,
-                0,
-                mode.name.encode(),
-            )
-            for number, mode in enumerate(self.modes, 1)
-        ]
-
-    def _highres_imu(self) -> Any:
-        """Return the specific force of a coordinated turn; there is no magnetometer, as ``fields_updated`` shows."""
-        craft = self._craft
-        pressure_hpa, temperature_c = self._air()
-        return mavlink.MAVLink_highres_imu_message(
-            self._vehicle.boot_us,
-            GRAVITY_M_S2 * math.sin(craft.pitch_rad),
-            0.0,
-            -GRAVITY_M_S2 * math.cos(craft.pitch_rad) / math.cos(craft.roll_rad),
-            *self._body_rates_rad_s(),
-            *(0.0, 0.0, 0.0),
-            pressure_hpa,
-            0.0,
-            self.altitude_m(craft.height_m),
-            temperature_c,
-            _IMU_WITHOUT_MAGNETOMETER,
-        )
-
-    def _scaled_pressure(self) -> Any:
-        pressure_hpa, temperature_c = self._air()
-        return mavlink.MAVLink_scaled_pressure_message(
-            self._vehicle.boot_ms, pressure_hpa, 0.0, round(temperature_c * 100.0), 0
-        )
-
-    def _air(self) -> tuple[float, float]:
-        """Return pressure, hPa, and temperature, degrees Celsius, of the standard atmosphere."""
-        altitude_m = self.altitude_m(self._craft.height_m)
-        return 1013.25 * (1.0 - 2.25577e-5 * altitude_m) ** 5.25588, 15.0 - 0.0065 * altitude_m
 
     def _extended_sys_state(self) -> Any:
         return mavlink.MAVLink_extended_sys_state_message(

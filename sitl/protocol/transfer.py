@@ -9,43 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.protocol.items import Item, ItemRefused
 from sidelong.sitl.protocol.radio import Radio, Station
+from sidelong.sitl.protocol.store import Store
 from sidelong.sitl.protocol.wire import mission_ack, mission_count
-
-
-class Store(Protocol):
-    """Keeps the items of one mission type. All results are MAV_MISSION_RESULT."""
-
-    def items(self) -> list[Item]: ...
-
-    def current_index(self) -> int: ...
-
-    def opaque_id(self) -> int | None:
-        """Return a checksum of the items, None where the autopilot has none."""
-        ...
-
-    def begin(self, count: int) -> int:
-        """Prepare for an upload of ``count`` items."""
-        ...
-
-    def put(self, index: int, item: Item, current: bool) -> None:
-        """Take an item. Raises ItemRefused."""
-        ...
-
-    def finish(self) -> int:
-        """Take over the upload: all items have come."""
-        ...
-
-    def abandon(self) -> int | None:
-        """Forget the upload: it was cut. Return the checksum of what had come."""
-        ...
-
-    def clear(self) -> int: ...
 
 
 @dataclass(frozen=True, slots=True)

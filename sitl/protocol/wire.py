@@ -14,8 +14,6 @@ _HEADER_BYTES = 10
 class Extended:
     """A message with further extension fields at its end, already packed; can be sent like any message."""
 
-    __slots__ = ("_extension", "_message", "crc_extra")
-
     def __init__(self, message: Any, extension: bytes) -> None:
         self._message = message
         self._extension = extension

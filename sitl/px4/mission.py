@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.protocol.items import RELATIVE_FRAMES, Item, ItemRefused, checksum
+from sidelong.sitl.protocol.store import Store
 from sidelong.sitl.settings import Home
 from sidelong.sitl.world.geodesy import HomePlane
 
@@ -29,19 +30,15 @@ _LANDING_ANGLE_SPARE_DEG = 0.1
 _IMMEDIATE = {mavlink.MAV_CMD_DO_CHANGE_SPEED, mavlink.MAV_CMD_DO_LAND_START}
 
 
-class Px4Mission:
+class Px4Mission(Store):
     """Storage; ``on_swap`` is called when other items have come, ``on_seek`` when another one was made current."""
 
     def __init__(self, on_swap: Callable[[], None]) -> None:
+        super().__init__(with_checksum=True)
         self._on_swap = on_swap
-        self._items: list[Item] = []
-        self._arriving: list[Item] = []
         self._arriving_current: int | None = None
         self.mission_id = 0
         self.index = 0
-
-    def items(self) -> list[Item]:
-        return self._items
 
     def current_index(self) -> int:
         return self.index
@@ -50,11 +47,11 @@ class Px4Mission:
         return self.mission_id
 
     def begin(self, count: int) -> int:
-        self._arriving, self._arriving_current = [], None
-        return self.clear() if count == 0 else int(mavlink.MAV_MISSION_ACCEPTED)
+        self._arriving_current = None
+        return super().begin(count)
 
     def put(self, index: int, item: Item, current: bool) -> None:
-        self._arriving.append(as_stored(item))
+        super().put(index, as_stored(item), current)
         if current:
             self._arriving_current = index
 
@@ -68,11 +65,6 @@ class Px4Mission:
             self._on_swap()
         self._arriving = []
         return int(mavlink.MAV_MISSION_ACCEPTED)
-
-    def abandon(self) -> int:
-        arrived_id = checksum(self._arriving)
-        self._arriving = []
-        return arrived_id
 
     def clear(self) -> int:
         self._items, self.mission_id, self.index = [], 0, 0

@@ -30,10 +30,6 @@ class Px4Navigator:
         self.circle: Circle | None = None
         self._inside_since_s: float | None = None
 
-    @property
-    def _here(self) -> Place:
-        return Place(self._craft.east_m, self._craft.north_m, self._craft.height_m)
-
     def go_to(self, goal: Place, *, from_here: bool) -> None:
         """Make ``goal`` the end of the leg that begins where the last one ended, or of no leg at all."""
         self._origin = None if from_here else self.goal
@@ -71,7 +67,7 @@ class Px4Navigator:
         if not self._craft.flying:
             return 0.0
         self._tune()
-        origin = self._origin or self._here
+        origin = self._origin or Place.of(self._craft)
         return self.follower.towards_line(self._craft, origin.ground_m, self.goal.ground_m)
 
     def fly_circle(self) -> float:

@@ -14,8 +14,6 @@ from sidelong.sitl.world.airframe import Airframe
 class PathFollower:
     """Lateral acceleration towards a line or a circle."""
 
-    __slots__ = ("bound_m", "cross_track_m", "damping", "nav_bearing_rad", "period_s")
-
     def __init__(self, period_s: float = 10.0, damping: float = 0.7071) -> None:
         self.period_s = period_s
         self.damping = damping

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.sitl.protocol.telemetry import NAN, Builder, Reported, Telemetry, quaternion
-from sidelong.sitl.protocol.transfer import Transfer
+from sidelong.sitl.protocol.telemetry import NAN, Builder, Telemetry
 from sidelong.sitl.protocol.wire import mission_current
-from sidelong.sitl.px4.mission import Px4Mission
 from sidelong.sitl.px4.modes import BY_PILOT, Mode
-from sidelong.sitl.px4.navigator import Px4Navigator
-from sidelong.sitl.px4.relayed_range import RelayedRange
+
+if TYPE_CHECKING:
+    from sidelong.sitl.px4.vehicle import Px4
 
 # MAV_SYS_STATUS bits as the stock simulator sends them.
 _PRESENT = 0x300403F
@@ -55,33 +53,14 @@ DEFAULT_INTERVAL_S = {
 }
 
 
-class ReportedPx4(Reported, Protocol):
-    """What PX4's telemetry reads besides."""
-
-    @property
-    def mission(self) -> Px4Mission: ...
-    @property
-    def navigator(self) -> Px4Navigator: ...
-    @property
-    def mission_state(self) -> int: ...
-    @property
-    def transfers(self) -> Mapping[int, Transfer]: ...
-    @property
-    def mission_types(self) -> tuple[int, ...]: ...
-    @property
-    def relayed_range(self) -> RelayedRange: ...
-
-
 class Px4Telemetry(Telemetry):
     gps_fix = mavlink.GPS_FIX_TYPE_3D_FIX
     gps_dilution = (70, 110)
     gps_accuracy_mm = (900, 1780, 400)
     home_quaternion = (1.0, 0.0, 0.0, 0.0)
-    modes = Mode
-    standard_modes = _STANDARD_MODES
     parameter_capability = mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
 
-    def __init__(self, vehicle: ReportedPx4) -> None:
+    def __init__(self, vehicle: Px4) -> None:
         super().__init__(vehicle)
         self._px4 = vehicle
         self._pings = 0
@@ -97,8 +76,6 @@ class Px4Telemetry(Telemetry):
             mavlink.MAVLINK_MSG_ID_WIND_COV: self._wind,
             mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: self._estimator_status,
             mavlink.MAVLINK_MSG_ID_PING: self._ping,
-            mavlink.MAVLINK_MSG_ID_ALTITUDE: self._altitude,
-            mavlink.MAVLINK_MSG_ID_ODOMETRY: self._odometry,
         }
         if self._px4.release < (1, 15):
             del builders[mavlink.MAVLINK_MSG_ID_CURRENT_MODE]
@@ -167,7 +144,7 @@ class Px4Telemetry(Telemetry):
             [0.0] * 4,
             0,
         )
-        relayed = self._px4.relayed_range.take()
+        relayed, self._px4.relayed_range = self._px4.relayed_range, None
         return [downward] if relayed is None else [downward, relayed]
 
     def _current_mode(self) -> Any:
@@ -193,29 +170,6 @@ class Px4Telemetry(Telemetry):
         if self._px4.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND:
             flags |= mavlink.ESTIMATOR_CONST_POS_MODE  # at rest it is held
         return mavlink.MAVLink_estimator_status_message(self._px4.boot_us, flags, *(0.01,) * 6, 0.5, 0.8)
-
-    def _altitude(self) -> Any:
-        height_m = self._craft.height_m
-        altitude_m = self.altitude_m(height_m)
-        return mavlink.MAVLink_altitude_message(
-            self._px4.boot_us, altitude_m, altitude_m, height_m, height_m, NAN, NAN
-        )
-
-    def _odometry(self) -> Any:
-        craft = self._craft
-        return mavlink.MAVLink_odometry_message(
-            self._px4.boot_us,
-            mavlink.MAV_FRAME_LOCAL_NED,
-            mavlink.MAV_FRAME_LOCAL_NED,
-            *(craft.north_m, craft.east_m, -craft.height_m),
-            list(quaternion(craft.roll_rad, craft.pitch_rad, craft.heading_rad)),
-            *(craft.velocity_north_m_s, craft.velocity_east_m_s, -craft.climb_m_s),
-            *self._body_rates_rad_s(),
-            [NAN] * 21,
-            [NAN] * 21,
-            0,
-            mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT,
-        )
 
     def _ping(self) -> Any:
         self._pings += 1

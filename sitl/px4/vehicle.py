@@ -10,15 +10,14 @@ from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.sitl.autopilot import Autopilot
 from sidelong.sitl.protocol.commands import ACCEPTED, DENIED, FAILED, REJECTED, UNSUPPORTED, Command
-from sidelong.sitl.protocol.fence import PointStore
 from sidelong.sitl.protocol.items import Item
 from sidelong.sitl.protocol.radio import Station
-from sidelong.sitl.protocol.transfer import ProtocolQuirks, Store
+from sidelong.sitl.protocol.store import Store
+from sidelong.sitl.protocol.transfer import ProtocolQuirks
 from sidelong.sitl.px4.mission import Px4Mission, refusal
 from sidelong.sitl.px4.modes import BY_PILOT, Mode, custom_mode
 from sidelong.sitl.px4.navigator import Px4Navigator
 from sidelong.sitl.px4.parameters import px4_parameters
-from sidelong.sitl.px4.relayed_range import RelayedRange
 from sidelong.sitl.px4.telemetry import DEFAULT_INTERVAL_S, Px4Telemetry
 from sidelong.sitl.settings import Settings
 from sidelong.sitl.world.airframe import AirframeParameters
@@ -51,7 +50,7 @@ _SIGNED_RADIUS_PARAM = {
 
 class Px4(Autopilot):
     autopilot_id = mavlink.MAV_AUTOPILOT_PX4
-    first_mode = Mode.HOLD
+    modes, first_mode = Mode, Mode.HOLD
     taken_over_mode = Mode.POSCTL
     navigation_period_s = 0.04
     receives_once_a_loop = False
@@ -61,6 +60,8 @@ class Px4(Autopilot):
     unknown_request_result = DENIED
     preflight_failure = "Preflight Fail: ekf2 missing data\t"
     arming_refusal = (REJECTED, "Arming denied: Resolve system health failures first\t")
+    armed_text, landed_text = "Armed by external command\t", "Landing detected\t"
+    roll_limit_parameter = "FW_R_LIM"
     quirks = QUIRKS
     default_interval_s = DEFAULT_INTERVAL_S
     unsigned_messages = Autopilot.unsigned_messages | {
@@ -79,7 +80,7 @@ class Px4(Autopilot):
         self._refusal: str | None = refusal([], self.home, 0)
         self._valid_from_s = 0.0
         self._reached: tuple[int, int, float] | None = None  # index, repeats left, next time
-        self.relayed_range = RelayedRange()
+        self.relayed_range: Any = None  # the latest range of another component, until it is sent
         self._ordered_airspeed_m_s: float | None = None
         self._link_lost = False
         self.parameters.on_change = self._on_parameter
@@ -92,12 +93,7 @@ class Px4(Autopilot):
             mavlink.MAV_CMD_NAV_LAND: lambda _: ACCEPTED if self.set_mode(Mode.LAND) else REJECTED,
             mavlink.MAV_CMD_DO_CHANGE_SPEED: self._on_change_speed,
         }
-        stores: tuple[Store, ...] = (self.mission, PointStore(True), PointStore(True))
-        self.attach(stores, Px4Telemetry(self).builders())
-
-    @property
-    def roll_limit_rad(self) -> float:
-        return math.radians(self.parameters.within("FW_R_LIM", 5.0, 80.0))
+        self.attach((self.mission, Store(True), Store(True)), Px4Telemetry(self).builders())
 
     @property
     def base_mode(self) -> int:
@@ -110,9 +106,8 @@ class Px4(Autopilot):
 
     # Modes.
 
-    def mode_of_command(self, base_mode: int, main: int, sub: int) -> int | None:
-        mode = custom_mode(main, sub)
-        return mode if base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED and mode in list(Mode) else None
+    def custom_mode(self, main: int, sub: int) -> int:
+        return custom_mode(main, sub)
 
     def set_mode(self, mode: int) -> bool:
         if mode not in list(Mode):
@@ -146,18 +141,10 @@ class Px4(Autopilot):
         return True
 
     def _on_set_mode(self, command: Command) -> int:
-        wanted = self.mode_of_command(int(command.number(1)), int(command.number(2)), int(command.number(3)))
-        if wanted == Mode.MISSION and not self._mission_valid:
+        if self.mode_of_command(command) == Mode.MISSION and not self._mission_valid:
             self.say(mavlink.MAV_SEVERITY_CRITICAL, "Switching to Mission is currently not available\t")
             return REJECTED
         return super()._on_set_mode(command)
-
-    def on_armed(self) -> None:
-        self.say(mavlink.MAV_SEVERITY_INFO, "Armed by external command\t")
-
-    def on_landed(self) -> None:
-        self.disarm()
-        self.say(mavlink.MAV_SEVERITY_INFO, "Landing detected\t")
 
     def watch_links(self) -> None:
         action = self.parameters["NAV_DLL_ACT"]
@@ -341,7 +328,21 @@ class Px4(Autopilot):
         self._reached = (index, left - 1, due_s + 1.0) if left > 0 else None
 
     def take_range(self, message: Any) -> None:
-        self.relayed_range.put(message, self.boot_ms)
+        """Relay a range as a sensor of its own, stamped with its arrival."""
+        self.relayed_range = mavlink.MAVLink_distance_sensor_message(
+            self.boot_ms,
+            message.min_distance,
+            message.max_distance,
+            message.current_distance,
+            message.type,
+            message.id,
+            message.orientation,
+            message.covariance,
+            message.horizontal_fov,
+            message.vertical_fov,
+            message.quaternion,
+            max(0, message.signal_quality - 1),
+        )
 
     # Commands.
 

@@ -42,24 +42,6 @@ class AirframeParameters:
 class Airframe:
     """State and motion. airspeed_m_s is true airspeed; heading_rad is where the nose points, without sideslip."""
 
-    __slots__ = (
-        "airspeed_m_s",
-        "build",
-        "climb_m_s",
-        "east_m",
-        "flying",
-        "ground_m",
-        "heading_rad",
-        "height_m",
-        "north_m",
-        "roll_rad",
-        "roll_rate_rad_s",
-        "velocity_east_m_s",
-        "velocity_north_m_s",
-        "wind",
-        "yaw_rate_rad_s",
-    )
-
     def __init__(self, build: AirframeParameters, wind: Wind, heading_rad: float = 0.0) -> None:
         self.build = build
         self.wind = wind

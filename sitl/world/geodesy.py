@@ -15,8 +15,6 @@ class HomePlane:
     Exact to a centimetre within 5 km at latitudes up to 80 degrees.
     """
 
-    __slots__ = ("latitude_deg", "longitude_deg")
-
     def __init__(self, latitude_deg: float, longitude_deg: float) -> None:
         self.latitude_deg = latitude_deg
         self.longitude_deg = longitude_deg

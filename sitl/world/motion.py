@@ -32,8 +32,6 @@ class Leg:
 class LegMotion:
     """Flies legs one after the other, exactly: each is a straight line or an arc."""
 
-    __slots__ = ("_begin_s", "_course_rad", "_east_m", "_leg", "_legs", "_north_m")
-
     def __init__(self, start_m: tuple[float, float], course_rad: float, legs: Iterator[Leg]) -> None:
         self._east_m, self._north_m = start_m
         self._course_rad = course_rad

@@ -16,6 +16,10 @@ class Place:
     north_m: float
     height_m: float
 
+    @staticmethod
+    def of(craft: Airframe) -> Place:
+        return Place(craft.east_m, craft.north_m, craft.height_m)
+
     @property
     def ground_m(self) -> tuple[float, float]:
         return self.east_m, self.north_m

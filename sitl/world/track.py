@@ -8,6 +8,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,7 +16,6 @@ from sidelong.sitl.world.geodesy import HomePlane
 
 _FILE_MAX_BYTES = 8 << 20
 _TARGET_TRACK = "target"
-_TIME_PIECES = 64  # of the text of a time
 _SPIKE_SPEED_M_S = 15.0
 _SPIKE_DETOUR = 3.0  # by way of a spike, over the direct way past it
 _LIVELY_SPEED_M_S = 2.5
@@ -47,12 +47,14 @@ class Track:
     north_m: Sequence[float]
     origin_deg: tuple[float, float] | None = None
 
+    def lengths_m(self) -> list[float]:
+        """Return the length of the track up to each of its points."""
+        places = list(zip(self.east_m, self.north_m, strict=True))
+        return list(accumulate((math.dist(*pair) for pair in pairwise(places)), initial=0.0))
+
     def first_motion_s(self) -> float:
         """Return when the first minute begins that covers ground at a jog; 0 if there is none."""
-        length_m = [0.0]
-        for i in range(1, len(self.time_s)):
-            step_m = math.hypot(self.east_m[i] - self.east_m[i - 1], self.north_m[i] - self.north_m[i - 1])
-            length_m.append(length_m[-1] + step_m)
+        length_m = self.lengths_m()
         for i, begin_s in enumerate(self.time_s):
             j = bisect_right(self.time_s, begin_s + _LIVELY_WINDOW_S) - 1
             if length_m[j] - length_m[i] >= _LIVELY_SPEED_M_S * _LIVELY_WINDOW_S:
@@ -63,19 +65,11 @@ class Track:
 class TrackMotion:
     """Moves along the track, in step with it, but never faster than ``speed_max_m_s``: jumps are walked."""
 
-    __slots__ = ("_arc_m", "_progress_m", "_skip_s", "_speed_max_m_s", "_start_m", "_time_s", "_track")
-
     def __init__(self, track: Track, start_m: tuple[float, float], speed_max_m_s: float, skip_s: float) -> None:
         self._track = track
         self._skip_s = skip_s
         self._speed_max_m_s = speed_max_m_s
-        self._arc_m = [0.0]
-        for i in range(1, len(track.time_s)):
-            step_m = math.hypot(
-                track.east_m[i] - track.east_m[i - 1],
-                track.north_m[i] - track.north_m[i - 1],
-            )
-            self._arc_m.append(self._arc_m[-1] + step_m)
+        self._arc_m = track.lengths_m()
         self._time_s = 0.0
         self._progress_m = self._recorded_arc_m(skip_s)
         first_m = self._position_m(self._progress_m)
@@ -126,68 +120,24 @@ def read_track(path: Path) -> Track:
     return Track([t - first_s for t in time_s], east_m, north_m, origin_deg)
 
 
-class _Points:
-    """A target of the XML parser: it keeps the points of tracks and nothing else of the file.
-
-    Of a flight's own export only the target's track is kept, not the aircraft's.
-    """
-
-    def __init__(self) -> None:
-        self.rows: list[_Point] = []
-        self.of_target: list[_Point] = []
-        self._track_begun = 0  # how many points there were before the present track
-        self._name: str | None = None  # of which the text is being read
-        self._is_target = False
-        self._place: tuple[float, float] | None = None
-        self._time: list[str] | None = None  # pieces of the text of the time that is being read
-        self._time_s: float | None = None
-
-    def start(self, tag: str, attributes: dict[str, str]) -> None:
-        name = tag.rpartition("}")[2]
-        if name == "trk":
-            self._track_begun = len(self.rows)
-        elif name == "name":
-            self._name = ""
-        elif name == "trkpt":
-            place = attributes.get("lat"), attributes.get("lon")
-            self._place = (float(place[0]), float(place[1])) if place[0] and place[1] else None
-            self._time_s = None
-        elif name == "time" and self._place is not None:
-            self._time = []
-
-    def data(self, text: str) -> None:
-        if self._time is not None and len(self._time) < _TIME_PIECES:
-            self._time.append(text)
-        elif self._name is not None and len(self._name) < len(_TARGET_TRACK):
-            self._name += text
-
-    def end(self, tag: str) -> None:
-        name = tag.rpartition("}")[2]
-        if name == "trk" and self._is_target:
-            self.of_target += self.rows[self._track_begun :]
-            self._is_target = False
-        elif name == "name" and self._name is not None:
-            self._is_target, self._name = self._is_target or self._name == _TARGET_TRACK, None
-        elif name == "time" and self._time is not None:
-            stamp, self._time = "".join(self._time).strip(), None
-            self._time_s = _seconds(stamp) if stamp else None
-        elif name == "trkpt" and self._place is not None:
-            if self._time_s is not None:
-                self.rows.append((self._time_s, *self._place))
-            self._place = None
-
-    def close(self) -> None:
-        pass
-
-
 def _read_gpx(path: Path) -> _Rows:
-    points = _Points()
-    parser = ElementTree.XMLParser(target=points)
+    """Return the points of all tracks; of a flight's own export those of the target alone."""
+    rows: list[_Point] = []
+    of_target: list[_Point] = []
+    track_begun = 0  # how many points there were before the present track
     with path.open("rb") as file:
-        while piece := file.read(1 << 16):
-            parser.feed(piece)
-    parser.close()
-    return _from_geodetic(points.of_target or points.rows)
+        for _, element in ElementTree.iterparse(file):
+            name = element.tag.rpartition("}")[2]
+            if name == "trkpt":
+                latitude, longitude, stamp = element.get("lat"), element.get("lon"), element.findtext("{*}time", "")
+                if latitude and longitude and stamp.strip():
+                    rows.append((_seconds(stamp), float(latitude), float(longitude)))
+                element.clear()
+            elif name == "trk":
+                if element.findtext("{*}name") == _TARGET_TRACK:
+                    of_target += rows[track_begun:]
+                track_begun = len(rows)
+    return _from_geodetic(of_target or rows)
 
 
 def _read_csv(path: Path) -> _Rows:
