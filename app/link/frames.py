@@ -7,11 +7,14 @@ from mmap import mmap
 from fastcrc import crc16
 from pymavlink.dialects.v20 import all as dialect
 
+from sidelong.app.link.framing import Framer
+
 _MARKER_V1, _MARKER_V2 = 0xFE, 0xFD
 _SIGNED = 0x01
 _SIGNATURE_BYTES = 13
 _CRC_EXTRA = {number: definition.crc_extra for number, definition in dialect.mavlink_map.items()}
 _FLAGS_AT, _SEQUENCE_AT = 2, 4
+FRAME_MIN_BYTES = 8  # MAVLink 1, without a payload
 
 
 class Frame:
@@ -58,37 +61,15 @@ def _checksum(body: bytes, message_id: int) -> bytes:
     return checksum.to_bytes(2, "little")
 
 
-class FrameSplitter:
-    """Finds the frames in what comes in, in pieces of any size.
-
-    Bytes that belong to no whole frame of a known message are passed over; ``damaged`` counts those that began like a
-    frame.
-    """
+class FrameSplitter(Framer):
+    """Finds the MAVLink frames in what comes in, in pieces of any size; only those of known messages are intact."""
 
     def __init__(self) -> None:
-        self.damaged = 0
-        self._rest = b""
+        super().__init__((bytes((_MARKER_V1,)), bytes((_MARKER_V2,))), _size, _whole)
 
     def split(self, data: bytes) -> list[Frame]:
         """Return the frames that ``data`` completes, in order."""
-        data = self._rest + data
-        found: list[Frame] = []
-        at = 0
-        while at < len(data):
-            if data[at] not in (_MARKER_V1, _MARKER_V2):
-                at += 1
-                continue
-            size = _size(data, at)
-            if size is None or at + size > len(data):
-                break
-            if size and _whole(data, at):
-                found.append(Frame(data[at : at + size]))
-                at += size
-            else:
-                self.damaged += 1
-                at += 1
-        self._rest = data[at:]
-        return found
+        return [Frame(frame) for frame in self.feed(data)]
 
 
 def frame_at(data: bytes | mmap, at: int) -> Frame | None:
@@ -97,7 +78,7 @@ def frame_at(data: bytes | mmap, at: int) -> Frame | None:
     return Frame(data[at : at + size]) if size and at + size <= len(data) and _whole(data, at) else None
 
 
-def _size(data: bytes | mmap, at: int) -> int | None:
+def _size(data: bytes | mmap, at: int = 0) -> int | None:
     """Return how long the frame at ``at`` is, 0 where it can be none, None where too little of it is there."""
     if len(data) < at + 3:
         return None
@@ -108,7 +89,7 @@ def _size(data: bytes | mmap, at: int) -> int | None:
     return 12 + data[at + 1] + _SIGNATURE_BYTES * data[at + 2]
 
 
-def _whole(data: bytes | mmap, at: int) -> bool:
+def _whole(data: bytes | mmap, at: int = 0) -> bool:
     is_v2 = data[at] == _MARKER_V2
     message_id = int.from_bytes(data[at + 7 : at + 10], "little") if is_v2 else data[at + 5]
     end = at + (10 if is_v2 else 6) + data[at + 1]

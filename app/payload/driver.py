@@ -117,12 +117,14 @@ class Identity:
 
 
 class PayloadDriver(Protocol):
-    """One connection's protocol state."""
+    """One connection's protocol state.
 
-    @property
-    def identity(self) -> Identity:
-        """What the payload reports of itself."""
-        ...
+    Attributes:
+        identity: What the payload reports of itself.
+
+    """
+
+    identity: Identity
 
     @property
     def damaged(self) -> int:

@@ -15,18 +15,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.link.frames import Frame as MavlinkFrame
 from sidelong.app.link.frames import FrameSplitter
 from sidelong.app.link.telemetry import gimbal_frame
-from sidelong.app.payload.driver import (
-    AircraftPose,
-    AnglesMeasured,
-    DriverSettings,
-    Identity,
-    Measured,
-    RangeMeasured,
-)
-from sidelong.app.payload.requests import Period, RoundTrips
+from sidelong.app.payload.driver import AnglesMeasured, DriverSettings, Measured, RangeMeasured
+from sidelong.app.payload.framed_driver import FramedDriver
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 
 _OWN_COMPONENT = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER3
@@ -36,78 +28,44 @@ _GIMBALS = (mavlink.MAV_COMP_ID_GIMBAL, *range(mavlink.MAV_COMP_ID_GIMBAL2, mavl
 _RANGE_NAME, _RANGE_INDEX = "LRF_RANGE", 2
 _LASER_MODE, _LASER_10_HZ = "LRF_MODE", 2
 _RANGE_PERIOD_S, _ANGLES_PERIOD_S = 0.1, 0.05
-_HEARTBEAT_PERIOD_S, _ASK_PERIOD_S, _POLL_PERIOD_S = 1.0, 1.0, 0.1
+_PERIODS_S = {"heartbeat": 1.0, "ask": 1.0, "poll": 0.1}
 _STREAMING_S = 0.5  # without a range for this long, it is polled
 _RANGE_MAX_M = 30_000.0
-_NAMES = frozenset(("HEARTBEAT", "PARAM_VALUE", "DEBUG", "GIMBAL_DEVICE_ATTITUDE_STATUS", "CAMERA_INFORMATION"))
 
 
-class GremsyDriver:
+class GremsyDriver(FramedDriver):
     """State of one connection to a Gremsy payload."""
 
     def __init__(self, settings: DriverSettings) -> None:
-        self.identity = Identity()
-        self._settings = settings
-        self._splitter = FrameSplitter()
+        super().__init__(settings, FrameSplitter(), _PERIODS_S)
         self._encoder = mavlink.MAVLink(None, 1, _OWN_COMPONENT)
         self._decoder = mavlink.MAVLink(None)
-        self._trips = RoundTrips()
         self._camera, self._gimbal, self._system = mavlink.MAV_COMP_ID_CAMERA2, mavlink.MAV_COMP_ID_GIMBAL, 1
-        self._heartbeat_due, self._ask_due = Period(_HEARTBEAT_PERIOD_S), Period(_ASK_PERIOD_S)
-        self._poll_due = Period(_POLL_PERIOD_S)
         self._range_s = self._angles_s = self._streamed_s = -math.inf
-
-    @property
-    def damaged(self) -> int:
-        """Number of byte sequences that began like a frame and were none."""
-        return self._splitter.damaged
-
-    @property
-    def round_trip_s(self) -> float | None:
-        """Shortest recent time between a request for the range and its reply, s."""
-        return self._trips.shortest_s
-
-    def restart(self, now_s: float) -> None:
-        """Request the streams and the laser again."""
-        self._trips.clear()
-        self._ask_due.restart()
 
     def due(self, now_s: float) -> list[bytes]:
         """Return the requests to send now: streams, laser, and polls of a range that is not streamed."""
         messages: list[Any] = []
-        if self._heartbeat_due.is_due(now_s):
+        if self._due["heartbeat"].is_due(now_s):
             messages.append(
                 mavlink.MAVLink_heartbeat_message(
                     mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0, 3
                 )
             )
-        if self._ask_due.is_due(now_s):
+        if self._due["ask"].is_due(now_s):
             if now_s - self._streamed_s > _STREAMING_S:
                 messages.append(self._interval(_PAYLOAD, _RANGE_INDEX, _RANGE_PERIOD_S))
-            if now_s - self._range_s > _ASK_PERIOD_S:
+            if now_s - self._range_s > _PERIODS_S["ask"]:
                 messages.append(self._laser_on())
             if now_s - self._angles_s > _STREAMING_S:
                 angles_id = mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS
                 messages.append(self._interval(self._gimbal, angles_id, _ANGLES_PERIOD_S))
         streams = now_s - self._streamed_s <= _STREAMING_S
-        if not streams and not self._trips.awaits(_RANGE_NAME, now_s) and self._poll_due.is_due(now_s):
+        if not streams and not self._trips.awaits(_RANGE_NAME, now_s) and self._due["poll"].is_due(now_s):
             self._trips.sent(_RANGE_NAME, now_s)
             name = _RANGE_NAME.encode()
             messages.append(mavlink.MAVLink_param_request_read_message(self._system, _PAYLOAD, name, _RANGE_INDEX))
         return [self._packed(message) for message in messages]
-
-    def receive(self, data: bytes, now_s: float) -> list[Measured]:
-        """Take bytes that arrived at ``now_s`` and return the measurements they complete."""
-        measured: list[Measured] = []
-        for frame in self._splitter.split(data):
-            one = self._measured(frame, now_s)
-            if one is not None:
-                measured.append(one)
-        return measured
-
-    def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
-        """Return nothing: the gimbal has sensors of its own."""
-        return ()
 
     def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:
         """Return the command that turns the gimbal."""
@@ -139,41 +97,40 @@ class GremsyDriver:
         self._encoder.seq = (self._encoder.seq + 1) % 256
         return data
 
-    def _measured(self, frame: MavlinkFrame, now_s: float) -> Measured | None:
+    def _measured(self, frame: bytes, now_s: float) -> Sequence[Measured | None]:
         try:
-            message = self._decoder.decode(bytearray(frame.data))
+            message = self._decoder.decode(bytearray(frame))
         except mavlink.MAVError:
-            return None  # not what this dialect knows by that number
-        if message.get_type() not in _NAMES:
-            return None
+            return ()  # not what this dialect knows by that number
+        component = message.get_srcComponent()
         match message.get_type():
-            case "PARAM_VALUE" if frame.component_id == _PAYLOAD and message.param_id == _RANGE_NAME:
-                return self._range(float(message.param_value), now_s)
-            case "DEBUG" if frame.component_id == _PAYLOAD and message.ind == _RANGE_INDEX:
-                return self._range(float(message.value), now_s)
-            case "GIMBAL_DEVICE_ATTITUDE_STATUS" if frame.component_id in _GIMBALS:
-                return self._angles(message, now_s)
+            case "PARAM_VALUE" if component == _PAYLOAD and message.param_id == _RANGE_NAME:
+                return (self._range(float(message.param_value), now_s),)
+            case "DEBUG" if component == _PAYLOAD and message.ind == _RANGE_INDEX:
+                return (self._range(float(message.value), now_s),)
+            case "GIMBAL_DEVICE_ATTITUDE_STATUS" if component in _GIMBALS:
+                return (self._angles(message, now_s),)
             case "CAMERA_INFORMATION":
                 self.identity.model = bytes(message.model_name).split(b"\0")[0].decode("ascii", "replace").strip()
             case "HEARTBEAT":
-                self._meet(frame)
-        return None
+                self._meet(message.get_srcSystem(), component)
+        return ()
 
-    def _meet(self, frame: MavlinkFrame) -> None:
+    def _meet(self, system: int, component: int) -> None:
         """Take the addresses of the payload's parts from their heartbeats."""
-        if frame.component_id == _PAYLOAD:
-            self._system = frame.system_id
-        elif frame.component_id in _CAMERAS:
-            self._camera = frame.component_id
-        elif frame.component_id in _GIMBALS:
-            self._gimbal = frame.component_id
+        if component == _PAYLOAD:
+            self._system = system
+        elif component in _CAMERAS:
+            self._camera = component
+        elif component in _GIMBALS:
+            self._gimbal = component
         self.identity.model = self.identity.model or "Gremsy"
 
     def _range(self, value_m: float, now_s: float) -> RangeMeasured | None:
         if not self._trips.awaits(_RANGE_NAME, now_s):
             self._streamed_s = now_s
         time_s = self._trips.measured_s(_RANGE_NAME, now_s)
-        slant_range_m = value_m * (self._settings.range_unit_m or 1.0)
+        slant_range_m = value_m * self._range_unit_m
         if not 0.0 < slant_range_m <= _RANGE_MAX_M:
             return None
         self._range_s, self.identity.has_laser = now_s, True
@@ -188,5 +145,6 @@ class GremsyDriver:
             x, z = -x, -z
         if self._settings.flip_pitch:
             x, y = -x, -y
-        frame = self._settings.relative_to or gimbal_frame(int(message.flags))
-        return AnglesMeasured(now_s - 0.5 * (self.round_trip_s or 0.0), (w, x, y, z), frame)
+        return self._attitude(
+            now_s - 0.5 * (self.round_trip_s or 0.0), (w, x, y, z), gimbal_frame(int(message.flags))
+        )

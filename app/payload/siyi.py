@@ -15,6 +15,7 @@ import struct
 from binascii import crc_hqx
 from collections.abc import Sequence
 
+from sidelong.app.link.framing import Framer
 from sidelong.app.payload.driver import (
     AircraftPose,
     AnglesMeasured,
@@ -24,8 +25,6 @@ from sidelong.app.payload.driver import (
     RangeMeasured,
 )
 from sidelong.app.payload.framed_driver import FramedDriver
-from sidelong.app.payload.framing import Framer
-from sidelong.app.payload.requests import Period
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw, multiply
 
@@ -35,7 +34,7 @@ _CRC_BYTES, _DATA_MAX_BYTES = 2, 64
 _ACK_WANTED = 1
 _FIRMWARE, _HARDWARE_ID, _CONFIGURATION, _ATTITUDE, _SET_ANGLES, _RANGE, _STREAM = 1, 2, 0x0A, 0x0D, 0x0E, 0x15, 0x25
 _AIRCRAFT = 0x22
-_STREAMS = {_ATTITUDE: b"\x01\x05", _RANGE: b"\x02\x04"}  # kind and frequency: 20 Hz and 10 Hz
+_STREAMS = {_ATTITUDE: ("angles", b"\x01\x05"), _RANGE: ("range", b"\x02\x04")}  # kind and frequency: 20, 10 Hz
 _MODELS = {0x6B: "ZR10", 0x73: "A8 mini", 0x75: "A2 mini", 0x78: "ZR30", 0x7A: "ZT30", 0x83: "ZT6"}
 _WITH_LASER = ("ZT30",)
 _YAW_MAX_RAD = {"A8 mini": math.radians(135.0), "ZR10": math.radians(135.0)}
@@ -44,8 +43,7 @@ _FRAMES: dict[int, Frame] = {0: "vehicle", 1: "vehicle", 2: "body"}  # by motion
 _UPSIDE_DOWN = 2
 _RANGE_UNIT_M, _RANGE_MIN_M = 0.1, 5.0
 _RANGE_NONE = 0xFFFF
-_ANGLES_PERIOD_S, _RANGE_PERIOD_S, _IDENTITY_PERIOD_S = 0.05, 0.1, 1.0
-_AIRCRAFT_PERIOD_S = 0.1
+_PERIODS_S = {"angles": 0.05, "range": 0.1, "identity": 1.0, "aircraft": 0.1}
 _STREAMING_S = 0.5  # without a measurement for this long, they are polled
 
 
@@ -53,30 +51,27 @@ class SiyiDriver(FramedDriver):
     """State of one connection to a SIYI gimbal camera."""
 
     def __init__(self, settings: DriverSettings) -> None:
-        super().__init__(settings, Framer((_HEADER,), _length, _is_intact))
+        framer = Framer((_HEADER,), _length, _is_intact)
+        super().__init__(settings, framer, _PERIODS_S, _RANGE_UNIT_M, yaw_sign=-1.0)
         self._sequence = 0
         self._frame: Frame = "vehicle"
         self._upside_down = False
-        self._identity_due, self._aircraft_due = Period(_IDENTITY_PERIOD_S), Period(_AIRCRAFT_PERIOD_S)
-        self._poll_due = {_ATTITUDE: Period(_ANGLES_PERIOD_S), _RANGE: Period(_RANGE_PERIOD_S)}
         self._streamed_s: dict[int, float] = {}  # when a stream was requested, or brought a measurement
 
     def restart(self, now_s: float) -> None:
-        """Request identification and streams again."""
         super().restart(now_s)
         self._streamed_s.clear()
-        self._identity_due.restart()
 
     def due(self, now_s: float) -> list[bytes]:
         """Return the requests to send now: streams, and polls for data without a stream."""
         requests: list[bytes] = []
-        if self._identity_due.is_due(now_s):
+        if self._due["identity"].is_due(now_s):
             if not self.identity.model:
                 requests.append(self._request(now_s, _HARDWARE_ID))
             if not self.identity.firmware:
                 requests.append(self._request(now_s, _FIRMWARE))
             requests.append(self._request(now_s, _CONFIGURATION))
-        for command, stream in _STREAMS.items():
+        for command, (name, stream) in _STREAMS.items():
             if command == _RANGE and self.identity.has_laser is False:
                 continue
             if command not in self._streamed_s:
@@ -84,13 +79,13 @@ class SiyiDriver(FramedDriver):
                 requests.append(self._request(now_s, _STREAM, stream))
                 continue
             streams = now_s - self._streamed_s[command] <= _STREAMING_S
-            if not streams and not self._trips.awaits(command, now_s) and self._poll_due[command].is_due(now_s):
+            if not streams and not self._trips.awaits(command, now_s) and self._due[name].is_due(now_s):
                 requests.append(self._request(now_s, command))
         return requests
 
     def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
         """Return the aircraft's attitude for the gimbal's own stabilisation, at 10 Hz."""
-        if not self._aircraft_due.is_due(now_s):
+        if not self._due["aircraft"].is_due(now_s):
             return ()
         angles = struct.pack("<Ifff12x", round(1000.0 * now_s), pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
         return (self._frame_of(_AIRCRAFT, angles),)
@@ -100,13 +95,8 @@ class SiyiDriver(FramedDriver):
         yaw_max_rad = _YAW_MAX_RAD.get(self.identity.model, math.pi)
         yaw_rad = min(max(wrap_rad(yaw_rad), -yaw_max_rad), yaw_max_rad)
         pitch_rad = min(max(pitch_rad, _PITCH_MIN_RAD), _PITCH_MAX_RAD)
-        pitch_rad = -pitch_rad if self._settings.flip_pitch else pitch_rad
-        data = struct.pack("<hh", *map(_tenths_deg, (self._yaw_sign * yaw_rad, pitch_rad)))
+        data = struct.pack("<hh", *map(_tenths_deg, (self._yaw_sign * yaw_rad, self._pitch_sign * pitch_rad)))
         return (self._frame_of(_SET_ANGLES, data),)
-
-    @property
-    def _yaw_sign(self) -> float:
-        return 1.0 if self._settings.flip_yaw else -1.0  # the manual's yaw is positive to the left
 
     def _request(self, now_s: float, command: int, data: bytes = b"") -> bytes:
         self._trips.sent(command, now_s)
@@ -148,17 +138,16 @@ class SiyiDriver(FramedDriver):
 
     def _angles(self, time_s: float, data: bytes) -> AnglesMeasured:
         yaw_rad, pitch_rad, roll_rad = (math.radians(0.1 * tenths) for tenths in struct.unpack_from("<hhh", data))
-        yaw_rad *= self._yaw_sign
-        pitch_rad = -pitch_rad if self._settings.flip_pitch else pitch_rad
+        yaw_rad, pitch_rad = self._yaw_sign * yaw_rad, self._pitch_sign * pitch_rad
         if self._upside_down:
             pitch_rad, yaw_rad = -wrap_rad(pitch_rad + math.pi), -yaw_rad
         turned = multiply(from_roll_pitch_yaw(0.0, 0.0, yaw_rad), from_roll_pitch_yaw(roll_rad, 0.0, 0.0))
         quaternion = multiply(turned, from_roll_pitch_yaw(0.0, pitch_rad, 0.0))  # yaw, roll, pitch
-        return AnglesMeasured(time_s, quaternion, self._settings.relative_to or self._frame)
+        return self._attitude(time_s, quaternion, self._frame)
 
     def _range(self, time_s: float, data: bytes) -> RangeMeasured | None:
         (count,) = struct.unpack("<H", data)
-        slant_range_m = count * (self._settings.range_unit_m or _RANGE_UNIT_M)
+        slant_range_m = count * self._range_unit_m
         if slant_range_m < _RANGE_MIN_M or count == _RANGE_NONE:
             return None
         return RangeMeasured(time_s, slant_range_m)

@@ -9,18 +9,17 @@ Source: ArduPilot ``AP_Mount_Topotek`` (Plane-4.6.3). The gimbal counts pitch do
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Sequence
 
+from sidelong.app.link.framing import Framer
 from sidelong.app.payload.driver import (
-    AircraftPose,
     AnglesMeasured,
     DriverSettings,
     Measured,
     RangeMeasured,
 )
 from sidelong.app.payload.framed_driver import FramedDriver
-from sidelong.app.payload.framing import Framer
-from sidelong.app.payload.requests import Period
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 
@@ -31,7 +30,7 @@ _GIMBAL, _LENS, _SYSTEM = "G", "M", "D"
 _ANGLES_MESSAGES = (b"GIA", b"GIC")
 _ANGLE_UNIT_RAD = math.radians(0.01)
 _SPEED = 99  # the greatest
-_IDENTITY_PERIOD_S, _ANGLES_PERIOD_S, _RANGE_PERIOD_S, _RANGING_PERIOD_S = 1.0, 1.0, 0.1, 1.0
+_PERIODS_S = {"identity": 1.0, "angles": 1.0, "range": 0.1, "ranging": 1.0}
 _PUSHED_S = 0.5  # without a range for this long, it is polled
 
 
@@ -39,41 +38,32 @@ class TopotekDriver(FramedDriver):
     """State of one connection to a Topotek gimbal camera."""
 
     def __init__(self, settings: DriverSettings) -> None:
-        super().__init__(settings, Framer(_HEADERS, _length, _is_intact))
-        self._identity_due, self._angles_due = Period(_IDENTITY_PERIOD_S), Period(_ANGLES_PERIOD_S)
-        self._range_due, self._ranging_due = Period(_RANGE_PERIOD_S), Period(_RANGING_PERIOD_S)
+        super().__init__(settings, Framer(_HEADERS, _length, _is_intact), _PERIODS_S, pitch_sign=-1.0)
         self._pushed_s = self._range_s = -math.inf
         self._follows = False
 
     def restart(self, now_s: float) -> None:
-        """Request identification, angles and ranging again."""
         super().restart(now_s)
         self._follows = False
-        for period in (self._identity_due, self._angles_due, self._ranging_due):
-            period.restart()
 
     def due(self, now_s: float) -> list[bytes]:
         """Return the requests to send now. Angles, and the range of most firmware, then come unasked for a while."""
         requests: list[bytes] = []
-        if self._identity_due.is_due(now_s):
+        if self._due["identity"].is_due(now_s):
             if not self.identity.model:
                 requests.append(encode(_GIMBAL, "r", "PA2", "00"))
             self._trips.sent(b"VSN", now_s)
             requests.append(encode(_SYSTEM, "r", "VSN", "00"))
-        if self._angles_due.is_due(now_s):
+        if self._due["angles"].is_due(now_s):
             requests.append(encode(_GIMBAL, "w", "GIA", "01"))
-        if self._ranging_due.is_due(now_s) and now_s - self._range_s > _RANGING_PERIOD_S:
+        if self._due["ranging"].is_due(now_s) and now_s - self._range_s > _PERIODS_S["ranging"]:
             self._pushed_s = now_s
             requests.append(encode(_LENS, "w", "LRF", "03"))
         pushed = now_s - self._pushed_s <= _PUSHED_S
-        if not pushed and not self._trips.awaits(b"LRF", now_s) and self._range_due.is_due(now_s):
+        if not pushed and not self._trips.awaits(b"LRF", now_s) and self._due["range"].is_due(now_s):
             self._trips.sent(b"LRF", now_s)
             requests.append(encode(_LENS, "r", "LRF", "00"))
         return requests
-
-    def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
-        """Return nothing: angles are relative to the aircraft, for which the gimbal needs no position."""
-        return ()
 
     def point(self, pitch_rad: float, yaw_rad: float) -> Sequence[bytes]:
         """Return the commands that turn the gimbal, in its mode of following the aircraft."""
@@ -81,10 +71,8 @@ class TopotekDriver(FramedDriver):
         if not self._follows:
             self._follows = True
             commands.append(encode(_GIMBAL, "w", "PTZ", "07"))
-        yaw_rad = -yaw_rad if self._settings.flip_yaw else yaw_rad
-        pitch_rad = pitch_rad if self._settings.flip_pitch else -pitch_rad
-        commands.append(encode(_GIMBAL, "w", "GAY", f"{_hundredths(yaw_rad):04X}{_SPEED:02X}", fixed=False))
-        commands.append(encode(_GIMBAL, "w", "GIP", f"{_hundredths(pitch_rad):04X}{_SPEED:02X}", fixed=False))
+        for command, angle_rad in (("GAY", self._yaw_sign * yaw_rad), ("GIP", self._pitch_sign * pitch_rad)):
+            commands.append(encode(_GIMBAL, "w", command, f"{_hundredths(angle_rad):04X}{_SPEED:02X}", fixed=False))
         return commands
 
     def _measured(self, frame: bytes, now_s: float) -> Sequence[Measured | None]:
@@ -105,20 +93,20 @@ class TopotekDriver(FramedDriver):
 
     def _angles(self, time_s: float, data: bytes) -> AnglesMeasured | None:
         try:
-            yaw, pitch, roll = (int(data[at : at + 4], 16) for at in (0, 4, 8))
+            yaw, pitch, roll = struct.unpack(">hhh", bytes.fromhex(data.decode("ascii")))
         except ValueError:
             return None
-        yaw_rad, pitch_rad, roll_rad = (wrap_rad(_signed(count) * _ANGLE_UNIT_RAD) for count in (yaw, pitch, roll))
-        yaw_rad = -yaw_rad if self._settings.flip_yaw else yaw_rad
-        pitch_rad = pitch_rad if self._settings.flip_pitch else -pitch_rad
-        quaternion = from_roll_pitch_yaw(roll_rad, pitch_rad, yaw_rad)
-        return AnglesMeasured(time_s, quaternion, self._settings.relative_to or "vehicle")
+        roll_rad, pitch_rad, yaw_rad = (
+            wrap_rad(sign * count * _ANGLE_UNIT_RAD)
+            for sign, count in ((1.0, roll), (self._pitch_sign, pitch), (self._yaw_sign, yaw))
+        )
+        return self._attitude(time_s, from_roll_pitch_yaw(roll_rad, pitch_rad, yaw_rad))
 
     def _range(self, time_s: float, now_s: float, data: bytes) -> RangeMeasured | None:
         whole, _, tenth = data.partition(b".")  # 12345.6, or ERR
         if not (whole.isdigit() and tenth.isdigit()):
             return None
-        slant_range_m = float(data) * (self._settings.range_unit_m or 1.0)
+        slant_range_m = float(data) * self._range_unit_m
         if slant_range_m <= 0.0:
             return None
         self._range_s, self.identity.has_laser = now_s, True
@@ -140,10 +128,6 @@ def _length(buffer: bytes) -> int | None:
 
 def _is_intact(frame: bytes) -> bool:
     return frame[-_CHECKSUM_BYTES:] == b"%02X" % (sum(frame[:-_CHECKSUM_BYTES]) & 0xFF)
-
-
-def _signed(count: int) -> int:
-    return count - 65536 if count >= 32768 else count
 
 
 def _hundredths(angle_rad: float) -> int:

@@ -13,7 +13,10 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
+from functools import reduce
+from operator import xor
 
+from sidelong.app.link.framing import Framer
 from sidelong.app.payload.driver import (
     AircraftPose,
     AnglesMeasured,
@@ -22,8 +25,6 @@ from sidelong.app.payload.driver import (
     RangeMeasured,
 )
 from sidelong.app.payload.framed_driver import FramedDriver
-from sidelong.app.payload.framing import Framer
-from sidelong.app.payload.requests import Period
 from sidelong.estimators.frames import wrap_rad
 from sidelong.estimators.rotations import from_roll_pitch_yaw
 
@@ -36,7 +37,7 @@ _RANGING_CONTINUOUSLY = 2 << 13
 _STATUS_MIN_BYTES = 35
 _ANGLE_UNIT_RAD, _ROLL_UNIT_DEG = math.tau / 65536.0, 180.0 / 4095.0
 _RANGE_UNIT_M = 0.1
-_HANDSHAKE_PERIOD_S, _IDENTITY_PERIOD_S, _LASER_PERIOD_S, _AIRCRAFT_PERIOD_S = 0.1, 1.0, 1.0, 0.1
+_PERIODS_S = {"handshake": 0.1, "identity": 1.0, "laser": 1.0, "aircraft": 0.1}
 _POSITION_KNOWN = 0x0F
 _ATTITUDE_AND_POSITION = 0x07
 
@@ -45,38 +46,34 @@ class ViewproDriver(FramedDriver):
     """State of one connection to a Viewpro gimbal camera."""
 
     def __init__(self, settings: DriverSettings) -> None:
-        super().__init__(settings, Framer((_HEADER,), _length, _is_intact))
+        framer = Framer((_HEADER,), _length, _is_intact)
+        super().__init__(settings, framer, _PERIODS_S, _RANGE_UNIT_M, pitch_sign=-1.0)
         self._counter = 0
-        self._handshake_due, self._identity_due = Period(_HANDSHAKE_PERIOD_S), Period(_IDENTITY_PERIOD_S)
-        self._laser_due, self._aircraft_due = Period(_LASER_PERIOD_S), Period(_AIRCRAFT_PERIOD_S)
         self._range_s = -math.inf
         self._follows = False
 
     def restart(self, now_s: float) -> None:
-        """Request identification and ranging again."""
         super().restart(now_s)
         self._follows = False
-        self._identity_due.restart()
-        self._laser_due.restart()
 
     def due(self, now_s: float) -> list[bytes]:
         """Return the requests to send now: each handshake is answered by a status frame."""
         requests: list[bytes] = []
-        if self._identity_due.is_due(now_s):
+        if self._due["identity"].is_due(now_s):
             if not self.identity.model:
                 requests.append(self._frame(_QUERY, bytes((_MODEL,)) + bytes(9)))
             if not self.identity.firmware:
                 requests.append(self._frame(_QUERY, bytes((_FIRMWARE,)) + bytes(9)))
-        if self._laser_due.is_due(now_s) and now_s - self._range_s > _LASER_PERIOD_S:
+        if self._due["laser"].is_due(now_s) and now_s - self._range_s > _PERIODS_S["laser"]:
             requests.append(self._frame(_CAMERA, struct.pack(">H", _RANGING_CONTINUOUSLY)))
-        if not self._trips.awaits(_STATUS, now_s) and self._handshake_due.is_due(now_s):
+        if not self._trips.awaits(_STATUS, now_s) and self._due["handshake"].is_due(now_s):
             self._trips.sent(_STATUS, now_s)
             requests.append(self._frame(_HANDSHAKE, b"\0"))
         return requests
 
     def aircraft(self, pose: AircraftPose, now_s: float) -> Sequence[bytes]:
         """Return the aircraft's attitude and position for the gimbal's own stabilisation, at 10 Hz."""
-        if not self._aircraft_due.is_due(now_s):
+        if not self._due["aircraft"].is_due(now_s):
             return ()
         course_rad = math.atan2(pose.velocity_east_m_s, pose.velocity_north_m_s)
         data = struct.pack(
@@ -104,9 +101,8 @@ class ViewproDriver(FramedDriver):
         if not self._follows:
             self._follows = True
             commands.append(self._frame(_SERVO, bytes((_FOLLOW_YAW,)) + bytes(8)))
-        yaw_rad = -yaw_rad if self._settings.flip_yaw else yaw_rad
-        pitch_rad = pitch_rad if self._settings.flip_pitch else -pitch_rad
-        angles = struct.pack(">BHH4x", _ABSOLUTE_ANGLES, _angle(yaw_rad), _angle(pitch_rad))
+        yaw, pitch = _angle(self._yaw_sign * yaw_rad), _angle(self._pitch_sign * pitch_rad)
+        angles = struct.pack(">BHH4x", _ABSOLUTE_ANGLES, yaw, pitch)
         commands.append(self._frame(_SERVO, angles))
         return commands
 
@@ -126,7 +122,7 @@ class ViewproDriver(FramedDriver):
         (count,) = struct.unpack_from(">H", data, 33)
         if count:
             self._range_s, self.identity.has_laser = now_s, True
-            measured.append(RangeMeasured(time_s, count * (self._settings.range_unit_m or _RANGE_UNIT_M)))
+            measured.append(RangeMeasured(time_s, count * self._range_unit_m))
         return measured
 
     def _identify(self, data: bytes) -> None:
@@ -139,10 +135,8 @@ class ViewproDriver(FramedDriver):
     def _angles(self, time_s: float, data: bytes) -> AnglesMeasured:
         roll, yaw, pitch = struct.unpack_from(">Hhh", data, 23)
         roll_rad = math.radians((roll & 0x0FFF) * _ROLL_UNIT_DEG - 90.0)
-        yaw_rad = -yaw * _ANGLE_UNIT_RAD if self._settings.flip_yaw else yaw * _ANGLE_UNIT_RAD
-        pitch_rad = pitch * _ANGLE_UNIT_RAD if self._settings.flip_pitch else -pitch * _ANGLE_UNIT_RAD
-        quaternion = from_roll_pitch_yaw(roll_rad, pitch_rad, yaw_rad)
-        return AnglesMeasured(time_s, quaternion, self._settings.relative_to or "vehicle")
+        yaw_rad, pitch_rad = self._yaw_sign * yaw * _ANGLE_UNIT_RAD, self._pitch_sign * pitch * _ANGLE_UNIT_RAD
+        return self._attitude(time_s, from_roll_pitch_yaw(roll_rad, pitch_rad, yaw_rad))
 
 
 def encode(frame_id: int, data: bytes, counter: int = 0) -> bytes:
@@ -168,10 +162,7 @@ def _is_intact(frame: bytes) -> bool:
 
 
 def _xor(data: bytes) -> int:
-    result = 0
-    for byte in data:
-        result ^= byte
-    return result
+    return reduce(xor, data, 0)
 
 
 def _angle(angle_rad: float) -> int:

@@ -2,17 +2,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
-from sidelong.app.payload.driver import AnglesMeasured, DriverSettings, RangeMeasured
+from sidelong.app.payload.driver import DriverSettings
 from sidelong.app.payload.gremsy import GremsyDriver
-from sidelong.estimators.rotations import sight_direction
-from sidelong.sitl.payload.device import Seen
-from sidelong.sitl.payload.gremsy import SimulatedGremsy
-from sidelong.sitl.settings import Quirks
-from tests.payload.wiring import Wired, looking
 
 
 def driver(**settings) -> GremsyDriver:
@@ -64,25 +58,3 @@ def test_other_values_are_no_range(frame):
 def test_attitude_without_a_rotation_is_refused():
     nowhere = mavlink.MAVLink_gimbal_device_attitude_status_message(0, 0, 1, 12, [math.nan] * 4, 0, 0, 0, 0)
     assert driver().receive(sent(nowhere, 154), 1.0) == []
-
-
-@pytest.mark.parametrize("streams", [True, False])
-def test_measurements_agree_with_what_the_gimbal_sees(streams):
-    wired = Wired("gremsy", Quirks(streams=streams), delay_s=0.03)
-    measured = wired.run(5.0, looking(300.0, bearing_deg=170.0, elevation_deg=-21.0, lean_deg=4.0))
-    ranges = [one for one in measured if isinstance(one, RangeMeasured)]
-    angles = [one for one in measured if isinstance(one, AnglesMeasured)]
-    assert min(len(ranges), len(angles)) > 30
-    assert all(one.slant_range_m == pytest.approx(300.0) for one in ranges)
-    for one in angles:
-        forward, right, down = sight_direction(one.quaternion_wxyz)
-        assert math.degrees(math.atan2(right, forward)) == pytest.approx(170.0, abs=0.01)
-        assert math.degrees(math.asin(-down)) == pytest.approx(-21.0, abs=0.01)
-        assert one.frame == "vehicle"
-
-
-def test_gimbal_is_pointed():
-    gimbal = SimulatedGremsy(Quirks(), np.random.default_rng(1))
-    for command in driver().point(math.radians(-30.0), math.radians(200.0)):
-        gimbal.receive(command, 0.0, Seen(300.0, 0.0, 0.0))
-    assert gimbal.commanded_deg == pytest.approx((-160.0, -30.0), abs=0.01)

@@ -2,17 +2,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 
-from sidelong.app.payload.driver import AnglesMeasured, DriverSettings, RangeMeasured
+from sidelong.app.payload.driver import DriverSettings
 from sidelong.app.payload.topotek import TopotekDriver, encode
 from sidelong.estimators.rotations import sight_direction
-from sidelong.sitl.payload.device import Seen
-from sidelong.sitl.payload.topotek import SimulatedTopotek
-from sidelong.sitl.settings import Quirks
 from tests.payload.golden import TOPOTEK_REQUESTS
-from tests.payload.wiring import Wired, looking
 
 
 def driver(**settings) -> TopotekDriver:
@@ -45,24 +40,3 @@ def test_range_is_text_in_metres(data, ranges_m):
 def test_angles_that_are_not_hexadecimal_are_refused():
     body = b"#tpGUCrGIA" + b"EC7X" + b"07D0" + b"0000"
     assert driver().receive(body + b"%02X" % (sum(body) & 0xFF), 1.0) == []
-
-
-@pytest.mark.parametrize("streams", [True, False])
-def test_measurements_agree_with_what_the_gimbal_sees(streams):
-    wired = Wired("topotek", Quirks(streams=streams), delay_s=0.03)
-    measured = wired.run(5.0, looking(300.0, bearing_deg=170.0, elevation_deg=-21.0, lean_deg=4.0))
-    ranges = [one for one in measured if isinstance(one, RangeMeasured)]
-    angles = [one for one in measured if isinstance(one, AnglesMeasured)]
-    assert min(len(ranges), len(angles)) > 30
-    assert all(one.slant_range_m == pytest.approx(300.0, abs=0.06) for one in ranges)
-    for one in angles:
-        forward, right, down = sight_direction(one.quaternion_wxyz)
-        assert math.degrees(math.atan2(right, forward)) == pytest.approx(170.0, abs=0.05)
-        assert math.degrees(math.asin(-down)) == pytest.approx(-21.0, abs=0.05)
-
-
-def test_gimbal_is_pointed():
-    gimbal = SimulatedTopotek(Quirks(), np.random.default_rng(1))
-    for command in driver().point(math.radians(-30.0), math.radians(200.0)):
-        gimbal.receive(command, 0.0, Seen(300.0, 0.0, 0.0))
-    assert gimbal.commanded_deg == pytest.approx((-160.0, -30.0), abs=0.01)

@@ -12,7 +12,6 @@ from sidelong.sitl.payload.device import Seen
 from sidelong.sitl.payload.viewpro import SimulatedViewpro
 from sidelong.sitl.settings import Quirks
 from tests.payload.golden import VIEWPRO_ATTITUDE, VIEWPRO_CAPTURED, VIEWPRO_FRAMES, VIEWPRO_OVER_TCP
-from tests.payload.wiring import Wired, looking
 
 
 def driver(**settings) -> ViewproDriver:
@@ -67,21 +66,6 @@ def test_laser_is_switched_on_and_the_handshake_is_repeated():
     assert any(frame[4] == 0x00 for frame in one.due(1.5))
 
 
-@pytest.mark.parametrize("over_tcp", [False, True])
-def test_measurements_agree_with_what_the_gimbal_sees(over_tcp):
-    wired = Wired("viewpro", settings=DriverSettings(over_tcp=over_tcp), delay_s=0.03)
-    wired.device.over_tcp = over_tcp
-    measured = wired.run(5.0, looking(300.0, bearing_deg=170.0, elevation_deg=-21.0, lean_deg=4.0))
-    ranges = [one for one in measured if isinstance(one, RangeMeasured)]
-    angles = [one for one in measured if isinstance(one, AnglesMeasured)]
-    assert min(len(ranges), len(angles)) > 30
-    assert all(one.slant_range_m == pytest.approx(300.0, abs=0.06) for one in ranges)
-    for one in angles:
-        forward, right, down = sight_direction(one.quaternion_wxyz)
-        assert math.degrees(math.atan2(right, forward)) == pytest.approx(170.0, abs=0.05)
-        assert math.degrees(math.asin(-down)) == pytest.approx(-21.0, abs=0.05)
-
-
 def test_aircraft_attitude_is_sent_as_ardupilot_sends_it():
     gimbal = SimulatedViewpro(Quirks(), np.random.default_rng(1))
     pose = AircraftPose(0.3, -0.1, 4.0, 47.4, 8.5, 520.0, 100.0, 10.0, -11.0, 0.5)
@@ -90,10 +74,3 @@ def test_aircraft_attitude_is_sent_as_ardupilot_sends_it():
     assert gimbal.aircraft_deg == pytest.approx(
         (math.degrees(0.3), math.degrees(-0.1), math.degrees(4.0 - math.tau)), abs=0.01
     )
-
-
-def test_gimbal_is_pointed():
-    gimbal = SimulatedViewpro(Quirks(), np.random.default_rng(1))
-    for command in driver().point(math.radians(-30.0), math.radians(200.0)):
-        gimbal.receive(command, 0.0, Seen(300.0, 0.0, 0.0))
-    assert gimbal.commanded_deg == pytest.approx((-160.0, -30.0), abs=0.01)
