@@ -79,7 +79,7 @@ class ArduPlane:
     releases = SupportedReleases(
         Release(4, 4), Release(4, 7), "a radius of their own for circles that are flown by command (DO_REPOSITION)"
     )
-    parameters = _PARAMETERS
+    parameters: tuple[Parameter, ...] = _PARAMETERS
     packs_integers_bytewise = False
     quirks = ProtocolQuirks(stores_items_one_by_one=True, home_at_zero=True, reports_target_at_once=False)
     mission_mode, circle_mode = "AUTO", "GUIDED"

@@ -44,30 +44,20 @@ class SupportedReleases:
 class Autopilot(AutopilotDialect, Protocol):
     """One kind of autopilot. Parameter values are given by key, see ``Parameter``."""
 
-    @property
-    def mav_autopilot(self) -> int:
-        """Its MAV_AUTOPILOT in a heartbeat, and its firmware type in a QGroundControl plan."""
-        ...
+    mav_autopilot: int
+    """Its MAV_AUTOPILOT in a heartbeat, and its firmware type in a QGroundControl plan."""
 
-    @property
-    def key(self) -> str:
-        """Its name in options and files."""
-        ...
+    key: str
+    """Its name in options and files."""
 
-    @property
-    def releases(self) -> SupportedReleases:
-        """The releases that can be flown."""
-        ...
+    releases: SupportedReleases
+    """The releases that can be flown."""
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters that matter for the mission, one entry for each name and unit they had."""
-        ...
+    parameters: tuple[Parameter, ...]
+    """The parameters that matter for the mission, one entry for each name and unit they had."""
 
-    @property
-    def packs_integers_bytewise(self) -> bool:
-        """Whether PARAM_VALUE carries the bytes of an integer where the float belongs."""
-        ...
+    packs_integers_bytewise: bool
+    """Whether PARAM_VALUE carries the bytes of an integer where the float belongs."""
 
     def mode_name(self, base_mode: int, custom_mode: int) -> str:
         """Return a flight mode as the autopilot's own documentation calls it."""

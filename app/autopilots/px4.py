@@ -67,7 +67,7 @@ class Px4:
     releases = SupportedReleases(
         _V1_14, Release(1, 18), "the choice of a mission's take-off and landing (MIS_TKO_LAND_REQ)"
     )
-    parameters = _PARAMETERS
+    parameters: tuple[Parameter, ...] = _PARAMETERS
     packs_integers_bytewise = True
     quirks = ProtocolQuirks(stores_items_one_by_one=False, home_at_zero=False, reports_target_at_once=True)
     mission_mode, circle_mode = "MISSION", "LOITER"

@@ -25,23 +25,20 @@ class GeoTiff:
         self.path = path
         try:
             import rasterio  # noqa: PLC0415  # an extra: SRTM tiles do without it
-            from rasterio._err import CPLE_BaseError  # noqa: PLC0415  # what no public class stands for
-            from rasterio.errors import RasterioError  # noqa: PLC0415
             from rasterio.vrt import WarpedVRT  # noqa: PLC0415
         except ImportError as error:
             raise missing_package(f"{path}: a GeoTIFF", "rasterio", "give .hgt tiles") from error
-        self._errors = (RasterioError, CPLE_BaseError, OSError, ValueError)
         try:
             with rasterio.Env():  # else errors are printed
                 # Another format might be a list of other files, or of addresses.
                 dataset = rasterio.open(path, driver="GTiff")
-        except self._errors as error:
+        except Exception as error:  # here and below: those of GDAL have no public class
             raise InputError(f"{path}: is no readable GeoTIFF ({error}); replace it.") from error
         self._check(dataset)
         try:
             with rasterio.Env():
                 self._raster: Any = WarpedVRT(dataset, crs="EPSG:4326", resampling=rasterio.enums.Resampling.bilinear)
-        except self._errors as error:
+        except Exception as error:
             raise InputError(
                 f"{path}: cannot be converted to latitude and longitude; write it in another coordinate system."
             ) from error
@@ -93,7 +90,7 @@ class GeoTiff:
             )
         try:
             band = self._raster.read(1, window=window, out_shape=shape, masked=True)
-        except self._errors as error:
+        except Exception as error:
             raise InputError(f"{self.path}: cannot be read ({error}); replace it.") from error
         heights: HeightArray = np.ma.filled(band.astype(np.float32), np.nan)[::-1]
         heights *= np.float32(self._scale)
