@@ -20,6 +20,7 @@ from sidelong.estimators.estimate import TargetEstimate, TrackQuality
 from sidelong.estimators.frames import LocalPlane
 from sidelong.mission.control.snapshot import Phase, Snapshot
 from sidelong.mission.core.events import Announce
+from sidelong.mission.exchange.vehicle_command import describe_result
 
 _EVERY_S = 1.0  # of the vehicle's time
 _ONE_SIGMA = 1.0 - math.exp(-0.5)
@@ -83,14 +84,15 @@ class GimbalPointer:
             if not self._points:
                 return
             # PX4 takes no other frame than this one, and MAVSDK does not survive its refusal of others.
-            answer = await self._vehicle.command_int(
+            result = await self._vehicle.command_int(
                 mavlink.MAV_CMD_DO_SET_ROI_LOCATION, mavlink.MAV_FRAME_GLOBAL_INT, (0.0,), x, y, z
             )
         except LinkError:
             return  # the next one is due in a second
-        if answer.result in (mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_DENIED):
+        if result in (mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_DENIED):
             self._points = False
-            self._announce(f"the vehicle does not point its gimbal ({answer}); it is sent the target's place only")
+            why = describe_result(result)
+            self._announce(f"the vehicle does not point its gimbal ({why}); it is sent the target's place only")
 
 
 def _geo_status(estimate: TargetEstimate, x: int, y: int, z: float, range_m: float) -> dict[str, Any]:

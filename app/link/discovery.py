@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Coroutine, Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from mavsdk.asyncio import Mavsdk
 
@@ -13,9 +13,6 @@ from sidelong.app.errors import InputError
 
 SETTLING_S = 2.2  # two heartbeat periods: every vehicle present has sent one by then
 _POLL_S = 0.1
-_REFUSED_AFTER_S = 1.0
-
-T = TypeVar("T")
 
 
 async def the_vehicle(instance: Mavsdk, url: str, timeout_s: float, system_id: int | None) -> Any | None:
@@ -36,40 +33,6 @@ async def the_vehicle(instance: Mavsdk, url: str, timeout_s: float, system_id: i
         await asyncio.sleep(_POLL_S)
     found = await _described(await _vehicles(instance))
     raise InputError(f"{url}: system {system_id} sends nothing, only {found}; give another --system-id.")
-
-
-async def unless_refused(search: Coroutine[Any, Any, T], urls: Sequence[str]) -> T:
-    """Return what a search for vehicles returns, but end it when TCP servers among the links refuse connections.
-
-    Raises:
-        InputError: All links lead to TCP servers, and none of them takes connections.
-
-    """
-    searching = asyncio.ensure_future(search)
-    try:
-        await asyncio.wait((searching,), timeout=_REFUSED_AFTER_S)
-        if not searching.done() and all([await _is_refused(url) for url in urls]):
-            raise InputError(
-                f"{' and '.join(urls)}: connection refused; start the autopilot first, or correct the URL."
-            )
-        return await searching
-    finally:
-        searching.cancel()
-
-
-async def _is_refused(url: str) -> bool:
-    scheme, _, address = url.partition("://")
-    host, _, port = address.rpartition(":")
-    if scheme != "tcpout":
-        return False
-    try:
-        _, writer = await asyncio.wait_for(asyncio.open_connection(host, int(port)), _REFUSED_AFTER_S)
-    except ConnectionRefusedError:
-        return True
-    except (OSError, TimeoutError):
-        return False
-    writer.close()
-    return False
 
 
 async def check_alone(instance: Mavsdk, url: str, until_s: float) -> None:

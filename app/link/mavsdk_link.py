@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ctypes
 import json
 import math
 import time
@@ -22,26 +23,22 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequenc
 from pathlib import Path
 from typing import Any
 
+import mavsdk.logging
 from mavsdk.asyncio import Configuration, Mavsdk
 from mavsdk.asyncio.enums import ForwardingOption
 from mavsdk.asyncio.plugins.mavlink_direct import MavlinkDirectAsync, MavlinkDirectError, MavlinkMessage
 from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
-from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.errors import InputError
-from sidelong.app.link import mavsdk_log
-from sidelong.app.link.discovery import SETTLING_S, check_alone, the_vehicle, unless_refused
+from sidelong.app.link.discovery import SETTLING_S, check_alone, the_vehicle
 from sidelong.app.link.key_file import KeyInUse
 from sidelong.app.link.link import LinkError
 from sidelong.app.link.message import Message
-from sidelong.app.link.meter import LinkMeter
 from sidelong.app.link.plain_text import plain_fields
 from sidelong.app.link.quality import LinkReport
 from sidelong.app.link.raw_links import RawLinks, opened_links
 from sidelong.app.link.transport import Transport
-from sidelong.app.link.url import checked_url
 
-_ASK_DELAY_S = 1.0
 _LOOK_FOR_OTHERS_S = 2.0
 # What other systems on the links are received for: their traffic, requests of a station, and an ally's mission.
 _OF_OTHERS = ("HEARTBEAT", "GLOBAL_POSITION_INT", "COMMAND_LONG", "COMMAND_INT", "MISSION_COUNT", "MISSION_ITEM_INT")
@@ -54,6 +51,11 @@ OWN_SYSTEM_ID = 245
 FrameListener = Callable[[bytes], None]
 
 
+@mavsdk.logging.LogCallback  # type: ignore[untyped-decorator]  # MAVSDK has no types; the module keeps it alive
+def _drop_log(_level: int, _message: bytes, _file: bytes, _line: int, _context: ctypes.c_void_p) -> bool:
+    return True
+
+
 class MavsdkLink:
     """``Link`` over MAVSDK; make one with :meth:`open`."""
 
@@ -63,18 +65,18 @@ class MavsdkLink:
         system: Any,
         system_id: int,
         own_id: tuple[int, int],
-        measured: RawLinks | LinkMeter,
+        links: RawLinks,
         ours: contextlib.ExitStack,
     ) -> None:
         self.system_id, self.own_id = system_id, own_id
-        self._measured, self._ours = measured, ours
+        self._links, self._ours = links, ours
         self._instance = instance
         self._direct = MavlinkDirectAsync(system)
         self._param = ParamAsync(system)
         self._closed = False
         self._pending: set[asyncio.Future[Any]] = set()
         self._queue: asyncio.Queue[MavlinkMessage | None] = asyncio.Queue()
-        self._alongside: tuple[asyncio.Task[None], ...] = ()
+        self._alongside: asyncio.Task[None] | None = None
         self._others: dict[int, MavlinkDirectAsync] = {}  # of other systems: kept, as they hold their subscriptions
         loop = asyncio.get_running_loop()
 
@@ -122,55 +124,39 @@ class MavsdkLink:
 
         """
         own = (own_system_id, own_component_id)
-        mavsdk_log.silence()
+        # The library's own subscription decodes texts of the vehicle as UTF-8; where that fails, MAVSDK prints the
+        # bytes itself, escape sequences and all.
+        mavsdk.logging._cmavsdk_lib.mavsdk_log_subscribe(_drop_log, None)
         instance = Mavsdk(Configuration.create_manual(*own, True))
         ours = contextlib.ExitStack()  # transports of our own
         try:
-            raw, meter = None, LinkMeter(urls[0], own)
-            if key is None and len(urls) == 1 and open_transport is None:
-                await _connect(instance, urls[0], _both(on_frame, meter.frame))
-            else:
-                raw = ours.enter_context(opened_links(urls, own, key, on_frame, on_trouble, open_transport))
-                # The asyncio wrapper does not offer the subscription, the object beneath it does.
-                instance._mavsdk.subscribe_raw_bytes_to_be_sent(raw.send)
-                await instance.add_any_connection("raw://", ForwardingOption.OFF)
-                raw.start(instance._mavsdk.pass_received_raw_bytes)
+            links = opened_links(urls, own, key, on_frame, on_trouble, open_transport)
+            raw = await asyncio.to_thread(ours.enter_context, links)  # a server may not answer for two seconds
+            # The asyncio wrapper does not offer the subscription, the object beneath it does.
+            instance._mavsdk.subscribe_raw_bytes_to_be_sent(raw.send)
+            await instance.add_any_connection("raw://", ForwardingOption.OFF)
+            raw.start(instance._mavsdk.pass_received_raw_bytes)
             where = " and ".join(map(repr, urls))
-            system = await unless_refused(the_vehicle(instance, where, timeout_s, system_id), urls)
+            system = await the_vehicle(instance, where, timeout_s, system_id)
             if system is None:
-                raise InputError(_not_received(urls, timeout_s, raw.reports() if raw is not None else ()))
-            found_id = await system.get_system_id()
-            link = cls(instance, system, found_id, own, raw or meter, ours)
+                raise InputError(_not_received(where, timeout_s, raw.reports()))
+            link = cls(instance, system, await system.get_system_id(), own, raw, ours)
             if system_id is None:
-                received_since_s = link._measured.received_since_s
-                await check_alone(instance, where, (received_since_s or time.monotonic()) + settling_s)
+                await check_alone(instance, where, (raw.received_since_s or time.monotonic()) + settling_s)
         except BaseException:
             await _ended(instance, ours)
             raise
-        if raw is None and on_frame is not None:
-            # MAVSDK sends a message to a system only on connections that received that system, so pass one frame to
-            # the recording connection too. This ack of a command that was never sent is addressed to this end.
-            answer = mavlink.MAVLink_command_ack_message(0, 0, 0, 0, *own)
-            received = answer.pack(mavlink.MAVLink(None, srcSystem=found_id, srcComponent=1))
-            instance._mavsdk.pass_received_raw_bytes(received)
-        if meter.vehicle_signs:
-            on_trouble("the vehicle signs its messages: without --signing-key it may reject ours")
-        link._alongside = asyncio.create_task(link._ask_delay()), asyncio.create_task(link._hear_others())
+        raw.measure_delay()
+        link._alongside = asyncio.create_task(link._hear_others())
         return link
 
     def reports(self) -> tuple[LinkReport, ...]:
         """Return how each link has been since the beginning."""
-        return self._measured.reports()
+        return self._links.reports()
 
     def recent(self) -> tuple[LinkReport, ...]:
         """Return how each link is now."""
-        return self._measured.recent()
-
-    async def _ask_delay(self) -> None:
-        while isinstance(self._measured, LinkMeter):  # raw links measure their delay themselves
-            with contextlib.suppress(LinkError):
-                await self.send(*self._measured.question())
-            await asyncio.sleep(_ASK_DELAY_S)
+        return self._links.recent()
 
     async def _hear_others(self) -> None:
         """Subscribe to other systems as they appear: a subscription of MAVSDK is for one system."""
@@ -188,10 +174,7 @@ class MavsdkLink:
     async def messages(self) -> AsyncIterator[Message]:
         while (raw := await self._queue.get()) is not None:
             fields = plain_fields(json.loads(raw.fields_json))
-            message = Message(raw.message_name, raw.system_id, raw.component_id, fields, time.time())
-            if isinstance(self._measured, LinkMeter):
-                self._measured.message(message)
-            yield message
+            yield Message(raw.message_name, raw.system_id, raw.component_id, fields, time.time())
             # A full queue never waits: messages that come faster than they are handled would shut out all else, an
             # interrupt too.
             await asyncio.sleep(0)
@@ -257,43 +240,16 @@ class MavsdkLink:
             return
         self._closed = True
         self._queue.put_nowait(None)
-        for task in self._alongside:
-            task.cancel()
+        if self._alongside is not None:
+            self._alongside.cancel()
         if self._pending:
             await asyncio.wait(self._pending, timeout=_PENDING_AT_CLOSE_S)
         if not self._pending:
             await _ended(self._instance, self._ours)
 
 
-def _both(on_frame: FrameListener | None, measure: FrameListener) -> FrameListener | None:
-    """Return a listener for both; None if neither is used, as the raw copy has a cost."""
-    if on_frame is None:
-        return None
-
-    def frame(data: bytes) -> None:
-        measure(data)
-        on_frame(data)
-
-    return frame
-
-
-async def _connect(instance: Mavsdk, url: str, on_frame: FrameListener | None) -> None:
-    """Open a URL by MAVSDK's own transport. Raises InputError."""
-    address, forwarding = checked_url(url), ForwardingOption.OFF
-    try:
-        if on_frame is not None:
-            # A raw connection that only listens: MAVSDK copies to it what it sends and, by forwarding, what it
-            # receives.
-            forwarding = ForwardingOption.ON
-            instance._mavsdk.subscribe_raw_bytes_to_be_sent(on_frame)
-            await instance.add_any_connection("raw://", forwarding)
-        await instance.add_any_connection(address, forwarding)
-    except Exception as error:
-        raise InputError(f"{url!r} could not be opened ({error}); check the address or device.") from error
-
-
-def _not_received(urls: Sequence[str], timeout_s: float, reports: Sequence[LinkReport]) -> str:
-    what, refused = " and ".join(map(repr, urls)), [report for report in reports if report.refused]
+def _not_received(what: str, timeout_s: float, reports: Sequence[LinkReport]) -> str:
+    refused = [report for report in reports if report.refused]
     if refused:
         found = ", ".join(report.refused_text() for report in refused)
         return f"{what}: only frames that are refused: {found}; give the vehicle's key, or set it up: sidelong sign."

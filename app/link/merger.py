@@ -51,39 +51,28 @@ _PROOF_COUNT, _PROOF_STEP_S, _PROOF_SILENCE_S = 5, 5.0, 2.0
 _KEPT_MAX = 4000
 
 
-@dataclass(frozen=True, slots=True)
-class _Clock:
-    """Where a message has its time."""
-
-    offset: int
-    format: str
-    units_per_s: float
+_UNITS_PER_S = {"time_boot_ms": 1e3, "time_usec": 1e6}
 
 
-def _clock_of(definition: Any) -> _Clock | None:
-    offset = 0
+def _clock_of(definition: Any) -> tuple[int, str, float] | None:
+    """Return where a message has its time: offset, format and units per second; None where it has none."""
     codes = re.findall(r"\d*[a-zA-Z]", definition.unpacker.format)
-    for name, code in zip(definition.ordered_fieldnames, codes, strict=True):
-        if name in ("time_boot_ms", "time_usec") and code in ("I", "Q"):
-            return _Clock(offset, "<" + code, 1e3 if name == "time_boot_ms" else 1e6)
-        offset += struct.calcsize("<" + code)
+    for index, (name, code) in enumerate(zip(definition.ordered_fieldnames, codes, strict=True)):
+        if name in _UNITS_PER_S and code in ("I", "Q"):
+            return struct.calcsize("<" + "".join(codes[:index])), "<" + code, _UNITS_PER_S[name]
     return None
 
 
-_CLOCKS = {
-    number: clock
-    for number, definition in dialect.mavlink_map.items()
-    if (clock := _clock_of(definition)) is not None
-}
+_CLOCKS = {number: _clock_of(definition) for number, definition in dialect.mavlink_map.items()}
 
 
 def time_of(frame: Frame) -> float | None:
     """Return the time stamp of a frame's message, s, of the sender's clock; None where it has none."""
-    clock = _CLOCKS.get(frame.message_id)
+    clock = _CLOCKS[frame.message_id]
     if clock is None:
         return None
-    stamp = frame.payload[clock.offset :].ljust(8, b"\0")
-    return float(struct.unpack_from(clock.format, stamp)[0]) / clock.units_per_s
+    offset, code, units_per_s = clock
+    return float(struct.unpack_from(code, frame.payload[offset:].ljust(8, b"\0"))[0]) / units_per_s
 
 
 @dataclass(slots=True)

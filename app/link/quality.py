@@ -6,7 +6,7 @@ Pure: times are seconds of one monotonic clock, given as arguments.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 _WINDOW_S = 5.0
@@ -75,7 +75,7 @@ class LinkQuality:
         self._seconds: deque[_Second] = deque([_Second(now_s)])
         self._next: dict[tuple[int, int], int] = {}
         self._round_trips_s: deque[float] = deque(maxlen=_DELAYS_KEPT)
-        self._rssi: tuple[int, int] | None = None
+        self._rssi: tuple[int, int] | tuple[None, None] = (None, None)
 
     def frame(self, source: tuple[int, int], sequence: int, size: int, now_s: float) -> None:
         """Count a frame that came in: its system and component, sequence number and bytes."""
@@ -94,11 +94,6 @@ class LinkQuality:
         self.received += 1
         self.missed += ahead
 
-    def found(self, now_s: float) -> None:
-        """Take back one of the missed: it had come, but is not shown here."""
-        self._second(now_s).missed -= 1
-        self.missed -= 1
-
     def sent(self, size: int, now_s: float) -> None:
         """Count bytes that went out."""
         self._second(now_s).sent_bytes += size
@@ -112,16 +107,12 @@ class LinkQuality:
         """Store the signal strengths that the radio reports."""
         self._rssi = (rssi, remote_rssi)
 
-    def forget(self) -> None:
-        """Forget the sequence numbers, as the other side has restarted them."""
-        self._next.clear()
-
     def measured(self, now_s: float) -> Measured:
         """Return what was measured over the last 5 s."""
         self._second(now_s)
         span_s = max(1.0, now_s - self._seconds[0].begin_s)
         received = sum(second.received for second in self._seconds)
-        missed = max(0, sum(second.missed for second in self._seconds))
+        missed = sum(second.missed for second in self._seconds)
         round_trips_s = sorted(self._round_trips_s)
         return Measured(
             silent_s=now_s - (self.received_s if self.received_s is not None else self._begin_s),
@@ -129,23 +120,18 @@ class LinkQuality:
             round_trip_s=round_trips_s[len(round_trips_s) // 2] if round_trips_s else None,
             received_bytes_s=sum(second.received_bytes for second in self._seconds) / span_s,
             sent_bytes_s=sum(second.sent_bytes for second in self._seconds) / span_s,
-            rssi=self._rssi[0] if self._rssi is not None else None,
-            remote_rssi=self._rssi[1] if self._rssi is not None else None,
+            rssi=self._rssi[0],
+            remote_rssi=self._rssi[1],
         )
 
     def total(self, now_s: float) -> Measured:
         """Return the same over all the time."""
-        span_s, missed = max(1.0, now_s - self._begin_s), max(0, self.missed)
-        counted = self.received + missed
-        recent = self.measured(now_s)
-        return Measured(
-            silent_s=recent.silent_s,
-            loss=missed / counted if counted else None,
-            round_trip_s=recent.round_trip_s,
+        span_s, counted = max(1.0, now_s - self._begin_s), self.received + self.missed
+        return replace(
+            self.measured(now_s),
+            loss=self.missed / counted if counted else None,
             received_bytes_s=self.received_bytes / span_s,
             sent_bytes_s=self.sent_bytes / span_s,
-            rssi=recent.rssi,
-            remote_rssi=recent.remote_rssi,
         )
 
     def _second(self, now_s: float) -> _Second:

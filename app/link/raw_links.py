@@ -1,4 +1,4 @@
-"""Sidelong's transports under MAVSDK's raw connection: for signed links, and for several links to one vehicle.
+"""Sidelong's transports under MAVSDK's raw connection: one link or several to one vehicle, signed or not.
 
 Threads: each transport's thread receives, a MAVSDK thread sends, and one thread here measures the delay of each link.
 One lock protects their shared data; no MAVSDK call and no blocking call is made while it is held.
@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import all as dialect
 from sidelong.app.errors import InputError
 from sidelong.app.link.frames import Frame, FrameSplitter
 from sidelong.app.link.key_file import KeptTimes, KeyInUse, key_in_use
-from sidelong.app.link.merger import LinkMerger
+from sidelong.app.link.merger import AUTOPILOT_COMPONENT, LinkMerger
 from sidelong.app.link.quality import LinkQuality, LinkReport, Measured
 from sidelong.app.link.signing import RADIO_STATUS_ID, LinkSigning, Refusal, SigningKey, signing_time
 from sidelong.app.link.transport import Peer, Transport, opened
@@ -86,7 +86,8 @@ class RawLinks:
         self._rates: dict[bytes, Frame] = {}
         self._deliver: Callable[[bytes], object] = lambda _data: None
         self._closing = threading.Event()
-        self._watcher = threading.Thread(target=self._controller, name="links", daemon=True)
+        self._watcher = threading.Thread(target=self._watch, name="links", daemon=True)
+        self._measures_delay = self._is_signing_noted = False
 
     def start(self, deliver: Callable[[bytes], object]) -> None:
         """Begin to receive; ``deliver`` takes whole frames, from several threads."""
@@ -94,6 +95,10 @@ class RawLinks:
         for index, link in enumerate(self._links):
             link.transport.start(lambda data, peer, index=index: self._received(index, data, peer))  # type: ignore[misc]
         self._watcher.start()
+
+    def measure_delay(self) -> None:
+        """Send questions whose answers give the delay of each link, from now on."""
+        self._measures_delay = True
 
     def close(self) -> None:
         """End all links; safe to call more than once."""
@@ -204,14 +209,22 @@ class RawLinks:
                 genuine = link.signing is not None and not link.authentic and link.signing.genuine(frame)
                 return False, genuine and refusal is Refusal.OLD, words
             link.authentic = True
+            troubles = self._signing_note(frame) if link.signing is None else []
             silent_s = now_s - link.quality.received_s if link.quality.received_s is not None else 0.0
             link.quality.frame(frame.source, frame.sequence, len(frame.data), now_s)
             if frame.message_id == _TIMESYNC and self._is_answer(link, frame, now_s):
-                return index == self._merger.in_use, True, []  # it carries the vehicle's clock, too
+                return index == self._merger.in_use, True, troubles  # it carries the vehicle's clock, too
             passed = self._merger.passes(index, frame, now_s)
         if silent_s > _BACK_AFTER_S and len(self._links) > 1:
             self._ask_rates(index)
-        return passed, True, []
+        return passed, True, troubles
+
+    def _signing_note(self, frame: Frame) -> list[str]:
+        """Return what the operator is told once about a vehicle that signs on links that do not."""
+        if self._is_signing_noted or not frame.signed or frame.component_id != AUTOPILOT_COMPONENT:
+            return []
+        self._is_signing_noted = True
+        return ["the vehicle signs its messages: without --signing-key it may reject ours"]
 
     def _is_answer(self, link: _Link, frame: Frame, now_s: float) -> bool:
         asked_s = link.asked.pop(int.from_bytes(frame.payload.ljust(16, b"\0")[8:16], "little"), None)
@@ -222,11 +235,11 @@ class RawLinks:
 
     # -- other ---------------------------------------------------------------------------------------------
 
-    def _controller(self) -> None:
+    def _watch(self) -> None:
         ask_s = 0.0
         while not self._closing.wait(_WATCH_S):
             now_s = time.monotonic()
-            if now_s >= ask_s:
+            if self._measures_delay and now_s >= ask_s:
                 ask_s = now_s + _ASK_DELAY_S
                 for index in range(len(self._links)):
                     self._ask_delay(index, now_s)
@@ -288,6 +301,10 @@ def opened_links(
         for url in urls:
             try:
                 transport = (open_transport or opened_url)(url)
+            except ConnectionRefusedError as error:
+                raise InputError(
+                    f"{url!r}: connection refused; start the autopilot first, or correct the URL."
+                ) from error
             except OSError as error:
                 reason = error.strerror or error
                 raise InputError(f"{url!r} could not be opened ({reason}); check the address or device.") from error

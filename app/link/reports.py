@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from sidelong.app.link.message import Message
@@ -27,6 +28,17 @@ from sidelong.mission.exchange.reports import (
 from sidelong.mission.upload.mission_item import MissionItem
 
 Fields = Mapping[str, Any]
+_Decoder = Callable[[Fields, float, float], VehicleReport | ModeReported | None]
+# Reports of whole numbers alone: their fields, 0 for an extension that the sender does not have.
+_NUMBERS: dict[str, tuple[Any, ...]] = {
+    "MISSION_CURRENT": (MissionCurrentReported, "seq", "total", "mission_id"),
+    "MISSION_COUNT": (MissionCountReported, "count", "opaque_id"),
+    "MISSION_REQUEST": (MissionItemRequested, "seq"),
+    "MISSION_REQUEST_INT": (MissionItemRequested, "seq"),
+    "MISSION_ACK": (MissionAcknowledged, "type", "opaque_id"),
+    "COMMAND_ACK": (CommandAcknowledged, "command", "result"),
+    "POSITION_TARGET_GLOBAL_INT": (PositionTargetReported, "lat_int", "lon_int"),
+}
 _ANSWERS = {
     "MISSION_COUNT",
     "MISSION_REQUEST",
@@ -43,15 +55,10 @@ class VehicleReports:
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle
         self._mode = ""
-        self._decoders: dict[str, Callable[[Fields, float, float], VehicleReport | ModeReported | None]] = {
-            "MISSION_CURRENT": _mission_current,
-            "MISSION_COUNT": _mission_count,
-            "MISSION_REQUEST": _mission_request,
-            "MISSION_REQUEST_INT": _mission_request,
+        self._decoders: dict[str, _Decoder] = {
+            name: partial(_numbers, kind, names) for name, (kind, *names) in _NUMBERS.items()
+        } | {
             "MISSION_ITEM_INT": _mission_item,
-            "MISSION_ACK": _mission_ack,
-            "COMMAND_ACK": _command_ack,
-            "POSITION_TARGET_GLOBAL_INT": _position_target,
             "ORBIT_EXECUTION_STATUS": _orbit,
             "CURRENT_MODE": self._current_mode,
         }
@@ -79,35 +86,16 @@ class VehicleReports:
         return ModeReported(time_s, mode, bool(base_mode & ARMED_FLAG))
 
 
-def _mission_current(fields: Fields, time_s: float, link_s: float) -> MissionCurrentReported:
-    total, mission_id = int(fields.get("total") or 0), int(fields.get("mission_id") or 0)
-    return MissionCurrentReported(time_s, link_s, int(fields["seq"]), total, mission_id)
-
-
-def _mission_count(fields: Fields, time_s: float, link_s: float) -> MissionCountReported:
-    return MissionCountReported(time_s, link_s, int(fields["count"]), int(fields.get("opaque_id") or 0))
-
-
-def _mission_request(fields: Fields, time_s: float, link_s: float) -> MissionItemRequested:
-    return MissionItemRequested(time_s, link_s, int(fields["seq"]))
+def _numbers(
+    kind: Callable[..., VehicleReport], names: list[str], fields: Fields, time_s: float, link_s: float
+) -> VehicleReport:
+    return kind(time_s, link_s, *(int(fields.get(name) or 0) for name in names))
 
 
 def _mission_item(fields: Fields, time_s: float, link_s: float) -> MissionItemReported:
     values: dict[str, Any] = {field.name: fields[field.name] for field in dataclasses.fields(MissionItem)}
     values.update({name: math.nan for name, value in values.items() if value is None})
     return MissionItemReported(time_s, link_s, int(fields["seq"]), MissionItem(**values))
-
-
-def _mission_ack(fields: Fields, time_s: float, link_s: float) -> MissionAcknowledged:
-    return MissionAcknowledged(time_s, link_s, int(fields["type"]), int(fields.get("opaque_id") or 0))
-
-
-def _command_ack(fields: Fields, time_s: float, link_s: float) -> CommandAcknowledged:
-    return CommandAcknowledged(time_s, link_s, int(fields["command"]), int(fields["result"]))
-
-
-def _position_target(fields: Fields, time_s: float, link_s: float) -> PositionTargetReported:
-    return PositionTargetReported(time_s, link_s, int(fields["lat_int"]), int(fields["lon_int"]))
 
 
 def _orbit(fields: Fields, time_s: float, link_s: float) -> OrbitReported:

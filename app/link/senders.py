@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections import defaultdict, deque
 
+from sidelong.app.link.frames import FRAME_MIN_BYTES, Frame
 from sidelong.app.link.message import Message
 from sidelong.app.link.modes import AUTOPILOT_INVALID
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT, Telemetry
 from sidelong.mission.control.plausibility import Plausibility
 
-# First byte, and offsets of sequence number, system and component, of MAVLink 2 and 1.
-_HEADERS = {0xFD: (4, 5, 6), 0xFE: (2, 3, 4)}
 _FRAMES = 150
 _BACK_MAX_SHARE = 0.06  # the share of reordered packets on a single link is lower
 _REMEDY = "give one of them another system id, or end the second route to it"
@@ -33,15 +32,14 @@ class SenderCheck:
 
     def frame(self, data: bytes) -> None:
         """Take a raw frame."""
-        places = _HEADERS.get(data[0]) if len(data) > 6 else None
-        if places is None:
+        if len(data) < FRAME_MIN_BYTES:
             return
-        number, system, component = (data[place] for place in places)
-        if component != AUTOPILOT_COMPONENT:
+        frame = Frame(data)
+        if frame.component_id != AUTOPILOT_COMPONENT:
             return
-        if system in self._last:
-            self._back[system].append((number - self._last[system]) % 256 >= 128)
-        self._last[system] = number
+        if frame.system_id in self._last:
+            self._back[frame.system_id].append((frame.sequence - self._last[frame.system_id]) % 256 >= 128)
+        self._last[frame.system_id] = frame.sequence
 
     def message(self, message: Message) -> None:
         """Take a message of the vehicle."""

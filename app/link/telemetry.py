@@ -50,6 +50,12 @@ _VIEW_MAX_DEG, _SIGHT_AGE_MAX_S = 170.0, 3.0
 _TARGET_POSITION = 1  # of TARGET_ABSOLUTE_SENSOR_CAPABILITY_FLAGS
 _DELTA_YAW_OFF_RAD = math.radians(30.0)  # what an aircraft turns while the message is on its way, and more
 
+_UNSTAMPED = frozenset(
+    {"WIND", "WIND_COV", "GPS_RAW_INT", "EKF_STATUS_REPORT", "ESTIMATOR_STATUS", "RANGEFINDER", "TARGET_ABSOLUTE"}
+)
+"""Messages without a time of their own: the vehicle's latest is the best known."""
+_AUTOPILOT_ALONE = _UNSTAMPED - {"RANGEFINDER", "TARGET_ABSOLUTE"} | {"HEARTBEAT", "GLOBAL_POSITION_INT", "ATTITUDE"}
+
 Fields = Mapping[str, Any]
 _source = lru_cache(maxsize=64)(Source)  # the same few speak all the time
 
@@ -105,13 +111,15 @@ class Telemetry:
         decoder = self._decoders.get(message.name)
         if decoder is None or (self.system_id is not None and message.system_id != self.system_id):
             return None
-        return decoder(message)
+        if message.name in _AUTOPILOT_ALONE and message.component_id != AUTOPILOT_COMPONENT:
+            return None
+        return None if message.name in _UNSTAMPED and self.now_s == -math.inf else decoder(message)
 
     # -- the vehicle ---------------------------------------------------------------------------------------
 
     def _heartbeat(self, message: Message) -> Event | None:
         fields = message.fields
-        if message.component_id != AUTOPILOT_COMPONENT or fields["autopilot"] == AUTOPILOT_INVALID:
+        if fields["autopilot"] == AUTOPILOT_INVALID:
             return None
         self.system_id = message.system_id
         if self.now_s == -math.inf:
@@ -122,7 +130,7 @@ class Telemetry:
 
     def _position(self, message: Message) -> Event | None:
         fields = message.fields
-        if message.component_id != AUTOPILOT_COMPONENT or not has_fix(fields):
+        if not has_fix(fields):
             return None
         time_s = self._own_seconds(fields["time_boot_ms"])
         latitude_deg, longitude_deg = fields["lat"] * 1e-7, fields["lon"] * 1e-7
@@ -147,7 +155,7 @@ class Telemetry:
     def _attitude(self, message: Message) -> Event | None:
         fields = message.fields
         angles = (fields["roll"], fields["pitch"], fields["yaw"])
-        if message.component_id != AUTOPILOT_COMPONENT or not _finite(*angles):
+        if not _finite(*angles):
             return None
         time_s, self._yaw_rad = self._own_seconds(fields["time_boot_ms"]), fields["yaw"]
         return AttitudeReading(time_s, *angles)
@@ -174,27 +182,18 @@ class Telemetry:
     def _gps(self, message: Message) -> Event | None:
         fix = int(message.fields["fix_type"])
         fault = "" if fix >= _GPS_FIX_3D else f"the GPS has no fix in space (fix type {fix})"
-        return self._navigation(message, "GPS", fault)
+        return NavigationReported(self.now_s, "GPS", fault)
 
     def _ekf(self, message: Message) -> Event | None:
-        return self._navigation(message, "EKF", _ekf_fault(int(message.fields["flags"]), _EKF_GLITCH))
+        return NavigationReported(self.now_s, "EKF", _ekf_fault(int(message.fields["flags"]), _EKF_GLITCH))
 
     def _estimator(self, message: Message) -> Event | None:
-        return self._navigation(message, "EKF", _ekf_fault(int(message.fields["flags"]), _ESTIMATOR_GLITCH))
-
-    def _navigation(self, message: Message, source: Literal["GPS", "EKF"], fault: str) -> Event | None:
-        if not self._of_autopilot(message):
-            return None
-        return NavigationReported(self.now_s, source, fault)
-
-    def _of_autopilot(self, message: Message) -> bool:
-        """Return whether a message without a time is the autopilot's, and the vehicle's time is known."""
-        return message.component_id == AUTOPILOT_COMPONENT and self.now_s > -math.inf
+        return NavigationReported(self.now_s, "EKF", _ekf_fault(int(message.fields["flags"]), _ESTIMATOR_GLITCH))
 
     def _wind(self, message: Message) -> Event | None:
         # ArduPilot reports the direction the wind comes from.
         fields = message.fields
-        if not self._of_autopilot(message) or not _finite(fields["direction"], fields["speed"]):
+        if not _finite(fields["direction"], fields["speed"]):
             return None
         from_rad = math.radians(fields["direction"])
         speed_m_s = fields["speed"]
@@ -202,7 +201,7 @@ class Telemetry:
 
     def _wind_cov(self, message: Message) -> Event | None:
         fields = message.fields
-        if not self._of_autopilot(message) or not _finite(fields["wind_x"], fields["wind_y"]):
+        if not _finite(fields["wind_x"], fields["wind_y"]):
             return None
         return WindReported(self.now_s, fields["wind_y"], fields["wind_x"])
 
@@ -230,9 +229,8 @@ class Telemetry:
         )
 
     def _rangefinder(self, message: Message) -> Event | None:
-        # It carries no time of its own; the vehicle's latest is the best known.
         distance_m = message.fields["distance"]
-        if self.now_s == -math.inf or not _finite(distance_m) or distance_m <= 0.0:
+        if not _finite(distance_m) or distance_m <= 0.0:
             return None
         return RangeReading(self.now_s, distance_m, _source(message.name, message.component_id))
 
@@ -309,7 +307,7 @@ class Telemetry:
         if not int(fields["sensor_capabilities"]) & _TARGET_POSITION or self.plane is None or not has_fix(fields):
             return None
         sigmas_m = fields["position_std"][:2]
-        if not _finite(*sigmas_m) or max(sigmas_m) <= 0.0 or self.now_s == -math.inf:
+        if not _finite(*sigmas_m) or max(sigmas_m) <= 0.0:
             return None
         east_m, north_m = self.plane.east_north_m(fields["lat"] * 1e-7, fields["lon"] * 1e-7)
         source = _source(message.name, message.component_id, int(fields["id"]))

@@ -6,14 +6,12 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from sidelong.app.link.link import Link
 from sidelong.app.link.message import Message
 from sidelong.app.link.status_texts import StatusTexts
 from sidelong.app.link.telemetry import AUTOPILOT_COMPONENT
-from sidelong.mission.exchange.vehicle_command import describe_result
 
 _ANSWER_S = 1.0
 _TRIES = 4
@@ -21,23 +19,8 @@ _IN_PROGRESS = 5
 _SET_MESSAGE_INTERVAL = 511
 _RATE_ROUNDS, _RATE_ANSWER_S = 5, 0.6
 _ROUND_TRIPS, _MORE_S = 1.5, 0.15  # timeout of an answer: this many round trips, plus this many seconds
-_ACCEPTED = 0
 
 Listener = Callable[[Message], object]
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """The result of a command: a MAV_RESULT, or None if no answer was received."""
-
-    result: int | None
-
-    @property
-    def accepted(self) -> bool:
-        return self.result == _ACCEPTED
-
-    def __str__(self) -> str:
-        return describe_result(self.result)
 
 
 class Vehicle:
@@ -50,7 +33,6 @@ class Vehicle:
         self.texts = StatusTexts()  # of the autopilot
         self.listeners: list[Listener] = []
         self.bystanders: list[Listener] = []  # receive the messages of other systems, too
-        self._waiting: list[tuple[Callable[[Message], bool], asyncio.Future[Message]]] = []
 
     async def run(self) -> None:
         """Hand every message of this vehicle to whoever waits or listens, until the link is closed."""
@@ -67,23 +49,8 @@ class Vehicle:
             self.latest[message.name] = message
             if message.name == "STATUSTEXT":
                 self.texts.take(message)
-        for wanted, future in self._waiting:
-            if not future.done() and wanted(message):
-                future.set_result(message)
         for listener in self.listeners:
             listener(message)
-
-    async def wait_for(self, wanted: Callable[[Message], bool], timeout_s: float) -> Message | None:
-        """Return the next message for which ``wanted`` is true, or None after ``timeout_s`` of wall time."""
-        future: asyncio.Future[Message] = asyncio.get_running_loop().create_future()
-        entry = (wanted, future)
-        self._waiting.append(entry)
-        try:
-            return await asyncio.wait_for(future, timeout_s)
-        except TimeoutError:
-            return None
-        finally:
-            self._waiting.remove(entry)
 
     def answer_s(self, unknown_s: float) -> float:
         """Return how long to wait for an answer: by the measured round trip, unknown_s as long as there is none."""
@@ -126,51 +93,35 @@ class Vehicle:
         """Return the latest message of that name from the autopilot, waiting for the first one if need be."""
         if name in self.latest:
             return self.latest[name]
-        return await self.wait_for(
-            lambda message: message.name == name and message.component_id == AUTOPILOT_COMPONENT, timeout_s
-        )
+        with self.hearing(name) as messages, contextlib.suppress(TimeoutError):
+            return await asyncio.wait_for(messages.get(), timeout_s)
+        return None
 
     async def transmit(self, name: str, fields: Mapping[str, Any]) -> None:
         """Send a message to the autopilot. Raises LinkError when it cannot be sent."""
         address = {"target_system": self.system_id, "target_component": AUTOPILOT_COMPONENT}
         await self.link.send(name, {**address, **fields})
 
-    async def command(self, command: int, *params: float) -> Answer:
-        """Send COMMAND_LONG until it is answered; missing params are 0."""
-        values = [*params, *([0.0] * (7 - len(params)))]
-        fields = {f"param{i}": float(value) for i, value in enumerate(values, 1)}
-        return await self._commanded("COMMAND_LONG", command, fields)
-
     async def command_int(
         self, command: int, frame: int, params: tuple[float, ...], x: int, y: int, z: float
-    ) -> Answer:
-        """Send COMMAND_INT until it is answered; NaN params mean unused."""
-        values = [*params, *([math.nan] * (4 - len(params)))]
-        fields = {f"param{i}": float(value) for i, value in enumerate(values, 1)}
-        return await self._commanded(
-            "COMMAND_INT",
-            command,
-            fields | {"frame": frame, "current": 0, "autocontinue": 0, "x": x, "y": y, "z": z},
-        )
-
-    async def _commanded(self, name: str, command: int, fields: dict[str, float]) -> Answer:
-        def answers(message: Message) -> bool:
-            fields = message.fields
-            return message.name == "COMMAND_ACK" and self.is_for_us(message) and fields["command"] == command
-
-        for attempt in range(_TRIES):
-            body = fields | {"command": command}
-            if name == "COMMAND_LONG":
-                body["confirmation"] = attempt
-            waiting = asyncio.ensure_future(self.wait_for(answers, _ANSWER_S))
-            await asyncio.sleep(0)  # listen before speaking
-            await self.transmit(name, body)
-            message = await waiting
-            while message is not None and message.fields["result"] == _IN_PROGRESS:
-                message = await self.wait_for(answers, 10.0 * _ANSWER_S)
-            if message is not None:
-                return Answer(int(message.fields["result"]))
-        return Answer(None)
+    ) -> int | None:
+        """Send COMMAND_INT until it is answered; return its MAV_RESULT, None without one. Missing params: NaN."""
+        fields: dict[str, Any] = {f"param{i}": math.nan for i in range(1, 5)}
+        fields |= {f"param{i}": value for i, value in enumerate(params, 1)}
+        fields |= {"command": command, "frame": frame, "current": 0, "autocontinue": 0, "x": x, "y": y, "z": z}
+        for _ in range(_TRIES):
+            with self.hearing("COMMAND_ACK") as answers:
+                await self.transmit("COMMAND_INT", fields)
+                answer_s = _ANSWER_S
+                with contextlib.suppress(TimeoutError):
+                    while True:
+                        answer = await asyncio.wait_for(answers.get(), answer_s)
+                        if not self.is_for_us(answer) or answer.fields["command"] != command:
+                            continue
+                        if answer.fields["result"] != _IN_PROGRESS:
+                            return int(answer.fields["result"])
+                        answer_s = 10.0 * _ANSWER_S
+        return None
 
     async def set_rates(self, rates_hz: Mapping[int, float], rounds: int = _RATE_ROUNDS) -> None:
         """Request messages at these rates in Hz, 0 for none, all at once; unsupported messages are ignored.

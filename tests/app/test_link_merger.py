@@ -9,9 +9,8 @@ import pytest
 from pymavlink.dialects.v20 import all as mavlink
 
 from sidelong.app.link.merger import LinkMerger, time_of
-from sidelong.app.link.meter import LinkMeter
 from sidelong.app.link.quality import LinkQuality, Measured
-from tests.messages import Sender, acknowledgement, message
+from tests.messages import Sender
 
 
 def position(time_s):
@@ -220,28 +219,3 @@ def test_delay_is_the_median_and_silence_is_since_the_last_frame():
     quality.frame((1, 1), 0, 40, 6.0)
     assert quality.measured(6.5).round_trip_s == 0.1
     assert quality.measured(6.5).silent_s == 0.5
-
-
-def test_mavsdk_s_copy_is_measured_but_for_what_is_addressed_to_us():
-    sender, ours, meter = Sender(), mavlink.MAVLink(None, 245, 190), LinkMeter("udpin://127.0.0.1:1", (245, 190))
-    for number in range(100):
-        frame = sender(position(0.1 * number))
-        if number % 10 != 5:
-            meter.frame(frame.data)
-        elif number % 20 == 5:  # addressed to us: it comes, but not in the copy
-            meter.message(acknowledgement())
-    meter.frame(bytes(mode(0).pack(ours)))
-    name, question = meter.question()
-    meter.message(message(name, tc1=5, ts1=question["ts1"]))
-    (report,) = meter.reports()
-    assert report.measured.loss == pytest.approx(0.05, abs=0.01)
-    assert report.measured.round_trip_s < 1.0
-    assert report.measured.sent_bytes_s > 0.0
-    assert not meter.vehicle_signs
-
-
-def test_a_vehicle_that_signs_is_noticed():
-    meter, signing = LinkMeter("udpin://127.0.0.1:1", (245, 190)), mavlink.MAVLink(None, 1, 1)
-    signing.signing.secret_key, signing.signing.sign_outgoing = bytes(32), True
-    meter.frame(bytes(mode(0).pack(signing)))
-    assert meter.vehicle_signs

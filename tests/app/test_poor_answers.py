@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import shutil
 import socket
@@ -14,7 +13,7 @@ from sidelong.app.cli import app
 from sidelong.app.commands.progress import share_progress
 from sidelong.app.config import load_config
 from sidelong.app.errors import InputError, missing_package
-from sidelong.app.link.discovery import unless_refused
+from sidelong.app.link.raw_links import opened_links
 from sidelong.app.link.url import checked_url
 from sidelong.app.records.run_folder import RunFolder
 from sidelong.sitl.world.track import TrackError, read_track
@@ -81,33 +80,14 @@ def test_a_picture_is_not_a_track(tmp_path):
         read_track(path)
 
 
-def test_a_refused_tcp_connection_is_reported_without_waiting(monkeypatch):
-    monkeypatch.setattr("sidelong.app.link.discovery._REFUSED_AFTER_S", 0.01)
+def test_a_refused_tcp_connection_is_reported_without_waiting():
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
-
-    async def never() -> None:
-        await asyncio.Event().wait()
-
-    with pytest.raises(InputError, match="connection refused; start the autopilot first"):
-        asyncio.run(unless_refused(never(), [f"tcpout://127.0.0.1:{port}"]))
-
-
-def test_a_server_that_listens_is_waited_for(monkeypatch):
-    monkeypatch.setattr("sidelong.app.link.discovery._REFUSED_AFTER_S", 0.01)
-
-    async def found(accepted: asyncio.Event) -> str:
-        await accepted.wait()
-        return "vehicle"
-
-    async def searched() -> str:
-        accepted = asyncio.Event()
-        server = await asyncio.start_server(lambda _reader, _writer: accepted.set(), "127.0.0.1", 0)
-        port = server.sockets[0].getsockname()[1]
-        async with server:
-            return await unless_refused(found(accepted), [f"tcpout://127.0.0.1:{port}"])
-
-    assert asyncio.run(searched()) == "vehicle"
+    with (
+        pytest.raises(InputError, match="connection refused; start the autopilot first"),
+        opened_links([f"tcpout://127.0.0.1:{port}"], (245, 190), None),
+    ):
+        pass
 
 
 def test_a_fleet_s_study_takes_no_planner():

@@ -5,6 +5,7 @@ HOSTILE_FRAMES=100000 python -m pytest tests/app/test_raw_links.py -s -k hostile
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 from collections import Counter
@@ -237,6 +238,16 @@ def test_px4_receives_heartbeats_of_those_without_the_key_and_obeys_none(linked,
     assert (vehicle.gcs_received_s is not None) is (flavour is Flavour.PX4)
     answer = mavlink.MAVLINK_MSG_ID_COMMAND_ACK
     assert not [data for data in one.brought[0] if Frame(data).message_id == answer]
+
+
+def test_a_vehicle_that_signs_is_noticed_on_a_link_without_a_key():
+    signing, wire, troubles = mavlink.MAVLink(None, 1, 1), Wire(), []
+    signing.signing.secret_key, signing.signing.sign_outgoing = bytes(32), True
+    with contextlib.closing(RawLinks([("link", wire)], OURS, None, None, on_trouble=troubles.append)) as links:
+        links.start(lambda _data: None)
+        for _ in range(2):
+            assert wire.bring(bytes(mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3).pack(signing)))
+    assert troubles == ["the vehicle signs its messages: without --signing-key it may reject ours"]
 
 
 def test_a_listening_link_speaks_to_those_who_have_the_key(linked):
