@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from sidelong.app.errors import InputError, missing_package
+from sidelong.app.link.plain_text import plain
 
 _PICTURE_MAX_BYTES, _TILE_MAX_BYTES, _ZOOM_MAX = 64 << 20, 16 << 20, 24
 _OPEN_WITHIN_S, _TILE_WITHIN_S = 10.0, 0.5
@@ -131,7 +132,7 @@ def background(path: Path, bounds: str | None) -> Background:
         raise missing_package(f"--map: {path}", "pmtiles", "give an .mbtiles file") from None
     except Exception as error:  # whatever two readers make of another's bytes
         raise InputError(
-            f"--map: {path} is not a {suffix[1:]} file that can be read ({error}); is it whole?"
+            f"--map: {path} is not a {suffix[1:]} file that can be read ({plain(str(error))}); is it whole?"
         ) from error
     if media_type(data) is None:
         raise InputError(f"--map: {path} holds no pictures; give raster tiles (PNG, JPEG or WebP), not vector ones.")

@@ -44,6 +44,13 @@ def mbtiles(path, data):
     return path
 
 
+def with_wrong_zoom(path):
+    mbtiles(path, picture())
+    with sqlite3.connect(path) as database:  # SQLite quotes a text that is not UTF-8 in its message
+        database.execute("update tiles set zoom_level = cast(X'890a' as text)")
+    return path
+
+
 def pmtiles(path, data):
     with path.open("wb") as file:
         writer = Writer(file)
@@ -74,6 +81,7 @@ def written(path, data):
         (lambda folder: folder / "none.mbtiles", None, "is no file; give one that ends in .mbtiles, .pmtiles"),
         (lambda folder: written(folder / "a.mbtiles", b"x" * 2000), None, "is not a mbtiles file that can be read"),
         (lambda folder: written(folder / "a.pmtiles", b"x" * 2000), None, "is not a pmtiles file that can be read"),
+        (lambda folder: with_wrong_zoom(folder / "a.mbtiles"), None, "Could not decode to UTF-8"),
         (lambda folder: mbtiles(folder / "a.mbtiles", b"\x1f\x8bvector"), None, "not vector ones"),
         (lambda folder: mbtiles(folder / "a.mbtiles", picture()), "1,2,3,4", "tiles know where they lie"),
         (lambda folder: written(folder / "a.png", picture()), None, "add --map-bounds S,W,N,E"),
