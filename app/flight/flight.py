@@ -37,6 +37,7 @@ from sidelong.app.flight.resumption import Resumption
 from sidelong.app.flight.round_trip import RoundTripWatch
 from sidelong.app.flight.session import Session
 from sidelong.app.flight.source_rates import SourceRates
+from sidelong.app.flight.stopped_clock import StoppedClock
 from sidelong.app.flight.streams import StreamKeeper, ask_for_streams, is_slow
 from sidelong.app.flight.terrain_server import TerrainServer
 from sidelong.app.flight.wind_tables import WindTables
@@ -478,16 +479,12 @@ class Flight:
         if ended is not None:
             await ended.wait()
             return
-        standing_s = 0.0  # seconds of this computer in which the vehicle's clock stood still
-        before_s, wall_s = self._telemetry.now_s, time.monotonic()
-        while self._duration_s is None or self._telemetry.now_s + standing_s < self._start_s + self._duration_s:
+        while self._start_s == math.inf:
             await asyncio.sleep(_POLL_S)
-            now_s, now_wall_s = self._telemetry.now_s, time.monotonic()
-            if now_s == before_s and self._start_s < math.inf:
-                standing_s += now_wall_s - wall_s
-            elif abs(now_s - before_s) > standing_s > 0.0:  # its clock advanced in the meantime
-                standing_s = 0.0
-            before_s, wall_s = now_s, now_wall_s
+        stopped = StoppedClock(self._telemetry.now_s, time.monotonic())
+        while self._duration_s is None or self._telemetry.now_s + stopped.seconds < self._start_s + self._duration_s:
+            await asyncio.sleep(_POLL_S)
+            stopped.update(self._telemetry.now_s, time.monotonic())
 
     def moments(self, truth: Truth | None) -> Sequence[Moment]:
         """Return what the flight is judged by, since watching began: by the truth where that is known."""

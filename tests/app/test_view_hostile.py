@@ -26,6 +26,7 @@ from sidelong.app.view.address import Address
 from sidelong.app.view.display import ViewDisplay
 from sidelong.app.view.guard import Listener
 from sidelong.app.view.panel import PanelDisplay
+from sidelong.app.view.server import Server
 from sidelong.estimators.frames import LocalPlane
 
 REQUESTS = int(os.environ.get("HOSTILE_REQUESTS", "240"))
@@ -232,6 +233,29 @@ def test_tokens_cannot_be_guessed_quickly(guarded):
     answers = [answered(guarded, get(base.split("/")[2], f"/?token={number}"))[9:12] for number in range(30)]
     assert answers[0] == b"403"
     assert answers[-1] == b"429"
+
+
+def test_no_tile_is_read_for_a_client_without_a_token(monkeypatch):
+    read, sent = [], []
+    monkeypatch.setattr("sidelong.app.view.server.readable_tile", lambda *at: read.append(at))
+    server = Server(Access("192.0.2.1", "operator", "viewer"), lambda _press: None)
+    server._tiles = object()
+
+    async def send(message):
+        sent.append(message)
+
+    def ask(*headers):
+        sent.clear()
+        scope = {"type": "http", "method": "GET", "path": "/map/1/0/0", "query_string": b"", "root_path": ""}
+        scope |= {"headers": [(b"host", b"192.0.2.1"), *headers], "client": ("192.0.2.7", 5000), "scheme": "http"}
+        asyncio.run(server.app(scope, None, send))
+        return sent[0]["status"]
+
+    assert ask() == 403
+    assert read == []
+    session = server._access.entered("viewer")
+    assert ask((b"cookie", f"sidelong={session}".encode())) == 404  # there is no such tile
+    assert len(read) == 1
 
 
 def test_sessions_are_bounded_and_the_operator_keeps_the_buttons():
